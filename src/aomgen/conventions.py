@@ -1,0 +1,48 @@
+"""Frames, units and orders that hold everywhere, and the converters from other systems.
+
+World is the robot's base frame, Z up, in metres, radians and seconds. A pose is
+`T_<to>_<from>` (4, 4): `p_world = T_world_cam @ p_cam`. `S_` is a similarity, `R_` a rotation.
+Camera axes are OpenCV's (x right, y down, z forward), pixel centres lie at +0.5, quaternions
+are wxyz with the real part first.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Part labels of Gaussians, masks and label images.
+BACKGROUND: Final = 0
+ROBOT: Final = 1
+STATIC: Final = 2
+MOVING: Final = 3
+PART_LABELS: Final = {"background": BACKGROUND, "robot": ROBOT, "static": STATIC, "moving": MOVING}
+
+# Columns of R_opengl_opencv: OpenGL and USD cameras look along -z with y up.
+_FLIP_YZ: Final = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def opengl_from_opencv(T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pose of the same camera with OpenGL / USD / MuJoCo axes (x right, y up, z backward)."""
+    return T_world_cam @ _FLIP_YZ
+
+
+def xyzw_from_wxyz(quats_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions (..., 4) with the real part last, as scipy and ROS want them."""
+    return np.roll(quats_wxyz, -1, axis=-1)
+
+
+def wxyz_from_xyzw(quats_xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Quaternions (..., 4) with the real part first."""
+    return np.roll(quats_xyzw, 1, axis=-1)
+
+
+def linear_from_srgb(srgb: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Linear radiance of sRGB values in 0..1. Source: IEC 61966-2-1."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.floating]:
+    """sRGB values of linear radiance, both 0..1. Source: IEC 61966-2-1."""
+    clipped = np.maximum(linear, 0)
+    return np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * clipped ** (1 / 2.4) - 0.055)

@@ -1,0 +1,103 @@
+"""An articulated asset: a fixed link, a moving link, one joint between them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.core.joint import Joint
+from aomgen.core.mesh import Mesh
+from aomgen.core.transforms import apply, similarity_parts
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoxCollider:
+    """An oriented box that physics sees.
+
+    Attributes:
+        name: Unique inside the asset; the handle's boxes start with "handle".
+        T_asset_box: Pose of the centre (4, 4).
+        half_extents: (3,), [m].
+    """
+
+    name: str
+    T_asset_box: Array
+    half_extents: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_asset_box", self.T_asset_box, (4, 4))
+        freeze(self, "half_extents", self.half_extents, (3,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssetLink:
+    """One rigid part: what is seen and what is touched, both in the asset frame at value 0."""
+
+    name: str
+    meshes: tuple[Mesh, ...]
+    colliders: tuple[BoxCollider, ...]
+    mass: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArticulatedAsset:
+    """A static link and a moving link joined by one joint.
+
+    The asset frame is Z up with the support plane at z = 0 and the closed state at joint value
+    0; makers put the front (where the handle is) towards -y, centred in x. All lengths in
+    metres, in the asset frame.
+
+    Attributes:
+        name: For example "microwave-3".
+        category: For example "microwave".
+        static: The link that stands on the table.
+        moving: Door, drawer or lid.
+        joint: Axis positive in the opening direction, asset frame.
+        handle_point: Where a gripper holds, (3,): the grasped middle of the handle.
+        handle_axis: Unit direction (3,) along the handle's bar.
+    """
+
+    name: str
+    category: str
+    static: AssetLink
+    moving: AssetLink
+    joint: Joint
+    handle_point: Array
+    handle_axis: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "handle_point", self.handle_point, (3,))
+        freeze(self, "handle_axis", self.handle_axis, (3,))
+
+    def transformed(self, S: ArrayLike) -> "ArticulatedAsset":
+        """Moved and scaled by a similarity (4, 4); masses follow the volume."""
+        scale, R, _ = similarity_parts(S)
+
+        def link(source: AssetLink) -> AssetLink:
+            colliders = tuple(
+                replace(
+                    box,
+                    T_asset_box=_moved_pose(S, R, box.T_asset_box),
+                    half_extents=box.half_extents * scale,
+                )
+                for box in source.colliders
+            )
+            meshes = tuple(mesh.transformed(S) for mesh in source.meshes)
+            return replace(source, meshes=meshes, colliders=colliders, mass=source.mass * scale**3)
+
+        return replace(
+            self,
+            static=link(self.static),
+            moving=link(self.moving),
+            joint=self.joint.moved(S),
+            handle_point=apply(S, self.handle_point),
+            handle_axis=R @ self.handle_axis,
+        )
+
+
+def _moved_pose(S: ArrayLike, R: Array, T_asset_box: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3] = R @ T_asset_box[:3, :3]
+    T[:3, 3] = apply(S, T_asset_box[:3, 3])
+    return T

@@ -1,0 +1,86 @@
+"""A pinhole camera with its pose."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """Pinhole camera, OpenCV axes, pixel centres at +0.5.
+
+    Attributes:
+        fx, fy, cx, cy: Intrinsics, [px].
+        width, height: Image size, [px].
+        T_world_cam: Pose (4, 4). "world" is the frame of whatever is drawn: before alignment
+            it is the `recon` frame, and the variable that holds the camera says so.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    T_world_cam: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_world_cam", self.T_world_cam, (4, 4))
+
+    @property
+    def T_cam_world(self) -> Array:
+        """Inverse pose (4, 4)."""
+        return invert(self.T_world_cam)
+
+    @property
+    def K(self) -> Array:
+        """Intrinsic matrix (3, 3), [px]."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def center(self) -> Array:
+        """Camera centre (3,), world frame."""
+        return self.T_world_cam[:3, 3]
+
+    def moved(self, T_world_cam: ArrayLike) -> "Camera":
+        """The same optics at another pose."""
+        return replace(self, T_world_cam=T_world_cam)
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same view at another resolution."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height
+        )
+
+    def project(self, points_world: ArrayLike) -> tuple[Array, Array]:
+        """Pixels (N, 2) and depths (N,) of points (N, 3); points behind have depth <= 0."""
+        points_cam = apply(self.T_cam_world, points_world)
+        depths = points_cam[..., 2]
+        safe = np.where(np.abs(depths) < 1e-9, 1e-9, depths)
+        pixels = np.stack(
+            [self.fx * points_cam[..., 0] / safe + self.cx, self.fy * points_cam[..., 1] / safe + self.cy], -1
+        )
+        return pixels, depths
+
+    def directions(self) -> Array:
+        """Viewing rays (height, width, 3), world frame, scaled to depth 1 (not unit length)."""
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        rays_cam = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
+        return rays_cam @ self.T_world_cam[:3, :3].T
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
+    """Pose T_world_cam (4, 4) of a camera at `eye` looking at `target`, OpenCV axes."""
+    eye, target = np.asarray(eye, np.float64), np.asarray(target, np.float64)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, np.asarray(up, np.float64))
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+    T[:3, 3] = eye
+    return T

@@ -1,0 +1,90 @@
+"""A set of 3D Gaussians as a frozen value."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.sh import rotate_sh
+from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply, similarity_parts
+from aomgen.core.values import freeze
+
+SH_C0 = 0.28209479177387814
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gaussians:
+    """N Gaussians with real values: scales in metres, opacities in 0..1 (no logs, no logits).
+
+    Attributes:
+        means: Centres (N, 3) float32, [m].
+        quats: Rotations (N, 4) float32, wxyz, unit.
+        scales: Standard deviations along the rotated axes (N, 3) float32, [m].
+        opacities: (N,) float32, 0..1.
+        sh: Spherical harmonics (N, K, 3) float32, K = 1, 4, 9 or 16; sRGB color = 0.5 + SH.
+    """
+
+    means: NDArray[np.float32]
+    quats: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    sh: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        count = len(self.means)
+        freeze(self, "means", self.means, (count, 3), np.float32)
+        freeze(self, "quats", self.quats, (count, 4), np.float32)
+        freeze(self, "scales", self.scales, (count, 3), np.float32)
+        freeze(self, "opacities", self.opacities, (count,), np.float32)
+        freeze(self, "sh", self.sh, (count, None, 3), np.float32)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree 0..3 that the stored coefficients reach."""
+        return int(np.sqrt(self.sh.shape[1])) - 1
+
+    def select(self, which: NDArray) -> "Gaussians":
+        """The Gaussians of a boolean mask or an index array."""
+        return Gaussians(
+            means=self.means[which],
+            quats=self.quats[which],
+            scales=self.scales[which],
+            opacities=self.opacities[which],
+            sh=self.sh[which],
+        )
+
+    def transformed(self, S: ArrayLike) -> "Gaussians":
+        """Moved by a rigid transform or similarity (4, 4); orientation and SH turn along."""
+        scale, R, _ = similarity_parts(S)
+        return Gaussians(
+            means=apply(S, self.means),
+            quats=quat_multiply(quat_from_matrix(R), self.quats),
+            scales=self.scales * scale,
+            opacities=self.opacities,
+            sh=rotate_sh(self.sh, R),
+        )
+
+    def with_sh_degree(self, degree: int) -> "Gaussians":
+        """The same Gaussians with coefficients cut or zero-padded to a degree 0..3."""
+        want, have = (degree + 1) ** 2, self.sh.shape[1]
+        sh = np.zeros((len(self), want, 3), np.float32)
+        sh[:, : min(want, have)] = self.sh[:, : min(want, have)]
+        return Gaussians(
+            means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
+        )
+
+
+def concatenate(sets: list[Gaussians]) -> Gaussians:
+    """All Gaussians of several sets in order, padded to the highest SH degree among them."""
+    degree = max(item.sh_degree for item in sets)
+    padded = [item.with_sh_degree(degree) for item in sets]
+    return Gaussians(
+        means=np.concatenate([item.means for item in padded]),
+        quats=np.concatenate([item.quats for item in padded]),
+        scales=np.concatenate([item.scales for item in padded]),
+        opacities=np.concatenate([item.opacities for item in padded]),
+        sh=np.concatenate([item.sh for item in padded]),
+    )

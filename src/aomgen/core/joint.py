@@ -1,0 +1,58 @@
+"""One joint of an articulated object."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.core.values import Array, freeze
+
+JointType = Literal["revolute", "prismatic"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Joint:
+    """A revolute or prismatic joint, axis positive in the opening (demonstrated) direction.
+
+    Attributes:
+        type: "revolute" or "prismatic".
+        axis: Unit direction (3,).
+        origin: A point on the axis (3,), [m]; for a prismatic joint any point of the part.
+        lower, upper: Range of the joint value, [rad] or [m]; 0 is the closed (scanned) state.
+    """
+
+    type: JointType
+    axis: Array
+    origin: Array
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "axis", self.axis, (3,))
+        freeze(self, "origin", self.origin, (3,))
+
+    def motion(self, thetas: ArrayLike) -> Array:
+        """Transforms (..., 4, 4) that carry the part from value 0 to `thetas` (...,).
+
+        They act in the frame in which axis and origin are given.
+        """
+        thetas = np.asarray(thetas, np.float64)
+        if self.type == "prismatic":
+            return transform(np.eye(3), thetas[..., None] * self.axis)
+        R = matrix_from_rotvec(thetas[..., None] * self.axis)
+        return transform(R, self.origin - R @ self.origin)
+
+    def moved(self, T_to_from: ArrayLike) -> "Joint":
+        """The same joint expressed in another frame (rigid (4, 4), or a similarity)."""
+        T = np.asarray(T_to_from, np.float64)
+        scale = float(np.linalg.norm(T[:3, 0]))
+        unit = scale if self.type == "prismatic" else 1.0
+        return replace(
+            self,
+            axis=T[:3, :3] @ self.axis / scale,
+            origin=apply(T, self.origin),
+            lower=self.lower * unit,
+            upper=self.upper * unit,
+        )

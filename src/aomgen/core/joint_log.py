@@ -1,0 +1,42 @@
+"""The robot's joint log as a function of time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointLog:
+    """Arm joints and gripper over the log's own clock.
+
+    Attributes:
+        times_s: (T,), strictly increasing, log clock.
+        joints: (T, J), [rad], in the order of `joint_names`.
+        gripper: (T,), 0 open .. 1 closed.
+        joint_names: J names.
+    """
+
+    times_s: Array
+    joints: Array
+    gripper: Array
+    joint_names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        count = len(self.times_s)
+        freeze(self, "times_s", self.times_s, (count,))
+        freeze(self, "joints", self.joints, (count, len(self.joint_names)))
+        freeze(self, "gripper", self.gripper, (count,))
+
+    def at(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Joints (N, J) and gripper (N,) at log times (N,), linearly interpolated, ends held."""
+        times = np.asarray(times_s, np.float64)
+        columns = [np.interp(times, self.times_s, column) for column in self.joints.T]
+        return np.stack(columns, -1), np.interp(times, self.times_s, self.gripper)
+
+    def covers(self, times_s: ArrayLike) -> NDArray[np.bool_]:
+        """Which of the times lie inside the log."""
+        times = np.asarray(times_s, np.float64)
+        return (times >= self.times_s[0]) & (times <= self.times_s[-1])

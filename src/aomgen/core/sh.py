@@ -1,0 +1,69 @@
+"""Real spherical harmonics up to degree 3: evaluation and exact rotation."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.values import Array
+
+
+def sh_basis(directions: ArrayLike, degree: int) -> Array:
+    """Basis values (N, (degree + 1)^2) at unit directions (N, 3).
+
+    Signs and order follow the 3DGS reference files. Source: Ramamoorthi & Hanrahan 2001,
+    with the Condon-Shortley phase.
+    """
+    x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
+    basis = [np.full_like(x, 0.28209479177387814)]
+    if degree >= 1:
+        c = 0.4886025119029199
+        basis += [-c * y, c * z, -c * x]
+    if degree >= 2:
+        a, b, c = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
+        basis += [a * x * y, -a * y * z, b * (2 * z * z - x * x - y * y), -a * x * z, c * (x * x - y * y)]
+    if degree >= 3:
+        a, b, c, d, e = (
+            0.5900435899266435,
+            2.890611442640554,
+            0.4570457994644658,
+            0.3731763325901154,
+            1.445305721320277,
+        )
+        basis += [
+            -a * y * (3 * x * x - y * y),
+            b * x * y * z,
+            -c * y * (4 * z * z - x * x - y * y),
+            d * z * (2 * z * z - 3 * x * x - 3 * y * y),
+            -c * x * (4 * z * z - x * x - y * y),
+            e * z * (x * x - y * y),
+            -a * x * (x * x - 3 * y * y),
+        ]
+    return np.stack(basis, -1)
+
+
+def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
+    """Matrices (2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (3, 3).
+
+    The rotated function is `f'(R d) = f(d)`. Each band is found exactly from a few sample
+    directions, because a band's basis functions span a space that rotation maps to itself.
+    """
+    R = np.asarray(R, np.float64)
+    # Fixed directions, enough of them and generic, so that every band's system is well posed.
+    directions = np.random.default_rng(7).normal(size=(32, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    turned = sh_basis(directions @ R, degree)  # basis at R^T d
+    fixed = sh_basis(directions, degree)
+    bands = []
+    for band in range(1, degree + 1):
+        columns = slice(band * band, (band + 1) ** 2)
+        bands.append(np.linalg.lstsq(fixed[:, columns], turned[:, columns], rcond=None)[0])
+    return bands
+
+
+def rotate_sh(sh: NDArray[np.float32], R: ArrayLike) -> NDArray[np.float32]:
+    """Coefficients (N, K, 3) of the functions turned by R (3, 3)."""
+    degree = int(np.sqrt(sh.shape[1])) - 1
+    result = np.array(sh, np.float32)
+    for band, matrix in enumerate(sh_rotation(R, degree), start=1):
+        columns = slice(band * band, (band + 1) ** 2)
+        result[:, columns] = np.einsum("ij,njc->nic", matrix.astype(np.float32), sh[:, columns])
+    return result

@@ -1,0 +1,81 @@
+"""Images as sRGB arrays, with the header checked before anything is allocated."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.io.atomic import write_bytes
+
+MAX_PIXELS = 100_000_000
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height after the EXIF rotation is applied, from the header alone.
+
+    Raises:
+        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+    """
+    with _open(path) as image:
+        turned = image.getexif().get(0x0112, 1) >= 5
+        return (image.height, image.width) if turned else (image.width, image.height)
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """Image (H, W, 3) uint8 sRGB, EXIF rotation applied.
+
+    Raises:
+        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+    """
+    with _open(path) as image:
+        try:
+            return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+        except (OSError, ValueError) as error:
+            raise MalformedFileError(path, f"cannot be decoded ({error})", "export it again") from error
+
+
+def read_labels(path: Path) -> NDArray[np.uint8]:
+    """Label image (H, W) uint8, as stored in a one-channel or palette PNG."""
+    with _open(path) as image:
+        if image.mode not in ("L", "P", "1"):
+            raise MalformedFileError(path, f"has mode {image.mode}, want one 8-bit channel", "export labels as PNG")
+        return np.asarray(image if image.mode != "1" else image.convert("L"), np.uint8)
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """PNG bytes of an image (H, W, 3) or label image (H, W), uint8."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def encode_jpeg(image: NDArray[np.uint8], quality: int = 90) -> bytes:
+    """JPEG bytes of an image (H, W, 3) uint8."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "JPEG", quality=quality)
+    return buffer.getvalue()
+
+
+def write_image(path: Path, image: NDArray[np.uint8]) -> None:
+    """Write a PNG or JPEG, chosen by the suffix."""
+    write_bytes(path, encode_jpeg(image) if path.suffix.lower() in (".jpg", ".jpeg") else encode_png(image))
+
+
+def resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Area-averaged copy at another size."""
+    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
+
+
+def _open(path: Path) -> Image.Image:
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "check the folder")
+    try:
+        image = Image.open(path)
+    except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
+        raise MalformedFileError(path, "is not an image", "export it as PNG or JPEG") from error
+    if not image.width * image.height <= MAX_PIXELS:
+        raise LimitExceededError(path, f"has {image.width} x {image.height} pixels, limit {MAX_PIXELS}")
+    return image
