@@ -1,0 +1,15 @@
+"""How a long computation tells where it is."""
+
+from collections.abc import Callable
+
+# Called with the share done (0..1) and a few words; must be cheap.
+Progress = Callable[[float, str], None]
+
+
+def silent(share: float, text: str) -> None:
+    """A progress receiver that ignores everything."""
+
+
+def part(progress: Progress, start: float, end: float) -> Progress:
+    """A receiver for one part of a computation, mapped to start..end of the whole."""
+    return lambda share, text: progress(start + (end - start) * share, text)
