@@ -1,0 +1,45 @@
+"""Checks that need the videos decoded."""
+
+from aomgen.capture.read import check_intrinsics
+from aomgen.core.recording import Capture
+from aomgen.errors import IncompleteCaptureError
+from aomgen.io.video import Video, read_video
+
+MIN_FRAMES = 20
+
+
+def read_demo_videos(capture: Capture) -> dict[str, Video]:
+    """Decode the video of every demonstration camera and check it against log and intrinsics.
+
+    Returns:
+        Video by camera name.
+
+    Raises:
+        InputError: Missing, damaged or truncated video; intrinsics of another size; a video that
+            is too short or longer than the joint log.
+    """
+    return {camera.name: _checked(capture, index) for index, camera in enumerate(capture.cameras)}
+
+
+def _checked(capture: Capture, index: int) -> Video:
+    camera = capture.cameras[index]
+    video = read_video(camera.video)
+    count, height, width = video.frames_srgb.shape[:3]
+    if camera.intrinsics:
+        where = f"{capture.folder / 'capture.toml'}: demo.cameras.{camera.name}.intrinsics"
+        check_intrinsics(camera.intrinsics, (width, height), where)
+    if not count >= MIN_FRAMES:
+        raise IncompleteCaptureError(
+            camera.video,
+            f"has {count} frames, at least {MIN_FRAMES} are needed",
+            "record the whole demonstration",
+        )
+    length_s = video.times_s[-1] - video.times_s[0]
+    log_s = capture.joint_log.times_s[-1] - capture.joint_log.times_s[0]
+    if not log_s >= 0.95 * length_s:
+        raise IncompleteCaptureError(
+            camera.video,
+            f"lasts {length_s:.1f} s, but the joint log only {log_s:.1f} s",
+            "re-export the log over the whole demonstration",
+        )
+    return video

@@ -1,0 +1,216 @@
+"""Reading a capture folder: everything is validated before any work starts."""
+
+from pathlib import Path
+
+import numpy as np
+
+from aomgen.capture.joint_csv import read_joint_log
+from aomgen.capture.manifest import CaptureManifest, PromptSection, read_manifest
+from aomgen.core.joint_log import JointLog
+from aomgen.core.recording import Capture, DemoCamera, Intrinsics, Prompt, RobotChoice
+from aomgen.errors import (
+    CalibrationError,
+    IncompleteCaptureError,
+    InputError,
+    MalformedFileError,
+    MissingFileError,
+)
+from aomgen.io.images import image_size
+from aomgen.io.paths import resolve_inside
+
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+MIN_SCAN_IMAGES = 12
+# The log's first rows are averaged over this time to beat encoder noise while the arm rests.
+REST_S = 0.1
+# A principal point further than this from the middle (share of the size) is another image's.
+MAX_PRINCIPAL_SHIFT = 0.2
+
+
+def read_capture(folder: Path) -> Capture:
+    """Read and check one capture folder; videos are named here and decoded by `check_video`.
+
+    Raises:
+        InputError: Of the kind that fits, naming the file, the place and the remedy.
+    """
+    if not folder.is_dir():
+        raise MissingFileError(folder, "is not a folder", "give the folder that holds capture.toml")
+    path = folder / "capture.toml"
+    manifest = read_manifest(path)
+    images = _scan_images(folder, manifest, path)
+    size = _common_size(images)
+    log = read_joint_log(
+        resolve_inside(folder, manifest.demo.joints, named_by=path),
+        manifest.robot.joints,
+        manifest.robot.gripper,
+    )
+    scan_intrinsics = _intrinsics(manifest.scan.intrinsics)
+    if scan_intrinsics:
+        check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
+    masks = folder / "masks"
+    mask_folders = (
+        {item.name: item for item in sorted(masks.iterdir()) if item.is_dir()} if masks.is_dir() else {}
+    )
+    return Capture(
+        folder=folder,
+        name=manifest.name,
+        category=manifest.category,
+        instruction=manifest.instruction,
+        robot=_robot(folder, manifest, log, path),
+        scan_images=images,
+        scan_size=size,
+        scan_intrinsics=scan_intrinsics,
+        cameras=_cameras(folder, manifest, path),
+        joint_log=log,
+        clock_offset_s=manifest.demo.clock_offset_s,
+        prompts=_prompts(manifest.prompts, images, size, path, has_masks=bool(mask_folders)),
+        mask_folders=mask_folders,
+    )
+
+
+def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) -> None:
+    """Refuse intrinsics that belong to another image size.
+
+    Raises:
+        CalibrationError: Principal point far off the middle, focal length outside 0.2..8 widths,
+            or fx and fy differing by more than 20 %.
+    """
+    width, height = size
+    shift = max(abs(intrinsics.cx / width - 0.5), abs(intrinsics.cy / height - 0.5))
+    if not shift <= MAX_PRINCIPAL_SHIFT:
+        raise CalibrationError(
+            where,
+            f"principal point ({intrinsics.cx:g}, {intrinsics.cy:g}) does not fit {width} x {height} images",
+            "scale the intrinsics to the image size",
+        )
+    if not (0.2 * width <= intrinsics.fx <= 8 * width and 0.8 <= intrinsics.fx / intrinsics.fy <= 1.25):
+        raise CalibrationError(
+            where,
+            f"focal lengths ({intrinsics.fx:g}, {intrinsics.fy:g}) do not fit {width} x {height} images",
+            "scale the intrinsics to the image size",
+        )
+
+
+def _scan_images(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[Path, ...]:
+    scan = resolve_inside(folder, manifest.scan.images, named_by=path)
+    if scan.is_file():
+        raise MalformedFileError(
+            scan,
+            "is a video, and scans are read from still images",
+            "extract 40 to 100 sharp frames into a folder",
+        )
+    images = tuple(sorted(item for item in scan.iterdir() if item.suffix.lower() in IMAGE_SUFFIXES))
+    if not len(images) >= MIN_SCAN_IMAGES:
+        raise IncompleteCaptureError(
+            scan,
+            f"holds {len(images)} images, at least {MIN_SCAN_IMAGES} are needed",
+            "scan from more viewpoints",
+        )
+    return images
+
+
+def _common_size(images: tuple[Path, ...]) -> tuple[int, int]:
+    first = image_size(images[0])
+    for image in images[1:]:
+        size = image_size(image)
+        if size != first:
+            raise CalibrationError(
+                image,
+                f"is {size[0]} x {size[1]}, but {images[0].name} is {first[0]} x {first[1]}",
+                "export all scan images at one size",
+            )
+    return first
+
+
+def _intrinsics(values: list[float] | None) -> Intrinsics | None:
+    if values is None:
+        return None
+    fx, fy, cx, cy = values
+    return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -> RobotChoice:
+    robot = manifest.robot
+    files = [name for name in (robot.urdf, robot.mjcf) if name]
+    if bool(robot.model) + len(files) != 1:
+        raise MalformedFileError(
+            path, "[robot] must name exactly one of model, urdf, mjcf", "keep one of them"
+        )
+    rest = log.times_s <= log.times_s[0] + REST_S
+    if robot.scan_state == "first_row":
+        scan_joints = np.median(log.joints[rest], axis=0)
+    else:
+        scan_joints = np.array(robot.scan_state)
+        if len(scan_joints) != len(robot.joints):
+            raise MalformedFileError(
+                path,
+                f"robot.scan_state has {len(scan_joints)} values for {len(robot.joints)} joints",
+                "list one a joint",
+            )
+    return RobotChoice(
+        model=robot.model,
+        model_file=resolve_inside(folder, files[0], named_by=path) if files else None,
+        base_frame=robot.base_frame,
+        scan_joints=scan_joints,
+        scan_gripper=float(np.median(log.gripper[rest])),
+    )
+
+
+def _cameras(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[DemoCamera, ...]:
+    cameras = tuple(
+        DemoCamera(
+            name=section.name,
+            video=resolve_inside(folder, section.video, named_by=path),
+            intrinsics=_intrinsics(section.intrinsics),
+            T_world_cam=None if section.T_world_cam is None else np.array(section.T_world_cam),
+        )
+        for section in manifest.demo.cameras
+    )
+    for camera in cameras:
+        if camera.T_world_cam is not None:
+            R = camera.T_world_cam[:3, :3]
+            if not (np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0):
+                raise CalibrationError(
+                    path,
+                    f"T_world_cam of '{camera.name}' is not a rotation and a translation",
+                    "export it again",
+                )
+    return cameras
+
+
+def _prompts(
+    sections: list[PromptSection],
+    images: tuple[Path, ...],
+    size: tuple[int, int],
+    path: Path,
+    *,
+    has_masks: bool,
+) -> tuple[Prompt, ...]:
+    names = {image.name for image in images}
+    prompts = []
+    for section in sections:
+        if section.image not in names:
+            raise MissingFileError(
+                path, f"a prompt names '{section.image}', which is not a scan image", "correct the name"
+            )
+        if not section.points and section.box is None:
+            raise InputError(
+                path, f"the prompt on '{section.image}' has neither points nor a box", "click once"
+            )
+        points = np.array(section.points, np.float64).reshape(-1, 3)
+        box = np.array([] if section.box is None else section.box)
+        pixels = np.concatenate([points[:, :2], box.reshape(-1, 2)])
+        if not (np.all(pixels >= 0) and np.all(pixels <= np.array(size))):
+            raise InputError(
+                path,
+                f"a prompt on '{section.image}' lies outside {size[0]} x {size[1]}",
+                "click inside the image",
+            )
+        prompts.append(Prompt(part=section.part, image=section.image, points=points, box=box))
+    missing = {"moving", "static"} - {prompt.part for prompt in prompts}
+    if missing and not has_masks:
+        raise InputError(
+            path,
+            f"has no prompt for the {' and the '.join(sorted(missing))} part",
+            "add a [[prompts]] entry with a box or a point on one scan image",
+        )
+    return tuple(prompts)

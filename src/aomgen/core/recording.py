@@ -1,0 +1,114 @@
+"""What a lab recorded, as checked values: the content of a capture folder."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aomgen.core.joint_log import JointLog
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Intrinsics:
+    """Pinhole intrinsics, [px], principal point with pixel centres at +0.5."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prompt:
+    """What a person clicked once on one scan image.
+
+    Attributes:
+        part: "robot", "moving" or "static".
+        image: File name of the scan image.
+        points: (N, 3): x, y, [px], and label 1 = on the part, 0 = not on it.
+        box: (4,) x0, y0, x1, y1, [px]; empty (0,) when none was given.
+    """
+
+    part: str
+    image: str
+    points: Array
+    box: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "points", self.points, (None, 3))
+        freeze(self, "box", self.box, (None,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemoCamera:
+    """One fixed camera of the demonstration.
+
+    Attributes:
+        name: For example "front".
+        video: Path of its video.
+        intrinsics: Known intrinsics, or None to estimate them.
+        T_world_cam: Known hand-eye calibration (4, 4), or None.
+    """
+
+    name: str
+    video: Path
+    intrinsics: Intrinsics | None
+    T_world_cam: Array | None
+
+    def __post_init__(self) -> None:
+        if self.T_world_cam is not None:
+            freeze(self, "T_world_cam", self.T_world_cam, (4, 4))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotChoice:
+    """Which robot model the log belongs to.
+
+    Attributes:
+        model: A robot known by name, or "" when `model_file` is given.
+        model_file: URDF or MJCF inside the capture, or None.
+        base_frame: "base_link" or "ur_base", the frame of the log and of given camera poses.
+        scan_joints: Joint values (J,) during the scan, [rad].
+        scan_gripper: Gripper during the scan, 0..1.
+    """
+
+    model: str
+    model_file: Path | None
+    base_frame: str
+    scan_joints: Array
+    scan_gripper: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "scan_joints", self.scan_joints, (None,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Capture:
+    """A validated capture, format 1.
+
+    Attributes:
+        folder: The capture's folder.
+        name, category, instruction: From capture.toml.
+        robot: The robot and its state during the scan.
+        scan_images: Paths in name order.
+        scan_size: Width and height of every scan image, [px].
+        scan_intrinsics: Known intrinsics of the scan, or None.
+        cameras: The demonstration's fixed cameras.
+        joint_log: Arm and gripper over the log's clock.
+        clock_offset_s: Known offset (log time = video time + offset), or None.
+        prompts: What a person clicked.
+        mask_folders: Folders below `masks/`, by name.
+    """
+
+    folder: Path
+    name: str
+    category: str
+    instruction: str
+    robot: RobotChoice
+    scan_images: tuple[Path, ...]
+    scan_size: tuple[int, int]
+    scan_intrinsics: Intrinsics | None
+    cameras: tuple[DemoCamera, ...]
+    joint_log: JointLog
+    clock_offset_s: float | None
+    prompts: tuple[Prompt, ...]
+    mask_folders: dict[str, Path]

@@ -1,0 +1,133 @@
+"""A stage's manifest: what it was made from and what it made, so that it can be trusted again."""
+
+import hashlib
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from aomgen.errors import CorruptArtifactError
+from aomgen.io.atomic import STAGING_PREFIX, write_json
+from aomgen.io.jsonfile import read_json
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """Identity of one stage's result; holds no clock, host or user.
+
+    Attributes:
+        stage: Name of the stage.
+        version: The stage's version; raised when the same inputs may give other bytes.
+        inputs: Digest of every input, by name.
+        parameters: The stage's parameters.
+        files: SHA-256 and size of every file in the folder, by relative path.
+        figures: Numbers worth reading.
+        digest: SHA-256 over `files`.
+    """
+
+    stage: str
+    version: int
+    inputs: dict[str, str]
+    parameters: dict[str, Any]
+    files: dict[str, tuple[str, int]]
+    figures: dict[str, Any] = field(default_factory=dict)
+    digest: str = ""
+
+
+def describe(
+    folder: Path,
+    *,
+    stage: str,
+    version: int,
+    inputs: dict[str, str],
+    parameters: dict[str, Any],
+    figures: dict[str, Any],
+) -> Manifest:
+    """Manifest of a finished folder; hashes every file in it."""
+    files = {
+        path.relative_to(folder).as_posix(): (file_digest(path), path.stat().st_size)
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != MANIFEST and not _is_staging(path, folder)
+    }
+    digest = text_digest("\n".join(f"{name} {sha}" for name, (sha, _) in files.items()))
+    return Manifest(
+        stage=stage,
+        version=version,
+        inputs=inputs,
+        parameters=parameters,
+        files=files,
+        figures=figures,
+        digest=digest,
+    )
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest; its presence says that the folder is complete."""
+    write_json(folder / MANIFEST, asdict(manifest))
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """The manifest of a folder, or None when the stage has not finished there.
+
+    Raises:
+        MalformedFileError: The manifest cannot be parsed.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None
+    data = read_json(path)
+    try:
+        files = {name: (sha, size) for name, (sha, size) in data.pop("files").items()}
+        return Manifest(files=files, **data)
+    except (TypeError, KeyError, ValueError) as error:
+        raise CorruptArtifactError(
+            path, "is not a manifest", f"delete the folder {folder} and run again"
+        ) from error
+
+
+def files_present(folder: Path, manifest: Manifest) -> bool:
+    """Whether every file is there with its size (content is checked by `verify`)."""
+    return all(
+        (folder / name).is_file() and (folder / name).stat().st_size == size
+        for name, (_, size) in manifest.files.items()
+    )
+
+
+def verify(folder: Path, manifest: Manifest) -> None:
+    """Hash every file again.
+
+    Raises:
+        CorruptArtifactError: A file differs from its digest.
+    """
+    for name, (sha, _) in manifest.files.items():
+        path = folder / name
+        if not path.is_file() or file_digest(path) != sha:
+            raise CorruptArtifactError(
+                path, "does not match its digest", f"delete the folder {folder} and run again"
+            )
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def folder_digest(folder: Path, *, skip: tuple[str, ...] = ()) -> str:
+    """SHA-256 over names and contents of a folder, without the top-level names in `skip`."""
+    lines = [
+        f"{path.relative_to(folder).as_posix()} {file_digest(path)}"
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.relative_to(folder).parts[0] not in skip
+    ]
+    return text_digest("\n".join(lines))
+
+
+def text_digest(text: str) -> str:
+    """SHA-256 of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _is_staging(path: Path, folder: Path) -> bool:
+    return any(part.startswith(STAGING_PREFIX) for part in path.relative_to(folder).parts)

@@ -1,0 +1,164 @@
+"""Runs the list of stages: what is up to date is kept, what is not is made anew."""
+
+import fcntl
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+from aomgen import __version__
+from aomgen.core.progress import Progress
+from aomgen.errors import LockedError, StorageError
+from aomgen.io.atomic import remove_staging, staged_folder, write_json, write_text
+from aomgen.io.jsonfile import read_json
+from aomgen.pipeline.manifest import (
+    describe,
+    files_present,
+    folder_digest,
+    read_manifest,
+    text_digest,
+    write_manifest,
+)
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.stage import Run, Stage
+
+TIMINGS = "timings.json"
+STARTED = "started.json"
+
+
+class Display(Protocol):
+    """Where the runner tells what it does: a terminal, or nothing (tests)."""
+
+    def begin(self, stage: Stage, *, fresh: bool) -> None: ...
+
+    def progress(self, share: float, text: str) -> None: ...
+
+    def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None: ...
+
+
+def run_stages(project: Project, stages: tuple[Stage, ...], display: Display, *, until: str = "") -> Run:
+    """Bring every stage up to date, in order.
+
+    Args:
+        project: The choices of this run.
+        stages: The pipeline, in an order in which every stage comes after what it needs.
+        display: Hears what happens.
+        until: Stop after this stage; all of them when empty.
+
+    Raises:
+        LockedError: Another process works in the same folder.
+        AomgenError: Whatever a stage refuses; nothing half-written stays.
+    """
+    run = Run(
+        project=project, out=project.out, folders={stage.name: project.out / stage.folder for stage in stages}
+    )
+    _make_folder(project.out)
+    with _locked(project.out):
+        remove_staging(project.out)
+        digests = {"capture": folder_digest(project.capture, skip=("truth", "capture.log"))}
+        for stage in stages:
+            digests[stage.name] = _bring_up_to_date(run, stage, digests, display)
+            if stage.name == until:
+                break
+    return run
+
+
+def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stage, str]]:
+    """Each stage with "done", "partial", "missing", without checking digests of the capture."""
+    states = []
+    for stage in stages:
+        folder = project.out / stage.folder
+        manifest = read_manifest(folder)
+        if manifest and files_present(folder, manifest):
+            states.append((stage, "done"))
+        else:
+            states.append((stage, "partial" if folder.exists() else "missing"))
+    return states
+
+
+def _bring_up_to_date(run: Run, stage: Stage, digests: dict[str, str], display: Display) -> str:
+    folder = run.folders[stage.name]
+    inputs = {name: digests[name] for name in stage.needs}
+    parameters = {name: _plain(getattr(run.project, name)) for name in stage.settings}
+    manifest = read_manifest(folder)
+    wanted = (stage.version, inputs, parameters)
+    if (
+        manifest
+        and (manifest.version, manifest.inputs, manifest.parameters) == wanted
+        and files_present(folder, manifest)
+    ):
+        display.begin(stage, fresh=True)
+        return manifest.digest
+    display.begin(stage, fresh=False)
+    start = time.monotonic()
+    if stage.incremental:
+        figures = _work_in_place(run, stage, wanted, display.progress)
+        manifest = _finish(folder, stage, wanted, figures)
+    else:
+        with staged_folder(folder) as staging:
+            figures = stage.function(run, staging, display.progress)
+            manifest = _finish(staging, stage, wanted, figures)
+    seconds = time.monotonic() - start
+    _record_seconds(run.out, stage.name, seconds)
+    display.end(stage, seconds, figures)
+    return manifest.digest
+
+
+def _finish(folder: Path, stage: Stage, wanted: tuple[int, dict, dict], figures: dict[str, Any]):
+    version, inputs, parameters = wanted
+    manifest = describe(
+        folder, stage=stage.name, version=version, inputs=inputs, parameters=parameters, figures=figures
+    )
+    write_manifest(folder, manifest)
+    return manifest
+
+
+def _work_in_place(
+    run: Run, stage: Stage, wanted: tuple[int, dict, dict], progress: Progress
+) -> dict[str, Any]:
+    """Continue an incremental stage when it was started for the same inputs, else start it over."""
+    folder = run.folders[stage.name]
+    identity = text_digest(repr((__version__, wanted)))
+    started_file = folder / STARTED
+    if folder.exists() and not (started_file.is_file() and read_json(started_file) == {"identity": identity}):
+        shutil.rmtree(folder)
+    _make_folder(folder)
+    remove_staging(folder)
+    write_json(started_file, {"identity": identity})
+    return stage.function(run, folder, progress)
+
+
+def _record_seconds(out: Path, name: str, seconds: float) -> None:
+    path = out / TIMINGS
+    timings = read_json(path) if path.is_file() else {}
+    write_json(path, {**timings, name: round(seconds, 2)})
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(folder, f"cannot be made ({error.strerror})", "choose another folder") from error
+
+
+@contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Hold the folder's lock, which the system releases when the process dies."""
+    path = out / ".lock"
+    if not path.exists():
+        write_text(path, "")
+    with path.open("r+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise LockedError(
+                out, "is in use by another run", "wait for it or choose another folder"
+            ) from error
+        yield
+
+
+def _plain(value: Any) -> Any:
+    """The value as JSON gives it back, so that parameters compare equal after a round trip."""
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,55 @@
+"""What a stage is, and what it gets to work with."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from aomgen.core.progress import Progress
+from aomgen.pipeline.project import Project
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One run of the pipeline: its project and where the results of each stage lie.
+
+    Attributes:
+        project: The choices of this run.
+        out: The run's folder.
+        folders: Final folder of every stage, by stage name.
+    """
+
+    project: Project
+    out: Path
+    folders: dict[str, Path]
+
+
+# Does the work of a stage in the given folder and returns figures worth reading.
+StageFunction = Callable[[Run, Path, Progress], dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """One step of the pipeline.
+
+    Attributes:
+        name: For example "structure".
+        folder: Folder below the run's folder, for example "01_structure".
+        title: What the user reads while it runs.
+        needs: Names of the stages it reads, and "capture" when it reads the capture.
+        settings: Names of the project's fields that change its result.
+        version: Raised when the same inputs may give other bytes.
+        weight: Expected share of the total time, for the remaining time shown.
+        function: Does the work.
+        incremental: Works in its final folder, committing item by item, and continues there.
+    """
+
+    name: str
+    folder: str
+    title: str
+    needs: tuple[str, ...]
+    settings: tuple[str, ...]
+    version: int
+    weight: float
+    function: StageFunction
+    incremental: bool = False
