@@ -1,0 +1,158 @@
+"""What an articulated asset must fulfil before it is simulated and drawn."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from aomgen.assets.overlap import boxes_overlap, distance_to_boxes
+from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.values import Array
+from aomgen.errors import AssetError
+
+# A finger tip must fit between handle and front, [m].
+FINGER_BALL = 0.012
+# Half the stroke of the widest supported gripper is left for the fingers themselves, [m].
+MAX_HANDLE_THICKNESS = 0.06
+MIN_OPENING = {"revolute": np.deg2rad(30.0), "prismatic": 0.10}
+SIZE_RANGE = (0.05, 3.0)
+# Colliders that touch by less than this do not block a joint, [m].
+TOUCH = 2e-4
+RANGE_SAMPLES = 25
+
+
+def check_asset(asset: ArticulatedAsset) -> list[str]:
+    """Problems of an asset, one sentence each; empty when it can be used.
+
+    Checks sizes and units, support plane, joint range, masses, colliders (unique, moving and
+    static apart along the whole range) and the handle (bar fits a gripper, a 12 mm ball behind
+    it). Not checked: that the colliders follow the visible meshes.
+    """
+    problems = _check_sizes(asset) + _check_joint(asset) + _check_links(asset)
+    if problems:
+        return problems
+    return _check_range(asset) + _check_handle(asset)
+
+
+def require_usable(asset: ArticulatedAsset) -> None:
+    """Refuse an asset that has problems.
+
+    Raises:
+        AssetError: Names the first problem and how many there are.
+    """
+    problems = check_asset(asset)
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise AssetError(asset.name, problems[0] + more, "correct the asset or choose another one")
+
+
+def outward_normal(asset: ArticulatedAsset) -> Array:
+    """Direction (3,) in which the closed part starts to move, at the handle: away from the body."""
+    joint = asset.joint
+    if joint.type == "prismatic":
+        return joint.axis
+    direction = np.cross(joint.axis, asset.handle_point - joint.origin)
+    return direction / max(float(np.linalg.norm(direction)), 1e-12)
+
+
+def stacked(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
+    """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
+    poses = np.array([box.T_asset_box for box in colliders]).reshape(-1, 4, 4)
+    return poses, np.array([box.half_extents for box in colliders]).reshape(-1, 3)
+
+
+def _check_sizes(asset: ArticulatedAsset) -> list[str]:
+    vertices = [mesh.vertices for link in (asset.static, asset.moving) for mesh in link.meshes]
+    if not vertices:
+        return ["has no meshes"]
+    points = np.concatenate(vertices)
+    if not np.isfinite(points).all():
+        return ["has vertices that are not finite"]
+    size = float((points.max(0) - points.min(0)).max())
+    problems = []
+    if not SIZE_RANGE[0] <= size <= SIZE_RANGE[1]:
+        problems.append(
+            f"is {size:.3g} m large, want {SIZE_RANGE[0]} to {SIZE_RANGE[1]} m: check metersPerUnit"
+        )
+    if not abs(points[:, 2].min()) <= 0.005:
+        problems.append(f"stands at z = {points[:, 2].min():.3f} m, want 0")
+    return problems
+
+
+def _check_joint(asset: ArticulatedAsset) -> list[str]:
+    joint = asset.joint
+    problems = []
+    if not abs(np.linalg.norm(joint.axis) - 1) <= 1e-6:
+        problems.append("has a joint axis that is not a unit vector")
+    if not joint.lower <= 0.0 <= joint.upper:
+        problems.append(
+            f"has joint limits {joint.lower:.3g} .. {joint.upper:.3g} that exclude the closed state 0"
+        )
+    if not joint.upper >= MIN_OPENING[joint.type]:
+        problems.append(
+            f"opens by {joint.upper:.3g} only, want at least {MIN_OPENING[joint.type]:.3g} (rad or m)"
+        )
+    if joint.type == "revolute" and not joint.upper <= 2 * np.pi:
+        problems.append(f"opens by {joint.upper:.3g} rad: limits look like degrees")
+    return problems
+
+
+def _check_links(asset: ArticulatedAsset) -> list[str]:
+    problems = []
+    for link in (asset.static, asset.moving):
+        if not link.mass > 0:
+            problems.append(f"link {link.name!r} has mass {link.mass}, want a positive one")
+        if not link.meshes:
+            problems.append(f"link {link.name!r} has no meshes")
+        if not link.colliders:
+            problems.append(f"link {link.name!r} has no colliders")
+        names = [box.name for box in link.colliders]
+        if len(set(names)) != len(names):
+            problems.append(f"link {link.name!r} repeats a collider name")
+    return problems
+
+
+def _check_range(asset: ArticulatedAsset) -> list[str]:
+    """Pairs of static and moving colliders that overlap somewhere along the joint."""
+    thetas = np.linspace(0.0, asset.joint.upper, RANGE_SAMPLES)
+    poses_a, half_a = stacked(asset.static.colliders)
+    poses_b, half_b = stacked(asset.moving.colliders)
+    moved = asset.joint.motion(thetas)[:, None, None] @ poses_b[None, None]
+    hits = boxes_overlap(poses_a[None, :, None], half_a[None, :, None], moved, half_b, margin=-TOUCH)
+    problems = []
+    for i, j in np.argwhere(hits.any(0)):
+        theta = thetas[np.argmax(hits[:, i, j])]
+        names = f"{asset.static.colliders[i].name!r} and {asset.moving.colliders[j].name!r}"
+        problems.append(f"colliders {names} overlap at joint value {theta:.3g}")
+    return problems
+
+
+def _check_handle(asset: ArticulatedAsset) -> list[str]:
+    """The bar lies where it is said to be, and a finger fits around and behind it."""
+    poses, half = stacked(asset.moving.colliders)
+    point = asset.handle_point
+    distances = distance_to_boxes(point[None], poses, half)[0]
+    if not distances.min() <= 0.002:
+        return [f"handle point lies {1000 * distances.min():.0f} mm off every moving collider"]
+    bar = int(np.argmin(distances))
+    outward = outward_normal(asset)
+    across = np.cross(asset.handle_axis, outward)
+    extent = np.abs(poses[bar, :3, :3].T @ np.stack([outward, across], 1))
+    depth, thickness = (2 * half[bar] @ extent).tolist()
+    problems = []
+    if not thickness <= MAX_HANDLE_THICKNESS:
+        problems.append(
+            f"handle is {1000 * thickness:.0f} mm thick, limit {1000 * MAX_HANDLE_THICKNESS:.0f} mm"
+        )
+    ball = point - outward * (depth / 2 + FINGER_BALL / 2 + 5e-4)
+    others = _without(asset.moving, bar)
+    poses_o, half_o = stacked([*asset.static.colliders, *others])
+    gap = distance_to_boxes(ball[None], poses_o, half_o).min() if len(half_o) else np.inf
+    if not gap >= FINGER_BALL / 2:
+        problems.append(
+            f"no {1000 * FINGER_BALL:.0f} mm ball fits behind the handle (free radius {1000 * gap:.1f} mm)"
+        )
+    return problems
+
+
+def _without(link: AssetLink, index: int) -> list[BoxCollider]:
+    return [box for i, box in enumerate(link.colliders) if i != index]
