@@ -1,0 +1,123 @@
+"""One generated demonstration as a frozen value."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.joint import Joint
+from aomgen.core.values import Array, freeze
+
+PHASES: Final = ("approach", "contact", "retreat")
+FINGERS: Final = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactLog:
+    """Finger contacts of an episode, one row for each contact, ordered by frame.
+
+    Attributes:
+        frames: (C,) frame index of each contact.
+        fingers: (C,) index into `FINGERS`.
+        points_world: (C, 3), [m].
+        normals_world: (C, 3) unit, from the object into the finger.
+        forces: (C,) normal force, [N].
+    """
+
+    frames: NDArray[np.int64]
+    fingers: NDArray[np.int64]
+    points_world: Array
+    normals_world: Array
+    forces: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.frames)
+        freeze(self, "frames", self.frames, (count,), np.int64)
+        freeze(self, "fingers", self.fingers, (count,), np.int64)
+        freeze(self, "points_world", self.points_world, (count, 3))
+        freeze(self, "normals_world", self.normals_world, (count, 3))
+        freeze(self, "forces", self.forces, (count,))
+
+
+def no_contacts() -> ContactLog:
+    """A log without a single contact."""
+    none = np.zeros(0, np.int64)
+    return ContactLog(
+        frames=none,
+        fingers=none,
+        points_world=np.zeros((0, 3)),
+        normals_world=np.zeros((0, 3)),
+        forces=np.zeros(0),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """Everything about one demonstration except its pictures.
+
+    T frames at a constant rate, J arm joints. "action" is what the robot is asked to reach,
+    the plain fields are what it has reached.
+
+    Attributes:
+        index: Number of the variation that this episode renders; names its folder.
+        seed: Seed of the whole generation.
+        instruction: Language instruction.
+        robot: Robot model, for example "ur5e_2f85".
+        asset: Name of the articulated object.
+        joint_names: J names.
+        fps: Frames a second.
+        joints, action_joints: (T, J), [rad].
+        gripper, action_gripper: (T,), 0 open .. 1 closed.
+        Ts_world_ee, Ts_world_ee_action: End effector poses (T, 4, 4).
+        thetas: Object joint value (T,), [rad] or [m].
+        phases: (T,) index into `PHASES`.
+        contacts: Finger contacts.
+        joint: The object's joint, world frame, at this episode's object pose.
+        T_world_object: Object pose (4, 4).
+        cameras: Camera of each video, by name.
+        verdict: What verification measured; plain JSON values.
+    """
+
+    index: int
+    seed: int
+    instruction: str
+    robot: str
+    asset: str
+    joint_names: tuple[str, ...]
+    fps: int
+    joints: Array
+    gripper: Array
+    action_joints: Array
+    action_gripper: Array
+    Ts_world_ee: Array
+    Ts_world_ee_action: Array
+    thetas: Array
+    phases: NDArray[np.int64]
+    contacts: ContactLog
+    joint: Joint
+    T_world_object: Array
+    cameras: Mapping[str, Camera]
+    verdict: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        count, names = len(self.thetas), len(self.joint_names)
+        freeze(self, "joints", self.joints, (count, names))
+        freeze(self, "gripper", self.gripper, (count,))
+        freeze(self, "action_joints", self.action_joints, (count, names))
+        freeze(self, "action_gripper", self.action_gripper, (count,))
+        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
+        freeze(self, "Ts_world_ee_action", self.Ts_world_ee_action, (count, 4, 4))
+        freeze(self, "thetas", self.thetas, (count,))
+        freeze(self, "phases", self.phases, (count,), np.int64)
+        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+
+    def __len__(self) -> int:
+        return len(self.thetas)
+
+    @property
+    def times_s(self) -> Array:
+        """Time of each frame (T,), from the start of the demonstration."""
+        return np.arange(len(self)) / self.fps

@@ -1,0 +1,205 @@
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.episode import ContactLog, Episode
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.datasets.features import feature_columns
+from aomgen.datasets.lerobot_v3 import rolled, write_lerobot_v3
+from aomgen.datasets.statistics import color_counts, column_statistics, image_statistics
+from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
+from aomgen.io.episode_folder import commit_episode
+from aomgen.io.video import encode_video, read_video
+from aomgen.io.video_concat import concatenate_videos
+
+FPS = 10
+
+
+def make_episode(index: int, frames: int, *, cameras: tuple[str, ...] = ("front", "side")) -> Episode:
+    rng = np.random.default_rng(index)
+    joints = np.cumsum(rng.normal(0, 0.02, (frames, 6)), 0)
+    turn = np.linspace(0, 4, frames)[:, None] * np.array([0, 0, 1.0])
+    T_ee = transform(matrix_from_rotvec(turn), rng.normal(size=3) + np.linspace(0, 0.2, frames)[:, None])
+    camera = Camera(
+        fx=80, fy=80, cx=40, cy=32, width=80, height=64, T_world_cam=look_at((1, 1, 1), (0, 0, 0))
+    )
+    contact = ContactLog(
+        frames=np.array([3]),
+        fingers=np.array([1]),
+        points_world=np.zeros((1, 3)),
+        normals_world=np.array([[0, 0, 1.0]]),
+        forces=np.array([4.0]),
+    )
+    return Episode(
+        index=index,
+        seed=5,
+        instruction="open the microwave" if index != 2 else "open the drawer",
+        robot="ur5e_2f85",
+        asset="microwave-1",
+        joint_names=tuple(f"joint_{i}" for i in range(6)),
+        fps=FPS,
+        joints=joints,
+        gripper=np.linspace(0, 1, frames),
+        action_joints=joints + 0.01,
+        action_gripper=np.linspace(0, 1, frames),
+        Ts_world_ee=T_ee,
+        Ts_world_ee_action=T_ee @ transform(np.eye(3), (0.01, 0, 0)),
+        thetas=np.linspace(0, 1.2, frames),
+        phases=np.zeros(frames, np.int64),
+        contacts=contact,
+        joint=Joint(type="revolute", axis=(0, 0, -1), origin=(0.4, 0, 0), lower=0, upper=1.6),
+        T_world_object=np.eye(4),
+        cameras={name: camera for name in cameras},
+        verdict={"passed": True},
+    )
+
+
+def make_frames(index: int, frames: int) -> np.ndarray:
+    """Frame k of episode i is a flat grey of its own, so that decoding can be checked."""
+    levels = 20 + 10 * index + 6 * np.arange(frames)
+    return np.broadcast_to(levels[:, None, None, None], (frames, 64, 80, 3)).astype(np.uint8)
+
+
+def commit(root: Path, index: int, frames: int, **options: tuple[str, ...]) -> Path:
+    episode = make_episode(index, frames, **options)
+    video = encode_video(make_frames(index, frames), FPS)
+    return commit_episode(root, episode, {name: video for name in episode.cameras})
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> list[Path]:
+    root = tmp_path_factory.mktemp("episodes")
+    return [commit(root, index, frames) for index, frames in enumerate((12, 9, 15))]
+
+
+@pytest.fixture(scope="module")
+def dataset(folders, tmp_path_factory) -> Path:
+    return write_lerobot_v3(folders, tmp_path_factory.mktemp("out") / "dataset").folder
+
+
+def test_counts_and_indices_of_a_dataset(dataset):
+    info = json.loads((dataset / "meta/info.json").read_text())
+    assert (info["codebase_version"], info["total_episodes"], info["total_frames"]) == ("v3.0", 3, 36)
+    assert info["total_tasks"] == 2
+    table = pq.read_table(dataset / "data/chunk-000/file-000.parquet")
+    assert table["index"].to_pylist() == list(range(36))
+    assert table["episode_index"].to_pylist() == [0] * 12 + [1] * 9 + [2] * 15
+    assert table["frame_index"].to_pylist() == [*range(12), *range(9), *range(15)]
+    assert set(table["task_index"].to_pylist()[21:]) == {1}
+    for name, feature in info["features"].items():
+        if feature["dtype"] != "video":
+            kind = table.schema.field(name).type
+            assert (getattr(kind, "list_size", 1)) == feature["shape"][0], name
+
+
+def test_values_survive(dataset):
+    table = pq.read_table(dataset / "data/chunk-000/file-000.parquet")
+    state = np.array(table["observation.state"].to_pylist())[12:21]
+    episode = make_episode(1, 9)
+    np.testing.assert_allclose(state, np.column_stack([episode.joints, episode.gripper]), atol=1e-6)
+
+
+def test_every_frame_of_the_joined_video_is_the_right_one(dataset):
+    video = read_video(dataset / "videos/observation.images.side/chunk-000/file-000.mp4")
+    want = np.concatenate([make_frames(i, n)[:, 0, 0, 0] for i, n in enumerate((12, 9, 15))]).astype(float)
+    got = video.frames_srgb.mean((1, 2, 3))
+    assert len(got) == 36
+    np.testing.assert_allclose(got, want, atol=2)
+    rows = pq.read_table(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    for row in rows:
+        start = row["videos/observation.images.side/from_timestamp"]
+        assert start == pytest.approx(row["dataset_from_index"] / FPS)
+        np.testing.assert_allclose(video.times_s[row["dataset_from_index"]], start, atol=1e-4)
+
+
+def test_same_episodes_give_the_same_bytes(folders, dataset, tmp_path):
+    again = write_lerobot_v3(folders, tmp_path / "again").folder
+    files = sorted(p.relative_to(dataset) for p in dataset.rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(again) for p in again.rglob("*") if p.is_file())
+    for name in files:
+        assert (dataset / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def test_rebuilding_replaces_an_old_dataset(folders, tmp_path):
+    target = tmp_path / "dataset"
+    write_lerobot_v3(folders, target)
+    write_lerobot_v3(folders[:1], target)
+    assert json.loads((target / "meta/info.json").read_text())["total_episodes"] == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["dataset"]
+
+
+def test_statistics_of_columns_and_pictures():
+    values = np.random.default_rng(0).normal(2.0, 3.0, (20_000, 2))
+    found = column_statistics(values)
+    np.testing.assert_allclose(found["mean"], [2, 2], atol=0.1)
+    np.testing.assert_allclose(found["q99"], [2 + 3 * 2.326] * 2, atol=0.25)
+    frames = np.random.default_rng(0).integers(0, 256, (4, 16, 16, 3), dtype=np.uint8)
+    image = image_statistics(color_counts(frames), 4)
+    direct = frames.reshape(-1, 3) / 255
+    np.testing.assert_allclose(np.ravel(image["mean"]), direct.mean(0), atol=1e-9)
+    np.testing.assert_allclose(np.ravel(image["std"]), direct.std(0), atol=1e-9)
+    np.testing.assert_allclose(np.ravel(image["max"]), direct.max(0), atol=1e-9)
+    assert np.shape(image["q50"]) == (3, 1, 1)
+    assert image["count"] == [4]
+
+
+def test_actions_are_the_targets_and_quaternions_do_not_jump():
+    columns = feature_columns(make_episode(0, 60))
+    np.testing.assert_allclose(columns["action.ee_delta"][:, :3], [[0.01, 0, 0]] * 60, atol=1e-9)
+    np.testing.assert_allclose(columns["action.ee_delta"][:, 3:6], 0, atol=1e-9)
+    quats = columns["observation.ee_pose"][:, 3:]
+    assert np.abs(np.diff(quats, axis=0)).max() < 0.1
+    assert columns["observation.finger_contact"][3].tolist() == [0, 4]
+
+
+def test_files_roll_at_the_limit():
+    assert rolled([4, 4, 4, 20, 1], 10) == [0, 0, 1, 2, 3]
+
+
+def test_no_episode_is_refused(tmp_path):
+    with pytest.raises(MissingFileError, match="no episode"):
+        write_lerobot_v3([], tmp_path / "dataset")
+
+
+def test_unlike_episodes_are_refused_and_nothing_is_left(folders, tmp_path):
+    other = commit(tmp_path / "episodes", 7, 9, cameras=("front",))
+    with pytest.raises(ConfigError, match="cameras"):
+        write_lerobot_v3([folders[0], other], tmp_path / "dataset")
+    assert not (tmp_path / "dataset").exists()
+
+
+def test_a_video_of_another_length_is_refused(tmp_path):
+    episode = make_episode(0, 9, cameras=("front",))
+    folder = commit_episode(tmp_path / "e", episode, {"front": encode_video(make_frames(0, 7), FPS)})
+    with pytest.raises(CorruptArtifactError, match="7 frames"):
+        write_lerobot_v3([folder], tmp_path / "dataset")
+    assert not (tmp_path / "dataset").exists()
+
+
+def test_joining_needs_every_video(tmp_path):
+    with pytest.raises(MissingFileError):
+        concatenate_videos([tmp_path / "none.mp4"], FPS)
+
+
+@pytest.mark.lerobot
+def test_the_real_library_loads_it(dataset):
+    project = Path(__file__).parents[3]
+    python = project / ".venv-lerobot" / "bin" / "python"
+    if not python.exists():
+        pytest.skip("run tests/lerobot_env.sh to install the real lerobot")
+    command = [python, project / "tests" / "lerobot_check.py", dataset]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    report = json.loads(done.stdout.strip().splitlines()[-1])
+    assert (report["episodes"], report["frames"]) == (3, 36)
+    np.testing.assert_allclose(
+        report["grey"],
+        [[make_frames(e, 15)[f, 0, 0, 0] / 255] * 2 for e, f in ((0, 0), (1, 8), (2, 14))],
+        atol=0.01,
+    )
