@@ -86,7 +86,8 @@ def read_manifest(path: Path) -> CaptureManifest:
 
 
 def _first_complaint(error: ValidationError) -> tuple[str, str]:
-    first = error.errors()[0]
+    # An unknown key explains the missing one beside it, so it is told first.
+    first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
     place = ".".join(str(item) for item in first["loc"])
     if first["type"] == "extra_forbidden":
         known = _known_keys(first["loc"])

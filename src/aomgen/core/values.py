@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def freeze(
-    value: Any, name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = np.float64
-) -> None:
+def freeze(value: Any, name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = np.float64) -> None:
     """Store `array` on a frozen dataclass as a read-only array of the given dtype and shape.
 
     Args:

@@ -32,8 +32,11 @@ def write_bytes(path: Path, data: bytes) -> None:
         staging.replace(path)
         _sync_folder(path.parent)
     except OSError as error:
-        staging.unlink(missing_ok=True)
-        raise StorageError(path, f"cannot be written ({error.strerror})", "free space or choose another folder") from error
+        if staging.exists():
+            staging.unlink()
+        raise StorageError(
+            path, f"cannot be written ({error.strerror})", "free space or choose another folder"
+        ) from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -75,7 +78,9 @@ def staged_folder(path: Path) -> Iterator[Path]:
             staging.replace(path)
         _sync_folder(path.parent)
     except OSError as error:
-        raise StorageError(path, f"cannot be written ({error.strerror})", "free space or choose another folder") from error
+        raise StorageError(
+            path, f"cannot be written ({error.strerror})", "free space or choose another folder"
+        ) from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
 

@@ -41,7 +41,9 @@ def read_labels(path: Path) -> NDArray[np.uint8]:
     """Label image (H, W) uint8, as stored in a one-channel or palette PNG."""
     with _open(path) as image:
         if image.mode not in ("L", "P", "1"):
-            raise MalformedFileError(path, f"has mode {image.mode}, want one 8-bit channel", "export labels as PNG")
+            raise MalformedFileError(
+                path, f"has mode {image.mode}, want one 8-bit channel", "export labels as PNG"
+            )
         return np.asarray(image if image.mode != "1" else image.convert("L"), np.uint8)
 
 

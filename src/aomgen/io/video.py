@@ -54,18 +54,29 @@ def read_video(path: Path) -> Video:
             declared = stream.frames
             for frame in container.decode(stream):
                 if frame.pts is None or frame.is_corrupt:
-                    raise MalformedFileError(path, f"frame {len(frames)} is damaged", "export the video again")
-                if not len(frames) < MAX_FRAMES or not frame.width * frame.height * (len(frames) + 1) <= MAX_PIXELS_TOTAL:
-                    raise LimitExceededError(path, f"is longer than {MAX_FRAMES} frames or too large", "cut the demonstration")
+                    raise MalformedFileError(
+                        path, f"frame {len(frames)} is damaged", "export the video again"
+                    )
+                if (
+                    not len(frames) < MAX_FRAMES
+                    or not frame.width * frame.height * (len(frames) + 1) <= MAX_PIXELS_TOTAL
+                ):
+                    raise LimitExceededError(
+                        path, f"is longer than {MAX_FRAMES} frames or too large", "cut the demonstration"
+                    )
                 times.append(float(frame.pts * stream.time_base))
                 frames.append(frame.to_ndarray(format="rgb24"))
     except (av.FFmpegError, IndexError) as error:
         raise MalformedFileError(
-            path, f"stops being readable after frame {len(frames)} ({error})", "copy or export the video again"
+            path,
+            f"stops being readable after frame {len(frames)} ({error})",
+            "copy or export the video again",
         ) from error
     if not frames or (declared and len(frames) < declared):
         raise MalformedFileError(
-            path, f"has {len(frames)} readable frames of {declared} declared", "copy or export the video again"
+            path,
+            f"has {len(frames)} readable frames of {declared} declared",
+            "copy or export the video again",
         )
     if not rate > 0 or not np.all(np.diff(times) > 0):
         raise MalformedFileError(path, "has no increasing frame times", "export it with a constant rate")

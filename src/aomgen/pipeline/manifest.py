@@ -114,14 +114,9 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def folder_digest(folder: Path, *, skip: tuple[str, ...] = ()) -> str:
-    """SHA-256 over names and contents of a folder, without the top-level names in `skip`."""
-    lines = [
-        f"{path.relative_to(folder).as_posix()} {file_digest(path)}"
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.relative_to(folder).parts[0] not in skip
-    ]
-    return text_digest("\n".join(lines))
+def files_digest(paths: list[Path]) -> str:
+    """SHA-256 over the names and contents of files, in the order given."""
+    return text_digest("\n".join(f"{path.name} {file_digest(path)}" for path in paths))
 
 
 def text_digest(text: str) -> str:

@@ -16,7 +16,6 @@ from aomgen.io.jsonfile import read_json
 from aomgen.pipeline.manifest import (
     describe,
     files_present,
-    folder_digest,
     read_manifest,
     text_digest,
     write_manifest,
@@ -38,13 +37,16 @@ class Display(Protocol):
     def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None: ...
 
 
-def run_stages(project: Project, stages: tuple[Stage, ...], display: Display, *, until: str = "") -> Run:
+def run_stages(
+    project: Project, stages: tuple[Stage, ...], display: Display, *, capture_digest: str, until: str = ""
+) -> Run:
     """Bring every stage up to date, in order.
 
     Args:
         project: The choices of this run.
         stages: The pipeline, in an order in which every stage comes after what it needs.
         display: Hears what happens.
+        capture_digest: Digest of everything the capture refers to.
         until: Stop after this stage; all of them when empty.
 
     Raises:
@@ -57,7 +59,7 @@ def run_stages(project: Project, stages: tuple[Stage, ...], display: Display, *,
     _make_folder(project.out)
     with _locked(project.out):
         remove_staging(project.out)
-        digests = {"capture": folder_digest(project.capture, skip=("truth", "capture.log"))}
+        digests = {"capture": capture_digest}
         for stage in stages:
             digests[stage.name] = _bring_up_to_date(run, stage, digests, display)
             if stage.name == until:

@@ -1,0 +1,62 @@
+# Everything a newcomer needs: `make demo` and `make test`. Nothing is installed outside this folder
+# except the segmentation weights, which go to AOMGEN_WEIGHTS (default ~/.cache/aomgen/weights).
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out
+BIN := $(VENV)/bin
+CONSTRAINTS := constraints/cpu-py311.txt
+LEROBOT_VENV ?= .venv-lerobot
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.PHONY: demo test check install weights native lerobot-test clean
+
+demo: install
+	$(BIN)/aomgen demo $(OUT)
+
+test: $(VENV)/dev.stamp weights
+	$(BIN)/python -m pytest
+
+check: $(VENV)/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+install: $(VENV)/demo.stamp weights
+
+# The real LeRobot reads a finished demo's dataset, in an environment of its own.
+lerobot-test: $(LEROBOT_VENV)/installed.stamp
+	$(LEROBOT_VENV)/bin/python tests/lerobot_check.py $(OUT)/dataset
+
+# The engine in place, for work on the C++ sources without reinstalling.
+native:
+	cmake -S . -B build/native -DCMAKE_BUILD_TYPE=Release
+	cmake --build build/native -j 2
+
+$(VENV)/pip.stamp:
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' \
+	  || { echo "AOMGen needs Python 3.11 to 3.13; set PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null \
+	  || { echo "The Python module venv is missing: apt-get install python3-venv" >&2; exit 1; }
+	@command -v c++ >/dev/null || { echo "A C++ compiler is missing: apt-get install build-essential" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/demo.stamp: $(VENV)/pip.stamp pyproject.toml $(CONSTRAINTS) CMakeLists.txt $(wildcard cpp/*)
+	$(BIN)/pip install -q -c $(CONSTRAINTS) -e ".[reconstruct]"
+	@touch $@
+
+$(VENV)/dev.stamp: $(VENV)/demo.stamp
+	$(BIN)/pip install -q -c $(CONSTRAINTS) -e ".[reconstruct,dev]"
+	@touch $@
+
+weights: $(VENV)/demo.stamp
+	@$(BIN)/python -m aomgen.reconstruction.weights
+
+$(LEROBOT_VENV)/installed.stamp: requirements/lerobot-py311.txt
+	$(PYTHON) -m venv $(LEROBOT_VENV)
+	$(LEROBOT_VENV)/bin/pip install -q -r requirements/lerobot-py311.txt
+	$(LEROBOT_VENV)/bin/pip install -q --no-deps lerobot==0.4.4
+	@touch $@
+
+clean:
+	rm -rf build $(VENV) $(LEROBOT_VENV)

@@ -1,0 +1,118 @@
+"""Scores renders of a finished run's twin against the capture's own pictures and true masks."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+
+from aomgen.benchmarks.truth import Truth
+from aomgen.conventions import MOVING, ROBOT, STATIC
+from aomgen.core.camera import Camera
+from aomgen.core.recording import Capture
+from aomgen.io.images import read_image, read_labels
+from aomgen.io.video import Video
+from aomgen.splatting.metrics import psnr, ssim
+from aomgen.twin.twin import TwinState
+
+ROBOT_MARGIN_PX = 8
+PARTS = {"robot": ROBOT, "static": STATIC, "moving": MOVING}
+
+# Image (H, W, 3) uint8 and labels (H, W) uint8 of the twin from a camera in a state.
+RenderTwin = Callable[[Camera, TwinState], tuple[NDArray[np.uint8], NDArray[np.uint8]]]
+
+
+def is_heldout(index: int) -> bool:
+    """Whether the scan image at this place in name order is kept for evaluation."""
+    return index % 8 == 4
+
+
+def score_scan(
+    capture: Capture, cameras: dict[str, Camera], scan_state: TwinState, truth: Truth, render: RenderTwin
+) -> tuple[dict[str, Any], dict[str, list[float]]]:
+    """PSNR and SSIM of the held-out scan views, and part IoUs there.
+
+    Returns:
+        Figures by dotted name, and IoUs by part (one a view) to be pooled with the video's.
+    """
+    values: dict[str, list[float]] = {"psnr": [], "ssim": [], "objects": []}
+    ious: dict[str, list[float]] = {name: [] for name in PARTS}
+    for index, path in enumerate(capture.scan_images):
+        if not is_heldout(index) or path.name not in cameras:
+            continue
+        real = read_image(path)
+        image, labels = render(cameras[path.name], scan_state)
+        values["psnr"].append(psnr(image, real))
+        values["ssim"].append(ssim(image, real))
+        true = read_labels(truth.folder / "masks" / "scan" / f"{path.stem}.png")
+        values["objects"].append(masked_psnr(image, real, true > 0))
+        add_ious(ious, labels, true)
+    if not values["psnr"]:
+        return {"images.heldout_psnr": None, "images.heldout_ssim": None}, ious
+    figures = {
+        "images.heldout_psnr": float(np.mean(values["psnr"])),
+        "images.heldout_ssim": float(np.mean(values["ssim"])),
+        "images.heldout_psnr_objects": float(np.nanmean(values["objects"])),
+        "images.heldout_views": len(values["psnr"]),
+    }
+    return figures, ious
+
+
+def score_replay(
+    video: Video, camera: Camera, states: list[TwinState], truth: Truth, render: RenderTwin, name: str
+) -> tuple[dict[str, Any], dict[str, list[float]]]:
+    """PSNR of the twin's replay against the video, split by true masks; IoUs on every 5th frame.
+
+    Args:
+        video: The demonstration video.
+        camera: Its estimated camera, world frame.
+        states: Estimated state at every frame.
+        truth: Ground truth of the capture.
+        render: Draws the twin.
+        name: The camera's name, for the folder of true masks.
+    """
+    errors: dict[str, list[NDArray]] = {"robot": [], "moving": [], "rest": []}
+    ious: dict[str, list[float]] = {part: [] for part in PARTS}
+    for index, state in enumerate(states):
+        real = video.frames_srgb[index]
+        image, labels = render(camera, state)
+        true = read_labels(truth.folder / "masks" / name / f"{index:04d}.png")
+        squared = ((image.astype(np.float64) - real) / 255) ** 2
+        robot = binary_dilation(true == ROBOT, iterations=ROBOT_MARGIN_PX)
+        moving = (true == MOVING) & ~robot
+        for key, mask in (("robot", robot), ("moving", moving), ("rest", ~robot & ~moving)):
+            errors[key].append(squared[mask].ravel())
+        if index % 5 == 0:
+            add_ious(ious, labels, true)
+    figures = {
+        f"images.replay_psnr_{key}": float(-10 * np.log10(np.concatenate(parts).mean()))
+        for key, parts in errors.items()
+    }
+    return figures, ious
+
+
+def pooled_ious(*sources: dict[str, list[float]]) -> dict[str, float | None]:
+    """Mean and 10th percentile of each part's IoUs over all scored images."""
+    figures: dict[str, float | None] = {}
+    for name in PARTS:
+        values = [value for source in sources for value in source[name]]
+        figures[f"parts.{name}_iou"] = float(np.mean(values)) if values else None
+        figures[f"parts.{name}_iou_p10"] = float(np.percentile(values, 10)) if values else None
+    return figures
+
+
+def add_ious(ious: dict[str, list[float]], labels: NDArray[np.uint8], true: NDArray[np.uint8]) -> None:
+    """Append the IoU of each part that is in either image."""
+    for name, label in PARTS.items():
+        union = ((labels == label) | (true == label)).sum()
+        if union:
+            ious[name].append(float(((labels == label) & (true == label)).sum() / union))
+
+
+def masked_psnr(image: NDArray[np.uint8], real: NDArray[np.uint8], mask: NDArray[np.bool_]) -> float:
+    """PSNR over the masked pixels, [dB]; nan for an empty mask."""
+    if not mask.any():
+        return float("nan")
+    difference = (image[mask].astype(np.float64) - real[mask]) / 255
+    return float(-10 * np.log10(np.mean(difference**2)))

@@ -1,0 +1,246 @@
+"""The command line: `aomgen --help` teaches the rest."""
+
+import importlib.resources
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aomgen import __version__
+from aomgen.errors import AomgenError, ConfigError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="One recorded demonstration in, many photoreal and physically verified demonstrations out.",
+)
+assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
+bench_app = typer.Typer(no_args_is_help=True, help="Measure: every number in the README comes from here.")
+app.add_typer(assets_app, name="assets")
+app.add_typer(bench_app, name="bench")
+
+SAMPLE = "microwave-a"
+
+
+def main() -> None:
+    """Entry point: runs a command; an `AomgenError` becomes one sentence and its exit code."""
+    try:
+        app()
+    except AomgenError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("interrupted; run the same command again to continue", file=sys.stderr)
+        sys.exit(130)
+
+
+@app.command()
+def version() -> None:
+    """Print the version."""
+    print(__version__)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Argument(help="Where the results go.")] = Path("out"),
+    poses: Annotated[int, typer.Option(help="Verified episodes for each of the two assets.")] = 6,
+    seed: Annotated[int, typer.Option(help="Same seed, same episodes.")] = 0,
+) -> None:
+    """Turn the bundled recording into a verified dataset: capture -> dataset + report, on a CPU.
+
+    Stop it whenever you like; the same command continues where it was.
+    """
+    from aomgen.pipeline.project import Project, write_project
+
+    sample = Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE
+    project = Project(
+        capture=sample.resolve(),
+        out=out.resolve(),
+        seed=seed,
+        poses=poses,
+        assets=("microwave:1", "microwave:2"),
+    )
+    run_project(project)
+    write_project(out / "project.toml", project)
+
+
+@app.command()
+def check(
+    path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
+) -> None:
+    """Validate a capture, a project or an asset, with reasons; changes nothing."""
+    if path.suffix == ".toml" and path.name != "capture.toml":
+        from aomgen.pipeline.project import read_project
+
+        path = read_project(path).capture
+    if path.suffix in (".usd", ".usda", ".usdc", ".usdz"):
+        from aomgen.assets.check import check_asset
+        from aomgen.assets.usd_read import read_usd
+
+        asset = read_usd(path)
+        check_asset(asset)
+        print(
+            f"{path}: fine; {asset.joint.type} joint, range {asset.joint.lower:.3f} to {asset.joint.upper:.3f}"
+        )
+        return
+    from aomgen.capture.check import read_demo_videos
+    from aomgen.capture.read import read_capture
+
+    capture = read_capture(path.parent if path.name == "capture.toml" else path)
+    videos = read_demo_videos(capture)
+    log = capture.joint_log
+    print(f"{capture.folder}: fine")
+    print(f"  scan   {len(capture.scan_images)} images, {capture.scan_size[0]} x {capture.scan_size[1]}")
+    for name, video in videos.items():
+        print(f"  video  {name}: {len(video.times_s)} frames, {video.times_s[-1] - video.times_s[0]:.1f} s")
+    print(
+        f"  log    {len(log.times_s)} rows, {log.times_s[-1] - log.times_s[0]:.1f} s, {len(log.joint_names)} joints"
+    )
+
+
+@app.command()
+def init(
+    capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
+    project: Annotated[Path, typer.Option(help="Project file to write.")] = Path("project.toml"),
+    out: Annotated[Path, typer.Option(help="Where results will go.")] = Path("out"),
+    assets: Annotated[
+        list[str] | None, typer.Option("--asset", help="category:seed or a USD file; repeat for several.")
+    ] = None,
+) -> None:
+    """Write a project file with every choice spelled out, after checking the capture."""
+    from aomgen.capture.read import read_capture
+    from aomgen.pipeline.project import Project, write_project
+
+    if project.exists():
+        raise ConfigError(project, "exists already", "choose another name with --project")
+    category = read_capture(capture).category
+    chosen = tuple(assets) if assets else (f"{category}:1", f"{category}:2")
+    write_project(project, Project(capture=capture.resolve(), out=out.resolve(), assets=chosen))
+    print(f"wrote {project}; next: aomgen run {project}")
+
+
+@app.command()
+def run(
+    project: Annotated[Path, typer.Argument(help="A project file; see `aomgen init`.")],
+    until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
+) -> None:
+    """Bring every stage of a project up to date; what is up to date is kept."""
+    from aomgen.pipeline.project import read_project
+
+    run_project(read_project(project), until=until)
+
+
+@app.command()
+def status(project: Annotated[Path, typer.Argument(help="A project file.")]) -> None:
+    """List the stages of a project and what is done."""
+    from aomgen.pipeline.project import read_project
+    from aomgen.pipeline.runner import stage_states
+    from aomgen.pipeline.stages import STAGES
+
+    for stage, state in stage_states(read_project(project), STAGES):
+        print(f"{state:8} {stage.folder:18} {stage.title}")
+
+
+@app.command()
+def render(
+    out: Annotated[Path, typer.Argument(help="Folder of a finished run.")],
+    image: Annotated[Path, typer.Argument(help="PNG to write.")],
+    camera: Annotated[Path, typer.Option(help="JSON: T_world_cam, fx, fy, cx, cy, width, height.")],
+    state: Annotated[
+        Path | None, typer.Option(help="JSON: joints, gripper, theta, T_world_object; each optional.")
+    ] = None,
+    labels: Annotated[Path | None, typer.Option(help="Also write the part labels to this PNG.")] = None,
+) -> None:
+    """Draw the twin of a finished run from any camera, in any state."""
+    from aomgen.io.images import write_image
+    from aomgen.io.jsonfile import read_json
+    from aomgen.pipeline.rendering import draw_twin, open_twin, parse_camera, parse_state
+
+    twin, robot = open_twin(out)
+    view = parse_camera(read_json(camera), camera)
+    where = parse_state(read_json(state) if state else {}, twin, robot, state or Path("state"))
+    picture, parts = draw_twin(twin, robot, view, where)
+    write_image(image, picture)
+    if labels:
+        write_image(labels, parts)
+
+
+@app.command()
+def report(out: Annotated[Path, typer.Argument(help="Folder of a finished run.")]) -> None:
+    """Write report.html again from what a run has made."""
+    from aomgen.report.page import write_report
+
+    print(write_report(out))
+
+
+@app.command()
+def doctor() -> None:
+    """Say what is installed, what is missing, and what each part is for."""
+    from aomgen.cli_doctor import diagnose
+
+    problems = 0
+    for name, state, purpose in diagnose():
+        print(f"{name:22} {state or 'ok':60} {purpose}")
+        problems += bool(state)
+    if problems:
+        sys.exit(4)
+
+
+@assets_app.command("make")
+def assets_make(
+    category: Annotated[str, typer.Argument(help="microwave or drawer.")],
+    path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
+    seed: Annotated[int, typer.Option(help="Same seed, same asset.")] = 0,
+) -> None:
+    """Make a textured, hollow, articulated asset with colliders and a joint, as USD."""
+    from aomgen.assets.make import make_asset
+    from aomgen.assets.usd_write import write_usd
+
+    write_usd(make_asset(category, seed), path)
+    print(path)
+
+
+@bench_app.command("accuracy")
+def bench_accuracy(
+    capture: Annotated[Path, typer.Argument(help="A capture with truth/.")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
+) -> None:
+    """Run a capture up to its twin and score estimates and renders against its ground truth."""
+    from aomgen.benchmarks.command import run_accuracy
+
+    _show(run_accuracy(capture, out, run_project), json_file)
+
+
+@bench_app.command("splatting")
+def bench_splatting(
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Time the rasterizer, forward and backward, on a table-top scene."""
+    from aomgen.benchmarks.splatting import measure
+
+    _show({"cases": measure()}, json_file)
+
+
+def run_project(project, *, until: str = ""):
+    """Run the pipeline with a terminal display and say where the results are."""
+    from aomgen.cli_display import TerminalDisplay
+    from aomgen.pipeline.stages import run_pipeline
+
+    with TerminalDisplay() as display:
+        run_pipeline(project, display, until=until)
+    if not until:
+        print(f"dataset  {project.out / 'dataset'}")
+        print(f"report   {project.out / 'report.html'}")
+
+
+def _show(figures: dict, json_file: Path | None) -> None:
+    from aomgen.io.atomic import write_json
+
+    print(json.dumps(figures, indent=1))
+    if json_file:
+        write_json(json_file, figures)

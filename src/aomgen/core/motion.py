@@ -1,0 +1,111 @@
+"""What the demonstration tells about the object: when, where and how its part moved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.core.joint import Joint
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactPatch:
+    """Where one finger touched the moving part when the motion began.
+
+    Attributes:
+        finger: "left" or "right".
+        point: Middle of the patch on the finger's surface (3,), world frame, [m].
+        normal: Unit direction from the finger into the part (3,), world frame.
+        spread_m: RMS distance of the patch from its middle, [m].
+        gap_m: Distance between finger and reconstructed part there, [m]; the alignment's error shows here.
+    """
+
+    finger: str
+    point: Array
+    normal: Array
+    spread_m: float
+    gap_m: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "point", self.point, (3,))
+        freeze(self, "normal", self.normal, (3,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionCurve:
+    """The motion score over the video, as the report draws it.
+
+    Attributes:
+        times_s: (T,), video clock.
+        scores: Raw score (T,), NaN-free, 0..1.
+        smoothed: Savitzky-Golay smoothed score (T,).
+        threshold: Level that a frame has to exceed to open a motion interval.
+        distances_m: Smallest finger-to-part distance (T,), [m], part at its scanned place.
+        speeds_m_s: End-effector speed (T,), [m/s].
+        gripper: (T,), 0 open .. 1 closed.
+    """
+
+    times_s: Array
+    scores: Array
+    smoothed: Array
+    threshold: float
+    distances_m: Array
+    speeds_m_s: Array
+    gripper: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.times_s)
+        for name in ("times_s", "scores", "smoothed", "distances_m", "speeds_m_s", "gripper"):
+            freeze(self, name, getattr(self, name), (count,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionEstimate:
+    """The recovered motion of the articulated object; times are video times, space is the world frame.
+
+    Attributes:
+        clock_offset_s: Joint-log time = video time + this.
+        clock_offset_sd_s: Its standard deviation, [s]; 0 when it was given.
+        start_s, end_s: First and last time the part moves.
+        curve: The evidence for start and end.
+        contacts: One patch a finger that touched.
+        grasp_ee: The point of the part that the hand holds (3,), end-effector frame, [m].
+        joint: Value 0 is the scanned state, axis positive in the demonstrated direction.
+        axis_sd_rad: Standard deviation of the axis direction, [rad].
+        origin_sd_m: Standard deviation of the axis line where it passes the contact, [m].
+        type_margin: BIC of the rejected joint type minus that of the chosen one.
+        ee_turn_ratio: Turn of the end effector over turn of the part (1: rigid grasp; 0: the
+            handle turns in the fingers; NaN-free: 0 for a prismatic joint).
+        times_s: Video frame times (T,).
+        thetas: Joint value at each (T,), [rad] or [m].
+        theta_sd: Standard deviation (T,), same unit.
+        slip_m: Change of the contact's distance from the axis since the start (T,), [m].
+    """
+
+    clock_offset_s: float
+    clock_offset_sd_s: float
+    start_s: float
+    end_s: float
+    curve: MotionCurve
+    contacts: tuple[ContactPatch, ...]
+    grasp_ee: Array
+    joint: Joint
+    axis_sd_rad: float
+    origin_sd_m: float
+    type_margin: float
+    ee_turn_ratio: float
+    times_s: Array
+    thetas: Array
+    theta_sd: Array
+    slip_m: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "grasp_ee", self.grasp_ee, (3,))
+        count = len(self.times_s)
+        for name in ("times_s", "thetas", "theta_sd", "slip_m"):
+            freeze(self, name, getattr(self, name), (count,))
+
+    def theta_at(self, times_s: ArrayLike) -> Array:
+        """Joint values at video times (N,), linearly interpolated, ends held."""
+        return np.interp(np.asarray(times_s, np.float64), self.times_s, self.thetas)

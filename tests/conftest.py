@@ -1,0 +1,24 @@
+"""Fixtures every test may use."""
+
+import importlib.resources
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+SAMPLE = Path(str(importlib.resources.files("aomgen.samples"))) / "microwave-a"
+
+
+@pytest.fixture
+def sample() -> Path:
+    """The bundled capture; read only."""
+    return SAMPLE
+
+
+@pytest.fixture
+def capture_copy(tmp_path: Path) -> Path:
+    """A copy of the bundled capture that a test may damage."""
+    return Path(shutil.copytree(SAMPLE, tmp_path / "capture"))

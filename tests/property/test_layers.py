@@ -1,0 +1,78 @@
+"""The order of imports is the architecture: every import goes down, stage folders never meet."""
+
+import ast
+from pathlib import Path
+
+import aomgen
+
+ROOT = Path(aomgen.__file__).parent
+STAGES = {"capture", "reconstruction", "motion", "replacement", "generalization", "episodes", "datasets"}
+LAYERS = [
+    {"conventions", "errors"},
+    {"core"},
+    {"io"},
+    {"assets", "physics", "splatting"},
+    {"twin", "synthetic"},
+    STAGES,
+    {"pipeline"},
+    {"report", "benchmarks"},
+    {"cli_display", "cli_doctor"},
+    {"cli"},
+]
+LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
+# assets, physics and splatting share a level and may use each other where no circle arises.
+SAME_LEVEL = {("assets", "physics"), ("physics", "assets"), ("splatting", "assets"), ("synthetic", "twin")}
+
+
+def _imports(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text("utf-8"))
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("aomgen."):
+            names.add(node.module.split(".")[1])
+        elif isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("aomgen.")}
+    return names
+
+
+def _owner(path: Path) -> str:
+    return path.relative_to(ROOT).with_suffix("").parts[0]
+
+
+def test_imports_go_down():
+    wrong = []
+    for path in sorted(ROOT.rglob("*.py")):
+        owner = _owner(path)
+        if owner in ("__init__", "samples"):
+            continue
+        for name in _imports(path):
+            if name == owner or (owner, name) in SAME_LEVEL:
+                continue
+            if not LEVEL[name] < LEVEL[owner]:
+                wrong.append(f"{path.relative_to(ROOT)} imports {name}")
+    assert wrong == []
+
+
+def test_heavy_libraries_stay_out_of_the_light_path():
+    """Workers and the command line start without torch and pycolmap."""
+    for folder in (
+        "core",
+        "io",
+        "physics",
+        "assets",
+        "twin",
+        "motion",
+        "generalization",
+        "episodes",
+        "datasets",
+    ):
+        for path in (ROOT / folder).rglob("*.py"):
+            roots = {
+                alias.name.split(".")[0]
+                for node in ast.walk(ast.parse(path.read_text("utf-8")))
+                if isinstance(node, (ast.Import, ast.ImportFrom))
+                for alias in (
+                    node.names if isinstance(node, ast.Import) else [ast.alias(name=node.module or "")]
+                )
+            }
+            assert not roots & {"torch", "pycolmap"}, path

@@ -1,0 +1,151 @@
+"""A good capture is read; each way a capture can be bad is refused in one sentence."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from aomgen.capture.check import read_demo_videos
+from aomgen.capture.read import read_capture
+from aomgen.errors import (
+    AomgenError,
+    CalibrationError,
+    IncompleteCaptureError,
+    InputError,
+    MalformedFileError,
+    MissingFileError,
+    NonFiniteError,
+    UnitsError,
+    UnsafePathError,
+)
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), "utf-8")
+
+
+def refuse(folder: Path, kind: type[AomgenError], *words: str) -> None:
+    with pytest.raises(kind) as caught:
+        read_demo_videos(read_capture(folder))
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message, message
+
+
+def rewrite_log(folder: Path, change) -> None:
+    path = folder / "demo" / "joints.csv"
+    lines = path.read_text("utf-8").splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    path.write_text("\n".join([lines[0], *(",".join(row) for row in change(rows))]) + "\n", "utf-8")
+
+
+def test_the_sample_is_read(sample):
+    capture = read_capture(sample)
+    video = read_demo_videos(capture)["front"]
+    assert len(capture.scan_images) == 64
+    assert capture.scan_size == (640, 480)
+    assert video.frames_srgb.shape == (95, 480, 640, 3)
+    assert np.allclose(np.diff(video.times_s), 0.1)
+    assert capture.robot.scan_joints == pytest.approx([3.55, -2.2033, 2.4093, 0.2507, 1.3503, 0.0], abs=2e-3)
+    assert {prompt.part for prompt in capture.prompts} == {"robot", "static", "moving"}
+
+
+def test_missing_video(capture_copy):
+    (capture_copy / "demo" / "front.mp4").unlink()
+    refuse(capture_copy, MissingFileError, "front.mp4", "copy it there")
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9, 0.999])
+def test_truncated_video(capture_copy, share):
+    path = capture_copy / "demo" / "front.mp4"
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    refuse(capture_copy, MalformedFileError, "front.mp4", "again")
+
+
+def test_missing_joint_rows(capture_copy):
+    rewrite_log(capture_copy, lambda rows: rows[:320] + rows[385:])
+    refuse(capture_copy, IncompleteCaptureError, "joints.csv", "between 3.19 s and 3.85 s", "re-export")
+
+
+def test_two_missing_rows_are_interpolated(capture_copy):
+    rewrite_log(capture_copy, lambda rows: rows[:320] + rows[322:])
+    assert len(read_capture(capture_copy).joint_log.times_s) == 1059
+
+
+def test_nan_joint(capture_copy):
+    def spoil(rows):
+        rows[10][3] = "nan"
+        return rows
+
+    rewrite_log(capture_copy, spoil)
+    refuse(capture_copy, NonFiniteError, "row 12", "elbow_joint")
+
+
+def test_joints_in_degrees(capture_copy):
+    def degrees(rows):
+        return [[row[0], *(f"{np.degrees(float(value)):.4f}" for value in row[1:7]), row[7]] for row in rows]
+
+    rewrite_log(capture_copy, degrees)
+    refuse(capture_copy, UnitsError, "degrees", "radians")
+
+
+def test_gripper_in_millimetres(capture_copy):
+    rewrite_log(capture_copy, lambda rows: [[*row[:7], str(85 * float(row[7]))] for row in rows])
+    refuse(capture_copy, UnitsError, "gripper", "0 (open) to 1 (closed)")
+
+
+def test_log_shorter_than_video(capture_copy):
+    rewrite_log(capture_copy, lambda rows: rows[:500])
+    refuse(capture_copy, IncompleteCaptureError, "front.mp4", "joint log only")
+
+
+def test_missing_column(capture_copy):
+    edit(capture_copy / "capture.toml", 'gripper = "gripper"', 'gripper = "hand"')
+    refuse(capture_copy, MalformedFileError, "no column 'hand'", "shoulder_pan_joint")
+
+
+def test_one_image_of_another_size(capture_copy):
+    path = capture_copy / "scan" / "0007.jpg"
+    Image.open(path).resize((320, 240)).save(path)
+    refuse(capture_copy, CalibrationError, "0007.jpg", "320 x 240", "one size")
+
+
+def test_intrinsics_of_another_size(capture_copy):
+    edit(capture_copy / "capture.toml", "[600.0, 600.0, 320.0, 240.0]", "[1200.0, 1200.0, 640.0, 480.0]")
+    refuse(capture_copy, CalibrationError, "principal point", "640 x 480")
+
+
+def test_no_prompts(capture_copy):
+    path = capture_copy / "capture.toml"
+    path.write_text(path.read_text("utf-8").split("[[prompts]]")[0], "utf-8")
+    refuse(capture_copy, InputError, "moving", "[[prompts]]")
+
+
+def test_prompt_outside_the_image(capture_copy):
+    edit(capture_copy / "capture.toml", "box = [171.6,", "box = [-171.6,")
+    refuse(capture_copy, InputError, "0013.jpg", "outside 640 x 480")
+
+
+def test_unknown_key_names_the_nearest(capture_copy):
+    edit(capture_copy / "capture.toml", "instruction =", "instructions =")
+    refuse(capture_copy, MalformedFileError, "did you mean 'instruction'")
+
+
+def test_path_outside_the_capture(capture_copy):
+    edit(capture_copy / "capture.toml", '"demo/front.mp4"', '"../front.mp4"')
+    refuse(capture_copy, UnsafePathError, "../front.mp4")
+
+
+def test_too_few_images(capture_copy):
+    for path in sorted((capture_copy / "scan").iterdir())[5:]:
+        path.unlink()
+    refuse(capture_copy, IncompleteCaptureError, "holds 5 images", "more viewpoints")
+
+
+def test_not_a_capture(tmp_path):
+    refuse(tmp_path, MissingFileError, "capture.toml")

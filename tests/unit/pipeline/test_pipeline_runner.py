@@ -1,0 +1,160 @@
+"""Stages are kept, made anew and continued exactly when they should be."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from aomgen.errors import AomgenError, CorruptArtifactError, InputError, LockedError
+from aomgen.io.atomic import write_bytes, write_text
+from aomgen.pipeline.manifest import read_manifest, verify
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.runner import run_stages, stage_states
+from aomgen.pipeline.stage import Run, Stage
+
+
+class Heard:
+    """A display that remembers which stages really ran."""
+
+    def __init__(self):
+        self.ran, self.kept = [], []
+
+    def begin(self, stage, *, fresh):
+        (self.kept if fresh else self.ran).append(stage.name)
+
+    def progress(self, share, text):
+        pass
+
+    def end(self, stage, seconds, figures):
+        pass
+
+
+def write_seed(run: Run, folder: Path, progress) -> dict:
+    write_text(folder / "a.txt", f"seed {run.project.seed}")
+    return {"size": 1}
+
+
+def copy_a(run: Run, folder: Path, progress) -> dict:
+    write_bytes(folder / "b.txt", (run.folders["a"] / "a.txt").read_bytes() * 2)
+    return {}
+
+
+def stages(b=copy_a, version=1, incremental=False):
+    common = {"title": "", "weight": 1.0}
+    return (
+        Stage(
+            name="a",
+            folder="01_a",
+            needs=("capture",),
+            settings=("seed",),
+            version=1,
+            function=write_seed,
+            **common,
+        ),
+        Stage(
+            name="b",
+            folder="02_b",
+            needs=("a",),
+            settings=(),
+            version=version,
+            function=b,
+            incremental=incremental,
+            **common,
+        ),
+    )
+
+
+def go(tmp_path, *, seed=0, digest="x", **changes):
+    heard = Heard()
+    project = Project(capture=tmp_path, out=tmp_path / "out", seed=seed)
+    run_stages(project, stages(**changes), heard, capture_digest=digest)
+    return heard
+
+
+def test_a_second_run_does_nothing(tmp_path):
+    assert go(tmp_path).ran == ["a", "b"]
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert go(tmp_path).kept == ["a", "b"]
+    assert before == {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*") if path.is_file()
+    }
+
+
+def test_what_changed_is_made_anew_and_nothing_else(tmp_path):
+    go(tmp_path)
+    assert go(tmp_path, version=2).ran == ["b"]
+    assert go(tmp_path, seed=1, version=2).ran == ["a", "b"]
+    assert go(tmp_path, seed=1, version=2, digest="y").ran == ["a"], "same bytes from a: b stays"
+
+
+def test_a_deleted_file_is_noticed(tmp_path):
+    go(tmp_path)
+    (tmp_path / "out" / "02_b" / "b.txt").unlink()
+    assert go(tmp_path).ran == ["b"]
+
+
+def test_a_flipped_byte_is_found(tmp_path):
+    go(tmp_path)
+    folder = tmp_path / "out" / "01_a"
+    (folder / "a.txt").write_text("Seed 0")
+    with pytest.raises(CorruptArtifactError, match=r"a\.txt"):
+        verify(folder, read_manifest(folder))
+
+
+def test_a_refusal_leaves_nothing_half_written(tmp_path):
+    def refuse(run, folder, progress):
+        write_text(folder / "half.txt", "half")
+        raise InputError("b", "no")
+
+    with pytest.raises(InputError):
+        go(tmp_path, b=refuse)
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"01_a", ".lock", "timings.json"}
+
+
+def test_an_incremental_stage_continues(tmp_path):
+    class Killed(Exception):
+        pass
+
+    def first(run, folder, progress):
+        write_text(folder / "item-0", "0")
+        raise Killed
+
+    def second(run, folder, progress):
+        assert (folder / "item-0").read_text() == "0"
+        write_text(folder / "item-1", "1")
+        return {}
+
+    with pytest.raises(Killed):
+        go(tmp_path, b=first, incremental=True)
+    states = stage_states(Project(capture=tmp_path, out=tmp_path / "out"), stages())
+    assert [state for _, state in states] == ["done", "partial"]
+    assert go(tmp_path, b=second, incremental=True).ran == ["b"]
+
+
+def test_an_incremental_stage_starts_over_for_other_inputs(tmp_path):
+    def item(run, folder, progress):
+        assert not (folder / f"seed-{1 - run.project.seed}").exists()
+        write_text(folder / f"seed-{run.project.seed}", "")
+        return {}
+
+    go(tmp_path, b=item, incremental=True)
+    go(tmp_path, b=item, incremental=True, seed=1)
+
+
+def test_two_runs_in_one_folder(tmp_path):
+    def nested(run, folder, progress):
+        if os.fork() == 0:
+            try:
+                go(tmp_path)
+            except LockedError:
+                os._exit(42)
+            except AomgenError:
+                os._exit(1)
+            os._exit(0)
+        _, status = os.wait()
+        write_text(folder / "child", str(os.waitstatus_to_exitcode(status)))
+        return {}
+
+    go(tmp_path, b=nested)
+    assert (tmp_path / "out" / "02_b" / "child").read_text() == "42"
