@@ -64,7 +64,7 @@ def main(root: Path) -> None:
         "policy_features": {k: v.type.value for k, v in dataset_to_policy_features(dataset.features).items()},
         "grey": [[float(item[camera].mean()) for camera in cameras] for item in items],
     }
-    print(json.dumps(report))
+    sys.stdout.write(json.dumps(report) + "\n")
 
 
 main(Path(sys.argv[1]))

@@ -190,11 +190,12 @@ def camera_dict(camera: Camera) -> dict[str, Any]:
 
 def _episode(header: dict[str, Any], arrays: dict[str, NDArray]) -> Episode:
     names = ("index", "seed", "instruction", "robot", "asset", "fps", "T_world_object", "verdict")
+    plain: dict[str, Any] = {name: header[name] for name in names} | {name: arrays[name] for name in _ARRAYS}
+    contacts: dict[str, Any] = {name: arrays[f"contact_{name}"] for name in _CONTACT_ARRAYS}
     return Episode(
-        **{name: header[name] for name in names},
-        **{name: arrays[name] for name in _ARRAYS},
+        **plain,
         joint_names=tuple(header["joint_names"]),
-        contacts=ContactLog(**{name: arrays[f"contact_{name}"] for name in _CONTACT_ARRAYS}),
+        contacts=ContactLog(**contacts),
         joint=Joint(**header["joint"]),
         cameras={name: Camera(**values) for name, values in header["cameras"].items()},
     )
