@@ -1,0 +1,79 @@
+"""`aomgen bench accuracy`: run a capture up to its twin, then score what it wrote and drew."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.benchmarks.accuracy import score_estimates
+from aomgen.benchmarks.images import pooled_ious, score_replay, score_scan
+from aomgen.benchmarks.truth import Truth, read_truth
+from aomgen.capture.check import read_demo_videos
+from aomgen.capture.read import read_capture
+from aomgen.core.camera import Camera
+from aomgen.core.recording import Capture
+from aomgen.io.jsonfile import read_json
+from aomgen.io.video import Video
+from aomgen.physics.robot import load_robot
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.rendering import draw_twin, open_twin
+from aomgen.pipeline.runner import TIMINGS
+from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.twin.twin import TwinState
+
+LAST_STAGE = "twin"
+STRUCTURE_FOLDER = "01_structure"
+
+
+def run_accuracy(capture_folder: Path, out: Path | None, run_project: Callable[..., None]) -> dict[str, Any]:
+    """Figures of one capture, by dotted name, as the capture format defines them.
+
+    Args:
+        capture_folder: A capture with `truth/`.
+        out: Run folder, continued when it exists; a temporary one when None.
+        run_project: Runs a project up to a stage.
+    """
+    truth = read_truth(capture_folder)
+    with tempfile.TemporaryDirectory() as scratch:
+        out = (out or Path(scratch) / "run").resolve()
+        run_project(Project(capture=capture_folder.resolve(), out=out), until=LAST_STAGE)
+        capture = read_capture(capture_folder)
+        estimates = read_json(out / "estimates.json")
+        name = capture.cameras[0].name
+        video = read_demo_videos(capture)[name]
+        robot = load_robot(capture.robot.model or str(capture.robot.model_file))
+        figures = score_estimates(estimates, truth, robot, video.times_s, name)
+        figures.update(_score_pictures(capture, estimates, out, video, truth, name))
+        figures["seconds"] = read_json(out / TIMINGS)
+    return dict(sorted(figures.items()))
+
+
+def _score_pictures(
+    capture: Capture, estimates: dict[str, Any], out: Path, video: Video, truth: Truth, name: str
+) -> dict[str, Any]:
+    twin, robot = open_twin(out)
+    structure = load_structure(out / STRUCTURE_FOLDER)
+    cameras = {
+        image: structure.cameras_recon[image].moved(T)
+        for image, T in estimates["scan"].items()
+        if T is not None
+    }
+
+    def render(camera: Camera, state: TwinState) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        return draw_twin(twin, robot, camera, state)
+
+    figures, scan_ious = score_scan(capture, cameras, twin.scan_state, truth, render)
+    camera = structure.demo_cameras_recon[name].moved(estimates["demo_cameras"][name])
+    joints, gripper = capture.joint_log.at(video.times_s + estimates["clock_offset_s"])
+    theta = estimates["theta"] or {"times_s": [0.0], "values": [0.0]}
+    thetas = np.interp(video.times_s, theta["times_s"], theta["values"])
+    rest = twin.scan_state
+    states = [
+        TwinState(joints=q, gripper=float(g), theta=float(value), T_world_object=rest.T_world_object)
+        for q, g, value in zip(joints, gripper, thetas, strict=True)
+    ]
+    replay, demo_ious = score_replay(video, camera, states, truth, render, name)
+    return figures | replay | pooled_ious(scan_ious, demo_ious)
