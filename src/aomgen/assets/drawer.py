@@ -67,7 +67,9 @@ def make_drawer(name: str, rng: np.random.Generator) -> ArticulatedAsset:
     else:
         front = Surface(texture_srgb=textures.speckled(rng, PAINTS[rng.integers(len(PAINTS))]), roughness=0.5)
     handle = _handle(shape)
-    joint = Joint(type="prismatic", axis=(0, -1.0, 0), origin=handle.foot, lower=0.0, upper=shape.travel)
+    joint = Joint(
+        type="prismatic", axis=np.array([0.0, -1.0, 0.0]), origin=handle.foot, lower=0.0, upper=shape.travel
+    )
     return ArticulatedAsset(
         name=name,
         category="drawer",

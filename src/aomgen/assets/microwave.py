@@ -15,6 +15,8 @@ from aomgen.core.mesh import Mesh
 SEAL = 0.002
 # Prints lie this far in front of the surface they are on, [m].
 PRINT = 0.0006
+Span = tuple[float, float]
+Color = tuple[float, float, float]
 BODY_COLORS = (
     (0.72, 0.73, 0.74),
     (0.88, 0.87, 0.84),
@@ -76,8 +78,8 @@ def make_microwave(name: str, rng: np.random.Generator) -> ArticulatedAsset:
     handle = _handle(shape)
     joint = Joint(
         type="revolute",
-        axis=(0, 0, 1.0 if shape.hinge_right else -1.0),
-        origin=(_sided(shape, -shape.width / 2), -shape.depth / 2 - SEAL, shape.height / 2),
+        axis=np.array([0.0, 0.0, 1.0 if shape.hinge_right else -1.0]),
+        origin=np.array([_sided(shape, -shape.width / 2), -shape.depth / 2 - SEAL, shape.height / 2]),
         lower=0.0,
         upper=shape.opening,
     )
@@ -96,12 +98,12 @@ def _sided(shape: MicrowaveShape, x: float) -> float:
     return -x if shape.hinge_right else x
 
 
-def _side_box(shape: MicrowaveShape, x0: float, x1: float, y: tuple, z: tuple, skip: str = "") -> Box:
+def _side_box(shape: MicrowaveShape, x0: float, x1: float, y: Span, z: Span, skip: str = "") -> Box:
     """A box drawn for a left hinge, mirrored where the hinge is on the right."""
     if shape.hinge_right:
         x0, x1 = -x1, -x0
         skip = skip.translate(str.maketrans("xX", "Xx"))
-    return box(x0, x1, *y, *z, skip)
+    return box(x0, x1, y[0], y[1], z[0], z[1], skip)
 
 
 def _handle(shape: MicrowaveShape) -> BarHandle:
@@ -116,7 +118,7 @@ def _handle(shape: MicrowaveShape) -> BarHandle:
     )
 
 
-def _body(shape: MicrowaveShape, color: tuple, door_color: tuple, rng: np.random.Generator) -> AssetLink:
+def _body(shape: MicrowaveShape, color: Color, door_color: Color, rng: np.random.Generator) -> AssetLink:
     w, y0, y1 = shape.width / 2, -shape.depth / 2, shape.depth / 2
     z0, z1, wall = shape.feet, shape.height, shape.wall
     column = -w + shape.door_width + 0.003
@@ -170,8 +172,8 @@ def _prints(
     shape: MicrowaveShape,
     column: float,
     front: float,
-    color: tuple,
-    panel_color: tuple,
+    color: Color,
+    panel_color: Color,
     rng: np.random.Generator,
 ) -> list[Mesh]:
     """Keypad on the fascia, rating plate on the top, vents on both sides."""
@@ -196,7 +198,7 @@ def _prints(
     return [keys, label, right_vents, left_vents, side]
 
 
-def _door(shape: MicrowaveShape, color: tuple, handle: BarHandle, rng: np.random.Generator) -> AssetLink:
+def _door(shape: MicrowaveShape, color: Color, handle: BarHandle, rng: np.random.Generator) -> AssetLink:
     x0, x1 = -shape.width / 2, -shape.width / 2 + shape.door_width
     back, z0, z1 = -shape.depth / 2 - SEAL, shape.feet, shape.height
     front, frame = back - shape.door_thickness, shape.frame

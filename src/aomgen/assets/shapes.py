@@ -160,7 +160,7 @@ def _triangles_mesh(name: str, triangles: Array, uvs: Array, surface: Surface) -
         faces=inverse.reshape(-1, 3),
         uvs=uvs if textured else np.zeros((0, 3, 2)),
         texture_srgb=surface.texture_srgb,
-        color_srgb=surface.texture_srgb.mean((0, 1)) / 255 if textured else surface.color_srgb,
+        color_srgb=np.asarray(surface.texture_srgb.mean((0, 1)) / 255 if textured else surface.color_srgb),
         roughness=surface.roughness,
         metallic=surface.metallic,
     )

@@ -1,0 +1,218 @@
+"""Meshes and colliders of a USD stage, sorted into static and moving link."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.assets.box_cover import box_cover
+from aomgen.assets.usd_joint import UsdJoint
+from aomgen.assets.usd_material import Look, material_look, plain_look
+from aomgen.core.asset import BoxCollider
+from aomgen.core.mesh import Mesh
+from aomgen.core.transforms import apply, transform
+from aomgen.core.values import Array
+from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
+
+MAX_FACES = 3_000_000
+NO_UVS = np.zeros((0, 3, 2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkParts:
+    """What belongs to one link, metric, Z up; mass in the stage's unit, 0 when not given."""
+
+    name: str
+    meshes: tuple[Mesh, ...]
+    colliders: tuple[BoxCollider, ...]
+    mass: float
+
+
+@dataclass(slots=True)
+class _Collected:
+    """Parts of one link while the stage is walked."""
+
+    name: str = ""
+    meshes: list[Mesh] = field(default_factory=list)
+    boxes: list[BoxCollider] = field(default_factory=list)
+    collision_meshes: list[Mesh] = field(default_factory=list)
+    mass: float = 0.0
+
+
+def read_links(stage: Any, joint: UsdJoint, to_metric: Array, folder: Path) -> tuple[LinkParts, LinkParts]:
+    """Static and moving link.
+
+    Boxes (UsdGeom.Cube with CollisionAPI) are taken as they are; where a link has none, its
+    collision meshes (or else its visible ones) are covered by boxes, see `box_cover`.
+
+    Raises:
+        MalformedFileError: Indices out of range, counts that do not fit, values not finite.
+        LimitExceededError: More than MAX_FACES faces.
+    """
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    links = {False: _Collected(), True: _Collected()}
+    cache = UsdGeom.XformCache()
+    count = 0
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
+        owner = _owner(prim, joint.all_bodies)
+        link = links[owner in joint.moving_bodies]
+        if str(prim.GetPath()) in joint.all_bodies and not link.name:
+            link.name = str(prim.GetDisplayName() or prim.GetName())
+        if prim.HasAPI(UsdPhysics.MassAPI):
+            link.mass += max(0.0, float(UsdPhysics.MassAPI(prim).GetMassAttr().Get() or 0.0))
+        if not (prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.Cube)):
+            continue
+        place = to_metric @ np.array(cache.GetLocalToWorldTransform(prim)).T
+        collides = prim.HasAPI(UsdPhysics.CollisionAPI)
+        name = str(prim.GetDisplayName() or prim.GetName())
+        if collides and prim.IsA(UsdGeom.Cube):
+            link.boxes.append(_box(prim, place, name))
+        seen = _visible(prim)
+        if not prim.IsA(UsdGeom.Mesh) or not (seen or collides):
+            continue
+        meshes = _meshes(prim, place, name, folder)
+        count += sum(len(mesh.faces) for mesh in meshes)
+        if not count <= MAX_FACES:
+            raise LimitExceededError(
+                prim.GetPath(), f"brings the asset above {MAX_FACES} faces", "simplify it"
+            )
+        link.meshes += meshes if seen else []
+        link.collision_meshes += meshes if collides else []
+    return _finished(links[False], "static"), _finished(links[True], "moving")
+
+
+def _finished(link: _Collected, fallback_name: str) -> LinkParts:
+    boxes = link.boxes or box_cover(link.collision_meshes or link.meshes)
+    names: dict[str, int] = {}
+    unique = []
+    for item in boxes:
+        names[item.name] = names.get(item.name, 0) + 1
+        suffix = f"_{names[item.name]}" if names[item.name] > 1 else ""
+        unique.append(
+            BoxCollider(name=item.name + suffix, T_asset_box=item.T_asset_box, half_extents=item.half_extents)
+        )
+    return LinkParts(
+        name=link.name or fallback_name, meshes=tuple(link.meshes), colliders=tuple(unique), mass=link.mass
+    )
+
+
+def _owner(prim: Any, bodies: frozenset[str]) -> str:
+    while prim and not prim.IsPseudoRoot():
+        if str(prim.GetPath()) in bodies:
+            return str(prim.GetPath())
+        prim = prim.GetParent()
+    return ""
+
+
+def _visible(prim: Any) -> bool:
+    from pxr import UsdGeom
+
+    item = UsdGeom.Imageable(prim)
+    drawn = item.ComputePurpose() in (UsdGeom.Tokens.default_, UsdGeom.Tokens.render)
+    return drawn and item.ComputeVisibility() != UsdGeom.Tokens.invisible
+
+
+def _box(prim: Any, place: Array, name: str) -> BoxCollider:
+    from pxr import UsdGeom
+
+    lengths = np.linalg.norm(place[:3, :3], axis=0)
+    R = place[:3, :3] / np.maximum(lengths, 1e-12)
+    if not np.allclose(R.T @ R, np.eye(3), atol=1e-4):
+        raise AssetError(prim.GetPath(), "is a sheared collision box", "author it without shear")
+    if np.linalg.det(R) < 0:
+        R = R * np.array([1.0, 1.0, -1.0])
+    half = 0.5 * float(UsdGeom.Cube(prim).GetSizeAttr().Get()) * lengths
+    return BoxCollider(name=name, T_asset_box=transform(R, place[:3, 3]), half_extents=half)
+
+
+def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
+    """The prim's mesh, one for each material of its face subsets."""
+    from pxr import UsdGeom, UsdShade
+
+    item = UsdGeom.Mesh(prim)
+    points = np.array(item.GetPointsAttr().Get() or np.zeros((0, 3)), np.float64).reshape(-1, 3)
+    counts = np.array(item.GetFaceVertexCountsAttr().Get() or [], np.int64)
+    indices = np.array(item.GetFaceVertexIndicesAttr().Get() or [], np.int64)
+    if not len(counts) or not len(points):
+        return []
+    valid = np.isfinite(points).all() and counts.min() >= 0 and counts.sum() == len(indices)
+    if not (valid and indices.min() >= 0 and indices.max() < len(points)):
+        raise MalformedFileError(prim.GetPath(), "has faces that do not fit its points", "export it again")
+    corners, owners = _fan(counts)
+    mirrored = np.linalg.det(place[:3, :3]) < 0
+    if mirrored != (item.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded):
+        corners = corners[:, ::-1]
+    uvs = _corner_uvs(prim, corners, indices, len(points))
+    vertices = apply(place, points)
+    base = _base_look(prim)
+    meshes = []
+    for suffix, bound, chosen in _pieces(prim, owners):
+        material, _ = UsdShade.MaterialBindingAPI(bound).ComputeBoundMaterial()
+        look = material_look(material, folder, base) if material else base
+        textured = look.texture_srgb.size > 0 and len(uvs) > 0
+        used, faces = np.unique(indices[corners[chosen]], return_inverse=True)
+        meshes.append(
+            Mesh(
+                name=name + suffix,
+                vertices=vertices[used],
+                faces=faces.reshape(-1, 3),
+                uvs=uvs[chosen] if textured else NO_UVS,
+                texture_srgb=look.texture_srgb if textured else np.zeros((0, 0, 3), np.uint8),
+                color_srgb=look.color_srgb,
+                roughness=look.roughness,
+                metallic=look.metallic,
+            )
+        )
+    return meshes
+
+
+def _pieces(prim: Any, owners: NDArray[np.int64]) -> list[tuple[str, Any, NDArray[np.bool_]]]:
+    """Name suffix, prim that carries the material, and triangles of every material subset."""
+    from pxr import UsdGeom, UsdShade
+
+    pieces, rest = [], np.ones(len(owners), bool)
+    for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+        faces = np.array(UsdGeom.Subset(subset).GetIndicesAttr().Get() or [], np.int64)
+        chosen = np.isin(owners, faces) & rest
+        if chosen.any():
+            pieces.append((f"_{subset.GetPrim().GetName()}", subset.GetPrim(), chosen))
+            rest &= ~chosen
+    return [*pieces, ("", prim, rest)] if rest.any() else pieces
+
+
+def _fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Corner numbers (F, 3) and polygon numbers (F,) of a fan triangulation."""
+    starts = np.cumsum(counts) - counts
+    triangles = np.maximum(counts - 2, 0)
+    owners = np.repeat(np.arange(len(counts)), triangles)
+    steps = np.arange(len(owners)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    first = starts[owners]
+    return np.stack([first, first + steps + 1, first + steps + 2], 1), owners
+
+
+def _corner_uvs(prim: Any, corners: NDArray[np.int64], indices: NDArray[np.int64], points: int) -> Array:
+    """Texture coordinates (F, 3, 2); empty where the mesh has none that fit."""
+    from pxr import UsdGeom
+
+    api = UsdGeom.PrimvarsAPI(prim)
+    for name in ("st", "st0", "st_0", "UVMap", "uv"):
+        primvar = api.FindPrimvarWithInheritance(name)
+        if not primvar or not primvar.HasValue():
+            continue
+        values = np.array(primvar.ComputeFlattened(), np.float64).reshape(-1, 2)
+        if len(values) == len(indices):
+            return values[corners]
+        if len(values) == points:
+            return values[indices[corners]]
+    return NO_UVS
+
+
+def _base_look(prim: Any) -> Look:
+    """Look from displayColor, which holds where no material is bound."""
+    from pxr import UsdGeom
+
+    colors = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+    return plain_look(np.mean(np.array(colors), 0) if colors is not None and len(colors) else (0.5, 0.5, 0.5))

@@ -1,0 +1,86 @@
+"""Reading articulated USD assets safely: a child process parses, this one only takes arrays."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import aomgen
+from aomgen import errors
+from aomgen.assets.archive import load_asset
+from aomgen.assets.usd_child import REFUSED
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, MissingFileError
+
+MAX_BYTES = 512 << 20
+TIMEOUT_S = 120.0
+SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+
+
+def read_usd(path: Path, *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
+    """Read an articulated asset in a child process, so that a parser crash stays a typed error.
+
+    Any metersPerUnit and upAxis, instances, face subsets, UsdPreviewSurface or MDL materials
+    are understood; the result is metric, Z up, its front towards -y, standing on z = 0 (see
+    `usd_parse.parse_usd`).
+
+    Args:
+        path: .usd, .usda, .usdc or .usdz file; whatever it refers to must lie in its folder.
+        timeout_s: The child is killed after this.
+
+    Raises:
+        MissingFileError: The file or one of its textures is not there.
+        MalformedFileError: Not USD, damaged, or the parser crashed or ran out of time.
+        LimitExceededError: Larger than what is read without asking.
+        UnsafePathError: A layer or texture lies outside the file's folder.
+        AssetError: Not exactly one revolute or prismatic joint, or no usable geometry.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "check the path of the asset")
+    if path.suffix.lower() not in SUFFIXES:
+        raise MalformedFileError(path, f"has suffix {path.suffix!r}", f"want one of {', '.join(SUFFIXES)}")
+    if not path.stat().st_size <= MAX_BYTES:
+        raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
+    with tempfile.TemporaryDirectory(prefix="aomgen-usd-") as folder:
+        result = Path(folder) / "asset.npz"
+        _run_child(path.resolve(), result, timeout_s)
+        return load_asset(result)
+
+
+def _run_child(path: Path, result: Path, timeout_s: float) -> None:
+    package_parent = str(Path(aomgen.__file__).resolve().parent.parent)
+    search = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH", "")]))
+    command = [sys.executable, "-m", "aomgen.assets.usd_child", str(path), str(result)]
+    try:
+        done = subprocess.run(
+            command,
+            env={**os.environ, "PYTHONPATH": search},
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise MalformedFileError(
+            path, f"is not parsed within {timeout_s:g} s", "simplify the asset"
+        ) from error
+    if done.returncode == REFUSED:
+        raise _error_of(done.stderr, path)
+    if done.returncode != 0 or not result.is_file():
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1][:300]
+        raise MalformedFileError(
+            path,
+            f"stops the USD parser (exit code {done.returncode}: {last})",
+            "open and export the asset again",
+        )
+
+
+def _error_of(message: str, path: Path) -> AomgenError:
+    """The error that the child put on the last line of its standard error."""
+    try:
+        values = json.loads(message.strip().splitlines()[-1])
+        kind = getattr(errors, values["error"])
+        return kind(values["where"], values["problem"], values["remedy"])
+    except (ValueError, IndexError, KeyError, AttributeError):
+        return MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")

@@ -1,0 +1,205 @@
+"""Articulated assets as self-contained USD: UsdGeom, UsdPreviewSurface, UsdPhysics."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.joint import Joint
+from aomgen.core.mesh import Mesh
+from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.values import Array
+from aomgen.errors import ConfigError
+from aomgen.io.atomic import write_bytes
+from aomgen.io.images import encode_png
+
+# Our own attributes, for what UsdPhysics has no words for.
+NAMESPACE = "aomgen"
+SUFFIXES = (".usda", ".usdc")
+
+
+def write_usd(asset: ArticulatedAsset, path: Path) -> None:
+    """Write an asset as one USD file and a folder of textures beside it.
+
+    Metres, Z up, joint limits in degrees (revolute) or metres, colors linear, texture paths
+    relative: `<stem>_textures/<link>_<mesh>.png`. Handle point, handle axis and category are
+    custom attributes `aomgen:handle_point`, `aomgen:handle_axis`, `aomgen:category` of the root.
+
+    Args:
+        asset: Written as it stands at joint value 0.
+        path: Ends in .usda (text) or .usdc (binary).
+
+    Raises:
+        ConfigError: Another suffix.
+        StorageError: The disk refuses.
+    """
+    from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+
+    if path.suffix not in SUFFIXES:
+        raise ConfigError(path, f"has suffix {path.suffix!r}", f"choose one of {', '.join(SUFFIXES)}")
+    textures = path.parent / f"{path.stem}_textures"
+    stage = Usd.Stage.CreateInMemory(f"stage{path.suffix}")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, f"/{_identifier(asset.name)}")
+    stage.SetDefaultPrim(root.GetPrim())
+    UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
+    root.GetPrim().SetDisplayName(asset.name)
+    writer = _Writer(stage=stage, root=str(root.GetPath()), textures=textures)
+    static = writer.link(asset.static)
+    moving = writer.link(asset.moving)
+    writer.joint(asset.joint, static, moving)
+    for name, kind, value in (
+        ("category", Sdf.ValueTypeNames.String, asset.category),
+        ("handle_point", Sdf.ValueTypeNames.Double3, _vector(asset.handle_point)),
+        ("handle_axis", Sdf.ValueTypeNames.Double3, _vector(asset.handle_axis)),
+    ):
+        root.GetPrim().CreateAttribute(f"{NAMESPACE}:{name}", kind).Set(value)
+    _export(stage, path)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Writer:
+    """The stage under construction; `root` is a prim path, `textures` a folder beside the file."""
+
+    stage: Any
+    root: str
+    textures: Path
+
+    def link(self, link: AssetLink) -> str:
+        from pxr import UsdGeom, UsdPhysics
+
+        path = f"{self.root}/{_identifier(link.name)}"
+        prim = UsdGeom.Xform.Define(self.stage, path).GetPrim()
+        UsdPhysics.RigidBodyAPI.Apply(prim)
+        UsdPhysics.MassAPI.Apply(prim).CreateMassAttr(float(link.mass))
+        prim.SetDisplayName(link.name)
+        UsdGeom.Scope.Define(self.stage, f"{path}/visual")
+        UsdGeom.Scope.Define(self.stage, f"{path}/collision")
+        UsdGeom.Scope.Define(self.stage, f"{path}/materials")
+        for mesh in link.meshes:
+            self._mesh(mesh, path, link.name)
+        for collider in link.colliders:
+            self._collider(collider, path)
+        return path
+
+    def _mesh(self, mesh: Mesh, link_path: str, link_name: str) -> None:
+        from pxr import Sdf, UsdGeom, UsdShade, Vt
+
+        name = _identifier(mesh.name)
+        item = UsdGeom.Mesh.Define(self.stage, f"{link_path}/visual/{name}")
+        points = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.vertices, np.float32))
+        item.CreatePointsAttr(points)
+        item.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+        item.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.faces.ravel().astype(np.int32)))
+        item.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        item.CreateDoubleSidedAttr(True)
+        item.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(points))
+        item.GetPrim().SetDisplayName(mesh.name)
+        if len(mesh.uvs):
+            primvar = UsdGeom.PrimvarsAPI(item).CreatePrimvar(
+                "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
+            )
+            primvar.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(mesh.uvs.reshape(-1, 2), np.float32)))
+        material = self._material(
+            mesh, f"{link_path}/materials/{name}", f"{_identifier(link_name)}_{name}.png"
+        )
+        UsdShade.MaterialBindingAPI.Apply(item.GetPrim()).Bind(material)
+
+    def _material(self, mesh: Mesh, path: str, file_name: str) -> Any:
+        from pxr import Gf, Sdf, UsdShade
+
+        kinds = Sdf.ValueTypeNames
+        material = UsdShade.Material.Define(self.stage, path)
+        shader = UsdShade.Shader.Define(self.stage, f"{path}/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("roughness", kinds.Float).Set(float(mesh.roughness))
+        shader.CreateInput("metallic", kinds.Float).Set(float(mesh.metallic))
+        diffuse = shader.CreateInput("diffuseColor", kinds.Color3f)
+        diffuse.Set(Gf.Vec3f(*(float(c) for c in linear_from_srgb(mesh.color_srgb))))
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        if not mesh.texture_srgb.size:
+            return material
+        write_bytes(self.textures / file_name, encode_png(mesh.texture_srgb))
+        reader = UsdShade.Shader.Define(self.stage, f"{path}/st")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", kinds.String).Set("st")
+        texture = UsdShade.Shader.Define(self.stage, f"{path}/texture")
+        texture.CreateIdAttr("UsdUVTexture")
+        texture.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{self.textures.name}/{file_name}"))
+        texture.CreateInput("sourceColorSpace", kinds.Token).Set("sRGB")
+        texture.CreateInput("wrapS", kinds.Token).Set("repeat")
+        texture.CreateInput("wrapT", kinds.Token).Set("repeat")
+        texture.CreateInput("st", kinds.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        diffuse.ConnectToSource(texture.ConnectableAPI(), "rgb")
+        return material
+
+    def _collider(self, collider: BoxCollider, link_path: str) -> None:
+        from pxr import Gf, UsdGeom, UsdPhysics
+
+        cube = UsdGeom.Cube.Define(self.stage, f"{link_path}/collision/{_identifier(collider.name)}")
+        cube.CreateSizeAttr(2.0)
+        cube.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        cube.GetPrim().SetDisplayName(collider.name)
+        T = collider.T_asset_box
+        w, x, y, z = (float(c) for c in quat_from_matrix(T[:3, :3]))
+        cube.AddTranslateOp().Set(_vector(T[:3, 3]))
+        cube.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(w, x, y, z))
+        cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(_vector(collider.half_extents))
+        UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+
+    def joint(self, joint: Joint, static: str, moving: str) -> None:
+        from pxr import Gf, UsdPhysics
+
+        kind = UsdPhysics.RevoluteJoint if joint.type == "revolute" else UsdPhysics.PrismaticJoint
+        unit = 180.0 / np.pi if joint.type == "revolute" else 1.0
+        item = kind.Define(self.stage, f"{self.root}/joint")
+        item.CreateBody0Rel().SetTargets([static])
+        item.CreateBody1Rel().SetTargets([moving])
+        item.CreateAxisAttr("X")
+        item.CreateLowerLimitAttr(float(joint.lower * unit))
+        item.CreateUpperLimitAttr(float(joint.upper * unit))
+        quat = Gf.Quatf(*(float(c) for c in _quat_from_x(joint.axis)))
+        position = Gf.Vec3f(*(float(c) for c in joint.origin))
+        for create_position, create_rotation in (
+            (item.CreateLocalPos0Attr, item.CreateLocalRot0Attr),
+            (item.CreateLocalPos1Attr, item.CreateLocalRot1Attr),
+        ):
+            create_position(position)
+            create_rotation(quat)
+
+
+def _quat_from_x(axis: Array) -> Array:
+    """Quaternion wxyz (4,) that turns the x axis into a unit direction (3,)."""
+    other = np.eye(3)[np.argmin(np.abs(axis))]
+    second = np.cross(axis, other)
+    second /= np.linalg.norm(second)
+    return quat_from_matrix(np.stack([axis, second, np.cross(axis, second)], 1))
+
+
+def _vector(values: Array) -> Any:
+    from pxr import Gf
+
+    return Gf.Vec3d(*(float(v) for v in values))
+
+
+def _identifier(name: str) -> str:
+    from pxr import Tf
+
+    return str(Tf.MakeValidIdentifier(name))
+
+
+def _export(stage: Any, path: Path) -> None:
+    """Write the layer beside its place, then move it there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    staging = path.with_name(f".staging-{os.getpid()}{path.suffix}")
+    try:
+        stage.GetRootLayer().Export(str(staging))
+        write_bytes(path, staging.read_bytes())
+    finally:
+        staging.unlink(missing_ok=True)
