@@ -51,7 +51,7 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
     if joint.type == "prismatic":
         return joint.axis
     direction = np.cross(joint.axis, asset.handle_point - joint.origin)
-    return direction / max(float(np.linalg.norm(direction)), 1e-12)
+    return np.asarray(direction / max(float(np.linalg.norm(direction)), 1e-12), np.float64)
 
 
 def stacked(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from aomgen.assets.shapes import Surface, merged, rod
 from aomgen.core.asset import BoxCollider
@@ -62,5 +61,5 @@ class BarHandle:
         return self.axis * (self.length / 2 - 0.8 * self.thickness)
 
 
-def _collider(name: str, centre: Array, half_extents: ArrayLike) -> BoxCollider:
+def _collider(name: str, centre: Array, half_extents: Array) -> BoxCollider:
     return BoxCollider(name=name, T_asset_box=transform(np.eye(3), centre), half_extents=half_extents)

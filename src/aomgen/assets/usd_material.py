@@ -46,7 +46,7 @@ class Look:
 
 def plain_look(color_linear: Any) -> Look:
     """A look of one linear color (3,)."""
-    color = np.clip(srgb_from_linear(np.asarray(color_linear, np.float64)[:3]), 0.0, 1.0)
+    color = np.clip(srgb_from_linear(np.asarray(color_linear, np.float64)[:3]), 0.0, 1.0).astype(np.float64)
     return Look(NO_TEXTURE, color, 0.6, 0.0)
 
 
