@@ -1,0 +1,81 @@
+"""`estimates.json`: everything a run estimated about the recording, so that anybody can score it."""
+
+from typing import Any
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.recording import Capture
+from aomgen.core.transforms import apply, similarity_parts
+from aomgen.core.values import Array
+
+
+def world_camera(camera_recon: Camera, S_world_recon: Array) -> Camera:
+    """The same camera in the world: the pose turns and moves, the optics stay."""
+    _, R, _ = similarity_parts(S_world_recon)
+    T = np.eye(4)
+    T[:3, :3] = R @ camera_recon.T_world_cam[:3, :3]
+    T[:3, 3] = apply(S_world_recon, camera_recon.T_world_cam[:3, 3])
+    return camera_recon.moved(T)
+
+
+def estimates_of(
+    capture: Capture,
+    cameras_recon: dict[str, Camera],
+    demo_cameras_world: dict[str, Camera],
+    S_world_recon: Array,
+    motion: MotionEstimate | None,
+    refusals: list[dict[str, str]],
+) -> dict[str, Any]:
+    """Content of estimates.json, world frame and SI units, as the capture format defines it.
+
+    Args:
+        capture: The recording.
+        cameras_recon: Registered scan images; what is not in it is written as null.
+        demo_cameras_world: Fixed cameras.
+        S_world_recon: Similarity (4, 4).
+        motion: The recovered motion, or None when it was refused.
+        refusals: {quantity, reason} of what was refused.
+    """
+    scan = {
+        path.name: world_camera(cameras_recon[path.name], S_world_recon).T_world_cam.tolist()
+        if path.name in cameras_recon
+        else None
+        for path in capture.scan_images
+    }
+    common = {
+        "format": 1,
+        "capture": capture.name,
+        "S_world_recon": S_world_recon.tolist(),
+        "scan": scan,
+        "demo_cameras": {name: camera.T_world_cam.tolist() for name, camera in demo_cameras_world.items()},
+        "refusals": refusals,
+    }
+    if motion is None:
+        nothing = ("clock_offset_s", "clock_offset_sd_s", "start_s", "end_s", "joint", "theta")
+        return common | dict.fromkeys(nothing) | {"contacts": []}
+    joint = motion.joint
+    return common | {
+        "clock_offset_s": motion.clock_offset_s,
+        "clock_offset_sd_s": motion.clock_offset_sd_s,
+        "start_s": motion.start_s,
+        "end_s": motion.end_s,
+        "joint": {
+            "type": joint.type,
+            "axis": joint.axis.tolist(),
+            "origin": joint.origin.tolist(),
+            "observed_range": [joint.lower, joint.upper],
+            "axis_sd_rad": motion.axis_sd_rad,
+            "origin_sd_m": motion.origin_sd_m,
+        },
+        "theta": {
+            "times_s": motion.times_s.tolist(),
+            "values": motion.thetas.tolist(),
+            "sd": motion.theta_sd.tolist(),
+        },
+        "contacts": [
+            {"finger": patch.finger, "point": patch.point.tolist(), "normal": patch.normal.tolist()}
+            for patch in motion.contacts
+        ],
+    }
