@@ -1,0 +1,114 @@
+// Plain C interface of the Gaussian splatting engine.
+//
+// Every function returns a status; `aomgen_last_error` gives the reason of the last failure on
+// the calling thread. Pointers are borrowed for the length of a call, except that the arrays of
+// a scene must stay unchanged between `aomgen_forward` and the `aomgen_backward` that follows.
+// Arrays are C-contiguous float32 unless said otherwise; cameras look along +z with y down and
+// pixel centres at +0.5; quaternions are wxyz and need not be normalised.
+#pragma once
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define AOMGEN_ABI_VERSION 1
+#define AOMGEN_API __attribute__((visibility("default")))
+
+enum AomgenStatus {
+  AOMGEN_OK = 0,
+  AOMGEN_INVALID_ARGUMENT = 1,
+  AOMGEN_OUT_OF_MEMORY = 2,
+  AOMGEN_NO_FORWARD = 3,  // backward without its forward, or the context was used again since
+};
+
+typedef struct AomgenContext AomgenContext;  // scratch memory and tile lists, one caller at a time
+
+typedef struct {
+  int64_t count;             // N
+  int32_t sh_coefficients;   // K stored per Gaussian: 1, 4, 9 or 16
+  int32_t sh_degree;         // degree that is evaluated, (degree + 1)^2 <= K
+  const float* means;        // (N, 3)
+  const float* quats;        // (N, 4) wxyz
+  const float* scales;       // (N, 3) standard deviations
+  const float* opacities;    // (N,) 0..1
+  const float* sh;           // (N, K, 3), color = 0.5 + SH
+} AomgenScene;
+
+typedef struct {
+  int32_t width, height;
+  float fx, fy, cx, cy;      // [px]
+  float near_depth;          // Gaussians at or before this depth are not drawn
+  float world_to_cam[12];    // upper three rows of T_cam_world, row-major
+  float background[3];
+} AomgenView;
+
+typedef struct {
+  float* rgb;                // required; planar (3, H, W), or (H, W, 3) when interleaved
+  int32_t interleaved;
+  float* depth;              // required (H, W): sum of weight * depth, not divided by alpha
+  float* alpha;              // required (H, W)
+  float* median_depth;       // optional (H, W), needs max_id
+  int32_t* max_id;           // optional (H, W) int32, Gaussian of the largest weight or -1, needs median_depth
+  int32_t feature_count;     // D, 0 for none
+  const float* features;     // (N, D)
+  float* feature_image;      // (H, W, D)
+} AomgenImages;
+
+typedef struct {
+  const float* rgb;          // (3, H, W) as drawn by the forward pass, planar
+  const float* depth;        // (H, W) as drawn
+  const float* grad_rgb;     // (3, H, W)
+  const float* grad_depth;   // (H, W) or null
+  const float* grad_alpha;   // (H, W) or null
+} AomgenImageGradients;
+
+typedef struct {             // all required, written completely (zeros where a Gaussian is not seen)
+  float* means;              // (N, 3)
+  float* quats;              // (N, 4)
+  float* scales;             // (N, 3)
+  float* opacities;          // (N,)
+  float* sh;                 // (N, K, 3)
+} AomgenSceneGradients;
+
+AOMGEN_API int32_t aomgen_abi_version(void);
+AOMGEN_API const char* aomgen_last_error(void);
+
+// Names of the instruction sets this machine can run, comma separated, best first.
+AOMGEN_API const char* aomgen_instruction_sets(void);
+// Processors this process may use.
+AOMGEN_API int32_t aomgen_processor_count(void);
+
+AOMGEN_API AomgenContext* aomgen_context_new(void);
+AOMGEN_API void aomgen_context_free(AomgenContext* context);
+
+// threads: 0 = all processors. instruction_set: null = best.
+AOMGEN_API int32_t aomgen_context_configure(AomgenContext* context, int32_t threads, const char* instruction_set);
+
+AOMGEN_API int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const AomgenView* view,
+                       const AomgenImages* images);
+
+// Gradients of the last `aomgen_forward` of this context, which must have been planar.
+AOMGEN_API int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* image_gradients,
+                        const AomgenSceneGradients* scene_gradients);
+
+// weights (N, M): sum over pixels of blended weight * mask, for masks (M, H, W).
+AOMGEN_API int32_t aomgen_contribution_weights(AomgenContext* context, const AomgenScene* scene, const AomgenView* view,
+                                    int32_t mask_count, const float* masks, float* weights);
+
+// (1 - dssim_weight) * mean|g x - y| + dssim_weight * (1 - SSIM(g x, y)) of planar images
+// (channels, H, W) with one gain g per channel, and its gradients. SSIM: 11x11 window of sigma
+// 1.5, zeros outside the image. gains may be null (ones), then grad_gains is not written.
+AOMGEN_API int32_t aomgen_image_loss(AomgenContext* context, int32_t channels, int32_t height, int32_t width,
+                          const float* rendered, const float* target, const float* gains, float dssim_weight,
+                          double* loss, float* grad_rendered, float* grad_gains);
+
+// Milliseconds of wall time of the last passes: project, sort, bin, blend, blend backward, project backward.
+AOMGEN_API int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6]);
+// Gaussians in view and (Gaussian, tile) pairs of the last forward pass.
+AOMGEN_API int32_t aomgen_counts(const AomgenContext* context, int64_t* visible, int64_t* intersections);
+
+#ifdef __cplusplus
+}
+#endif

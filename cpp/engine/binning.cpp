@@ -1,0 +1,107 @@
+#include "binning.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "thread_pool.h"
+
+namespace aomgen {
+
+namespace {
+
+constexpr uint32_t kChunk = 4096;  // splats of one task
+
+// Smallest exponent of the splat over the tile's rectangle of pixel centres, against the faintest drawn.
+bool touches(const Splat& s, float left, float top) {
+  const float x0 = left + 0.5f - s.x, x1 = x0 + (kTile - 1), y0 = top + 0.5f - s.y, y1 = y0 + (kTile - 1);
+  const float near_x = std::min(std::max(0.0f, x0), x1), near_y = std::min(std::max(0.0f, y0), y1);
+  const float on_x = std::min(std::max(near_x * s.best_dy_per_dx, y0), y1);
+  const float on_y = std::min(std::max(near_y * s.best_dx_per_dy, x0), x1);
+  const float vertical = near_x * (s.qxx * near_x + s.qxy * on_x) + s.qyy * on_x * on_x;
+  const float horizontal = on_y * (s.qxx * on_y + s.qxy * near_y) + s.qyy * near_y * near_y;
+  return std::min(vertical, horizontal) < s.log2_opacity - kMinLog2Alpha;
+}
+
+int tile_at(float position, int tiles) {  // clamped before the conversion, which must not overflow
+  return static_cast<int>(std::min(std::max(std::floor(position * (1.0f / kTile)), 0.0f), static_cast<float>(tiles - 1)));
+}
+
+}  // namespace
+
+TileLists TileBinner::bin(const Splat* splats, uint32_t count, int width, int height, int threads) {
+  columns_ = (width + kTile - 1) / kTile;
+  rows_ = (height + kTile - 1) / kTile;
+  splat_count_ = count;
+  chunks_ = static_cast<int>((count + kChunk - 1) / kChunk);
+  if (touched_.size() < static_cast<size_t>(chunks_)) touched_.resize(chunks_);
+  cursors_.reserve(static_cast<size_t>(chunks_) * columns_ * rows_);
+  slot_begin_.reserve(count + 1);
+  parallel(threads, chunks_, 1, [&](int64_t chunk, int) { find_tiles(splats, static_cast<int>(chunk)); });
+  place_chunks();
+  splats_.reserve(entry_count_);
+  slots_.reserve(entry_count_);
+  parallel(threads, chunks_, 1, [&](int64_t chunk, int) { fill_lists(static_cast<int>(chunk)); });
+  return {columns_, rows_, begin_.data(), splats_.data(), slots_.data()};
+}
+
+void TileBinner::find_tiles(const Splat* splats, int chunk) {
+  uint32_t* counts = cursors_.data() + static_cast<size_t>(chunk) * columns_ * rows_;
+  std::fill(counts, counts + static_cast<size_t>(columns_) * rows_, 0u);
+  std::vector<uint32_t>& touched = touched_[chunk];
+  touched.clear();
+  const uint32_t first = chunk * kChunk, last = std::min(splat_count_, first + kChunk);
+  for (uint32_t rank = first; rank < last; ++rank) {
+    const Splat& s = splats[rank];
+    const int x0 = tile_at(s.x - s.half_width, columns_), x1 = tile_at(s.x + s.half_width, columns_);
+    const int y0 = tile_at(s.y - s.half_height, rows_), y1 = tile_at(s.y + s.half_height, rows_);
+    const bool single = x0 == x1 && y0 == y1;
+    const size_t before = touched.size();
+    for (int y = y0; y <= y1; ++y)
+      for (int x = x0; x <= x1; ++x) {
+        if (!single && !touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile))) continue;
+        const uint32_t tile = static_cast<uint32_t>(y * columns_ + x);
+        touched.push_back(tile);
+        ++counts[tile];
+      }
+    slot_begin_.data()[rank + 1] = static_cast<uint32_t>(touched.size() - before);  // a count for now
+  }
+}
+
+void TileBinner::place_chunks() {
+  uint64_t total = 0;
+  for (int chunk = 0; chunk < chunks_; ++chunk) total += touched_[chunk].size();
+  if (total > kMaxEntries) throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
+  entry_count_ = static_cast<uint32_t>(total);
+  const int tiles = columns_ * rows_;
+  uint32_t* begin = begin_.reserve(tiles + 1);
+  uint32_t sum = 0;
+  for (int tile = 0; tile < tiles; ++tile) {
+    begin[tile] = sum;
+    for (int chunk = 0; chunk < chunks_; ++chunk) {
+      uint32_t& cursor = cursors_.data()[static_cast<size_t>(chunk) * tiles + tile];
+      const uint32_t size = cursor;
+      cursor = sum;
+      sum += size;
+    }
+  }
+  begin[tiles] = sum;
+  uint32_t* slots = slot_begin_.data();
+  slots[0] = 0;
+  for (uint32_t rank = 0; rank < splat_count_; ++rank) slots[rank + 1] += slots[rank];
+}
+
+void TileBinner::fill_lists(int chunk) {
+  uint32_t* cursors = cursors_.data() + static_cast<size_t>(chunk) * columns_ * rows_;
+  const uint32_t* tile = touched_[chunk].data();
+  const uint32_t first = chunk * kChunk, last = std::min(splat_count_, first + kChunk);
+  const uint32_t* slot_begin = slot_begin_.data();
+  for (uint32_t rank = first; rank < last; ++rank)
+    for (uint32_t slot = slot_begin[rank]; slot < slot_begin[rank + 1]; ++slot) {
+      const uint32_t place = cursors[*tile++]++;
+      splats_.data()[place] = rank;
+      slots_.data()[place] = slot;
+    }
+}
+
+}  // namespace aomgen

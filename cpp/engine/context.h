@@ -1,0 +1,52 @@
+// One caller's scratch memory, and the passes that run on it.
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <vector>
+
+#include "../kernels/kernels.h"
+#include "binning.h"
+#include "buffer.h"
+
+namespace aomgen {
+
+class Context {
+ public:
+  void configure(int threads, const Kernels* kernels);
+  void forward(const AomgenScene& scene, const AomgenView& view, const AomgenImages& images);
+  bool can_go_back() const { return planar_forward_; }
+  void backward(const AomgenImageGradients& images, const AomgenSceneGradients& gradients);
+  void contribution_weights(const AomgenScene& scene, const AomgenView& view, int mask_count, const float* masks, float* weights);
+  double image_loss(ImageLoss loss, float* grad_gains);
+
+  const std::array<double, 6>& stage_times() const { return times_; }
+  uint32_t visible() const { return visible_count_; }
+  uint32_t intersections() const { return binner_.entry_count(); }
+
+ private:
+  enum Stage { kProject, kSort, kBin, kBlend, kBlendBackward, kProjectBackward };
+  void project(const AomgenScene& scene, const AomgenView& view);
+  void order();
+  void bin();
+  int tile_count() const { return tiles_.columns * tiles_.rows; }
+
+  int threads_ = 1;
+  const Kernels* kernels_ = nullptr;
+  bool planar_forward_ = false;
+  uint32_t visible_count_ = 0;
+  std::array<double, 6> times_{};
+
+  Projection projection_{};
+  TileLists tiles_{};
+  TileBinner binner_;
+  std::vector<uint32_t> block_begin_;
+  Buffer<Splat> block_splats_, splats_;             // by block, by rank
+  Buffer<int32_t> block_gaussians_, place_gaussians_, gaussians_;  // by block, by place, by rank
+  Buffer<uint32_t> block_keys_, visible_, keys_, places_, keys_scratch_, places_scratch_, ranks_;
+  Buffer<float> transmittance_, moments_, scratch_, maps_;
+  Buffer<uint16_t> block_masks_;
+  Buffer<double> row_sums_;
+};
+
+}  // namespace aomgen

@@ -1,0 +1,173 @@
+// The C interface: checks every argument, then runs the context; no exception leaves this file.
+#include <cmath>
+#include <cstring>
+#include <new>
+#include <stdexcept>
+#include <string>
+
+#include "../aomgen_splatting.h"
+#include "context.h"
+#include "dispatch.h"
+#include "thread_pool.h"
+
+struct AomgenContext {
+  aomgen::Context context;
+};
+
+namespace {
+
+constexpr int64_t kMaxGaussians = 1 << 24;  // ranks are kept as exact floats in one place
+constexpr int kMaxSide = 16384, kMaxFeatures = 4096, kMaxThreads = 256;
+
+thread_local std::string last_error;
+
+struct Refused : std::invalid_argument {
+  using std::invalid_argument::invalid_argument;
+};
+
+void require(bool condition, const char* problem) {
+  if (!condition) throw Refused(problem);
+}
+
+template <class Function>
+int32_t guarded(Function&& function) {
+  try {
+    function();
+    return AOMGEN_OK;
+  } catch (const std::bad_alloc&) {
+    last_error = "not enough memory";
+    return AOMGEN_OUT_OF_MEMORY;
+  } catch (const std::exception& error) {
+    last_error = error.what();
+    return AOMGEN_INVALID_ARGUMENT;
+  }
+}
+
+void check(const AomgenScene* scene) {
+  require(scene, "scene is null");
+  require(scene->count >= 0 && scene->count <= kMaxGaussians, "the number of Gaussians must be 0 to 16777216");
+  const int k = scene->sh_coefficients, degree = scene->sh_degree;
+  require(k == 1 || k == 4 || k == 9 || k == 16, "SH coefficients per Gaussian must be 1, 4, 9 or 16");
+  require(degree >= 0 && degree <= 3 && (degree + 1) * (degree + 1) <= k, "the SH degree is beyond the stored coefficients");
+  require(scene->count == 0 || (scene->means && scene->quats && scene->scales && scene->opacities && scene->sh), "an array of the scene is null");
+}
+
+void check(const AomgenView* view) {
+  require(view, "view is null");
+  require(view->width >= 1 && view->width <= kMaxSide && view->height >= 1 && view->height <= kMaxSide, "the image must be 1 to 16384 pixels wide and high");
+  const float numbers[] = {view->fx, view->fy, view->cx, view->cy, view->near_depth};
+  for (float x : numbers) require(std::isfinite(x), "an intrinsic is not finite");
+  for (float x : view->world_to_cam) require(std::isfinite(x), "the camera pose is not finite");
+  for (float x : view->background) require(std::isfinite(x), "the background is not finite");
+  require(view->fx > 0 && view->fy > 0, "focal lengths must be positive");
+  require(view->near_depth > 0, "the near depth must be positive");
+}
+
+void check(const AomgenImages* images) {
+  require(images && images->rgb && images->depth && images->alpha, "rgb, depth and alpha are required");
+  require(!images->median_depth == !images->max_id, "median_depth and max_id come together");
+  require(images->feature_count >= 0 && images->feature_count <= kMaxFeatures, "the number of features must be 0 to 4096");
+  require(images->feature_count == 0 || (images->features && images->feature_image), "an array of the features is null");
+}
+
+}  // namespace
+
+extern "C" {
+
+int32_t aomgen_abi_version(void) { return AOMGEN_ABI_VERSION; }
+
+const char* aomgen_last_error(void) { return last_error.c_str(); }
+
+const char* aomgen_instruction_sets(void) { return aomgen::usable_instruction_sets(); }
+
+int32_t aomgen_processor_count(void) { return aomgen::processor_count(); }
+
+AomgenContext* aomgen_context_new(void) {
+  AomgenContext* context = new (std::nothrow) AomgenContext();
+  if (context) context->context.configure(0, aomgen::find_kernels(nullptr));
+  return context;
+}
+
+void aomgen_context_free(AomgenContext* context) { delete context; }
+
+int32_t aomgen_context_configure(AomgenContext* context, int32_t threads, const char* instruction_set) {
+  return guarded([&] {
+    require(context, "context is null");
+    require(threads >= 0 && threads <= kMaxThreads, "threads must be 0 to 256");
+    const aomgen::Kernels* kernels = aomgen::find_kernels(instruction_set);
+    require(kernels, "this machine does not have the instruction set");
+    context->context.configure(threads, kernels);
+  });
+}
+
+int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const AomgenView* view, const AomgenImages* images) {
+  return guarded([&] {
+    require(context, "context is null");
+    check(scene);
+    check(view);
+    check(images);
+    context->context.forward(*scene, *view, *images);
+  });
+}
+
+int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* images, const AomgenSceneGradients* gradients) {
+  if (context && !context->context.can_go_back()) {
+    last_error = "the context's last pass was not a planar forward pass";
+    return AOMGEN_NO_FORWARD;
+  }
+  return guarded([&] {
+    require(context, "context is null");
+    require(images && images->rgb && images->depth && images->grad_rgb, "rgb, depth and grad_rgb are required");
+    require(gradients && gradients->means && gradients->quats && gradients->scales && gradients->opacities && gradients->sh, "all gradients are required");
+    context->context.backward(*images, *gradients);
+  });
+}
+
+int32_t aomgen_contribution_weights(AomgenContext* context, const AomgenScene* scene, const AomgenView* view,
+                                    int32_t mask_count, const float* masks, float* weights) {
+  return guarded([&] {
+    require(context, "context is null");
+    check(scene);
+    check(view);
+    require(mask_count >= 1 && mask_count <= kMaxFeatures && masks && weights, "1 to 4096 masks and an array for the weights are required");
+    context->context.contribution_weights(*scene, *view, mask_count, masks, weights);
+  });
+}
+
+int32_t aomgen_image_loss(AomgenContext* context, int32_t channels, int32_t height, int32_t width, const float* rendered,
+                          const float* target, const float* gains, float dssim_weight, double* loss, float* grad_rendered,
+                          float* grad_gains) {
+  return guarded([&] {
+    require(context && rendered && target && loss && grad_rendered, "an argument is null");
+    require(channels >= 1 && channels <= 16, "channels must be 1 to 16");
+    require(width >= 1 && width <= kMaxSide && height >= 1 && height <= kMaxSide, "the image must be 1 to 16384 pixels wide and high");
+    require(dssim_weight >= 0 && dssim_weight <= 1, "the weight of the structural part must be 0 to 1");
+    aomgen::ImageLoss l{};
+    l.channels = channels;
+    l.height = height;
+    l.width = width;
+    l.rendered = rendered;
+    l.target = target;
+    l.gains = gains;
+    l.dssim_weight = dssim_weight;
+    l.grad_rendered = grad_rendered;
+    *loss = context->context.image_loss(l, gains ? grad_gains : nullptr);
+  });
+}
+
+int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6]) {
+  return guarded([&] {
+    require(context && milliseconds, "an argument is null");
+    std::memcpy(milliseconds, context->context.stage_times().data(), 6 * sizeof(double));
+  });
+}
+
+int32_t aomgen_counts(const AomgenContext* context, int64_t* visible, int64_t* intersections) {
+  return guarded([&] {
+    require(context && visible && intersections, "an argument is null");
+    *visible = context->context.visible();
+    *intersections = context->context.intersections();
+  });
+}
+
+}  // extern "C"

@@ -1,0 +1,17 @@
+// The kernels of one instruction set, each in its own file.
+#pragma once
+
+#include "../simd/lanes.h"
+#include "kernels.h"
+
+namespace aomgen::AOMGEN_ISA {
+
+void project(const Projection&, int block);
+void blend(const Blend&, int tile, float* scratch);
+void blend_backward(const BlendBackward&, int tile);
+void project_backward(const ProjectionBackward&, int block);
+void sum_weights(const Weights&, int tile);
+void ssim_row(const ImageLoss&, int channel, int y, float* scratch);
+void loss_gradient_row(const ImageLoss&, int channel, int y, float* scratch);
+
+}  // namespace aomgen::AOMGEN_ISA

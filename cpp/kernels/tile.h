@@ -1,0 +1,91 @@
+// Geometry of one 16x16 tile: sixteen blocks of 4x4 pixels, one F each.
+#pragma once
+
+#include "declarations.h"
+
+namespace aomgen::AOMGEN_ISA {
+
+// Pixel centres of every block, and the centre of its first pixel, relative to the tile's corner.
+struct TileGeometry {
+  float x[16][16], y[16][16];
+  float block_x[16], block_y[16];
+};
+
+constexpr TileGeometry make_tile_geometry() {
+  TileGeometry t{};
+  for (int block = 0; block < 16; ++block) {
+    t.block_x[block] = 4 * (block % 4) + 0.5f;
+    t.block_y[block] = 4 * (block / 4) + 0.5f;
+    for (int pixel = 0; pixel < 16; ++pixel) {
+      t.x[block][pixel] = t.block_x[block] + pixel % 4;
+      t.y[block][pixel] = t.block_y[block] + pixel / 4;
+    }
+  }
+  return t;
+}
+alignas(64) constexpr TileGeometry kTileGeometry = make_tile_geometry();
+
+// Blocks of the tile in which the splat's alpha can reach 1/255; exact for the blocks' rectangles
+// of pixel centres. x, y: the splat's centre relative to the tile's corner.
+AOMGEN_INLINE uint32_t touched_blocks(const Splat& s, float x, float y) {
+  F left = load(kTileGeometry.block_x) - all(x), top = load(kTileGeometry.block_y) - all(y);
+  F right = left + all(3.0f), bottom = top + all(3.0f);
+  // The exponent is largest on one of the two edges nearest to the centre (or at the centre).
+  F near_x = lesser(greater(zeros(), left), right), near_y = lesser(greater(zeros(), top), bottom);
+  F on_x = clamp(near_x * all(s.best_dy_per_dx), top, bottom);
+  F on_y = clamp(near_y * all(s.best_dx_per_dy), left, right);
+  F qxx = all(s.qxx), qxy = all(s.qxy), qyy = all(s.qyy);
+  F vertical = fma(near_x, fma(qxx, near_x, qxy * on_x), qyy * on_x * on_x);
+  F horizontal = fma(on_y, fma(qxx, on_y, qxy * near_y), qyy * near_y * near_y);
+  return bits(all(s.log2_opacity - kMinLog2Alpha) > lesser(vertical, horizontal));
+}
+
+// Blocks of a tile that lie at least partly on the image.
+AOMGEN_INLINE uint32_t blocks_on_image(int left, int top, const AomgenView& view) {
+  uint32_t mask = 0;
+  for (int block = 0; block < 16; ++block)
+    if (left + 4 * (block % 4) < view.width && top + 4 * (block / 4) < view.height) mask |= 1u << block;
+  return mask;
+}
+
+// log2 of a splat's alpha at offsets (dx, dy). One function with explicit fused operations, so that
+// forward and backward decide alike which pixels a splat touches.
+AOMGEN_INLINE F log2_alpha(F dx, F dy, F qxx, F qxy, F qyy, F log2_opacity) {
+  F e = fnma(dx, fma(qxx, dx, qxy * dy), log2_opacity);
+  return fnma(qyy * dy, dy, e);
+}
+
+// Copies the tile's part of an image plane (H, W) into blocks; zero outside the image.
+AOMGEN_INLINE void load_tile(const float* plane, int left, int top, const AomgenView& view, float blocks[16][16]) {
+  const bool whole = left + kTile <= view.width && top + kTile <= view.height;
+  for (int block = 0; block < 16; ++block)
+    for (int row = 0; row < 4; ++row) {
+      const int x = left + 4 * (block % 4), y = top + 4 * (block / 4) + row;
+      float* to = blocks[block] + 4 * row;
+      const float* from = plane + static_cast<size_t>(y) * view.width + x;
+      if (whole) {
+        memcpy(to, from, 4 * sizeof(float));
+        continue;
+      }
+      for (int i = 0; i < 4; ++i) to[i] = y < view.height && x + i < view.width ? from[i] : 0.0f;
+    }
+}
+
+// Copies blocks into the tile's part of an image plane (H, W).
+AOMGEN_INLINE void store_tile(float* plane, int left, int top, const AomgenView& view, const float blocks[16][16]) {
+  const bool whole = left + kTile <= view.width && top + kTile <= view.height;
+  for (int block = 0; block < 16; ++block)
+    for (int row = 0; row < 4; ++row) {
+      const int x = left + 4 * (block % 4), y = top + 4 * (block / 4) + row;
+      const float* from = blocks[block] + 4 * row;
+      float* to = plane + static_cast<size_t>(y) * view.width + x;
+      if (whole) {
+        memcpy(to, from, 4 * sizeof(float));
+        continue;
+      }
+      for (int i = 0; i < 4; ++i)
+        if (y < view.height && x + i < view.width) to[i] = from[i];
+    }
+}
+
+}  // namespace aomgen::AOMGEN_ISA

@@ -1,0 +1,155 @@
+"""Gaussians to images on the CPU, without gradients."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.splatting import native
+
+# Accumulated alpha below which a pixel has no depth.
+MIN_ALPHA = 1e-3
+NEAR_DEPTH = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendering:
+    """What one camera sees.
+
+    Attributes:
+        rgb: (H, W, 3) float32, sRGB 0..1, blended over the background.
+        alpha: (H, W) float32, 0..1.
+        depth: (H, W) float32, blended depth divided by alpha, [m]; 0 where alpha is about 0.
+        median_depth: (H, W) float32, depth of the Gaussian at which less than half of the light
+            is left, [m]; 0 where half is never reached. Only with `with_ids`.
+        max_id: (H, W) int32, index of the Gaussian with the largest weight, -1 for none. Only
+            with `with_ids`.
+        features: (H, W, D) float32, blended (not divided by alpha). Only with features.
+    """
+
+    rgb: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    median_depth: NDArray[np.float32] | None = None
+    max_id: NDArray[np.int32] | None = None
+    features: NDArray[np.float32] | None = None
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    features: NDArray[np.float32] | None = None,
+    with_ids: bool = False,
+    threads: int | None = None,
+) -> Rendering:
+    """Draw Gaussians; bitwise the same for any number of threads.
+
+    Gaussians with NaN or infinite values are left out.
+
+    Args:
+        gaussians: In the frame that `camera.T_world_cam` maps to.
+        camera: Where to look from.
+        background: sRGB color 0..1 behind everything.
+        features: (N, D) values to blend like colors.
+        with_ids: Also give median depth and the most contributing Gaussian.
+        threads: None for all processors of the process.
+
+    Raises:
+        BackendError: The engine is missing, or refuses the scene or camera.
+    """
+    shape = (camera.height, camera.width)
+    rgb = np.empty((*shape, 3), np.float32)
+    alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    median = np.empty(shape, np.float32) if with_ids else None
+    max_id = np.empty(shape, np.int32) if with_ids else None
+    width = 0
+    feature_image = None
+    if features is not None:
+        features = np.ascontiguousarray(features, np.float32)
+        if features.ndim != 2 or len(features) != len(gaussians):
+            raise ValueError(f"features have shape {features.shape}, want ({len(gaussians)}, D)")
+        width = features.shape[1]
+        feature_image = np.empty((*shape, width), np.float32)
+    images = native.Images(
+        rgb=rgb.ctypes.data,
+        interleaved=1,
+        depth=depth.ctypes.data,
+        alpha=alpha.ctypes.data,
+        median_depth=_address(median),
+        max_id=_address(max_id),
+        feature_count=width,
+        features=_address(features),
+        feature_image=_address(feature_image),
+    )
+    context = native.scratch_context()
+    context.configure(threads)
+    context.forward(native_scene(gaussians), native_view(camera, background), images)
+    np.minimum(rgb, 1, out=rgb)
+    np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
+    depth[~(alpha > MIN_ALPHA)] = 0
+    return Rendering(
+        rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id, features=feature_image
+    )
+
+
+def contribution_weights(
+    gaussians: Gaussians, camera: Camera, masks: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """How much of every mask each Gaussian paints: sums (N, M) of blended weight times mask value.
+
+    Args:
+        gaussians: N Gaussians.
+        camera: View of the masks.
+        masks: (M, H, W), any real values, 1 <= M.
+
+    Raises:
+        BackendError: The engine is missing, or refuses the scene or camera.
+    """
+    masks = np.ascontiguousarray(masks, np.float32)
+    if masks.ndim != 3 or masks.shape[1:] != (camera.height, camera.width):
+        raise ValueError(f"masks have shape {masks.shape}, want (M, {camera.height}, {camera.width})")
+    weights = np.zeros((len(gaussians), len(masks)), np.float32)
+    context = native.scratch_context()
+    context.configure()
+    scene, view = native_scene(gaussians), native_view(camera)
+    context.contribution_weights(scene, view, len(masks), masks.ctypes.data, weights.ctypes.data)
+    return weights
+
+
+def native_scene(gaussians: Gaussians) -> native.Scene:
+    """The engine's view of Gaussians, which must stay alive while it is used."""
+    return native.Scene(
+        count=len(gaussians),
+        sh_coefficients=gaussians.sh.shape[1],
+        sh_degree=gaussians.sh_degree,
+        means=gaussians.means.ctypes.data,
+        quats=gaussians.quats.ctypes.data,
+        scales=gaussians.scales.ctypes.data,
+        opacities=gaussians.opacities.ctypes.data,
+        sh=gaussians.sh.ctypes.data,
+    )
+
+
+def native_view(camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -> native.View:
+    """The engine's view of a camera."""
+    rows = camera.T_cam_world[:3].astype(np.float32).ravel()
+    return native.View(
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        near_depth=NEAR_DEPTH,
+        world_to_cam=tuple(rows.tolist()),
+        background=tuple(float(value) for value in background),
+    )
+
+
+def _address(array: NDArray | None) -> int | None:
+    return None if array is None else array.ctypes.data
