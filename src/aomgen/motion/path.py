@@ -1,0 +1,80 @@
+"""The hand's path while it holds the part, thinned to nodes at equal travel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aomgen.core.transforms import apply, rotvec_from_matrix
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandPath:
+    """Averaged end-effector poses, equally spaced along the path, in the order of time.
+
+    Attributes:
+        Ts_world_ee: (K, 4, 4).
+        grasp_ee: Point that the hand holds (3,), end-effector frame, [m].
+        length_m: Length of the grasped point's path, [m].
+    """
+
+    Ts_world_ee: Array
+    grasp_ee: Array
+    length_m: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "Ts_world_ee", self.Ts_world_ee, (None, 4, 4))
+        freeze(self, "grasp_ee", self.grasp_ee, (3,))
+
+    @property
+    def points_world(self) -> Array:
+        """The grasped point (K, 3), [m]."""
+        return apply(self.Ts_world_ee, self.grasp_ee)
+
+    @property
+    def turns_world(self) -> Array:
+        """Rotation vectors (K, 3) of the hand since the first node, world frame, [rad]."""
+        rotations = self.Ts_world_ee[:, :3, :3]
+        return unwrapped_turns(rotations @ rotations[0].T)
+
+
+def unwrapped_turns(rotations: Array) -> Array:
+    """Rotation vectors (K, 3) of rotations (K, 3, 3) that continue each other past half a turn."""
+    turns = rotvec_from_matrix(rotations)
+    for k in range(1, len(turns)):
+        angle = float(np.linalg.norm(turns[k]))
+        if angle > 1e-9:
+            unit = turns[k] / angle
+            turns[k] += unit * 2 * np.pi * np.round(((turns[k - 1] - turns[k]) @ unit) / (2 * np.pi))
+    return turns
+
+
+def thin(Ts_world_ee: Array, grasp_ee: Array, *, nodes: int, smooth: int) -> HandPath:
+    """Average a dense pose series (T, 4, 4) into `nodes` stretches of equal travel.
+
+    Resting counts little this way, and noise of single samples averages out.
+
+    Args:
+        Ts_world_ee: (T, 4, 4) in the order of time.
+        grasp_ee: Point (3,) whose travel is measured, [m].
+        nodes: Largest number of nodes; empty stretches are left out.
+        smooth: Moving-average window for measuring travel, in samples.
+    """
+    points = apply(Ts_world_ee, grasp_ee)
+    window = max(1, min(smooth, len(points) // 3))
+    kernel = np.ones(window) / window
+    smoothed = np.stack([np.convolve(column, kernel, "valid") for column in points.T], 1)
+    steps = np.linalg.norm(np.diff(smoothed, axis=0), axis=1)
+    travel = np.concatenate([[0.0], np.cumsum(steps)])
+    lead = (len(points) - len(travel)) // 2
+    travel = np.pad(travel, (lead, len(points) - len(travel) - lead), mode="edge")
+    bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
+    poses = [_mean_pose(Ts_world_ee[bins == k]) for k in np.unique(bins)]
+    return HandPath(Ts_world_ee=np.stack(poses), grasp_ee=grasp_ee, length_m=float(travel[-1]))
+
+
+def _mean_pose(Ts: Array) -> Array:
+    mean = Ts.mean(0)
+    U, _, Vt = np.linalg.svd(mean[:3, :3])
+    mean[:3, :3] = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    return mean
