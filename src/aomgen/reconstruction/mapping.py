@@ -164,7 +164,7 @@ class Workspace:
         names = {file: name for name, file in self._files[group].items()}
         with pycolmap.Database.open(self.database) as database:
             images = {image.image_id: image.name for image in database.read_all_images()}
-            pixels = {i: database.read_keypoints(i)[:, :2] for i, file in images.items() if file in names}
+            pixels = {i: _pixels(database, i) for i, file in images.items() if file in names}
             result = []
             ids, geometries = database.read_two_view_geometries()
             for pair_id, geometry in zip(ids, geometries, strict=True):
@@ -187,7 +187,7 @@ class Workspace:
         features, points = [], []
         with pycolmap.Database.open(self.database) as database:
             ids = {image.name: image.image_id for image in database.read_all_images()}
-            pixels = database.read_keypoints(ids[file])[:, :2]
+            pixels = _pixels(database, ids[file])
             for name, point_of_feature in mapped.point_of_feature.items():
                 other = ids[self._files["scan"][name]]
                 if not database.exists_two_view_geometry(ids[file], other):
@@ -245,6 +245,10 @@ class Workspace:
             point_of_feature=features,
             error_px=float(model.compute_mean_reprojection_error()),
         )
+
+
+def _pixels(database: pycolmap.Database, image_id: int) -> Array:
+    return np.asarray(database.read_keypoints(image_id), np.float64)[:, :2]
 
 
 def choose_pairs(count: int, exhaustive_limit: int) -> list[tuple[int, int]]:

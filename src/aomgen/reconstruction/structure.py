@@ -190,7 +190,10 @@ def _place(work: Workspace, mapped, name: str, view: DemoView) -> tuple[Camera, 
     """Fixed camera from its first frame, compared with its temporal median."""
     found = {
         still: resect(
-            work.links(f"demo:{name}", still, mapped), view.intrinsics, image.shape[1::-1], work.seed
+            work.links(f"demo:{name}", still, mapped),
+            view.intrinsics,
+            (image.shape[1], image.shape[0]),
+            work.seed,
         )
         for still, image in (("first", view.first_srgb), ("median", view.median_srgb))
     }
