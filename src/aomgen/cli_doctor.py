@@ -36,10 +36,10 @@ def diagnose() -> list[tuple[str, str, str]]:
 
 
 def _engine_problem() -> str:
-    from aomgen.splatting.native import load_library
+    from aomgen.splatting.native import library
 
     try:
-        load_library()
+        library()
     except AomgenError as error:
         return str(error)
     return ""

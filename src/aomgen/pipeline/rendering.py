@@ -10,7 +10,8 @@ from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.physics.robot import RobotModel, load_robot
-from aomgen.twin.twin import Twin, TwinState, load_twin, render_state
+from aomgen.twin.store import load_twin
+from aomgen.twin.twin import Twin, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
 LABEL_MIN_ALPHA = 0.5
