@@ -104,6 +104,11 @@ AOMGEN_API int32_t aomgen_image_loss(AomgenContext* context, int32_t channels, i
                           const float* rendered, const float* target, const float* gains, float dssim_weight,
                           double* loss, float* grad_rendered, float* grad_gains);
 
+// One step of Adam in place on values (rows, columns) with a learning rate per column; `means` and
+// `squares` are the running averages (rows, columns), step counts from 1.
+AOMGEN_API int32_t aomgen_adam_step(AomgenContext* context, int64_t rows, int32_t columns, float* values, const float* gradients,
+                         float* means, float* squares, const float* rates, int64_t step);
+
 // Milliseconds of wall time of the last passes: project, sort, bin, blend, blend backward, project backward.
 AOMGEN_API int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6]);
 // Gaussians in view and (Gaussian, tile) pairs of the last forward pass.

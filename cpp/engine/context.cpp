@@ -165,4 +165,14 @@ double Context::image_loss(ImageLoss l, float* grad_gains) {
   return (1.0 - l.dssim_weight) * l1 / pixels + l.dssim_weight * (1.0 - ssim / pixels);
 }
 
+void Context::adam_step(AdamStep a, const float* rates, int columns) {
+  a.period = 16 * columns;
+  a.block_size = (16384 / a.period + 1) * static_cast<int64_t>(a.period);
+  std::vector<float> repeated(a.period);
+  for (int i = 0; i < a.period; ++i) repeated[i] = rates[i % columns];
+  a.rates = repeated.data();
+  parallel(threads_, (a.count + a.block_size - 1) / a.block_size, 1,
+           [&](int64_t block, int) { kernels_->adam(a, static_cast<int>(block)); });
+}
+
 }  // namespace aomgen

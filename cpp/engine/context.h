@@ -19,6 +19,7 @@ class Context {
   void backward(const AomgenImageGradients& images, const AomgenSceneGradients& gradients);
   void contribution_weights(const AomgenScene& scene, const AomgenView& view, int mask_count, const float* masks, float* weights);
   double image_loss(ImageLoss loss, float* grad_gains);
+  void adam_step(AdamStep step, const float* rates, int columns);
 
   const std::array<double, 6>& stage_times() const { return times_; }
   uint32_t visible() const { return visible_count_; }

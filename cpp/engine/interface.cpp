@@ -155,6 +155,29 @@ int32_t aomgen_image_loss(AomgenContext* context, int32_t channels, int32_t heig
   });
 }
 
+int32_t aomgen_adam_step(AomgenContext* context, int64_t rows, int32_t columns, float* values, const float* gradients,
+                         float* means, float* squares, const float* rates, int64_t step) {
+  return guarded([&] {
+    require(context, "context is null");
+    require(rows >= 0 && rows <= kMaxGaussians && columns >= 1 && columns <= 1024, "rows must be 0 to 16777216, columns 1 to 1024");
+    require(rows == 0 || (values && gradients && means && squares && rates), "an argument is null");
+    require(step >= 1, "steps count from 1");
+    constexpr double kMeanDecay = 0.9, kSquareDecay = 0.999;
+    aomgen::AdamStep a{};
+    a.count = rows * columns;
+    a.values = values;
+    a.gradients = gradients;
+    a.means = means;
+    a.squares = squares;
+    a.mean_decay = static_cast<float>(kMeanDecay);
+    a.square_decay = static_cast<float>(kSquareDecay);
+    a.epsilon = 1e-15f;
+    a.mean_correction = static_cast<float>(1.0 / (1.0 - std::pow(kMeanDecay, static_cast<double>(step))));
+    a.square_correction = static_cast<float>(1.0 / (1.0 - std::pow(kSquareDecay, static_cast<double>(step))));
+    context->context.adam_step(a, rates, columns);
+  });
+}
+
 int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6]) {
   return guarded([&] {
     require(context && milliseconds, "an argument is null");

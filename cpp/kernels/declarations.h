@@ -13,5 +13,6 @@ void project_backward(const ProjectionBackward&, int block);
 void sum_weights(const Weights&, int tile);
 void ssim_row(const ImageLoss&, int channel, int y, float* scratch);
 void loss_gradient_row(const ImageLoss&, int channel, int y, float* scratch);
+void adam(const AdamStep&, int block);
 
 }  // namespace aomgen::AOMGEN_ISA

@@ -98,6 +98,17 @@ struct ImageLoss {
   float* grad_rendered;
 };
 
+struct AdamStep {
+  int64_t count;             // floats
+  int64_t block_size;        // of one task, a multiple of period
+  float *values, *means, *squares;
+  const float* gradients;
+  const float* rates;        // period floats; value i moves at rates[i % period]
+  int period;                // multiple of 16
+  float mean_decay, square_decay, epsilon;
+  float mean_correction, square_correction;  // 1 / (1 - decay^step)
+};
+
 struct Kernels {
   const char* name;
   void (*project)(const Projection&, int block);
@@ -107,6 +118,7 @@ struct Kernels {
   void (*sum_weights)(const Weights&, int tile);
   void (*ssim_row)(const ImageLoss&, int channel, int y, float* scratch);
   void (*loss_gradient_row)(const ImageLoss&, int channel, int y, float* scratch);
+  void (*adam)(const AdamStep&, int block);
 };
 
 // Scratch floats that a task of the named kernel needs.

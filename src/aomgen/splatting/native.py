@@ -92,6 +92,7 @@ _SIGNATURES = {
         (c_void_p, c_int32, c_int32, c_int32, c_void_p, c_void_p, c_void_p, c_float)
         + (POINTER(c_double), c_void_p, c_void_p),
     ),
+    "aomgen_adam_step": (c_int32, (c_void_p, c_int64, c_int32, *(c_void_p,) * 5, c_int64)),
     "aomgen_stage_times": (c_int32, (c_void_p, POINTER(c_double))),
     "aomgen_counts": (c_int32, (c_void_p, POINTER(c_int64), POINTER(c_int64))),
 }
@@ -187,6 +188,10 @@ class Context:
         call = self._library.aomgen_image_loss
         self._check(call(self._handle, *shape, *images, gains, dssim_weight, loss, *gradients))
         return loss.value
+
+    def adam_step(self, shape: tuple[int, int], addresses: tuple[int, int, int, int, int], step: int) -> None:
+        """Adam in place; addresses of values, gradients, means, squares (rows, columns), rates (columns,)."""
+        self._check(self._library.aomgen_adam_step(self._handle, *shape, *addresses, step))
 
     def stage_times_ms(self) -> dict[str, float]:
         """Wall time of the last passes by stage, [ms]."""

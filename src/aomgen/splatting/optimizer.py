@@ -1,0 +1,99 @@
+"""Gaussians as the optimizer holds them: logs, logits and running averages of their gradients."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aomgen.core.gaussians import Gaussians
+from aomgen.splatting import native
+
+NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
+MAX_LOGIT = 12.0
+MIN_SCALE = 1e-9
+
+
+@dataclass(slots=True, kw_only=True)
+class Parameters:
+    """Parameters of N Gaussians under optimization; the only mutable value of the training.
+
+    Attributes:
+        values: By name: means (N, 3), quats (N, 4) wxyz, log_scales (N, 3), logit_opacities
+            (N,), sh (N, K, 3), all float32.
+        averages: First moments of the gradients, same shapes.
+        squares: Second moments.
+        steps: Optimizer steps taken.
+    """
+
+    values: dict[str, Tensor]
+    averages: dict[str, Tensor]
+    squares: dict[str, Tensor]
+    steps: int = 0
+
+    def __len__(self) -> int:
+        return len(self.values["means"])
+
+    def opacities(self) -> Tensor:
+        """(N,), 0..1."""
+        return self.values["logit_opacities"].sigmoid()
+
+    def leaves(self) -> dict[str, Tensor]:
+        """Views of the values that collect gradients."""
+        return {name: value.detach().requires_grad_() for name, value in self.values.items()}
+
+    def step(self, gradients: dict[str, Tensor], rates: dict[str, Tensor], context: native.Context) -> None:
+        """Adam in place; `rates` has one learning rate for every column of a parameter."""
+        self.steps += 1
+        for name in NAMES:
+            value, gradient = self.values[name], gradients[name].contiguous()
+            columns = value[0].numel() if len(self) else 1
+            addresses = (
+                value.data_ptr(),
+                gradient.data_ptr(),
+                self.averages[name].data_ptr(),
+                self.squares[name].data_ptr(),
+                rates[name].data_ptr(),
+            )
+            context.adam_step((len(self), columns), addresses, self.steps)
+
+    def rebuilt(self, kept: Tensor, added: dict[str, Tensor]) -> "Parameters":
+        """The rows `kept` (indices) followed by new rows, whose gradient averages start at zero."""
+        rest = {name: torch.zeros_like(value) for name, value in added.items()}
+        return Parameters(
+            values={name: torch.cat([self.values[name][kept], added[name]]) for name in NAMES},
+            averages={name: torch.cat([self.averages[name][kept], rest[name]]) for name in NAMES},
+            squares={name: torch.cat([self.squares[name][kept], rest[name]]) for name in NAMES},
+            steps=self.steps,
+        )
+
+
+def parameters_of(gaussians: Gaussians, sh_degree: int) -> Parameters:
+    """Parameters that start at the given Gaussians, with room for SH up to a degree."""
+    padded = gaussians.with_sh_degree(sh_degree)
+    opacities = np.clip(padded.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
+    arrays = {
+        "means": padded.means,
+        "quats": padded.quats,
+        "log_scales": np.log(np.maximum(padded.scales, MIN_SCALE)),
+        "logit_opacities": np.log(opacities / (1 - opacities)),
+        "sh": padded.sh,
+    }
+    values = {name: torch.tensor(np.ascontiguousarray(a, np.float32)) for name, a in arrays.items()}
+    return Parameters(
+        values=values,
+        averages={name: torch.zeros_like(value) for name, value in values.items()},
+        squares={name: torch.zeros_like(value) for name, value in values.items()},
+    )
+
+
+def gaussians_of(parameters: Parameters) -> Gaussians:
+    """Real values of the parameters."""
+    values = parameters.values
+    return Gaussians(
+        means=values["means"].numpy(),
+        quats=torch.nn.functional.normalize(values["quats"], dim=-1).numpy(),
+        scales=values["log_scales"].exp().numpy(),
+        opacities=parameters.opacities().numpy(),
+        sh=values["sh"].numpy(),
+    )

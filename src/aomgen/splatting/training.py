@@ -1,0 +1,283 @@
+"""Gaussians fitted to posed images: one loop, counted in iterations."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.progress import Progress
+from aomgen.splatting import native
+from aomgen.splatting.density import error_shares, relocate_and_grow
+from aomgen.splatting.differentiable import render_tensors
+from aomgen.splatting.loss import image_loss
+from aomgen.splatting.optimizer import NAMES, Parameters, gaussians_of, parameters_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingParams:
+    """How long and how boldly to train. Lengths are shares of the scene's extent.
+
+    Attributes:
+        iterations: Images drawn and learned from, in total.
+        sh_degree: Highest degree of the result, 0..3.
+        sh_starts: Shares of the iterations at which degrees 1, 2, 3 are switched on.
+        downsampling: (share of the iterations, factor): from that share on, images are reduced
+            by the factor.
+        max_gaussians: Never more than these.
+        grow_every: Iterations between relocations.
+        grow_window: Shares of the iterations between which Gaussians are relocated and added.
+        error_views: Images of which the error is looked at for a relocation.
+        min_opacity: Fainter Gaussians are relocated.
+        dssim_weight: Share of the structural part in the loss.
+        opacity_weight, scale_weight: Pull on mean opacity and on mean scale over extent.
+        transparency_weight: Pull towards images without holes, on mean (1 - alpha).
+        background: sRGB behind everything; None draws a random color every iteration.
+        rate_means: Learning rate at the start; it falls by rate_means_decay until the end.
+        rate_quats, rate_log_scales, rate_logit_opacities, rate_color, rate_sh, rate_gain: Others;
+            they fall by rate_decay until the end.
+        exposure: Fit a gain for every color of every image (the product is kept at 1).
+    """
+
+    iterations: int = 1800
+    sh_degree: int = 2
+    sh_starts: tuple[float, float, float] = (0.25, 0.5, 0.75)
+    downsampling: tuple[tuple[float, int], ...] = ((0.0, 4), (0.1, 2), (0.35, 1))
+    max_gaussians: int = 100_000
+    grow_every: int = 100
+    grow_window: tuple[float, float] = (0.1, 0.75)
+    error_views: int = 6
+    min_opacity: float = 0.01
+    dssim_weight: float = 0.2
+    opacity_weight: float = 0.002
+    scale_weight: float = 0.0
+    transparency_weight: float = 0.0
+    background: tuple[float, float, float] | None = None
+    rate_means: float = 3e-4
+    rate_means_decay: float = 0.02
+    rate_quats: float = 2e-3
+    rate_log_scales: float = 8e-3
+    rate_logit_opacities: float = 4e-2
+    rate_color: float = 4e-3
+    rate_sh: float = 4e-4
+    rate_gain: float = 2e-3
+    rate_decay: float = 0.3
+    exposure: bool = True
+
+
+def train(
+    initial: Gaussians,
+    cameras: list[Camera],
+    images: list[NDArray[np.uint8]],
+    params: TrainingParams,
+    progress: Progress,
+    rng: np.random.Generator,
+) -> Gaussians:
+    """Fit Gaussians to images; the same inputs and generator give the same result on one machine.
+
+    Args:
+        initial: Where to start, in the frame of the cameras; its SH degree is raised to the
+            result's.
+        cameras: One for every image, at the image's size.
+        images: (H, W, 3) uint8 sRGB.
+        params: Length, rates, growth.
+        progress: Told about every tenth iteration.
+        rng: Order of the images, background colors and choice of Gaussians to split.
+
+    Raises:
+        BackendError: The splatting engine is missing or refuses the scene.
+        ValueError: No images, or images that do not fit their cameras.
+    """
+    _check(initial, cameras, images)
+    extent = scene_extent(initial, cameras)
+    parameters = parameters_of(initial, params.sh_degree)
+    exposure = Exposure.neutral(len(images), params.exposure)
+    context = native.Context()
+    views: list[View] = []
+    factor, order = 0, np.zeros(0, np.int64)
+    for iteration in range(params.iterations):
+        share = iteration / params.iterations
+        if factor != _factor(params, share):
+            factor = _factor(params, share)
+            views = [reduced(camera, image, factor) for camera, image in zip(cameras, images, strict=True)]
+        if not len(order):
+            order = rng.permutation(len(views))
+        index, order = int(order[0]), order[1:]
+        loss = _learn(parameters, exposure, views[index], index, share, extent, params, context, rng)
+        if _grows(params, iteration):
+            parameters = _grow(parameters, exposure, views, share, params, rng)
+        if iteration % 10 == 9:
+            progress((iteration + 1) / params.iterations, f"{len(parameters)} Gaussians, loss {loss:.4f}")
+    trained = gaussians_of(parameters)
+    return trained.select(np.isfinite(trained.means).all(1) & (trained.opacities >= params.min_opacity))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """One image at the size it is learned from: camera and planar (3, H, W) uint8."""
+
+    camera: Camera
+    image: Tensor
+
+    def target(self) -> Tensor:
+        """(3, H, W) float32, sRGB 0..1."""
+        return self.image.float().div_(255)
+
+
+@dataclass(slots=True, kw_only=True)
+class Exposure:
+    """Gains of every image (M, 3) in logarithms, with their optimizer state."""
+
+    enabled: bool
+    log_gains: Tensor
+    averages: Tensor
+    squares: Tensor
+    steps: list[int]
+
+    @staticmethod
+    def neutral(count: int, enabled: bool) -> "Exposure":
+        """Gains of one."""
+        zeros = (torch.zeros(count, 3), torch.zeros(count, 3), torch.zeros(count, 3))
+        return Exposure(
+            enabled=enabled, log_gains=zeros[0], averages=zeros[1], squares=zeros[2], steps=[0] * count
+        )
+
+    def step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
+        """Adam on one image's gains; afterwards the mean over the images is zero again."""
+        self.steps[index] += 1
+        rates = torch.full((3,), rate)
+        rows = (
+            self.log_gains[index],
+            gradient.contiguous(),
+            self.averages[index],
+            self.squares[index],
+            rates,
+        )
+        first, second, third, fourth, fifth = (row.data_ptr() for row in rows)
+        context.adam_step((1, 3), (first, second, third, fourth, fifth), self.steps[index])
+        self.log_gains -= self.log_gains.mean(0)
+
+
+def scene_extent(gaussians: Gaussians, cameras: list[Camera]) -> float:
+    """Length that steps are measured in: median distance from a camera to the middle of the Gaussians."""
+    middle = np.median(gaussians.means, axis=0)
+    return float(np.median([np.linalg.norm(camera.center - middle) for camera in cameras]))
+
+
+def reduced(camera: Camera, image: NDArray[np.uint8], factor: int) -> View:
+    """A view whose pixels are means of factor x factor pixels; what does not fill a pixel is cut."""
+    planar = torch.tensor(np.ascontiguousarray(image.transpose(2, 0, 1)))
+    factor = max(1, min(factor, image.shape[0] // 16, image.shape[1] // 16))
+    if factor == 1:
+        return View(camera=camera, image=planar)
+    pooled = torch.nn.functional.avg_pool2d(planar.float(), factor).round_().to(torch.uint8)
+    height, width = pooled.shape[1:]
+    small = replace(
+        camera,
+        fx=camera.fx / factor,
+        fy=camera.fy / factor,
+        cx=camera.cx / factor,
+        cy=camera.cy / factor,
+        width=int(width),
+        height=int(height),
+    )
+    return View(camera=small, image=pooled)
+
+
+def _learn(
+    parameters: Parameters,
+    exposure: Exposure,
+    view: View,
+    index: int,
+    share: float,
+    extent: float,
+    params: TrainingParams,
+    context: native.Context,
+    rng: np.random.Generator,
+) -> float:
+    """One iteration; returns the loss."""
+    leaves = parameters.leaves()
+    background = params.background or tuple(rng.random(3))
+    drawn = render_tensors(
+        *(leaves[name] for name in NAMES),
+        view.camera,
+        sh_degree=_sh_degree(params, share),
+        background=background,
+        context=context,
+    )
+    log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
+    gains = None if log_gains is None else log_gains.exp()
+    loss = image_loss(
+        drawn.rgb, view.target(), gains=gains, dssim_weight=params.dssim_weight, context=context
+    )
+    total = loss + params.opacity_weight * leaves["logit_opacities"].sigmoid().mean()
+    if params.scale_weight:
+        total = total + params.scale_weight / extent * leaves["log_scales"].exp().mean()
+    if params.transparency_weight:
+        total = total + params.transparency_weight * (1 - drawn.alpha).mean()
+    total.backward()
+    gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+    parameters.step(gradients, _rates(params, share, extent), context)
+    if log_gains is not None and log_gains.grad is not None:
+        exposure.step(index, log_gains.grad, params.rate_gain, context)
+    return float(loss.detach())
+
+
+def _grow(
+    parameters: Parameters,
+    exposure: Exposure,
+    views: list[View],
+    share: float,
+    params: TrainingParams,
+    rng: np.random.Generator,
+) -> Parameters:
+    """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
+    chosen = rng.choice(len(views), min(params.error_views, len(views)), replace=False)
+    targets = [(views[i].target() / exposure.log_gains[i].exp()[:, None, None]).numpy() for i in chosen]
+    gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
+    shares = error_shares(gaussians, [views[i].camera for i in chosen], targets)
+    first, last = params.grow_window
+    left = max(1.0, (last - share) * params.iterations / params.grow_every)
+    count = max(
+        len(parameters), round(len(parameters) * (params.max_gaussians / len(parameters)) ** (1 / left))
+    )
+    return relocate_and_grow(parameters, shares, min(count, params.max_gaussians), params.min_opacity, rng)
+
+
+def _grows(params: TrainingParams, iteration: int) -> bool:
+    first, last = (round(share * params.iterations) for share in params.grow_window)
+    return first <= iteration < last and iteration % params.grow_every == params.grow_every - 1
+
+
+def _factor(params: TrainingParams, share: float) -> int:
+    return next(factor for start, factor in reversed(params.downsampling) if share >= start)
+
+
+def _sh_degree(params: TrainingParams, share: float) -> int:
+    return min(params.sh_degree, sum(share >= start for start in params.sh_starts))
+
+
+def _rates(params: TrainingParams, share: float, extent: float) -> dict[str, Tensor]:
+    decay = params.rate_decay**share
+    coefficients = (params.sh_degree + 1) ** 2
+    by_coefficient = [params.rate_color] + [params.rate_sh] * (coefficients - 1)
+    return {
+        "means": torch.full((3,), params.rate_means * extent * params.rate_means_decay**share),
+        "quats": torch.full((4,), params.rate_quats * decay),
+        "log_scales": torch.full((3,), params.rate_log_scales * decay),
+        "logit_opacities": torch.full((1,), params.rate_logit_opacities * decay),
+        "sh": torch.tensor(by_coefficient).repeat_interleave(3) * decay,
+    }
+
+
+def _check(initial: Gaussians, cameras: list[Camera], images: list[NDArray[np.uint8]]) -> None:
+    if not len(initial) or not images or len(cameras) != len(images):
+        raise ValueError(f"{len(initial)} Gaussians, {len(cameras)} cameras and {len(images)} images")
+    for camera, image in zip(cameras, images, strict=True):
+        if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
+            raise ValueError(
+                f"an image is {image.shape} {image.dtype}, its camera {camera.width}x{camera.height}"
+            )
