@@ -1,0 +1,156 @@
+"""The demonstration itself: a simulation in which only contact moves the object."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from aomgen.core.values import Array, freeze
+from aomgen.physics.robot import RobotModel
+from aomgen.synthetic.planning import CONTROL_STEP_S, Script
+from aomgen.synthetic.setting import World
+
+SETTLE_S = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueContact:
+    """A touch of the hand on the moving part, world frame.
+
+    Attributes:
+        finger: "left", "right" or "palm".
+        point: (3,), [m].
+        normal: Unit direction (3,) from the hand into the part.
+        force: Normal component, [N].
+    """
+
+    finger: str
+    point: Array
+    normal: Array
+    force: float
+
+    def __post_init__(self) -> None:
+        for name in ("point", "normal"):
+            freeze(self, name, getattr(self, name), (3,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demonstration:
+    """What happened, every CONTROL_STEP_S.
+
+    Attributes:
+        times_s: (T,) from 0.
+        qpos: Generalised positions (T, nq) of the whole model.
+        joints: Arm joints (T, J), [rad].
+        gripper: Measured driver angle as a share of its stroke (T,).
+        theta: Joint value of the object (T,), [rad] or [m].
+        contacts: For each step, the hand's touches on the moving part.
+        foreign: Whether the arm ever touched anything else of object or table.
+        diverged: Whether the simulation warned.
+    """
+
+    times_s: Array
+    qpos: Array
+    joints: Array
+    gripper: Array
+    theta: Array
+    contacts: tuple[tuple[TrueContact, ...], ...]
+    foreign: bool
+    diverged: bool
+
+    def __post_init__(self) -> None:
+        count = len(self.times_s)
+        for name in ("gripper", "theta"):
+            freeze(self, name, getattr(self, name), (count,))
+        for name in ("qpos", "joints"):
+            freeze(self, name, getattr(self, name), (count, None))
+
+
+def simulate(robot: RobotModel, world: World, script: Script) -> Demonstration:
+    """Run a script with position control and velocity feed-forward; the object's joint is passive.
+
+    Nothing is written into the state after the first step. Autoreset is off.
+    """
+    model = world.model
+    model.opt.timestep = CONTROL_STEP_S
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    data = mujoco.MjData(model)
+    data.qpos[: len(robot.qpos(script.joints[0], 0.0)[0])] = robot.qpos(script.joints[0], 0.0)[0]
+    control = _Control(robot, model)
+    velocities = np.gradient(script.joints, CONTROL_STEP_S, axis=0)
+    control.apply(data, script.joints[0], velocities[0] * 0, 0.0)
+    for _ in range(round(SETTLE_S / CONTROL_STEP_S)):
+        mujoco.mj_step(model, data)
+    hand = _Hand(robot, world)
+    qpos = np.empty((len(script.times_s), model.nq))
+    contacts, foreign = [], False
+    for step in range(len(script.times_s)):
+        qpos[step] = data.qpos
+        touches, strange = hand.touches(data)
+        contacts.append(touches)
+        foreign |= strange
+        control.apply(data, script.joints[step], velocities[step], script.gripper[step])
+        mujoco.mj_step(model, data)
+    driver, stroke = robot.files.driver or ("", 1.0)
+    columns = [model.joint(name).qposadr[0] for name in robot.joint_names]
+    return Demonstration(
+        times_s=script.times_s,
+        qpos=qpos,
+        joints=qpos[:, columns],
+        gripper=qpos[:, model.joint(driver).qposadr[0]] / stroke,
+        theta=qpos[:, model.joint(world.names.joint).qposadr[0]],
+        contacts=tuple(contacts),
+        foreign=foreign,
+        diverged=bool(data.warning.number.sum() > 0) or not np.isfinite(qpos).all(),
+    )
+
+
+class _Control:
+    """Writes actuator commands: position servos whose lag is cancelled by velocity feed-forward."""
+
+    def __init__(self, robot: RobotModel, model: mujoco.MjModel) -> None:
+        of_joint = {model.actuator_trnid[a, 0]: a for a in range(model.nu) if model.actuator_trntype[a] == 0}
+        self._arm = np.array([of_joint[model.joint(name).id] for name in robot.joint_names])
+        self._lead = model.actuator_biasprm[self._arm, 2] / model.actuator_biasprm[self._arm, 1]
+        name, self._closed = robot.files.actuator or ("", 1.0)
+        self._gripper = model.actuator(name).id
+
+    def apply(self, data: mujoco.MjData, joints: Array, velocities: Array, gripper: float) -> None:
+        data.ctrl[self._arm] = joints + self._lead * velocities
+        data.ctrl[self._gripper] = gripper * self._closed
+
+
+class _Hand:
+    """Reads the contacts between robot, object and table."""
+
+    def __init__(self, robot: RobotModel, world: World) -> None:
+        self._model = world.model
+        bodies = [self._model.body(b).name for b in self._model.geom_bodyid]
+        self._robot = np.array([name in robot.body_names for name in bodies])
+        self._moving = np.array([name == world.names.moving_body for name in bodies])
+        prefix = robot.files.prefix
+        self._hand = np.array([name.startswith(prefix) for name in bodies])
+        self._finger = [self._finger_of(name.removeprefix(prefix)) for name in bodies]
+
+    @staticmethod
+    def _finger_of(body: str) -> str:
+        return next((side for side in ("left", "right") if body.startswith(side)), "palm")
+
+    def touches(self, data: mujoco.MjData) -> tuple[tuple[TrueContact, ...], bool]:
+        """Touches of the hand on the moving part, and whether the robot touches anything else."""
+        found, strange = [], False
+        wrench = np.zeros(6)
+        for number in range(data.ncon):
+            contact = data.contact[number]
+            a, b = contact.geom
+            if self._robot[a] == self._robot[b] or contact.dist > 0:
+                continue
+            ours, other = (a, b) if self._robot[a] else (b, a)
+            if not (self._moving[other] and self._hand[ours]):
+                strange = True
+                continue
+            mujoco.mj_contactForce(self._model, data, number, wrench)
+            normal = contact.frame[:3] * (1.0 if ours == a else -1.0)
+            finger = self._finger[ours]
+            found.append(TrueContact(finger=finger, point=contact.pos, normal=normal, force=float(wrench[0])))
+        return tuple(found), strange

@@ -1,0 +1,118 @@
+"""Where everything stands in a synthetic capture, and the MuJoCo model of it."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from aomgen.assets.mjcf import AssetNames, add_asset
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.values import Array, freeze
+from aomgen.physics.robot import RobotModel
+from aomgen.synthetic.room import Room, add_room
+
+# The passive joint: (damping, dry friction) in [N m s/rad], [N m] or [N s/m], [N].
+RESISTANCE = {"revolute": (0.35, 0.25), "prismatic": (4.0, 2.0)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """One scene: an object on a table in front of the robot.
+
+    Attributes:
+        asset: The object, closed at joint value 0.
+        room: Table, wall and floor.
+        room_seed: Chooses the room's prints and clutter.
+        T_world_object: Pose (4, 4) of the asset frame.
+    """
+
+    asset: ArticulatedAsset
+    room: Room
+    room_seed: int
+    T_world_object: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+
+    @property
+    def joint_world(self) -> Joint:
+        """The object's joint in the world frame."""
+        return self.asset.joint.moved(self.T_world_object)
+
+
+def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
+    """A random place for the object within the robot's reach; whether it is enough, planning tells."""
+    heading = rng.uniform(-np.pi, np.pi)
+    T_world_room = transform(matrix_from_rotvec([0.0, 0.0, heading]), np.zeros(3))
+    table_z = rng.uniform(-0.08, 0.04)
+    yaw = np.deg2rad(rng.uniform(-18, 18))
+    R = matrix_from_rotvec([0.0, 0.0, yaw])
+    # The handle is put where the arm can follow it; the object follows from that.
+    handle = np.array([rng.uniform(-0.28, 0.28), rng.uniform(0.56, 0.70), 0.0])
+    centre = handle - R @ (asset.handle_point * [1, 1, 0])
+    T_room_object = transform(R, centre + [0.0, 0.0, table_z])
+    room = Room(
+        T_world_room=T_world_room,
+        table_z=table_z,
+        table=(-0.85, 0.85, 0.24, 1.32),
+        keep_free=_footprint(asset, T_room_object),
+        wall_y=1.42,
+        floor_z=table_z - 0.74,
+    )
+    return Setting(
+        asset=asset,
+        room=room,
+        room_seed=int(rng.integers(1 << 31)),
+        T_world_object=T_world_room @ T_room_object,
+    )
+
+
+def _footprint(asset: ArticulatedAsset, T_room_object: Array) -> tuple[float, float, float, float]:
+    """Part of the table (room frame) that the object covers, open or closed, with some margin."""
+    colliders = [*asset.static.colliders, *asset.moving.colliders]
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    points = []
+    for theta in np.linspace(0.0, asset.joint.upper, 6):
+        for box in colliders:
+            pose = (
+                box.T_asset_box
+                if box in asset.static.colliders
+                else asset.joint.motion(theta) @ box.T_asset_box
+            )
+            points.append((corners * box.half_extents) @ pose[:3, :3].T + pose[:3, 3])
+    placed = np.concatenate(points) @ T_room_object[:3, :3].T + T_room_object[:3, 3]
+    low, high = placed.min(0) - 0.04, placed.max(0) + 0.04
+    # Before the front the gripper needs room as well.
+    return float(low[0]), float(high[0]), float(low[1]) - 0.25, float(high[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """A compiled setting: the model and the names of the object in it."""
+
+    model: mujoco.MjModel
+    names: AssetNames
+
+
+def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
+    """Compile robot, room and object into one model; gravity of the arm is compensated.
+
+    With and without `visual` the joints are the same, so that `qpos` carries over.
+    """
+    spec = robot.spec(visual=visual)
+    for name in robot.body_names:
+        spec.body(name).gravcomp = 1.0
+    add_room(spec, setting.room, np.random.default_rng(setting.room_seed), visual=visual)
+    damping, friction = RESISTANCE[setting.asset.joint.type]
+    names = add_asset(
+        spec, setting.asset, setting.T_world_object, damping=damping, frictionloss=friction, visual=visual
+    )
+    if visual:
+        spec.visual.quality.shadowsize = 2048
+        spec.visual.headlight.ambient = [0.38, 0.38, 0.38]
+        spec.visual.headlight.diffuse = [0.18, 0.18, 0.18]
+        spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+        spec.visual.map.znear = 0.01
+    return World(model=spec.compile(), names=names)

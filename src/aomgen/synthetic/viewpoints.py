@@ -1,0 +1,55 @@
+"""Where the cameras of a synthetic capture stand."""
+
+import numpy as np
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.synthetic.setting import Setting
+
+# Focal length over image width, as of a phone's main camera.
+FOCAL_SHARE = 0.9375
+
+
+def pinhole(size: tuple[int, int], T_world_cam: Array) -> Camera:
+    """The camera that all pictures of a capture share, at a pose."""
+    width, height = size
+    focal = FOCAL_SHARE * width
+    return Camera(
+        fx=focal, fy=focal, cx=width / 2, cy=height / 2, width=width, height=height, T_world_cam=T_world_cam
+    )
+
+
+def scan_cameras(
+    setting: Setting, size: tuple[int, int], count: int, rng: np.random.Generator
+) -> list[Camera]:
+    """A hand-held walk in three arcs around robot and object, low to high, (count) views."""
+    target = np.array([0.0, 0.45, setting.room.table_z + 0.12])
+    arcs = np.array_split(np.arange(count), 3)
+    cameras = []
+    for number, arc in enumerate(arcs):
+        sweep = np.linspace(-1.0, 1.0, len(arc)) * (1 if number % 2 == 0 else -1)
+        for share in sweep:
+            angle = np.deg2rad(98.0 * share + rng.uniform(-3, 3))
+            radius = (1.22, 1.18, 1.05)[number] + rng.uniform(-0.06, 0.06)
+            height = setting.room.table_z + (0.24, 0.55, 0.95)[number] + rng.uniform(-0.05, 0.05)
+            eye = np.array([target[0] + radius * np.sin(angle), target[1] - radius * np.cos(angle), height])
+            aim = target + rng.uniform(-0.07, 0.07, 3)
+            cameras.append(_in_room(setting, size, eye, aim))
+    return cameras
+
+
+def demo_candidates(setting: Setting, size: tuple[int, int], rng: np.random.Generator) -> list[Camera]:
+    """Places for the fixed camera, left and right of the robot, both see the front of the object."""
+    target = np.array([0.0, 0.52, setting.room.table_z + 0.13])
+    cameras = []
+    for side in (-1.0, 1.0):
+        height = setting.room.table_z + rng.uniform(0.5, 0.8)
+        eye = np.array([side * rng.uniform(0.85, 1.1), rng.uniform(-0.25, 0.1), height])
+        cameras.append(_in_room(setting, size, eye, target + rng.uniform(-0.04, 0.04, 3)))
+    return cameras
+
+
+def _in_room(setting: Setting, size: tuple[int, int], eye_room: Array, target_room: Array) -> Camera:
+    T = setting.room.T_world_room
+    return pinhole(size, look_at(apply(T, eye_room), apply(T, target_room)))

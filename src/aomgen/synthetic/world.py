@@ -1,0 +1,207 @@
+"""Synthetic captures: a complete recording with ground truth, from a category and a seed."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.assets.make import make_asset
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.camera import Camera
+from aomgen.core.joint_log import JointLog
+from aomgen.core.progress import Progress, silent
+from aomgen.core.values import Array
+from aomgen.errors import ConfigError
+from aomgen.io.atomic import staged_folder
+from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.synthetic.demonstration import Demonstration, simulate
+from aomgen.synthetic.pictures import Painter, exposed
+from aomgen.synthetic.planning import CONTROL_STEP_S, Script, plan
+from aomgen.synthetic.setting import Setting, build_world, draw_setting
+from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
+from aomgen.synthetic.write import write_recording, write_truth
+
+ROBOT_NAME = "ur5e_2f85"
+LOG_RATE_HZ = 100
+JOINT_NOISE_RAD = 0.0005
+GRIPPER_NOISE = 0.001
+MAX_TRIES = 80
+# Shares of the rest phases at both ends that only the log has seen.
+LEAD_S, TAIL_S = (0.2, 0.6), (0.1, 0.3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Performance:
+    """A demonstration that succeeded, in its setting."""
+
+    setting: Setting
+    script: Script
+    demonstration: Demonstration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """Everything a synthetic capture holds.
+
+    Attributes:
+        name, category: Of the capture.
+        performance: Setting and demonstration.
+        scan_cameras, scan_images, scan_labels: One entry a still; images (H, W, 3), labels (H, W).
+        demo_camera: The fixed camera.
+        frames, frame_labels: Of the video.
+        frame_steps: Simulation step of each frame.
+        fps: Of the video.
+        log: Noisy joint log, own clock.
+        clock_offset_s: Log time = video time + offset.
+    """
+
+    name: str
+    category: str
+    performance: Performance
+    scan_cameras: list[Camera]
+    scan_images: list[NDArray[np.uint8]]
+    scan_labels: list[NDArray[np.uint8]]
+    demo_camera: Camera
+    frames: list[NDArray[np.uint8]]
+    frame_labels: list[NDArray[np.uint8]]
+    frame_steps: NDArray[np.int64]
+    fps: int
+    log: JointLog
+    clock_offset_s: float
+
+
+def make_capture(
+    folder: Path,
+    *,
+    category: str,
+    seed: int,
+    size: tuple[int, int] = (320, 240),
+    scan_views: int = 40,
+    fps: int = 10,
+    progress: Progress = silent,
+) -> None:
+    """Write a complete capture with `truth/`: a robot opens a made asset in a made room.
+
+    The object moves by contact alone. The same arguments give the same files on one class of
+    machine (pictures come from the OpenGL driver).
+
+    Args:
+        folder: Created or replaced.
+        category: One of `assets.make.MAKERS`.
+        seed: Chooses asset, room, places, path, cameras, noise and clock.
+        size: Width and height of stills and video, [px].
+        scan_views: Number of stills.
+        fps: Of the video.
+
+    Raises:
+        ConfigError: Unknown category, or no setting of this seed can be reached.
+        BackendError: No OpenGL driver works.
+        StorageError: The disk refuses.
+    """
+    rng = np.random.default_rng([seed, *category.encode(), 1])
+    robot = load_robot(ROBOT_NAME)
+    performance = perform(robot, make_asset(category, seed), rng)
+    progress(0.05, "demonstration simulated")
+    recording = record(robot, performance, rng, size=size, scan_views=scan_views, fps=fps, progress=progress)
+    with staged_folder(folder) as staging:
+        write_recording(staging, recording)
+        write_truth(staging / "truth", recording)
+
+
+def perform(robot: RobotModel, asset: ArticulatedAsset, rng: np.random.Generator) -> Performance:
+    """Draw settings until one demonstration opens the object by contact with the handle alone.
+
+    Raises:
+        ConfigError: None of MAX_TRIES does.
+    """
+    for _ in range(MAX_TRIES):
+        setting = draw_setting(asset, rng)
+        world = build_world(robot, setting, visual=False)
+        script = plan(robot, world, setting, rng)
+        if script is None:
+            continue
+        demonstration = simulate(robot, world, script)
+        if not demonstration.diverged and not demonstration.foreign and _opened(demonstration, script):
+            return Performance(setting=setting, script=script, demonstration=demonstration)
+    raise ConfigError(asset.name, f"no demonstration succeeds in {MAX_TRIES} settings", "choose another seed")
+
+
+def _opened(demonstration: Demonstration, script: Script) -> bool:
+    """Whether at least 90 % of the goal is reached, and kept within 10 % after release."""
+    goal = script.theta_goal
+    return bool(demonstration.theta.max() >= 0.9 * goal and abs(demonstration.theta[-1] - goal) <= 0.1 * goal)
+
+
+def record(
+    robot: RobotModel,
+    performance: Performance,
+    rng: np.random.Generator,
+    *,
+    size: tuple[int, int],
+    scan_views: int,
+    fps: int,
+    progress: Progress = silent,
+) -> Recording:
+    """Film a performance: stills of the scene at rest, a video, a joint log with its own clock."""
+    demonstration, setting = performance.demonstration, performance.setting
+    start = rng.uniform(*LEAD_S)
+    end = demonstration.times_s[-1] - rng.uniform(*TAIL_S)
+    frame_times = start + np.arange(int((end - start) * fps)) / fps
+    steps = np.round(frame_times / CONTROL_STEP_S).astype(np.int64)
+    clock_shift = rng.uniform(0.0, 2.0)
+    log = _log(robot, demonstration, clock_shift, rng)
+    world = build_world(robot, setting, visual=True)
+    cameras = scan_cameras(setting, size, scan_views, rng)
+    with Painter(robot, world, *size) as painter:
+        demo_camera = _best_camera(painter, demo_candidates(setting, size, rng), demonstration, steps)
+        images, labels, frames, frame_labels = [], [], [], []
+        for number, camera in enumerate(cameras):
+            images.append(exposed(painter.draw(camera, demonstration.qpos[0]), rng.uniform(0.97, 1.03), rng))
+            labels.append(painter.labels(camera, demonstration.qpos[0]))
+            progress(0.05 + 0.35 * number / len(cameras), "stills")
+        for number, step in enumerate(steps):
+            frames.append(exposed(painter.draw(demo_camera, demonstration.qpos[step]), 1.0, rng))
+            frame_labels.append(painter.labels(demo_camera, demonstration.qpos[step]))
+            progress(0.4 + 0.6 * number / len(steps), "video")
+    return Recording(
+        name=setting.asset.name,
+        category=setting.asset.category,
+        performance=performance,
+        scan_cameras=cameras,
+        scan_images=images,
+        scan_labels=labels,
+        demo_camera=demo_camera,
+        frames=frames,
+        frame_labels=frame_labels,
+        frame_steps=steps,
+        fps=fps,
+        log=log,
+        clock_offset_s=float(start + clock_shift),
+    )
+
+
+def _log(
+    robot: RobotModel, demonstration: Demonstration, clock_shift: float, rng: np.random.Generator
+) -> JointLog:
+    every = round(1.0 / (LOG_RATE_HZ * CONTROL_STEP_S))
+    joints: Array = demonstration.joints[::every]
+    gripper = demonstration.gripper[::every] + GRIPPER_NOISE * rng.standard_normal(len(joints))
+    return JointLog(
+        times_s=demonstration.times_s[::every] + clock_shift,
+        joints=joints + JOINT_NOISE_RAD * rng.standard_normal(joints.shape),
+        gripper=np.clip(gripper, 0.0, 1.0),
+        joint_names=robot.joint_names,
+    )
+
+
+def _best_camera(
+    painter: Painter, candidates: list[Camera], demonstration: Demonstration, steps: NDArray[np.int64]
+) -> Camera:
+    """The candidate that sees most of the moving part, at its worst moment of five."""
+    moments = steps[np.linspace(0, len(steps) - 1, 5).astype(int)]
+    seen = [
+        min(int((painter.labels(camera, demonstration.qpos[step]) == 3).sum()) for step in moments)
+        for camera in candidates
+    ]
+    return candidates[int(np.argmax(seen))]
