@@ -59,7 +59,7 @@ class Gaussians:
     def transformed(self, S: ArrayLike) -> "Gaussians":
         """Moved by a rigid transform or similarity (4, 4); orientation and SH turn along."""
         scale, R, _ = similarity_parts(S)
-        return Gaussians(
+        return gaussians_of(
             means=apply(S, self.means),
             quats=quat_multiply(quat_from_matrix(R), self.quats),
             scales=self.scales * scale,
@@ -67,14 +67,31 @@ class Gaussians:
             sh=rotate_sh(self.sh, R),
         )
 
+    def with_sh(self, sh: ArrayLike) -> "Gaussians":
+        """The same shapes with other coefficients (N, K, 3)."""
+        return gaussians_of(
+            means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
+        )
+
     def with_sh_degree(self, degree: int) -> "Gaussians":
         """The same Gaussians with coefficients cut or zero-padded to a degree 0..3."""
         want, have = (degree + 1) ** 2, self.sh.shape[1]
         sh = np.zeros((len(self), want, 3), np.float32)
         sh[:, : min(want, have)] = self.sh[:, : min(want, have)]
-        return Gaussians(
-            means=self.means, quats=self.quats, scales=self.scales, opacities=self.opacities, sh=sh
-        )
+        return self.with_sh(sh)
+
+
+def gaussians_of(
+    *, means: ArrayLike, quats: ArrayLike, scales: ArrayLike, opacities: ArrayLike, sh: ArrayLike
+) -> Gaussians:
+    """Gaussians from arrays of any real type, rounded to float32; see `Gaussians` for shapes."""
+    return Gaussians(
+        means=np.asarray(means, np.float32),
+        quats=np.asarray(quats, np.float32),
+        scales=np.asarray(scales, np.float32),
+        opacities=np.asarray(opacities, np.float32),
+        sh=np.asarray(sh, np.float32),
+    )
 
 
 def concatenate(sets: list[Gaussians]) -> Gaussians:

@@ -9,20 +9,18 @@ episodes/000007/
 """
 
 import hashlib
-import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.errors import CorruptArtifactError, MalformedFileError
+from aomgen.io.arrays import arrays_from_bytes, npz_bytes
 from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 
@@ -80,7 +78,9 @@ def commit_episode(root: Path, episode: Episode, videos: Mapping[str, bytes]) ->
     """
     if set(videos) != set(episode.cameras):
         raise ValueError(f"videos {sorted(videos)} do not match cameras {sorted(episode.cameras)}")
-    files = {"frames.npz": _npz_bytes(episode)} | {f"{name}.mp4": videos[name] for name in sorted(videos)}
+    files = {"frames.npz": npz_bytes(_frame_arrays(episode))} | {
+        f"{name}.mp4": videos[name] for name in sorted(videos)
+    }
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
     path = episode_folder(root, episode.index)
     with staged_folder(path) as folder:
@@ -115,9 +115,9 @@ def read_episode(folder: Path) -> CommittedEpisode:
         if set(digests) != expected:
             raise MalformedFileError(where, f"names files {sorted(digests)}, want {sorted(expected)}")
         data = {name: _checked(folder / name, digest) for name, digest in sorted(digests.items())}
-        episode = _episode(header, _arrays(data["frames.npz"]))
+        episode = _episode(header, arrays_from_bytes(data["frames.npz"], folder / "frames.npz"))
         videos = {name: folder / f"{name}.mp4" for name in episode.cameras}
-    except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise MalformedFileError(
             where, f"is not complete ({error!r})", "generate the episode again"
         ) from error
@@ -139,22 +139,9 @@ def _checked(path: Path, digest: str) -> bytes:
     return data
 
 
-def _npz_bytes(episode: Episode) -> bytes:
-    """Arrays as an uncompressed npz with fixed dates, so that equal arrays give equal bytes."""
-    arrays: dict[str, NDArray] = {name: getattr(episode, name) for name in _ARRAYS}
-    arrays |= {f"contact_{name}": getattr(episode.contacts, name) for name in _CONTACT_ARRAYS}
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in arrays.items():
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.ascontiguousarray(array), allow_pickle=False)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), content.getvalue())
-    return buffer.getvalue()
-
-
-def _arrays(data: bytes) -> dict[str, NDArray]:
-    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+def _frame_arrays(episode: Episode) -> dict[str, NDArray]:
+    contacts = {f"contact_{name}": getattr(episode.contacts, name) for name in _CONTACT_ARRAYS}
+    return {name: getattr(episode, name) for name in _ARRAYS} | contacts
 
 
 def _header(episode: Episode) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import av
+import av.error
 
 from aomgen.errors import MalformedFileError, MissingFileError
 
@@ -50,7 +51,7 @@ def concatenate_videos(paths: Sequence[Path], fps: int) -> tuple[bytes, list[int
                         packet.stream = stream
                         target.mux(packet)
                         count += 1
-            except (av.FFmpegError, IndexError) as error:
+            except (av.error.FFmpegError, IndexError) as error:
                 raise MalformedFileError(
                     path, f"cannot be read ({error})", "generate the episode again"
                 ) from error

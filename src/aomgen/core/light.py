@@ -1,0 +1,78 @@
+"""Light of a scene and how a diffuse surface answers to it.
+
+Radiance is a function on the sphere, kept as nine spherical harmonics; a surface point keeps
+the projection of its clamped, occluded cosine (its *transfer*), so that the light it sends back
+is one dot product, also after it has turned.
+
+Source: Ramamoorthi & Hanrahan 2001 (nine coefficients suffice for diffuse shading); Sloan,
+Kautz & Snyder 2002 (precomputed transfer).
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.conventions import srgb_from_linear
+from aomgen.core.sh import rotate_sh, sh_basis
+from aomgen.core.values import Array, freeze
+
+# Factors that turn radiance coefficients of bands 0, 1, 2 into irradiance coefficients.
+COSINE_BANDS: Final = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Light:
+    """Radiance that arrives from all directions, exposed like the scene's pictures.
+
+    Attributes:
+        radiance_sh: (9, 3) coefficients of linear RGB radiance, world frame. A white diffuse
+            surface under it sends back `irradiance / pi` of linear color, 1 = image white.
+    """
+
+    radiance_sh: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "radiance_sh", self.radiance_sh, (9, 3))
+
+    def irradiance(self, normals_world: ArrayLike) -> Array:
+        """Irradiance over pi (N, 3) of unoccluded surfaces with unit normals (N, 3)."""
+        basis = sh_basis(normals_world, 2) * (COSINE_BANDS / np.pi)
+        return np.maximum(basis @ self.radiance_sh, 0)
+
+    def seen_from(self, R_world_body: ArrayLike) -> Array:
+        """Coefficients (9, 3) in a body's frame."""
+        turned = rotate_sh(self.radiance_sh[None].astype(np.float32), np.asarray(R_world_body, np.float64).T)
+        return turned[0].astype(np.float64)
+
+    def scaled(self, gain: ArrayLike) -> "Light":
+        """The light made brighter by a factor, or by three, one for each channel."""
+        return Light(radiance_sh=self.radiance_sh * np.asarray(gain, np.float64))
+
+
+def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:
+    """Light of two half spheres: radiance (3,) from above and from below, bands 0 and 1."""
+    sky, ground = np.asarray(sky, np.float64), np.asarray(ground, np.float64)
+    sh = np.zeros((9, 3))
+    # Projections of the two half spheres: Y0 * 2 pi each, and +-pi * 0.4886 for the z band.
+    sh[0] = 0.28209479177387814 * 2 * np.pi * (sky + ground)
+    sh[2] = 0.4886025119029199 * np.pi * (sky - ground)
+    return Light(radiance_sh=sh)
+
+
+def open_transfer(normals: ArrayLike) -> NDArray[np.float32]:
+    """Transfer (N, 9) of unoccluded surfaces with unit normals (N, 3)."""
+    return (sh_basis(normals, 2) * (COSINE_BANDS / np.pi)).astype(np.float32)
+
+
+def shaded_srgb(albedo_linear: ArrayLike, transfer: ArrayLike, radiance_sh: ArrayLike) -> Array:
+    """sRGB colors (N, 3), 0..1, of diffuse surfaces.
+
+    Args:
+        albedo_linear: (N, 3), 0..1.
+        transfer: (N, 9), in the frame of `radiance_sh`.
+        radiance_sh: (9, 3), linear.
+    """
+    exitant = np.maximum(np.asarray(transfer, np.float32) @ np.asarray(radiance_sh, np.float32), 0)
+    return np.asarray(srgb_from_linear(np.minimum(np.asarray(albedo_linear) * exitant, 1.0)), np.float64)

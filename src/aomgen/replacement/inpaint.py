@@ -1,0 +1,118 @@
+"""Fill unknown pixels of a surface picture: smooth color from the border, texture from patches."""
+
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import spsolve
+
+from aomgen.core.values import Array
+
+# Patch side and step [px]; neighbouring patches overlap by more than half.
+PATCH: Final = 17
+STEP: Final = 8
+CANDIDATES: Final = 600
+# Structure wider than this [px] is color, finer is texture.
+SMOOTHING: Final = 9.0
+
+
+def inpainted(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
+    """Complete an image.
+
+    Args:
+        image: (H, W, 3); its values where `known` is False are not used.
+        known: (H, W).
+        rng: Chooses candidate patches.
+
+    Returns:
+        (H, W, 3), equal to `image` where known. Without any known pixel, grey.
+    """
+    if not known.any():
+        return np.full(image.shape, 0.5)
+    smooth = _membrane(_blurred(image, known), known)
+    detail = np.where(known[..., None], image - smooth, 0.0)
+    texture = _quilted(detail, known, rng)
+    return np.where(known[..., None], image, smooth + texture)
+
+
+def _blurred(image: Array, known: NDArray[np.bool_]) -> Array:
+    """Known colors averaged over known neighbours."""
+    weight = gaussian_filter(known.astype(float), SMOOTHING)
+    masked = np.where(known[..., None], image, 0.0)
+    total = np.stack([gaussian_filter(masked[..., k], SMOOTHING) for k in range(3)], -1)
+    return total / np.maximum(weight, 1e-6)[..., None]
+
+
+def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
+    """The smoothest continuation into unknown pixels: Laplace's equation."""
+    height, width = known.shape
+    number = np.full(known.shape, -1)
+    number[~known] = np.arange((~known).sum())
+    rows, columns = np.nonzero(~known)
+    if not len(rows):
+        return image
+    here = number[rows, columns]
+    entries, right, degree = [], np.zeros((len(rows), 3)), np.zeros(len(rows))
+    for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        r, c = rows + dr, columns + dc
+        inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+        r, c, me = r[inside], c[inside], here[inside]
+        degree[me] += 1
+        fixed = known[r, c]
+        np.add.at(right, me[fixed], image[r[fixed], c[fixed]])
+        entries.append(np.stack([me[~fixed], number[r[~fixed], c[~fixed]]]))
+    off = np.concatenate(entries, 1)
+    diagonal = np.arange(len(rows))
+    values = np.concatenate([-np.ones(off.shape[1]), degree])
+    index = (np.concatenate([off[0], diagonal]), np.concatenate([off[1], diagonal]))
+    matrix = coo_matrix((values, index), shape=(len(rows), len(rows))).tocsc()
+    result = np.array(image)
+    result[~known] = np.asarray(spsolve(matrix, right)).reshape(-1, 3)
+    return result
+
+
+def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
+    """Texture copied patch by patch from the known part, from the border inwards.
+
+    Source: Efros & Freeman 2001, with soft seams.
+    """
+    half = PATCH // 2
+    result, sure = np.array(detail), known.astype(float)
+    whole = np.asarray(sliding_window_view(known, (PATCH, PATCH)).all((2, 3)))
+    sources = np.argwhere(whole)
+    if not len(sources):
+        return result
+    windows = np.asarray(sliding_window_view(detail, (PATCH, PATCH, 3)))[:, :, 0]
+    inner = distance_transform_edt(~known)
+    grid = np.argwhere(~known)
+    grid = grid[(grid % STEP == 0).all(1)]
+    grid = grid[np.argsort(inner[tuple(grid.T)], kind="stable")]
+    feather = np.minimum(*np.meshgrid(*[half + 1 - np.abs(np.arange(PATCH) - half)] * 2)) / (half + 1)
+    height, width = known.shape
+    for row, column in grid:
+        r = int(np.clip(row - half, 0, height - PATCH))
+        c = int(np.clip(column - half, 0, width - PATCH))
+        box = (slice(r, r + PATCH), slice(c, c + PATCH))
+        weight = sure[box]
+        tries = sources[rng.integers(0, len(sources), CANDIDATES)]
+        best = _closest(windows, tries, result[box], weight)
+        around = best + np.argwhere(np.ones((7, 7), bool)) - 3
+        inside = ((around >= 0) & (around < whole.shape)).all(1)
+        around = around[inside]
+        best = _closest(windows, around[whole[tuple(around.T)]], result[box], weight)
+        patch = windows[best[0], best[1]]
+        # A sharp share: averaging many patches would wash the texture out.
+        share = np.where(known[box], 0.0, feather**4 / (feather**4 + weight**4))[..., None]
+        result[box] = (1 - share) * result[box] + share * patch
+        sure[box] = np.where(known[box], 1.0, np.maximum(weight, feather))
+    return result
+
+
+def _closest(windows: NDArray, places: NDArray[np.int64], target: Array, weight: Array) -> NDArray[np.int64]:
+    """The place (2,) whose window (P, P, 3) differs least from the target (P, P, 3)."""
+    found = windows[places[:, 0], places[:, 1]]
+    difference = (found - target) ** 2
+    return places[int(np.argmin(np.einsum("nijk,ij->n", difference, weight)))]

@@ -1,0 +1,197 @@
+"""Take the recorded object out of the scene and close the surface it stood on."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, gaussian_filter
+
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.transforms import apply, quat_from_matrix
+from aomgen.core.values import Array
+from aomgen.physics.robot import RobotModel
+from aomgen.replacement.inpaint import inpainted
+from aomgen.replacement.support import SURFACE, Support, find_support, on_surface, seen_from_above
+from aomgen.twin.twin import Twin, posed
+
+# Remains of the object are looked for this far around it, [m].
+HALO: Final = 0.025
+# The surface is made new this far beyond the object's footprint, [m].
+MARGIN: Final = 0.02
+# Texture and shadow are judged on a ring this wide, [m].
+RING: Final = 0.28
+CELL: Final = 0.004
+# New surface lies this far below the old one, so that the old covers it where it is sound, [m].
+BELOW: Final = 0.0015
+# It reaches this far under the old one, [m].
+OVERLAP: Final = 0.03
+# Difference of sRGB from the surface beside the object that is certainly another thing.
+MIN_CONTRAST: Final = 0.12
+# A cast shadow is lifted up to this factor, and only where it is this grey.
+MAX_GAIN: Final = 2.0
+MAX_TINT: Final = 0.06
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cleared:
+    """A scene without its object.
+
+    Attributes:
+        twin: All labels are background or robot; no Gaussian belongs to "object" or "part".
+        support: The plane the object stood on.
+        removed: Gaussians taken away beyond those labelled as the object.
+        filled: Gaussians of new surface.
+        shadow_gain: Largest factor by which the table was lightened.
+    """
+
+    twin: Twin
+    support: Support
+    removed: int
+    filled: int
+    shadow_gain: float
+
+
+def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cleared:
+    """Remove the recorded object.
+
+    Args:
+        twin: The scan bound to its bodies.
+        robot: The twin's robot.
+        rng: Chooses texture patches.
+
+    Raises:
+        ReconstructionError: No supporting plane was scanned.
+    """
+    world = posed(twin, robot, twin.scan_state)
+    of_object = np.isin(twin.labels, (STATIC, MOVING))
+    scene = (twin.labels == BACKGROUND) & (twin.bodies == 0)
+    support = find_support(
+        world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
+    )
+    leftover = scene & _leftover(world, support)
+    kept = ~of_object & ~leftover
+    remaining = twin.select(kept)
+    table = (
+        (remaining.labels == BACKGROUND) & (remaining.bodies == 0) & on_surface(remaining.gaussians, support)
+    )
+    low, high = support.low - RING, support.high + RING
+    _, extent = seen_from_above(world.select(scene), support, low, high, CELL)
+    picture, alpha = seen_from_above(remaining.gaussians.select(table), support, low, high, CELL)
+    xy = _cell_centres(low, picture.shape)
+    outside = support.outside(xy)
+    known = _same_material(picture, (alpha > 0.9) & (outside > MARGIN), outside)
+    gain = shadow_gain(picture, known, outside, xy)
+    lightened = _lightened(remaining.gaussians, table, support, low, gain)
+    texture = inpainted(np.clip(picture * gain[..., None], 0, 1), known, rng)
+    # Where nothing was scanned before either, the table ends.
+    where = (outside <= 0) | ((outside <= MARGIN + OVERLAP) & (extent > 0.5))
+    fill = _surface(texture, xy, where, support, lightened.select(table))
+    count = len(fill)
+    cleared = replace(
+        remaining,
+        gaussians=concatenate([lightened, fill]),
+        bodies=np.concatenate([remaining.bodies, np.zeros(count, np.int32)]),
+        labels=np.concatenate([remaining.labels, np.full(count, BACKGROUND, np.uint8)]),
+    )
+    return Cleared(
+        twin=cleared,
+        support=support,
+        removed=int(leftover.sum()),
+        filled=count,
+        shadow_gain=float(gain.max()),
+    )
+
+
+def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
+    """What of the object was not labelled so: its halo, and the unseen surface beneath it."""
+    places = support.coordinates(world.means)
+    outside, beyond = support.outside(places[:, :2]), support.beyond_reach(places[:, :2])
+    above = (places[:, 2] > SURFACE) & (places[:, 2] < support.top + HALO) & (beyond < HALO)
+    # Faint splats that hang in the air a little further out are halo too.
+    faint = (world.opacities < 0.3) & (places[:, 2] > SURFACE) & (places[:, 2] < support.top + 2 * HALO)
+    beneath = (np.abs(places[:, 2]) <= 0.04) & (places[:, 2] <= SURFACE) & (outside < MARGIN)
+    return above | (faint & (beyond < 2 * HALO)) | beneath
+
+
+def _cell_centres(low: Array, shape: tuple[int, ...]) -> Array:
+    """Plane coordinates (H, W, 2) of the cells of a picture from above."""
+    columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    return low + np.stack([columns, rows], -1) * CELL
+
+
+def _same_material(picture: Array, known: NDArray[np.bool_], outside: Array) -> NDArray[np.bool_]:
+    """Known cells (H, W) that look like the surface beside the object, not like what lies on it."""
+    border = known & (outside < 3 * MARGIN)
+    if not border.sum() > 50:
+        return known
+    middle = np.median(picture[border], 0)
+    spread = 1.4826 * np.median(np.abs(picture[border] - middle), 0)
+    far = np.abs(gaussian_filter(picture, (1, 1, 0)) - middle) > np.maximum(4 * spread, MIN_CONTRAST)
+    return known & ~binary_dilation(far.any(-1) & known, iterations=2)
+
+
+def shadow_gain(picture: Array, known: NDArray[np.bool_], outside: Array, xy: Array) -> Array:
+    """Factor (H, W) >= 1 that lifts the object's shadow to the brightness further away.
+
+    Brightness far from the object is continued inwards as a plane in the logarithm. Where the
+    table changes its tint, or varies as much without a shadow, nothing is lifted.
+    """
+    gain = np.ones(known.shape)
+    weight = gaussian_filter(known.astype(float), 5.0)
+    smooth = (
+        np.stack([gaussian_filter(np.where(known, picture[..., k], 0.0), 5.0) for k in range(3)], -1)
+        / np.maximum(weight, 1e-3)[..., None]
+    )
+    logs = np.log(np.maximum(smooth, 1e-3))
+    far = known & (outside > 0.6 * RING) & (weight > 0.5)
+    if not far.sum() > 200:
+        return gain
+    A = np.concatenate([xy, np.ones((*known.shape, 1))], -1)
+    for _ in range(2):
+        fit = np.linalg.lstsq(A[far], logs[far], rcond=None)[0]
+        residual = np.abs((logs - A @ fit).mean(-1))
+        far &= residual < max(float(2.5 * np.median(residual[far])), 0.02)
+    lift = A @ fit - logs
+    spread = float(np.std(lift[far].mean(-1)))
+    tint = np.abs(lift - lift.mean(-1, keepdims=True)).max(-1)
+    strength = np.clip(1.5 - tint / MAX_TINT, 0, 1) * np.clip(1 - outside / RING, 0, 1) ** 0.5
+    amount = np.maximum(lift.mean(-1) - spread, 0) * strength
+    # Under the object nothing is known; what lies beside it holds there.
+    gain = np.exp(np.where(weight > 0.05, amount, 0.0))
+    return np.clip(np.where(known, gain, 1.0), 1.0, MAX_GAIN)
+
+
+def _lightened(
+    gaussians: Gaussians, table: NDArray[np.bool_], support: Support, low: Array, gain: Array
+) -> Gaussians:
+    """The table's Gaussians brighter by the gain of their cell."""
+    cells = ((support.coordinates(gaussians.means)[:, :2] - low) / CELL).astype(np.int64)
+    inside = table & ((cells >= 0) & (cells < gain.shape[::-1])).all(1)
+    factor = np.ones(len(gaussians))
+    factor[inside] = gain[cells[inside, 1], cells[inside, 0]]
+    sh = gaussians.sh * factor[:, None, None]
+    sh[:, 0] += (factor - 1)[:, None] * 0.5 / SH_C0
+    return gaussians.with_sh(sh)
+
+
+def _surface(
+    texture: Array, xy: Array, where: NDArray[np.bool_], support: Support, table: Gaussians
+) -> Gaussians:
+    """Flat Gaussians, one for each cell, with the table's mean dependence on the view."""
+    places = np.column_stack([xy[where], np.full(int(where.sum()), -BELOW)])
+    count = len(places)
+    sh = np.zeros((count, table.sh.shape[1], 3))
+    sh[:, 0] = (texture[where] - 0.5) / SH_C0
+    if table.sh.shape[1] > 1 and len(table):
+        weights = table.opacities * table.scales.max(1) ** 2
+        sh[:, 1:] = np.average(table.sh[:, 1:], axis=0, weights=weights)
+    quat = quat_from_matrix(support.T_world_plane[:3, :3])
+    return gaussians_of(
+        means=apply(support.T_world_plane, places),
+        quats=np.broadcast_to(quat, (count, 4)),
+        scales=np.broadcast_to([0.8 * CELL, 0.8 * CELL, 0.1 * CELL], (count, 3)),
+        opacities=np.full(count, 0.98),
+        sh=sh,
+    )

@@ -1,0 +1,150 @@
+"""The plane that the recorded object stands on, and pictures of it from straight above."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import apply, invert, transform
+from aomgen.core.values import Array, freeze
+from aomgen.errors import ReconstructionError
+from aomgen.splatting.rasterizer import render
+
+# Height above and below the plane at which a Gaussian still belongs to its surface, [m].
+SURFACE: Final = 0.012
+MIN_SUPPORT: Final = 60
+# This share of the object's height stands on the surface, without handles that reach out.
+LOWER_SHARE: Final = 0.2
+# Height of the camera that looks down; so far away that its picture is an orthographic one, [m].
+FAR: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Support:
+    """A nearly level plane with coordinates; z = 0 is the surface, z points up.
+
+    Attributes:
+        T_world_plane: Pose (4, 4); origin under the object, axes along its sides.
+        low, high: Rectangle (2,) that the object's lower part covers, plane frame, [m].
+        reach_low, reach_high: Rectangle (2,) that the whole object covers from above.
+        top: Height of the object above the plane, [m].
+    """
+
+    T_world_plane: Array
+    low: Array
+    high: Array
+    reach_low: Array
+    reach_high: Array
+    top: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_world_plane", self.T_world_plane, (4, 4))
+        for name in ("low", "high", "reach_low", "reach_high"):
+            freeze(self, name, getattr(self, name), (2,))
+
+    def coordinates(self, points_world: ArrayLike) -> Array:
+        """Points (N, 3) in the plane's frame."""
+        return apply(invert(self.T_world_plane), points_world)
+
+    def outside(self, xy: Array) -> Array:
+        """Distance (...,) of plane points (..., 2) from the lower part's rectangle, 0 inside, [m]."""
+        return np.linalg.norm(np.maximum(np.maximum(self.low - xy, xy - self.high), 0), axis=-1)
+
+    def beyond_reach(self, xy: Array) -> Array:
+        """Distance (...,) of plane points (..., 2) from the whole object's rectangle, 0 inside, [m]."""
+        gap = np.maximum(np.maximum(self.reach_low - xy, xy - self.reach_high), 0)
+        return np.linalg.norm(gap, axis=-1)
+
+
+def find_support(
+    object_points: ArrayLike, object_opacities: ArrayLike, surroundings: Gaussians, T_world_object: Array
+) -> Support:
+    """Fit the plane under an object.
+
+    Args:
+        object_points: Centres of the object's Gaussians (N, 3), world frame.
+        object_opacities: (N,).
+        surroundings: What is neither object nor robot, world frame.
+        T_world_object: Gives the directions of the sides.
+
+    Raises:
+        ReconstructionError: Nothing flat was scanned around the object's base.
+    """
+    solid = np.asarray(object_points, np.float64)[np.asarray(object_opacities) > 0.2]
+    local = apply(invert(T_world_object), solid)
+    low, high = np.quantile(local, 0.003, axis=0), np.quantile(local, 0.997, axis=0)
+    means = apply(invert(T_world_object), surroundings.means)
+    gap = np.linalg.norm(np.maximum(np.maximum(low[:2] - means[:, :2], means[:, :2] - high[:2]), 0), axis=1)
+    near = (
+        (surroundings.opacities > 0.3) & (gap < 0.35) & (gap > 0.01) & (np.abs(means[:, 2] - low[2]) < 0.08)
+    )
+    points = means[near]
+    if len(points) >= MIN_SUPPORT:
+        # The most crowded height is the surface; around it a plane is fitted, outliers dropped.
+        counts, edges = np.histogram(points[:, 2], bins=np.arange(-0.08, 0.0801, 0.004) + low[2])
+        level = edges[counts.argmax()] + 0.002
+        points = points[np.abs(points[:, 2] - level) < 0.02]
+    plane = np.zeros(3)
+    for reach in (0.02, 0.01, 0.006):
+        if not len(points) >= MIN_SUPPORT:
+            raise ReconstructionError(
+                "support", f"{len(points)} Gaussians lie flat around the object, limit {MIN_SUPPORT}",
+                "scan the table around the object",
+            )  # fmt: skip
+        A = np.column_stack([points[:, :2], np.ones(len(points))])
+        plane = np.linalg.lstsq(A, points[:, 2], rcond=None)[0]
+        points = points[np.abs(points[:, 2] - A @ plane) < reach]
+    up = np.array([-plane[0], -plane[1], 1.0])
+    up /= np.linalg.norm(up)
+    x = np.array([1.0, 0, 0]) - up[0] * up
+    x /= np.linalg.norm(x)
+    T_object_plane = transform(np.stack([x, np.cross(up, x), up], 1), np.array([0, 0, plane[2]]))
+    inside = apply(invert(T_object_plane), local)
+    top = float(np.quantile(inside[:, 2], 0.997))
+    lower = inside[inside[:, 2] < max(LOWER_SHARE * top, 0.04)]
+    lower = lower if len(lower) >= MIN_SUPPORT else inside
+    return Support(
+        T_world_plane=T_world_object @ T_object_plane,
+        low=np.quantile(lower, 0.005, axis=0)[:2],
+        high=np.quantile(lower, 0.995, axis=0)[:2],
+        reach_low=np.quantile(inside, 0.003, axis=0)[:2],
+        reach_high=np.quantile(inside, 0.997, axis=0)[:2],
+        top=top,
+    )
+
+
+def seen_from_above(
+    gaussians: Gaussians, support: Support, low: Array, high: Array, cell: float
+) -> tuple[Array, Array]:
+    """Picture of the plane's surface, cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
+
+    Args:
+        gaussians: World frame; only those on the surface are drawn, in their mean color.
+        support: The plane.
+        low, high: Rectangle (2,), plane frame, [m].
+        cell: Size of a pixel, [m].
+
+    Returns:
+        sRGB (H, W, 3) not premultiplied, and alpha (H, W).
+    """
+    flat = on_surface(gaussians, support)
+    width, height = (int(n) for n in np.ceil((high - low) / cell))
+    # x right, y forward in the plane: a camera above, looking down, with its y axis along +y.
+    R = np.stack([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]], 1)
+    center = np.array([(low[0] + low[0] + width * cell) / 2, (low[1] + low[1] + height * cell) / 2, FAR])
+    focal = FAR / cell
+    camera = Camera(
+        fx=focal, fy=focal, cx=width / 2, cy=height / 2, width=width, height=height,
+        T_world_cam=support.T_world_plane @ transform(R, center),
+    )  # fmt: skip
+    drawn = render(gaussians.select(flat).with_sh_degree(0), camera)
+    rgb = drawn.rgb / np.maximum(drawn.alpha, 1e-3)[..., None]
+    return rgb[::-1].astype(np.float64), drawn.alpha[::-1].astype(np.float64)
+
+
+def on_surface(gaussians: Gaussians, support: Support) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) lie on the plane."""
+    return np.abs(support.coordinates(gaussians.means)[:, 2]) < SURFACE

@@ -1,0 +1,234 @@
+"""Meshes as Gaussians: flat discs spread evenly over the surface.
+
+Each disc keeps its normal, its albedo and its transfer (`core.light`), so that it can be lit
+again wherever it goes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.conventions import linear_from_srgb
+from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
+from aomgen.core.mesh import Mesh, face_normals_areas, sample_surface
+from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.values import Array, freeze
+from aomgen.errors import AssetError
+from aomgen.io.images import resize
+from aomgen.splatting.creases import crease_distances
+from aomgen.splatting.visibility import occluded_transfer
+
+# Candidates drawn for each disc that is kept; more gives a more even spread.
+OVERSAMPLING: Final = 5
+# Density of a Poisson-disc set of radius r is about this over r^2.
+DISC_DENSITY: Final = 0.7
+# Standard deviation of a disc over its radius: wide enough that neighbours close the surface.
+SPREAD: Final = 0.72
+# Thickness of a disc over its radius.
+THICKNESS: Final = 0.05
+OPACITY: Final = 0.99
+# Discs are this much finer where the texture changes or an edge is near.
+FINER: Final = 0.5
+# Difference of sRGB between a fine and a coarse look at the texture that counts as detail.
+DETAIL: Final = 0.04
+# Cosine between normals from which on two surfaces lie on each other.
+PARALLEL: Final = 0.98
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surfels:
+    """Discs of one link.
+
+    Attributes:
+        gaussians: N discs colored with their albedo, in the frame of the meshes.
+        normals: (N, 3) unit, outward.
+        albedo_linear: (N, 3), 0..1.
+        transfer: (N, 9), see `core.light`.
+    """
+
+    gaussians: Gaussians
+    normals: NDArray[np.float32]
+    albedo_linear: NDArray[np.float32]
+    transfer: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        count = len(self.gaussians)
+        freeze(self, "normals", self.normals, (count, 3), np.float32)
+        freeze(self, "albedo_linear", self.albedo_linear, (count, 3), np.float32)
+        freeze(self, "transfer", self.transfer, (count, 9), np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidates:
+    """Points on the surface among which discs are chosen; N of each."""
+
+    points: Array
+    normals: Array
+    crease_distances: Array
+    crease_directions: Array
+    colors_srgb: Array
+    fine: NDArray[np.bool_]
+
+
+def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
+    """Cover meshes with about `count` discs.
+
+    Args:
+        meshes: Surfaces of one rigid link; they shade each other.
+        count: How many discs, within about a third.
+        rng: Chooses the places.
+
+    Raises:
+        AssetError: The meshes have no surface.
+    """
+    areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
+    total = float(areas.sum())
+    if not total > 0:
+        raise AssetError("mesh", "has no surface to cover", "check the asset's meshes")
+    guess = float(np.sqrt(DISC_DENSITY * total / count))
+    parts = [
+        _candidates(mesh, max(int(OVERSAMPLING * count * area / total), 64), guess, rng)
+        for mesh, area in zip(meshes, areas, strict=True)
+        if area > 0
+    ]
+    surface = np.concatenate([part.points for part in parts])
+    fine_area = sum(part.fine.mean() * area for part, area in zip(parts, areas[areas > 0], strict=True))
+    radius = guess * float(np.sqrt(1 + (FINER**-2 - 1) * fine_area / total))
+    parts = _uncovered(parts, radius)
+    # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
+    chosen = [_thinned(part, radius, rng) for part in parts]
+    kept = _joined([part for part, _ in chosen])
+    transfer, normals = occluded_transfer(kept.points, kept.normals, surface)
+    return _discs(kept, normals, np.concatenate([radii for _, radii in chosen]), transfer)
+
+
+def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator) -> _Candidates:
+    # Twice as many where every second one may fall into a finer class.
+    points, face_ids, weights = sample_surface(mesh.vertices, mesh.faces, 2 * count, rng)
+    distances, directions = crease_distances(mesh.vertices, mesh.faces, face_ids, points)
+    colors = _colors(mesh, face_ids, weights, radius * FINER)
+    coarse = _colors(mesh, face_ids, weights, radius * 3)
+    normals, _ = face_normals_areas(mesh.vertices, mesh.faces)
+    return _Candidates(
+        points=points,
+        normals=normals[face_ids],
+        crease_distances=distances,
+        crease_directions=directions,
+        colors_srgb=colors,
+        fine=(np.abs(colors - coarse).max(1) > DETAIL) | (distances < radius * FINER),
+    )
+
+
+def _colors(mesh: Mesh, face_ids: NDArray[np.int64], weights: Array, footprint: float) -> Array:
+    """Base color (N, 3), sRGB 0..1, averaged over about `footprint` [m]."""
+    if not mesh.texture_srgb.size or not len(mesh.uvs):
+        return np.broadcast_to(mesh.color_srgb, (len(face_ids), 3))
+    height, width = mesh.texture_srgb.shape[:2]
+    a, b, c = (mesh.uvs[:, k] * (width, height) for k in range(3))
+    texels = 0.5 * np.abs(np.cross(b - a, c - a)).sum()
+    area = face_normals_areas(mesh.vertices, mesh.faces)[1].sum()
+    shrink = max(footprint * np.sqrt(max(texels, 1e-9) / area), 1.0)
+    small = resize(mesh.texture_srgb, max(round(width / shrink), 1), max(round(height / shrink), 1))
+    uv = np.einsum("nk,nkd->nd", weights, mesh.uvs[face_ids])
+    return _bilinear(small / 255.0, uv)
+
+
+def _bilinear(texture: Array, uv: Array) -> Array:
+    """Texture values (N, 3) at uv (N, 2), v up; it repeats outside 0..1."""
+    height, width = texture.shape[:2]
+    inside = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
+    x = np.clip(inside[:, 0] * width - 0.5, 0, width - 1)
+    y = np.clip((1 - inside[:, 1]) * height - 0.5, 0, height - 1)
+    x0, y0 = x.astype(int), y.astype(int)
+    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+    top = texture[y0, x0] * (1 - fx) + texture[y0, x1] * fx
+    bottom = texture[y1, x0] * (1 - fx) + texture[y1, x1] * fx
+    return top * (1 - fy) + bottom * fy
+
+
+def _uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
+    """Candidates without those that another mesh covers closely, like a wall under a sticker.
+
+    Discs that almost coincide would be blended in an order that changes with the view.
+    """
+    owners = np.repeat(np.arange(len(parts)), [len(part.points) for part in parts])
+    joined = _joined(parts)
+    lifted = joined.points + joined.normals * (radius / 2)
+    distances, nearest = cKDTree(joined.points).query(lifted, k=8, distance_upper_bound=radius)
+    near = np.minimum(nearest, len(owners) - 1)
+    height = np.einsum("nkd,nd->nk", joined.points[near] - joined.points[:, None], joined.normals)
+    parallel = np.abs(np.einsum("nkd,nd->nk", joined.normals[near], joined.normals)) > PARALLEL
+    covers = np.isfinite(distances) & (owners[near] != owners[:, None]) & parallel & (height > radius * 1e-3)
+    covered = covers.any(1)
+    kept = [
+        _Candidates(*(getattr(part, name)[~covered[owners == i]] for name in _Candidates.__slots__))
+        for i, part in enumerate(parts)
+    ]
+    return [part for part in kept if len(part.points)]
+
+
+def _thinned(part: _Candidates, radius: float, rng: np.random.Generator) -> tuple[_Candidates, Array]:
+    """Candidates no two of which are nearer than their radius, and the radii."""
+    kept = []
+    for fine, reach in ((True, radius * FINER), (False, radius)):
+        members = np.flatnonzero(part.fine == fine)
+        if len(members):
+            # Both sides of a thin sheet are kept: the normal is part of the place.
+            places = np.column_stack([part.points[members], part.normals[members] * reach])
+            kept.append(members[_poisson_discs(places, reach, rng)])
+    which = np.concatenate(kept)
+    selected = _Candidates(*(getattr(part, name)[which] for name in _Candidates.__slots__))
+    return selected, np.where(selected.fine, radius * FINER, radius)
+
+
+def _poisson_discs(places: Array, reach: float, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices of a largest set with pairwise distance >= reach, chosen in random order."""
+    pairs = cKDTree(places).query_pairs(reach, output_type="ndarray")
+    rank = rng.permutation(len(places))
+    first, second = np.where((rank[pairs[:, 0]] < rank[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1]).T
+    undecided = np.ones(len(places), bool)
+    chosen = np.zeros(len(places), bool)
+    while undecided.any():
+        live = undecided[first] & undecided[second]
+        first, second = first[live], second[live]
+        beaten = np.zeros(len(places), bool)
+        beaten[second] = True
+        winners = undecided & ~beaten
+        chosen |= winners
+        undecided &= ~winners
+        undecided[second[winners[first]]] = False
+    return np.flatnonzero(chosen)
+
+
+def _joined(parts: list[_Candidates]) -> _Candidates:
+    return _Candidates(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in _Candidates.__slots__)
+    )
+
+
+def _discs(kept: _Candidates, normals: Array, radii: Array, transfer: NDArray[np.float32]) -> Surfels:
+    """Gaussians with axes along the crease, across it, and along the normal."""
+    across = kept.crease_directions
+    R = np.stack([np.cross(across, kept.normals), across, kept.normals], -1)
+    # Near a crease a disc is only as wide as the room it has, so that outlines stay sharp.
+    room = np.clip(kept.crease_distances, 0.35 * radii, SPREAD * radii)
+    scales = np.stack([SPREAD * radii, room, THICKNESS * radii], 1)
+    albedo = linear_from_srgb(kept.colors_srgb)
+    gaussians = gaussians_of(
+        means=kept.points,
+        quats=quat_from_matrix(R),
+        scales=scales,
+        opacities=np.full(len(radii), OPACITY),
+        sh=((kept.colors_srgb - 0.5) / SH_C0)[:, None],
+    )
+    return Surfels(
+        gaussians=gaussians,
+        normals=normals.astype(np.float32),
+        albedo_linear=albedo.astype(np.float32),
+        transfer=transfer,
+    )

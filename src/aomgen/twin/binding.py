@@ -1,0 +1,130 @@
+"""Build twins: fix scanned Gaussians to bodies, put another object in the recorded one's place."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.conventions import MOVING, ROBOT, STATIC
+from aomgen.core.gaussians import Gaussians, concatenate
+from aomgen.core.joint import Joint
+from aomgen.core.light import Light
+from aomgen.core.transforms import invert, transform
+from aomgen.core.values import Array
+from aomgen.physics.robot import RobotModel
+from aomgen.splatting.surfels import Surfels
+from aomgen.twin.twin import OBJECT, PART, Relit, Twin, TwinState, body_list, body_poses
+
+
+def bind(
+    gaussians_world: Gaussians,
+    labels: NDArray[np.uint8],
+    robot_bodies: NDArray[np.int32],
+    robot: RobotModel,
+    joint_world: Joint,
+    scan_state: TwinState,
+) -> Twin:
+    """Fix the Gaussians of an aligned scan to the bodies they belong to.
+
+    Args:
+        gaussians_world: The scan (N), world frame.
+        labels: (N,) part labels, see `conventions.PART_LABELS`.
+        robot_bodies: (N,) index into `robot.body_names`, -1 where a Gaussian is not of the robot.
+        robot: The robot.
+        joint_world: The object's joint, world frame, value 0 = scan.
+        scan_state: State during the scan; its `T_world_object` becomes the object's pose.
+
+    Gaussians labelled robot without a link stay with the world.
+    """
+    names = body_list(robot)
+    bodies = np.zeros(len(gaussians_world), np.int32)
+    bodies[labels == STATIC] = names.index(OBJECT)
+    bodies[labels == MOVING] = names.index(PART)
+    linked = (labels == ROBOT) & (robot_bodies >= 0)
+    bodies[linked] = robot_bodies[linked] + 1
+    twin = Twin(
+        robot=robot.name,
+        gaussians=gaussians_world,
+        bodies=bodies,
+        labels=labels,
+        body_names=names,
+        joint=joint_world.moved(invert(scan_state.T_world_object)),
+        T_world_object=scan_state.T_world_object,
+        scan_state=scan_state,
+    )
+    return replace(
+        twin, gaussians=in_body_frames(gaussians_world, bodies, body_poses(twin, robot, scan_state))
+    )
+
+
+def in_body_frames(gaussians_world: Gaussians, bodies: NDArray[np.int32], Ts_world_body: Array) -> Gaussians:
+    """Gaussians (N) moved from the world into their bodies' frames, order kept."""
+    order = np.argsort(bodies, kind="stable")
+    pieces = []
+    for body in np.unique(bodies):
+        members = gaussians_world.select(np.flatnonzero(bodies == body))
+        pieces.append(members if body == 0 else members.transformed(invert(Ts_world_body[body])))
+    back = np.empty(len(order), np.int64)
+    back[order] = np.arange(len(order))
+    return concatenate(pieces).select(back)
+
+
+def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_points_world: ArrayLike) -> Array:
+    """Pose T_world_object (4, 4) of a recorded object from its points.
+
+    Origin: middle of the static part's footprint, at its lowest level. Yaw: -y points out of the
+    front, which is where the moving part lies as seen from the static part's middle; for a
+    sliding part, along its axis.
+    """
+    static, moving = np.asarray(static_points_world, np.float64), np.asarray(moving_points_world, np.float64)
+    low, high = np.quantile(static, 0.02, axis=0), np.quantile(static, 0.98, axis=0)
+    if joint_world.type == "prismatic":
+        front = np.array(joint_world.axis)
+    else:
+        # The part is a plate: its thinnest direction is the front's normal, signed outward.
+        centred = moving - np.median(moving, 0)
+        front = np.linalg.svd(centred[:: max(len(centred) // 4000, 1)], full_matrices=False)[2][2]
+        front = front * np.sign(front @ (np.median(moving, 0) - (low + high) / 2) or 1.0)
+    front[2] = 0
+    if np.linalg.norm(front) < 1e-6:  # a lid: its front is away from the hinge
+        front = np.median(moving, 0) - joint_world.origin
+        front = front - (front @ joint_world.axis) * joint_world.axis
+        front[2] = 0
+    back = -front / max(float(np.linalg.norm(front)), 1e-12)
+    R = np.stack([np.cross(back, [0, 0, 1.0]), back, [0, 0, 1.0]], 1)
+    local = static @ R
+    low, high = np.quantile(local, 0.02, axis=0), np.quantile(local, 0.98, axis=0)
+    return transform(R, R @ np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]))
+
+
+def with_object(
+    background: Twin, static: Surfels, moving: Surfels, joint: Joint, light: Light, T_world_object: ArrayLike
+) -> Twin:
+    """A twin in which an asset stands on the cleared scene.
+
+    Args:
+        background: Twin whose recorded object was removed.
+        static, moving: The asset's links, asset frame at joint value 0.
+        joint: The asset's joint, asset frame.
+        light: What the asset is lit by.
+        T_world_object: Where it stands (4, 4).
+    """
+    cleared = background.select(~np.isin(background.labels, (STATIC, MOVING)))
+    count, first, second = len(cleared.gaussians), len(static.gaussians), len(moving.gaussians)
+    bodies = [np.full(first, cleared.body(OBJECT)), np.full(second, cleared.body(PART))]
+    labels = [np.full(first, STATIC), np.full(second, MOVING)]
+    return replace(
+        cleared,
+        gaussians=concatenate([cleared.gaussians, static.gaussians, moving.gaussians]),
+        bodies=np.concatenate([cleared.bodies, *bodies]),
+        labels=np.concatenate([cleared.labels, *labels]),
+        joint=joint,
+        T_world_object=T_world_object,
+        scan_state=replace(cleared.scan_state, theta=0.0, T_world_object=T_world_object),
+        relit=Relit(
+            indices=np.arange(count, count + first + second),
+            albedo_linear=np.concatenate([static.albedo_linear, moving.albedo_linear]),
+            transfer=np.concatenate([static.transfer, moving.transfer]),
+            light=light,
+        ),
+    )
