@@ -29,6 +29,12 @@ class BoxCollider:
         freeze(self, "T_asset_box", self.T_asset_box, (4, 4))
         freeze(self, "half_extents", self.half_extents, (3,))
 
+    @property
+    def corners(self) -> Array:
+        """The eight corners (8, 3), asset frame, [m]."""
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+        return apply(self.T_asset_box, signs * self.half_extents)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetLink:
@@ -38,6 +44,12 @@ class AssetLink:
     meshes: tuple[Mesh, ...]
     colliders: tuple[BoxCollider, ...]
     mass: float
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Low and high corner (3,) of the colliders, asset frame, [m]."""
+        corners = np.concatenate([box.corners for box in self.colliders])
+        return corners.min(0), corners.max(0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +81,16 @@ class ArticulatedAsset:
     def __post_init__(self) -> None:
         freeze(self, "handle_point", self.handle_point, (3,))
         freeze(self, "handle_axis", self.handle_axis, (3,))
+
+    @property
+    def handle_bar(self) -> BoxCollider | None:
+        """The handle's collider that holds `handle_point`, when the handle has colliders."""
+        bars = [box for box in self.moving.colliders if box.name.startswith("handle")]
+        return min(
+            bars,
+            key=lambda box: float(np.linalg.norm(box.T_asset_box[:3, 3] - self.handle_point)),
+            default=None,
+        )
 
     def transformed(self, S: ArrayLike) -> "ArticulatedAsset":
         """Moved and scaled by a similarity (4, 4); masses follow the volume."""

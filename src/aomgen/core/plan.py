@@ -1,0 +1,160 @@
+"""Values on the way from a fitted asset to a verified episode."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.episode import ContactLog
+from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.values import Array, freeze
+from aomgen.core.verdict import Verdict
+
+Adaptation = Literal["object", "trajectory"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FittedAsset:
+    """An asset placed where the recorded object stood, with the motion its part shall make.
+
+    Attributes:
+        asset: After scaling (and mirroring), in its own frame.
+        T_world_asset: Rigid pose (4, 4) that takes the recorded object's place.
+        contact_asset: Where the hand holds, part closed (3,), asset frame, [m].
+        shares: (K,), 0..1: time since the part began to move over the time it moved.
+        thetas: Joint value (K,) at each share, never falling, first 0, [rad] or [m].
+        scale: Applied to the asset.
+        mirrored: The asset was mirrored to bring its hinge to the recorded side.
+        mode: "object" (scaled to the recorded motion) or "trajectory" (true size).
+        residual_mm: RMS distance between recorded and new path of the held point, [mm].
+    """
+
+    asset: ArticulatedAsset
+    T_world_asset: Array
+    contact_asset: Array
+    shares: Array
+    thetas: Array
+    scale: float
+    mirrored: bool
+    mode: Adaptation
+    residual_mm: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_world_asset", self.T_world_asset, (4, 4))
+        freeze(self, "contact_asset", self.contact_asset, (3,))
+        freeze(self, "shares", self.shares, (None,))
+        freeze(self, "thetas", self.thetas, (len(self.shares),))
+
+    @property
+    def target_theta(self) -> float:
+        """Planned final joint value, [rad] or [m]."""
+        return float(self.thetas[-1])
+
+    def theta_at(self, shares: ArrayLike) -> Array:
+        """Joint values at shares (N,) of the motion, ends held."""
+        return np.interp(np.asarray(shares, np.float64), self.shares, self.thetas)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Variation:
+    """One new place for the object, relative to where the recorded one stood.
+
+    Attributes:
+        seed, index: Which number of which sequence.
+        x, y: Shift along the world's axes, [m].
+        yaw: Turn about the vertical through the middle of the object's footprint, [rad].
+    """
+
+    seed: int
+    index: int
+    x: float
+    y: float
+    yaw: float
+
+    def placed(self, fitted: FittedAsset) -> Array:
+        """Pose T_world_object (4, 4) of the asset in this variation."""
+        low, high = fitted.asset.static.bounds
+        pivot_asset = np.append((low[:2] + high[:2]) / 2, 0.0)
+        T = fitted.T_world_asset
+        pivot = T[:3, :3] @ pivot_asset + T[:3, 3]
+        R = matrix_from_rotvec(np.array([0.0, 0.0, self.yaw]))
+        moved = transform(R, pivot - R @ pivot + np.array([self.x, self.y, 0.0]))
+        return moved @ T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodePlan:
+    """A commanded trajectory that passed the kinematic checks.
+
+    Attributes:
+        variation: The object's place.
+        fitted: The object.
+        T_world_object: Its pose (4, 4).
+        fps: Samples a second.
+        joints: Commanded arm joints (T, J), [rad].
+        gripper: Commanded gripper (T,), 0..1.
+        thetas: Planned joint value of the object (T,), [rad] or [m].
+        phases: (T,) index into `core.episode.PHASES`.
+        Ts_world_ee: Commanded end effector poses (T, 4, 4).
+        grasp: Which grasp was chosen, for the record.
+        metrics: Tier A's figures, by name with unit.
+    """
+
+    variation: Variation
+    fitted: FittedAsset
+    T_world_object: Array
+    fps: float
+    joints: Array
+    gripper: Array
+    thetas: Array
+    phases: NDArray[np.int64]
+    Ts_world_ee: Array
+    grasp: str
+    metrics: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        count = len(self.thetas)
+        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+        freeze(self, "joints", self.joints, (count, None))
+        freeze(self, "gripper", self.gripper, (count,))
+        freeze(self, "thetas", self.thetas, (count,))
+        freeze(self, "phases", self.phases, (count,), np.int64)
+        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
+
+    @property
+    def times_s(self) -> Array:
+        """Time of each sample (T,), from the start of the episode."""
+        return np.arange(len(self.thetas)) / self.fps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerifiedEpisode:
+    """A plan and what physics made of it at the nominal setting, at the plan's samples.
+
+    Attributes:
+        plan: What was commanded (the actions).
+        joints: Reached arm joints (T, J), [rad].
+        gripper: Reached gripper (T,), 0..1.
+        thetas: Reached joint value of the object (T,), [rad] or [m].
+        Ts_world_ee: Reached end effector poses (T, 4, 4).
+        contacts: Finger contacts on the object.
+        verdict: Margins of all settings.
+    """
+
+    plan: EpisodePlan
+    joints: Array
+    gripper: Array
+    thetas: Array
+    Ts_world_ee: Array
+    contacts: ContactLog
+    verdict: Verdict
+
+    def __post_init__(self) -> None:
+        count = len(self.plan.thetas)
+        freeze(self, "joints", self.joints, (count, None))
+        freeze(self, "gripper", self.gripper, (count,))
+        freeze(self, "thetas", self.thetas, (count,))
+        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))

@@ -1,0 +1,136 @@
+"""How a hand may hold the new handle: the demonstrated way first, then ways near it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from aomgen.core.plan import FittedAsset
+from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandConventions:
+    """Directions of a parallel gripper in the end effector frame.
+
+    Attributes:
+        approach: Points out of the palm (3,).
+        closing: The fingers move along it (3,).
+    """
+
+    approach: Array
+    closing: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "approach", self.approach, (3,))
+        freeze(self, "closing", self.closing, (3,))
+
+    @property
+    def bar(self) -> Array:
+        """A held bar lies along it (3,)."""
+        return np.asarray(np.cross(self.closing, self.approach), np.float64)
+
+
+TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0)
+# How far beyond the end effector point a bar may lie and still be between the pads, [m].
+DEPTHS_M = (-0.005, 0.012)
+# Above it the hand turns with the part.
+RIGID_RATIO = 0.97
+# The 2F-85's pinch site: z out of the palm, fingers close along y.
+PINCH = HandConventions(approach=np.array([0.0, 0.0, 1.0]), closing=np.array([0.0, 1.0, 0.0]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grasp:
+    """One way to hold the handle.
+
+    Attributes:
+        name: For the record.
+        R_object_ee: Hand's orientation with the part closed (3, 3).
+        held_ee: Held point in the end effector frame (3,), [m].
+        turn_ratio: Turn of the hand over turn of the part while it opens.
+        style: "demonstrated" or "straight": the last stretch of the approach and the first of
+            the retreat.
+    """
+
+    name: str
+    R_object_ee: Array
+    held_ee: Array
+    turn_ratio: float
+    style: str
+
+    def __post_init__(self) -> None:
+        freeze(self, "R_object_ee", self.R_object_ee, (3, 3))
+        freeze(self, "held_ee", self.held_ee, (3,))
+
+
+def orientations(
+    R_front_ee: Array, handle_axis: Array, hand: HandConventions, tilts_deg: tuple[float, ...]
+) -> Iterator[tuple[str, Array]]:
+    """Hand orientations whose fingers close across the handle, nearest to the demonstrated first.
+
+    Args:
+        R_front_ee: Demonstrated hand in the recorded object's upright front frame (3, 3); the
+            asset's own frame is of the same kind.
+        handle_axis: Along the new handle's bar (3,), asset frame.
+        hand: Directions of the gripper.
+        tilts_deg: Turns about the bar to try in this order.
+
+    Yields:
+        Name and R_asset_ee (3, 3): for each tilt the nearer end of the bar, then the other (the
+        hand turned half round, which swaps the fingers).
+    """
+    bar = R_front_ee @ hand.bar
+    near = handle_axis if bar @ handle_axis >= 0 else -handle_axis
+    aligned = _least_turn(bar, near) @ R_front_ee
+    turned = matrix_from_rotvec(np.pi * (aligned @ hand.approach)) @ aligned
+    for label, R in (("", aligned), ("turned ", turned)):
+        for tilt in tilts_deg:
+            # Positive tilts lean the same way for either end of the bar.
+            yield (
+                f"{label}tilt {tilt:+.0f}",
+                matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ R,
+            )
+
+
+def grasps(
+    fitted: FittedAsset,
+    R_front_ee: Array,
+    demonstrated_depth: float,
+    turn_ratio: float,
+    hand: HandConventions,
+) -> Iterator[Grasp]:
+    """Grasps to try, in order of likeness to the demonstrated one.
+
+    Args:
+        fitted: The asset; a revolute part may be followed with less turn than it makes.
+        R_front_ee: As for `orientations`.
+        demonstrated_depth: How far beyond the end effector point the recorded handle lay, along
+            the approach, [m].
+        turn_ratio: Demonstrated turn of the hand over turn of the part.
+        hand: Directions of the gripper.
+    """
+    depth = float(np.clip(demonstrated_depth, *DEPTHS_M))
+    ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if fitted.asset.joint.type == "revolute" else 1.0
+    choices = [("demonstrated", ratio), ("straight", ratio)]
+    if ratio < RIGID_RATIO:
+        choices.append(("straight", 1.0))
+    for name, R in orientations(R_front_ee, fitted.asset.handle_axis, hand, TILTS_DEG):
+        for style, share in choices:
+            yield Grasp(
+                name=f"{name}, {style}, turn {share:.2f}",
+                R_object_ee=R,
+                held_ee=depth * hand.approach,
+                turn_ratio=share,
+                style=style,
+            )
+
+
+def _least_turn(a: Array, b: Array) -> Array:
+    """Rotation (3, 3) by the least angle that takes unit vector a to unit vector b, a @ b >= 0."""
+    axis = np.cross(a, b)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return np.eye(3)
+    return matrix_from_rotvec(axis / sine * np.arctan2(sine, float(a @ b)))

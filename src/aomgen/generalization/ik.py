@@ -1,0 +1,156 @@
+"""Inverse kinematics along a path: each pose starts from the one before, so the arm keeps its branch."""
+
+from dataclasses import dataclass
+
+import mink
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.values import Array, freeze
+from aomgen.core.verdict import Rejection
+from aomgen.physics.robot import RobotModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IkLimits:
+    """What a solved path must keep.
+
+    Attributes:
+        residual_mm, residual_deg: Largest distance to the asked pose.
+        speed: Largest joint speed, [rad/s].
+        limit_margin: Distance kept from the joint limits, [rad].
+        iterations: Gauss-Newton steps a pose.
+    """
+
+    residual_mm: float = 1.0
+    residual_deg: float = 0.5
+    speed: float = 2.6
+    limit_margin: float = 0.02
+    iterations: int = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IkPath:
+    """A solved path.
+
+    Attributes:
+        joints: (T, J), [rad].
+        residual_mm, residual_deg: Largest over the path.
+        speed: Largest joint speed, [rad/s].
+    """
+
+    joints: Array
+    residual_mm: float
+    residual_deg: float
+    speed: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "joints", self.joints, (None, None))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IkSolver:
+    """The robot's compiled model, ready for many paths.
+
+    Attributes:
+        robot: The robot.
+        model: Its MuJoCo model without visual meshes.
+        addresses: qpos addresses of the arm joints (J,).
+    """
+
+    robot: RobotModel
+    model: mujoco.MjModel
+    addresses: NDArray[np.int64]
+
+
+def ik_solver(robot: RobotModel) -> IkSolver:
+    """Compile the robot alone for inverse kinematics."""
+    model = robot.spec(visual=False).compile()
+    addresses = np.array([model.joint(name).qposadr[0] for name in robot.joint_names], np.int64)
+    return IkSolver(robot=robot, model=model, addresses=addresses)
+
+
+def solve_path(
+    solver: IkSolver, Ts_world_ee: Array, start_joints: ArrayLike, fps: float, limits: IkLimits
+) -> IkPath | Rejection:
+    """Arm joints along a path of end effector poses.
+
+    Args:
+        solver: From `ik_solver`.
+        Ts_world_ee: (T, 4, 4), close enough together for the arm to follow.
+        start_joints: Where the arm is before the first pose (J,), [rad]; sets the branch.
+        fps: Poses a second.
+        limits: Acceptance.
+
+    Returns:
+        The path; or a Rejection "unreachable", "joint_limit" or "too_fast" at the first pose that
+        breaks a limit.
+
+    Not checked: collisions.
+    """
+    configuration = mink.Configuration(solver.model)
+    qpos = solver.model.qpos0.copy()
+    qpos[solver.addresses] = start_joints
+    configuration.update(qpos)
+    task = mink.FrameTask(solver.robot.ee_site, "site", position_cost=1.0, orientation_cost=0.3)
+    bounds = [mink.ConfigurationLimit(solver.model)]
+    joints = np.empty((len(Ts_world_ee), len(solver.addresses)))
+    worst = np.zeros(3)
+    for row, T in enumerate(np.asarray(Ts_world_ee, np.float64)):
+        task.set_target(mink.SE3(np.concatenate([quat_from_matrix(T[:3, :3]), T[:3, 3]])))
+        before = configuration.q[solver.addresses]
+        residual_mm, residual_deg = _converge(configuration, task, bounds, limits)
+        joints[row] = configuration.q[solver.addresses]
+        speed = float(np.abs(joints[row] - before).max() * fps) if row else 0.0
+        worst = np.maximum(worst, [residual_mm, residual_deg, speed])
+        rejection = _check(solver, joints[row], worst, row / fps, limits)
+        if rejection is not None:
+            return rejection
+    return IkPath(
+        joints=joints, residual_mm=float(worst[0]), residual_deg=float(worst[1]), speed=float(worst[2])
+    )
+
+
+def _converge(
+    configuration: mink.Configuration,
+    task: mink.FrameTask,
+    bounds: list[mink.ConfigurationLimit],
+    limits: IkLimits,
+) -> tuple[float, float]:
+    """Gauss-Newton steps towards the task; the remaining distance, [mm] and [deg]."""
+    for _ in range(limits.iterations):
+        error = task.compute_error(configuration)
+        if np.linalg.norm(error[:3]) < 2e-5 and np.linalg.norm(error[3:]) < 2e-4:
+            break
+        velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-7, limits=bounds)
+        # Far targets make long steps; half a radian at once would leave the branch.
+        velocity *= min(1.0, 0.5 / max(float(np.abs(velocity).max()), 1e-9))
+        configuration.integrate_inplace(velocity, 1.0)
+    error = task.compute_error(configuration)
+    return 1000 * float(np.linalg.norm(error[:3])), float(np.rad2deg(np.linalg.norm(error[3:])))
+
+
+def _check(
+    solver: IkSolver, joints: Array, worst: Array, time_s: float, limits: IkLimits
+) -> Rejection | None:
+    low, high = solver.robot.joint_limits.T
+    margin = float(np.minimum(joints - low, high - joints).min())
+    metrics = {
+        "residual_mm": float(worst[0]),
+        "residual_deg": float(worst[1]),
+        "joint_speed": float(worst[2]),
+        "limit_margin": margin,
+        "time_s": time_s,
+    }
+    if not (worst[0] <= limits.residual_mm and worst[1] <= limits.residual_deg):
+        detail = f"{worst[0]:.1f} mm and {worst[1]:.1f} deg from the asked pose at {time_s:.1f} s"
+        return Rejection(reason="unreachable", detail=detail, metrics=metrics)
+    if not margin >= limits.limit_margin:
+        detail = f"{margin:.3f} rad from a joint limit, at least {limits.limit_margin} wanted"
+        return Rejection(reason="joint_limit", detail=detail, metrics=metrics)
+    if not worst[2] <= limits.speed:
+        detail = f"joint speed {worst[2]:.1f} rad/s at {time_s:.1f} s, limit {limits.speed} rad/s"
+        return Rejection(reason="too_fast", detail=detail, metrics=metrics)
+    return None

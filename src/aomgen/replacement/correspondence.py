@@ -1,0 +1,183 @@
+"""Which way the recorded object faces, and which point of an asset answers to the held one.
+
+Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation" (the NOCS-like contact map). The paper
+normalises both parts in axis-aligned unit cubes; here the cubes are aligned with the objects' own
+fronts, and an asset that names a handle is held at its handle.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.core.joint import Joint
+from aomgen.core.mesh import Mesh
+from aomgen.core.transforms import angle_between, transform
+from aomgen.core.values import Array, freeze
+from aomgen.errors import EstimationError
+
+UP: Final = np.array([0.0, 0.0, 1.0])
+# Part of the motion's first step that must be level for the front to be read from it; below it
+# the part opens upwards (a lid).
+MIN_LEVEL: Final = 0.5
+MAX_FRONT_CORRECTION_RAD: Final = np.deg2rad(25.0)
+# Kept free at both ends of a handle's bar, so that the pads stay off its posts, [m].
+BAR_MARGIN_M: Final = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frontal:
+    """The upright frame of an object that looks at its user.
+
+    Attributes:
+        R_world_front: Columns: right of the front, into the object, up (3, 3). An asset's own
+            frame is of this kind, as its front looks along -y.
+        opens_left: Seen from the front, a revolute part swings about its left side.
+    """
+
+    R_world_front: Array
+    opens_left: bool
+
+    def __post_init__(self) -> None:
+        freeze(self, "R_world_front", self.R_world_front, (3, 3))
+
+    @property
+    def yaw(self) -> float:
+        """Turn about the vertical that takes an asset's axes to this front, [rad]."""
+        return float(np.arctan2(self.R_world_front[1, 0], self.R_world_front[0, 0]))
+
+
+def opening_direction(joint: Joint, held_point: ArrayLike) -> Array:
+    """Unit direction (3,) in which the held point starts to move, in the joint's frame.
+
+    Raises:
+        EstimationError: The point lies on the axis.
+    """
+    if joint.type == "prismatic":
+        return joint.axis
+    direction = np.cross(joint.axis, np.asarray(held_point, np.float64) - joint.origin)
+    length = float(np.linalg.norm(direction))
+    if not length > 1e-6:
+        raise EstimationError("joint", "the held point lies on the axis", "check the contact and the joint")
+    return np.asarray(direction / length, np.float64)
+
+
+def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
+    """Find the front of an object from the way it opens, refined by the box of its points.
+
+    A handle stands off its door, so the first motion of the held point leans a few degrees
+    from the door's normal; the side of the smallest upright box nearest to it is taken
+    instead, when one lies within 25 degrees.
+
+    Args:
+        joint: Any frame with z up.
+        held_point: (3,), same frame, part closed, [m].
+        points: Surface of the moving part (N, 3), same frame, part closed, [m].
+
+    Raises:
+        EstimationError: The part neither opens forward nor swings up about a side.
+    """
+    held = np.asarray(held_point, np.float64)
+    outward = opening_direction(joint, held)
+    if np.linalg.norm(outward[:2]) < MIN_LEVEL:
+        if joint.type == "prismatic":
+            raise EstimationError("joint", "a part that moves straight up has no front", "give another part")
+        arm = held - joint.origin
+        outward = arm - joint.axis * (arm @ joint.axis)
+    level = np.array([outward[0], outward[1], 0.0])
+    level /= np.linalg.norm(level)
+    front = _nearest_box_side(level, np.asarray(points, np.float64))
+    inward = -front
+    right = np.asarray(np.cross(inward, UP), np.float64)
+    side = float((joint.origin - held) @ right) if joint.type == "revolute" else 0.0
+    return Frontal(R_world_front=np.stack([right, inward, UP], 1).astype(np.float64), opens_left=side < 0)
+
+
+def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
+    """Point of an asset's moving part (3,) that answers to the recorded held point.
+
+    Args:
+        asset: Its handle's bar is held; the recorded height along the bar is kept as far as the
+            bar and the pads allow.
+        recorded_share: Held point in the normalised cube of the recorded moving part (3,), 0..1
+            along right, inward, up.
+
+    Returns:
+        Point in the asset frame, part closed, [m].
+
+    Not checked: an asset whose handle is not a straight bar is held at `handle_point`.
+    """
+    low, high = asset.moving.bounds
+    mapped = low + np.clip(np.asarray(recorded_share, np.float64), 0, 1) * (high - low)
+    reach = max(bar_half_length(asset) - BAR_MARGIN_M, 0.0)
+    along = float(np.clip((mapped - asset.handle_point) @ asset.handle_axis, -reach, reach))
+    return asset.handle_point + along * asset.handle_axis
+
+
+def normalised_share(points: ArrayLike, point: ArrayLike, R_world_front: ArrayLike) -> Array:
+    """Place of a point in the cube of a part (3,), 0..1, along right, inward and up.
+
+    The cube spans the 1st to the 99th percentile of the points (N, 3), so stray points do not count.
+    """
+    R = np.asarray(R_world_front, np.float64)
+    aligned = np.asarray(points, np.float64) @ R
+    low, high = np.percentile(aligned, [1, 99], axis=0)
+    return (np.asarray(point, np.float64) @ R - low) / np.maximum(high - low, 1e-6)
+
+
+def bar_half_length(asset: ArticulatedAsset) -> float:
+    """Half the length of the handle's bar along the handle's axis, [m]; 0 without handle colliders."""
+    bar = asset.handle_bar
+    if bar is None:
+        return 0.0
+    return float(np.abs((bar.corners - bar.T_asset_box[:3, 3]) @ asset.handle_axis).max())
+
+
+def mirrored(asset: ArticulatedAsset) -> ArticulatedAsset:
+    """The asset as a mirror shows it: x turned round, so that the hinge changes sides.
+
+    Faces are wound the other way round, textures stay on their faces (writing reads
+    backwards), and the axis of a revolute joint, being a pseudo-vector, keeps the opening
+    direction positive.
+    """
+    M = np.diag([-1.0, 1.0, 1.0])
+    sign = -1.0 if asset.joint.type == "revolute" else 1.0
+    joint = replace(asset.joint, axis=sign * M @ asset.joint.axis, origin=M @ asset.joint.origin)
+    return replace(
+        asset,
+        static=_mirrored_link(asset.static, M),
+        moving=_mirrored_link(asset.moving, M),
+        joint=joint,
+        handle_point=M @ asset.handle_point,
+        handle_axis=M @ asset.handle_axis,
+    )
+
+
+def _mirrored_link(link: AssetLink, M: Array) -> AssetLink:
+    def mesh(source: Mesh) -> Mesh:
+        return replace(
+            source, vertices=source.vertices @ M, faces=source.faces[:, ::-1], uvs=source.uvs[:, ::-1]
+        )
+
+    # A box is its own mirror image, so turning its axes round as well leaves a proper rotation.
+    colliders = tuple(
+        replace(box, T_asset_box=transform(M @ box.T_asset_box[:3, :3] @ M, M @ box.T_asset_box[:3, 3]))
+        for box in link.colliders
+    )
+    return replace(link, meshes=tuple(mesh(item) for item in link.meshes), colliders=colliders)
+
+
+def _nearest_box_side(level: Array, points: Array) -> Array:
+    """Normal (3,) of the smallest upright box's side nearest to `level`; `level` when none is near."""
+    if len(points) < 20:
+        return level
+    angles = np.deg2rad(np.arange(0.0, 90.0, 0.5))
+    axes = np.stack([np.cos(angles), np.sin(angles)], 1)
+    normals = np.stack([-axes[:, 1], axes[:, 0]], 1)
+    spans = [np.ptp(np.percentile(points[:, :2] @ d.T, [2, 98], axis=0), axis=0) for d in (axes, normals)]
+    best = int(np.argmin(spans[0] * spans[1]))
+    sides = [s * d for d in (axes[best], normals[best]) for s in (-1.0, 1.0)]
+    side = np.append(max(sides, key=lambda d: float(d @ level[:2])), 0.0)
+    return side if angle_between(side, level) <= MAX_FRONT_CORRECTION_RAD else level

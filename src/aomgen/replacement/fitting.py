@@ -1,0 +1,301 @@
+"""Bring an asset to where the recorded object stood, by the path of the held point.
+
+Two ways: "object" scales the asset until its handle follows the recorded path (the paper's
+two-stage fit, with repairs), "trajectory" keeps its true size and lets the path change.
+Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation".
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import isotonic_regression, least_squares
+from scipy.signal import savgol_filter
+
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.demonstration import Demonstration, RecordedObject
+from aomgen.core.joint import Joint
+from aomgen.core.plan import Adaptation, FittedAsset
+from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
+from aomgen.core.values import Array, freeze
+from aomgen.core.verdict import Rejection
+from aomgen.replacement.correspondence import (
+    Frontal,
+    frontal,
+    held_point_of,
+    mirrored,
+    normalised_share,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitParams:
+    """How far and how firmly an asset is fitted.
+
+    Attributes:
+        min_scale, max_scale: Allowed scale relative to the ratio of the moving parts' boxes.
+        scale_prior_sd: Standard deviation of the scale about that ratio, as a share of it.
+        noise_m: Standard deviation of the recorded path, [m].
+        slide_noise_m: Standard deviation of sliding along the face, stage two, [m].
+        allow_mirror: Mode "object" may mirror the asset when the hinge is on the other side.
+        limit_share: Share of the asset's joint range that may be used.
+        max_residual_m: Mode "object" refuses a larger RMS distance of the paths, [m].
+    """
+
+    min_scale: float = 0.6
+    max_scale: float = 1.6
+    scale_prior_sd: float = 0.2
+    noise_m: float = 0.003
+    slide_noise_m: float = 0.010
+    allow_mirror: bool = True
+    limit_share: float = 0.95
+    max_residual_m: float = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedContact:
+    """The recorded motion as the fit needs it.
+
+    Attributes:
+        path_world: Held point while the part moves (K, 3), [m].
+        shares: Time share 0..1 of each point (K,).
+        thetas: Recovered joint value (K,), first 0, never falling, [rad] or [m].
+        front: The recorded object's front.
+        held_share: Held point in the normalised cube of the moving part (3,).
+        size: Extent of the moving part along right, inward, up (3,), [m].
+        support_z: Height of the support, [m].
+    """
+
+    path_world: Array
+    shares: Array
+    thetas: Array
+    front: Frontal
+    held_share: Array
+    size: Array
+    support_z: float
+
+    def __post_init__(self) -> None:
+        count = len(self.shares)
+        freeze(self, "path_world", self.path_world, (count, 3))
+        freeze(self, "shares", self.shares, (count,))
+        freeze(self, "thetas", self.thetas, (count,))
+        freeze(self, "held_share", self.held_share, (3,))
+        freeze(self, "size", self.size, (3,))
+
+
+def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedContact:
+    """Cut the contact out of the demonstration and describe the recorded object's front.
+
+    Raises:
+        EstimationError: The part's front cannot be told (see `frontal`).
+    """
+    frames = demo.contact_frames
+    path = demo.grasp_path_world[frames]
+    front = frontal(demo.joint, path[0], recorded.moving_points_world)
+    times = demo.times_s[frames]
+    aligned = recorded.moving_points_world @ front.R_world_front
+    return RecordedContact(
+        path_world=path,
+        shares=(times - times[0]) / max(times[-1] - times[0], 1e-9),
+        thetas=smooth_rise(demo.thetas[frames]),
+        front=front,
+        held_share=normalised_share(recorded.moving_points_world, path[0], front.R_world_front),
+        size=np.ptp(np.percentile(aligned, [1, 99], axis=0), axis=0),
+        support_z=recorded.support.height,
+    )
+
+
+def smooth_rise(thetas: Array) -> Array:
+    """The nearest never-falling curve to (K,) noisy joint values, smoothed, starting at 0."""
+    window = min(7, len(thetas) - (len(thetas) + 1) % 2)
+    smooth = savgol_filter(thetas, window, 2) if window >= 5 else np.asarray(thetas, np.float64)
+    smooth = smooth.copy()
+    smooth[0], smooth[-1] = thetas[0], max(thetas[-1], smooth[-1])
+    rising = isotonic_regression(smooth).x
+    return rising - rising[0]
+
+
+def fit_asset(
+    asset: ArticulatedAsset,
+    contact: RecordedContact,
+    recorded_type: str,
+    mode: Adaptation,
+    params: FitParams,
+) -> FittedAsset | Rejection:
+    """Place an asset in the recorded object's stead.
+
+    Args:
+        asset: Closed at joint value 0, front along -y, support at z = 0.
+        contact: From `recorded_contact`.
+        recorded_type: Type of the recorded joint.
+        mode: "object" or "trajectory".
+        params: Bounds.
+
+    Returns:
+        The fitted asset; or a Rejection "joint_type" (another kind of joint), "hinge_side"
+        (mode "object" without mirroring), "size" or "path" (mode "object": no scale in bounds
+        follows the recorded path).
+
+    Not checked: reach, collisions and forces; planning and verification do that.
+    """
+    if asset.joint.type != recorded_type:
+        return Rejection(reason="joint_type", detail=f"asset is {asset.joint.type}, recorded {recorded_type}")
+    if mode == "trajectory":
+        return _keep_size(asset, contact, params)
+    other_side = frontal(asset.joint, asset.handle_point, np.zeros((0, 3))).opens_left
+    turned = asset.joint.type == "revolute" and other_side != contact.front.opens_left
+    if turned and not params.allow_mirror:
+        return Rejection(reason="hinge_side", detail="the hinge is on the other side and mirroring is off")
+    return _fit_scale(mirrored(asset) if turned else asset, contact, turned, params)
+
+
+def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:
+    """Mode "trajectory": true size, held point where the recorded one was (seen from above).
+
+    The hinge may be on the other side: the path is made anew along the asset's own joint.
+    """
+    held = held_point_of(asset, contact.held_share)
+    T = _placed(contact.front.yaw, held, contact.path_world[0], contact.support_z)
+    target = min(float(contact.thetas[-1]), params.limit_share * asset.joint.upper)
+    thetas = contact.thetas * (target / max(float(contact.thetas[-1]), 1e-9))
+    path = apply(T @ asset.joint.motion(thetas), held[None])
+    return FittedAsset(
+        asset=asset,
+        T_world_asset=T,
+        contact_asset=held,
+        shares=contact.shares,
+        thetas=thetas,
+        scale=1.0,
+        mirrored=False,
+        mode="trajectory",
+        residual_mm=_rms_mm(path - contact.path_world),
+    )
+
+
+def _fit_scale(
+    asset: ArticulatedAsset, contact: RecordedContact, turned: bool, params: FitParams
+) -> FittedAsset | Rejection:
+    """Mode "object": g = [s, r, offset_x, offset_y] in two stages.
+
+    Stage one assumes constant speed, r being the whole travel; stage two takes the joint value
+    of every frame from geometry, so neither speed nor sliding along the face bends the fit.
+    The ratio of the boxes keeps s where the path says little (a low handle, a short arc).
+    """
+    held = held_point_of(asset, contact.held_share)
+    low, high = asset.moving.bounds
+    # Height and width only: scanned depth of a part is what was visible.
+    ratio = float(np.exp(np.mean(np.log(contact.size[[0, 2]] / (high - low)[[0, 2]]))))
+    R = matrix_from_rotvec(np.array([0.0, 0.0, contact.front.yaw]))
+    first = contact.path_world[0] - R @ held * ratio
+
+    def pose(g: Array) -> Array:
+        return similarity(g[0], R, np.array([g[-2], g[-1], contact.support_z]))
+
+    def prior(g: Array) -> Array:
+        return np.array([(g[0] / ratio - 1) / params.scale_prior_sd])
+
+    def stage_one(g: Array) -> Array:
+        moved = apply(asset.joint.motion(g[1] * contact.shares), held[None])
+        distance = apply(pose(g), moved) - contact.path_world
+        return np.append(distance.ravel() / params.noise_m, prior(g))
+
+    def stage_two(g: Array) -> Array:
+        S = pose(g)
+        joint, point = asset.joint.moved(S), apply(S, held)
+        thetas = face_thetas(joint, point, contact.path_world)
+        moved = apply(joint.motion(thetas), point[None])
+        return np.append(_slide_weighted(joint, moved, contact.path_world, params).ravel(), prior(g))
+
+    bounds = (ratio * params.min_scale, ratio * params.max_scale)
+    unit = 1.0 if asset.joint.type == "revolute" else 1.0 / ratio
+    start = np.array([ratio, contact.thetas[-1] * unit, first[0], first[1]])
+    low_g = [bounds[0], 0.0, first[0] - 0.5, first[1] - 0.5]
+    high_g = [bounds[1], np.inf, first[0] + 0.5, first[1] + 0.5]
+    rough = least_squares(stage_one, start, bounds=(low_g, high_g), loss="soft_l1").x
+    keep = [0, 2, 3]
+    fine = least_squares(
+        stage_two, rough[keep], bounds=(np.array(low_g)[keep], np.array(high_g)[keep]), loss="soft_l1"
+    ).x
+    return _scaled(asset, contact, held, pose(fine), turned, params)
+
+
+def _scaled(
+    asset: ArticulatedAsset,
+    contact: RecordedContact,
+    held: Array,
+    S_world_asset: Array,
+    turned: bool,
+    params: FitParams,
+) -> FittedAsset | Rejection:
+    """Bake the scale into the asset and read its joint values from the recorded path."""
+    scale = float(np.linalg.norm(S_world_asset[:3, 0]))
+    sized = asset.transformed(similarity(scale, np.eye(3), np.zeros(3)))
+    T = transform(S_world_asset[:3, :3] / scale, S_world_asset[:3, 3])
+    joint, point = sized.joint.moved(T), apply(T, scale * held)
+    thetas = smooth_rise(face_thetas(joint, point, contact.path_world))
+    residual = apply(joint.motion(thetas), point[None]) - contact.path_world
+    limit = params.limit_share * sized.joint.upper
+    figures = {"scale": scale, "residual_mm": _rms_mm(residual), "travel": float(thetas[-1])}
+    if not thetas[-1] <= limit:
+        return Rejection(
+            reason="size", detail=f"needs a travel of {thetas[-1]:.3f}, limit {limit:.3f}", metrics=figures
+        )
+    if not figures["residual_mm"] <= 1000 * params.max_residual_m:
+        return Rejection(
+            reason="path",
+            detail=f"paths differ by {figures['residual_mm']:.1f} mm, limit {1000 * params.max_residual_m:.0f} mm",
+            metrics=figures,
+        )
+    return FittedAsset(
+        asset=replace(sized, name=asset.name),
+        T_world_asset=T,
+        contact_asset=scale * held,
+        shares=contact.shares,
+        thetas=thetas,
+        scale=scale,
+        mirrored=turned,
+        mode="object",
+        residual_mm=figures["residual_mm"],
+    )
+
+
+def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
+    """Joint values (K,) at which the part's face passes through the points of a path (K, 3).
+
+    Prismatic: the way along the axis. Revolute: the face keeps its distance h from the axis, so
+    `theta = atan2(y, x) - asin(h / rho)` whatever slides along it; exact where sliding is not.
+
+    Args:
+        joint: Same frame as the points.
+        held_point: Point of the part (3,) at joint value 0, [m].
+        path: (K, 3), [m].
+    """
+    if joint.type == "prismatic":
+        return (path - held_point) @ joint.axis
+    outward = np.cross(joint.axis, held_point - joint.origin)
+    outward /= np.linalg.norm(outward)
+    along = np.cross(outward, joint.axis)
+    relative = path - joint.origin
+    # The face holds the held point and the axis' direction; `outward` is its normal and h is 0.
+    return np.unwrap(np.arctan2(relative @ outward, relative @ along)).astype(np.float64)
+
+
+def _slide_weighted(joint: Joint, moved: Array, path: Array, params: FitParams) -> Array:
+    """Distances (K, 2) over their noise: along the axis, and along the face (sliding allowed)."""
+    difference = moved - path
+    if joint.type == "prismatic":
+        across = difference - np.outer(difference @ joint.axis, joint.axis)
+        return across / params.noise_m
+    lift = difference @ joint.axis
+    radius = [np.linalg.norm(np.cross(p - joint.origin, joint.axis), axis=1) for p in (moved, path)]
+    return np.stack([lift / params.noise_m, (radius[0] - radius[1]) / params.slide_noise_m], 1)
+
+
+def _placed(yaw: float, held_asset: Array, held_world: Array, support_z: float) -> Array:
+    """T_world_asset (4, 4) upright on the support with the held point below or above the recorded one."""
+    R = matrix_from_rotvec(np.array([0.0, 0.0, yaw]))
+    offset = held_world - R @ held_asset
+    return transform(R, np.array([offset[0], offset[1], support_z]))
+
+
+def _rms_mm(differences: Array) -> float:
+    return float(1000 * np.sqrt((differences**2).sum(-1).mean()))
