@@ -140,7 +140,9 @@ def _weights(changes: NDArray[np.float32], params: ClockParams) -> tuple[NDArray
     return gain(params.change_likelihood), gain(still)
 
 
-def _coarse(frames: _Frames, log_times_s: Array, masks_at: MasksAt, params: ClockParams) -> tuple[Array, Array]:
+def _coarse(
+    frames: _Frames, log_times_s: Array, masks_at: MasksAt, params: ClockParams
+) -> tuple[Array, Array]:
     """Score of every offset on the grid; pairs that the log does not cover neither help nor hurt."""
     step, count = frames.step_s, len(frames.images)
     grid = np.arange(log_times_s[0], log_times_s[-1], step)
@@ -158,7 +160,9 @@ def _coarse(frames: _Frames, log_times_s: Array, masks_at: MasksAt, params: Cloc
         changes = np.stack([frames.change(k, k + lag) for k in range(count - lag)])
         differ, still = _weights(changes, params)
         first, second = masks[:-lag], masks[lag:]
-        table = differ @ (first ^ second).astype(np.float32).T + still @ (~(first | second)).astype(np.float32).T
+        table = (
+            differ @ (first ^ second).astype(np.float32).T + still @ (~(first | second)).astype(np.float32).T
+        )
         totals += [np.trace(table, offset=shift) for shift in shifts]
     return grid[0] + shifts * step - frames.times_s[0], totals
 
@@ -222,7 +226,9 @@ def _busiest_pairs(
         and frames.times_s[k + lag] + offset_s + frames.step_s <= log_times_s[-1]
     ]
     if not covered:
-        raise SyncError("joint log", "does not cover the moving frames", "export the log of the whole demonstration")
+        raise SyncError(
+            "joint log", "does not cover the moving frames", "export the log of the whole demonstration"
+        )
     energy = np.array([frames.change(k, k + lag).sum() for k in covered])
     chosen = np.argsort(energy)[::-1][: params.fine_pairs]
     return [(covered[i], covered[i] + lag) for i in sorted(chosen)]

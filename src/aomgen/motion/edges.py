@@ -119,12 +119,16 @@ def upright_box(points_world: Array, yaw: float) -> Box:
         InputError: Fewer than 20 points.
     """
     if not len(points_world) >= _MIN_POINTS:
-        raise InputError("part points", f"{len(points_world)} points, need {_MIN_POINTS}", "correct the prompts")
+        raise InputError(
+            "part points", f"{len(points_world)} points, need {_MIN_POINTS}", "correct the prompts"
+        )
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     local = points_world @ R
     low, high = np.percentile(local, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
-    return Box(T_world_box=transform(R, R @ ((low + high) / 2)), half_extents=np.maximum((high - low) / 2, 1e-4))
+    return Box(
+        T_world_box=transform(R, R @ ((low + high) / 2)), half_extents=np.maximum((high - low) / 2, 1e-4)
+    )
 
 
 def edge_costs(
@@ -195,12 +199,16 @@ def edge_prior(
     axes = moving.T_world_box[:3, :3].T
     normal = _face_normal(static, moving)
     best_revolute = _best_pair(edge_costs(static, moving, contact_world, normal, "revolute", weights))
-    best_prismatic = _best_pair(edge_costs(static, moving, contact_world, displacement_world, "prismatic", weights))
+    best_prismatic = _best_pair(
+        edge_costs(static, moving, contact_world, displacement_world, "prismatic", weights)
+    )
     edge_static, edge_moving = static.edges()[best_revolute[0]], moving.edges()[best_revolute[1]]
     return EdgePrior(
         axes=axes,
         revolute_axis=_units(edge_moving[None])[0],
-        revolute_origin=_pair_center(points_static, points_moving, edge_static, edge_moving, weights.nearest_pairs),
+        revolute_origin=_pair_center(
+            points_static, points_moving, edge_static, edge_moving, weights.nearest_pairs
+        ),
         prismatic_axis=_units(moving.edges()[best_prismatic[1]][None])[0],
         face_normal=normal,
         diagonal_m=moving.diagonal_m,
@@ -215,7 +223,9 @@ def _face_normal(static: Box, moving: Box) -> Array:
     return -np.sign(offset[axis]) * moving.T_world_box[:3, axis]
 
 
-def _pair_center(points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array, count: int) -> Array:
+def _pair_center(
+    points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array, count: int
+) -> Array:
     """Mean midpoint of the `count` nearest point pairs near a pair of edges; the edges' middle without any."""
     near = 0.15 * float(np.linalg.norm(edge_moving[1] - edge_moving[0]))
     close_moving = points_moving[_line_distances_many(points_moving, edge_moving) < near]

@@ -91,7 +91,9 @@ def estimate_joint(
     extent = float(np.linalg.norm(points - points[0], axis=1).max())
     if not extent >= params.min_travel_m:
         raise DemonstrationTooShortError(
-            "joint", f"the hand moved the part {extent * 1e3:.0f} mm, need {params.min_travel_m * 1e3:.0f} mm", _REMEDY
+            "joint",
+            f"the hand moved the part {extent * 1e3:.0f} mm, need {params.min_travel_m * 1e3:.0f} mm",
+            _REMEDY,
         )
     revolute, prismatic = _compete(path, edges, params.noise)
     best, other = sorted((revolute, prismatic), key=lambda solution: solution.bic)

@@ -114,7 +114,9 @@ def solve_prismatic(path: HandPath, edges: EdgePrior | None, noise: JointNoise) 
     )
 
 
-def _fit_circle(path: HandPath, start: Array, middle: Array, edges: EdgePrior | None, noise: JointNoise) -> Solution:
+def _fit_circle(
+    path: HandPath, start: Array, middle: Array, edges: EdgePrior | None, noise: JointNoise
+) -> Solution:
     tangents = tangent_basis(start)
     Ts, turns = path.Ts_world_ee, path.turns_world
     share = np.sqrt(noise.independent_nodes / len(Ts))
@@ -147,7 +149,9 @@ def _fit_circle(path: HandPath, start: Array, middle: Array, edges: EdgePrior | 
         return np.concatenate(data), np.array(prior)
 
     center, radius = _first_circle(path.points_world, middle, tangents, turns @ start)
-    x, covariance, cost = _minimise(terms, np.concatenate([center, [radius, 0.0], np.zeros(3)], dtype=float), lead=2)
+    x, covariance, cost = _minimise(
+        terms, np.concatenate([center, [radius, 0.0], np.zeros(3)], dtype=float), lead=2
+    )
     axis, center_world, points = unpack(x)
     offsets = points - center_world
     radii = np.linalg.norm(offsets - np.outer(offsets @ axis, axis), axis=1)

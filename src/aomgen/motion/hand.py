@@ -1,0 +1,145 @@
+"""What the robot's own log says at given moments: hand pose, speed, grip and distance to the part."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from aomgen.core.joint_log import JointLog
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array, freeze
+from aomgen.physics.robot import FingerPad, RobotModel
+
+_PAD_GRID = 9
+_SPEED_WINDOW_S = 0.1
+# A gripper that moves less than this share of its stroke tells nothing about grasp and release.
+_MIN_STROKE = 0.15
+# A gripper that closes farther away than this from the part grasps something else, [m].
+_NEAR_GRASP_M = 0.10
+# Fingers this much farther away than at their nearest count as touching, [m].
+_NEAR_TOUCH_M = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandSignals:
+    """The hand over video times (T,).
+
+    Attributes:
+        times_s: Video clock, (T,).
+        Ts_world_ee: (T, 4, 4).
+        speeds_m_s: (T,).
+        gripper: (T,), 0 open .. 1 closed.
+        distances_m: Smallest distance of a finger pad to the part at its scanned place (T,), [m].
+    """
+
+    times_s: Array
+    Ts_world_ee: Array
+    speeds_m_s: Array
+    gripper: Array
+    distances_m: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.times_s)
+        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
+        for name in ("times_s", "speeds_m_s", "gripper", "distances_m"):
+            freeze(self, name, getattr(self, name), (count,))
+
+
+def hand_signals(
+    robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array, clock_offset_s: float
+) -> HandSignals:
+    """Evaluate the log at video times (T,).
+
+    Args:
+        robot: Kinematics and finger pads; without pads the end effector's distance counts.
+        log: The joint log.
+        points_moving: Points of the moving part at its scanned place (N, 3), world frame, [m].
+        times_s: Video times (T,).
+        clock_offset_s: Log time minus video time.
+    """
+    joints, gripper = log.at(times_s + clock_offset_s)
+    half = _SPEED_WINDOW_S / 2
+    before = robot.ee_poses(log.at(times_s + clock_offset_s - half)[0])
+    after = robot.ee_poses(log.at(times_s + clock_offset_s + half)[0])
+    Ts_world_ee = robot.ee_poses(joints)
+    if robot.pads:
+        bodies = robot.link_poses(joints, gripper)
+        posed = np.stack([apply(bodies[:, None, pad.body], pad_face(pad)[0]) for pad in robot.pads], 1)
+    else:
+        posed = Ts_world_ee[:, None, None, :3, 3]
+    distances = cKDTree(points_moving).query(posed.reshape(-1, 3))[0].reshape(len(times_s), -1).min(1)
+    return HandSignals(
+        times_s=times_s,
+        Ts_world_ee=Ts_world_ee,
+        speeds_m_s=np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1) / _SPEED_WINDOW_S,
+        gripper=gripper,
+        distances_m=distances,
+    )
+
+
+def pad_face(pad: FingerPad) -> tuple[Array, Array]:
+    """Grid points (G, 3) on the pad's inner face and its outward normal (3,), both in the body frame."""
+    normal = pad.normal_body
+    across = [axis for axis in range(3) if abs(normal[axis]) < 0.5]
+    steps = np.linspace(-1, 1, _PAD_GRID)
+    grid = np.zeros((_PAD_GRID**2, 3))
+    grid[:, across[0]], grid[:, across[1]] = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
+    return pad.center_body + (grid + normal) * pad.half_extents, normal
+
+
+def box_faces(pad: FingerPad) -> tuple[Array, Array]:
+    """Grid points (6 G, 3) on all faces of the pad's box and their outward normals, body frame."""
+    steps = np.linspace(-1, 1, _PAD_GRID)
+    points, normals = [], []
+    for axis in range(3):
+        across = [k for k in range(3) if k != axis]
+        for side in (-1.0, 1.0):
+            grid = np.zeros((_PAD_GRID**2, 3))
+            grid[:, across[0]], grid[:, across[1]] = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
+            grid[:, axis] = side
+            points.append(pad.center_body + grid * pad.half_extents)
+            normals.append(np.broadcast_to(side * np.eye(3)[axis], grid.shape))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touch:
+    """Frames between which the hand can move the part.
+
+    Attributes:
+        first, last: Frame indices, both inside.
+        gripped: The gripper closed on the part at `first` and opened after `last`; else only the
+            distance speaks, and neither end is sharp.
+    """
+
+    first: int
+    last: int
+    gripped: bool
+
+
+def touch_interval(signals: HandSignals) -> Touch:
+    """When the hand can move the part.
+
+    A gripper that closes near the part and opens again says it best. One that hardly moves (a hook,
+    a push) leaves the distance: from the first frame at which the fingers are about as near as they
+    ever come, to the end.
+    """
+    count = len(signals.times_s)
+    grip = signals.gripper
+    stroke = float(grip.max() - grip.min())
+    if stroke >= _MIN_STROKE:
+        labels, runs = ndimage.label(grip > (grip.max() + grip.min()) / 2)
+        grasps = [_plateau(np.flatnonzero(labels == k + 1), grip, 0.1 * stroke) for k in range(runs)]
+        first, last = min(grasps, key=lambda grasp: signals.distances_m[grasp[0]])
+        if signals.distances_m[first] <= _NEAR_GRASP_M and last > first:
+            return Touch(first=first, last=last, gripped=True)
+    near = signals.distances_m <= float(signals.distances_m.min()) + _NEAR_TOUCH_M
+    return Touch(first=int(np.argmax(near)), last=count - 1, gripped=False)
+
+
+def _plateau(run: NDArray[np.intp], grip: Array, tolerance: float) -> tuple[int, int]:
+    """Frames of a run in which the grip stays at its usual value."""
+    steady = run[np.abs(grip[run] - np.median(grip[run])) <= tolerance]
+    return int(steady[0]), int(steady[-1])

@@ -1,0 +1,142 @@
+"""The joint value over time, in closed form from the hand's path."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array, freeze
+
+# Beyond this share of the radius the face passes too close to the axis to correct for sliding.
+_MAX_FACE_SHARE = 0.7
+# The part has left its first state when its value differs by this much.
+LEAVE_RAD = float(np.radians(0.5))
+LEAVE_M = 0.001
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathValues:
+    """Joint values along a dense path, relative to one moment of it.
+
+    Attributes:
+        values: (T,), [rad] or [m].
+        slip_m: Change of the held point's distance from the axis (T,), [m]; prismatic: its distance
+            from the line.
+    """
+
+    values: Array
+    slip_m: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "values", self.values, (None,))
+        freeze(self, "slip_m", self.slip_m, (len(self.values),))
+
+
+def path_values(
+    joint: Joint, Ts_world_ee: Array, grasp_ee: Array, reference: int, face_normal: Array | None = None
+) -> PathValues:
+    """Joint value of each hand pose while it holds the part.
+
+    Prismatic: `a . (p_t - p_ref)`. Revolute: `atan2(y_t, x_t) - asin(h / rho_t)` with x along the
+    part's face, y across it and h the held point's height over the face's plane through the axis;
+    it does not change when the hand slides along the face.
+
+    Args:
+        joint: Axis and origin, world frame.
+        Ts_world_ee: End-effector poses (T, 4, 4), in the order of time.
+        grasp_ee: Held point (3,), end-effector frame, [m].
+        reference: Index of the pose that has value 0.
+        face_normal: Outward normal of the part's face (3,) at value 0; None: the point is fixed to
+            the part.
+
+    Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; its plane-trajectory intersection in
+    closed form.
+    """
+    points = apply(Ts_world_ee, grasp_ee)
+    if joint.type == "prismatic":
+        offsets = points - points[reference]
+        values = offsets @ joint.axis
+        return PathValues(
+            values=values, slip_m=np.linalg.norm(offsets - np.outer(values, joint.axis), axis=1)
+        )
+    offsets = points - joint.origin
+    flat = offsets - np.outer(offsets @ joint.axis, joint.axis)
+    radii = np.maximum(np.linalg.norm(flat, axis=1), 1e-6)
+    height = 0.0
+    if face_normal is not None:
+        across = face_normal - (face_normal @ joint.axis) * joint.axis
+        length = float(np.linalg.norm(across))
+        height = float(flat[reference] @ across) / length if length > 0.5 else 0.0
+    if not abs(height) < _MAX_FACE_SHARE * radii.min():
+        height = 0.0
+    first = flat[reference]
+    turn = np.unwrap(np.arctan2(np.cross(first, flat) @ joint.axis, flat @ first))
+    # The face's side seen along the axis decides the sign of the correction.
+    side = 1.0 if face_normal is None else float(np.sign(np.cross(joint.axis, first) @ face_normal)) or 1.0
+    lean = side * np.arcsin(height / radii)
+    values = turn - (lean - lean[reference])
+    return PathValues(values=values - values[reference], slip_m=radii - radii[reference])
+
+
+def smooth_values(values: Array, step_s: float, window_s: float = 0.2) -> Array:
+    """Savitzky-Golay smoothed values (T,) of a series with equal steps."""
+    window = 2 * round(window_s / step_s / 2) + 1
+    return savgol_filter(values, window, 2) if 3 <= window < len(values) else values.copy()
+
+
+def leaving_and_arriving(
+    times_s: Array, values: Array, seen: tuple[float, float], tolerance: float, *, gripped: bool
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Refine the motion's interval from the values along the touch.
+
+    Args:
+        times_s: Dense times (T,) from touch to release, [s].
+        values: Joint values (T,), smooth.
+        seen: Start and end as seen in the picture, [s].
+        tolerance: Difference that counts as motion, `LEAVE_RAD` or `LEAVE_M`.
+        gripped: The hand held the part before and after; else the levels are read at `seen`.
+
+    Returns:
+        The interval (first time at which the value differs from its first level, last time at which
+        it differs from its last level), and these two levels.
+    """
+    start_s, end_s = seen
+    first_level, last_level = np.interp(seen, times_s, values)
+    if gripped:
+        first_level = _level(values[(times_s >= start_s - 0.5) & (times_s <= start_s - 0.1)], first_level)
+        last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
+    left = np.abs(values - first_level) > tolerance
+    ahead = np.abs(values - last_level) > tolerance
+    # From the middle of the motion outwards, so that the approach and the retreat do not count.
+    middle = int(np.argmin(np.abs(times_s - (start_s + end_s) / 2)))
+    resting = np.flatnonzero(~left[: middle + 1])
+    arrived = np.flatnonzero(~ahead[middle:])
+    begin = float(times_s[min(resting[-1] + 1, middle)]) if len(resting) else float(times_s[0])
+    finish = float(times_s[max(middle + arrived[0] - 1, middle)]) if len(arrived) else float(times_s[-1])
+    return (begin, finish), (float(first_level), float(last_level))
+
+
+def _level(values: Array, otherwise: float) -> float:
+    return float(np.median(values)) if len(values) else otherwise
+
+
+def values_at_frames(
+    frame_times_s: Array,
+    times_s: Array,
+    values: Array,
+    interval: tuple[float, float],
+    levels: tuple[float, float],
+) -> Array:
+    """Values (F,) at frame times: 0 before the interval, held after it, never below 0.
+
+    Args:
+        frame_times_s: Video frame times (F,).
+        times_s, values: The dense series (T,), smooth.
+        interval: Start and end of the motion, [s].
+        levels: First and last level of the values.
+    """
+    inside = np.interp(frame_times_s, times_s, values) - levels[0]
+    held = np.where(frame_times_s > interval[1], levels[1] - levels[0], inside)
+    return np.maximum(np.where(frame_times_s < interval[0], 0.0, held), 0.0)
