@@ -171,6 +171,8 @@ int32_t aomgen_adam_step(AomgenContext* context, int64_t rows, int32_t columns, 
     a.squares = squares;
     a.mean_decay = static_cast<float>(kMeanDecay);
     a.square_decay = static_cast<float>(kSquareDecay);
+    a.mean_share = static_cast<float>(1.0 - kMeanDecay);
+    a.square_share = static_cast<float>(1.0 - kSquareDecay);
     a.epsilon = 1e-15f;
     a.mean_correction = static_cast<float>(1.0 / (1.0 - std::pow(kMeanDecay, static_cast<double>(step))));
     a.square_correction = static_cast<float>(1.0 / (1.0 - std::pow(kSquareDecay, static_cast<double>(step))));

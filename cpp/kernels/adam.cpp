@@ -7,14 +7,15 @@ namespace aomgen::AOMGEN_ISA {
 void adam(const AdamStep& a, int block) {
   const int64_t first = static_cast<int64_t>(block) * a.block_size;
   const int64_t last = first + a.block_size < a.count ? first + a.block_size : a.count;
-  const F mean_decay = all(a.mean_decay), square_decay = all(a.square_decay);
+  const F mean_decay = all(a.mean_decay), mean_share = all(a.mean_share);
+  const F square_decay = all(a.square_decay), square_share = all(a.square_share);
   int phase = 0;  // blocks start at multiples of the period
   for (int64_t i = first; i < last; i += 16) {
     const int lanes = last - i < 16 ? static_cast<int>(last - i) : 16;
     F gradient = load_first(a.gradients + i, lanes);
     F mean = load_first(a.means + i, lanes), square = load_first(a.squares + i, lanes);
-    mean = fma(mean_decay, mean - gradient, gradient);
-    square = fma(square_decay, square - gradient * gradient, gradient * gradient);
+    mean = fma(mean_decay, mean, mean_share * gradient);
+    square = fma(square_decay, square, square_share * gradient * gradient);
     F step = load(a.rates + phase) * mean * all(a.mean_correction) /
              (square_root(square * all(a.square_correction)) + all(a.epsilon));
     store_first(a.values + i, load_first(a.values + i, lanes) - step, lanes);

@@ -106,6 +106,7 @@ struct AdamStep {
   const float* rates;        // period floats; value i moves at rates[i % period]
   int period;                // multiple of 16
   float mean_decay, square_decay, epsilon;
+  float mean_share, square_share;                 // 1 - decay
   float mean_correction, square_correction;  // 1 / (1 - decay^step)
 };
 

@@ -89,11 +89,11 @@ def table_top(count: int, sh_degree: int, seed: int = 0) -> Gaussians:
     color = rng.random((28, 3))[part] + 0.15 * np.sin(means @ (12 * rng.normal(size=(3, 3))))
     sh[:, 0] = (np.clip(color, 0.02, 0.98) - 0.5) / SH_C0
     return Gaussians(
-        means=means,
-        quats=_quats_along(normal, rng.uniform(0, 2 * np.pi, count)),
-        scales=np.exp(log_scales),
-        opacities=1 / (1 + np.exp(-rng.normal(1, 2, count))),
-        sh=sh,
+        means=means.astype(np.float32),
+        quats=_quats_along(normal, rng.uniform(0, 2 * np.pi, count)).astype(np.float32),
+        scales=np.exp(log_scales).astype(np.float32),
+        opacities=(1 / (1 + np.exp(-rng.normal(1, 2, count)))).astype(np.float32),
+        sh=sh.astype(np.float32),
     )
 
 

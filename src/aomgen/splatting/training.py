@@ -14,7 +14,7 @@ from aomgen.splatting import native
 from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import render_tensors
 from aomgen.splatting.loss import image_loss
-from aomgen.splatting.optimizer import NAMES, Parameters, gaussians_of, parameters_of
+from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,7 +202,11 @@ def _learn(
     leaves = parameters.leaves()
     background = params.background or tuple(rng.random(3))
     drawn = render_tensors(
-        *(leaves[name] for name in NAMES),
+        leaves["means"],
+        leaves["quats"],
+        leaves["log_scales"],
+        leaves["logit_opacities"],
+        leaves["sh"],
         view.camera,
         sh_degree=_sh_degree(params, share),
         background=background,
@@ -239,8 +243,7 @@ def _grow(
     targets = [(views[i].target() / exposure.log_gains[i].exp()[:, None, None]).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
     shares = error_shares(gaussians, [views[i].camera for i in chosen], targets)
-    first, last = params.grow_window
-    left = max(1.0, (last - share) * params.iterations / params.grow_every)
+    left = max(1.0, (params.grow_window[1] - share) * params.iterations / params.grow_every)
     count = max(
         len(parameters), round(len(parameters) * (params.max_gaussians / len(parameters)) ** (1 / left))
     )

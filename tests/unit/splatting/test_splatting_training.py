@@ -1,0 +1,224 @@
+"""Training finds a small scene again; the optimizer and the growth do what they say."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.progress import silent
+from aomgen.splatting import native
+from aomgen.splatting.density import error_shares, relocate_and_grow
+from aomgen.splatting.metrics import psnr, ssim
+from aomgen.splatting.optimizer import gaussians_of, parameters_of
+from aomgen.splatting.rasterizer import render
+from aomgen.splatting.training import TrainingParams, train
+
+
+def ring(count: int, height: float = 0.7, shift: float = 0.0) -> list[Camera]:
+    angles = 2 * np.pi * (np.arange(count) + shift) / count
+    eyes = np.stack([1.6 * np.cos(angles), 1.6 * np.sin(angles), np.full(count, height)], 1)
+    return [
+        Camera(fx=95.0, fy=95.0, cx=48.0, cy=36.0, width=96, height=72, T_world_cam=look_at(eye, [0, 0, 0.1]))
+        for eye in eyes
+    ]
+
+
+def checkered(count: int, seed: int) -> Gaussians:
+    """Opaque Gaussians on a table and a ball, in a coarse checker pattern."""
+    rng = np.random.default_rng(seed)
+    half = count // 2
+    table = np.column_stack([rng.uniform(-1, 1, (half, 2)), np.zeros(half)])
+    ball = rng.normal(size=(count - half, 3))
+    ball = 0.3 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [0, 0, 0.3]
+    means = np.concatenate([table, ball])
+    dark = (np.floor(means * 4).sum(1) % 2)[:, None]
+    color = np.where(dark, [0.15, 0.2, 0.5], [0.9, 0.7, 0.3])
+    return Gaussians(
+        means=means,
+        quats=np.tile([1.0, 0, 0, 0], (count, 1)),
+        scales=np.full((count, 3), 0.03),
+        opacities=np.full(count, 0.95),
+        sh=((color - 0.5) / 0.28209479)[:, None],
+    )
+
+
+def photograph(scene: Gaussians, cameras: list[Camera]) -> list[np.ndarray]:
+    return [(render(scene, camera).rgb * 255).round().astype(np.uint8) for camera in cameras]
+
+
+def start(scene: Gaussians, count: int) -> Gaussians:
+    """Some of the scene's points, displaced, grey and half transparent."""
+    rng = np.random.default_rng(3)
+    some = scene.select(rng.choice(len(scene), count, replace=False))
+    return Gaussians(
+        means=some.means + rng.normal(size=some.means.shape) * 0.01,
+        quats=some.quats,
+        scales=some.scales * 1.3,
+        opacities=np.full(count, 0.5),
+        sh=np.zeros((count, 1, 3)),
+    )
+
+
+def held_out_psnr(trained: Gaussians, scene: Gaussians) -> float:
+    cameras = ring(5, height=0.9, shift=0.37)
+    return float(np.mean([psnr(render(trained, c).rgb, render(scene, c).rgb) for c in cameras]))
+
+
+# Colors start far off and there is little time: higher rates than for a scene seeded from its images.
+PARAMS = TrainingParams(
+    rate_color=0.03,
+    rate_sh=0.003,
+    iterations=240,
+    sh_degree=1,
+    max_gaussians=2500,
+    grow_every=30,
+    background=(0, 0, 0),
+    downsampling=((0.0, 2), (0.3, 1)),
+    error_views=4,
+)
+
+
+def test_a_small_scene_is_found_again() -> None:
+    scene, cameras = checkered(4000, 0), ring(12)
+    initial = start(scene, 1500)
+    reports: list[float] = []
+    trained = train(
+        initial,
+        cameras,
+        photograph(scene, cameras),
+        PARAMS,
+        lambda share, text: reports.append(share),
+        np.random.default_rng(0),
+    )
+    before, after = held_out_psnr(initial, scene), held_out_psnr(trained, scene)
+    assert before < 18
+    assert after > 29
+    assert len(initial) < len(trained) <= 2500
+    assert trained.sh_degree == 1
+    assert reports == sorted(reports)
+    assert reports[-1] == 1
+
+
+def test_the_same_seed_gives_the_same_gaussians() -> None:
+    scene, cameras = checkered(800, 1), ring(4)
+    images = photograph(scene, cameras)
+    params = TrainingParams(
+        iterations=40, background=(0, 0, 0), max_gaussians=700, grow_every=10, downsampling=((0.0, 1),)
+    )
+    runs = [
+        train(start(scene, 500), cameras, images, params, silent, np.random.default_rng(5)) for _ in range(2)
+    ]
+    assert np.array_equal(runs[0].means, runs[1].means)
+    assert np.array_equal(runs[0].sh, runs[1].sh)
+    other = train(start(scene, 500), cameras, images, params, silent, np.random.default_rng(6))
+    assert not np.array_equal(runs[0].means[: len(other)], other.means[: len(runs[0])])
+
+
+def test_exposure_gains_take_up_brightness() -> None:
+    """Half of the images are darker; with gains the colors are learned as if none were."""
+    scene, cameras = checkered(1500, 2), ring(8)
+    bright = photograph(scene, cameras)
+    mixed = [(image * (0.8 if i % 2 else 1.0)).astype(np.uint8) for i, image in enumerate(bright)]
+    losses = {}
+    for exposure in (False, True):
+        params = TrainingParams(
+            iterations=160,
+            sh_degree=0,
+            max_gaussians=1000,
+            background=(0, 0, 0),
+            rate_color=0.03,
+            exposure=exposure,
+            rate_gain=0.01,
+            downsampling=((0.0, 1),),
+        )
+        seen: list[float] = []
+        train(
+            start(scene, 1000),
+            cameras,
+            mixed,
+            params,
+            lambda share, text, seen=seen: seen.append(float(text.split()[-1])),
+            np.random.default_rng(0),
+        )
+        losses[exposure] = np.mean(seen[-4:])
+    assert losses[True] < 0.8 * losses[False]
+
+
+def test_inputs_that_do_not_fit_are_refused() -> None:
+    scene, cameras = checkered(100, 0), ring(2)
+    images = photograph(scene, cameras)
+    for bad_cameras, bad_images in ((cameras[:1], images), (cameras, [images[0], images[1][:-1]]), ([], [])):
+        with pytest.raises(ValueError, match="image"):
+            train(scene, bad_cameras, bad_images, PARAMS, silent, np.random.default_rng(0))
+
+
+def test_the_optimizer_is_adam() -> None:
+    rng = np.random.default_rng(0)
+    parameters = parameters_of(checkered(50, 0), 1)
+    rates = {
+        name: torch.tensor(rng.random(v[0].numel()).astype(np.float32))
+        for name, v in parameters.values.items()
+    }
+    leaf = parameters.values["means"].clone().requires_grad_()
+    column_rates = rates["means"].clone()
+    twin = torch.optim.Adam([leaf], lr=1.0, eps=1e-15)
+    for _ in range(3):
+        gradients = {
+            n: torch.tensor(rng.normal(size=v.shape), dtype=torch.float32)
+            for n, v in parameters.values.items()
+        }
+        before = leaf.detach().clone()
+        leaf.grad = gradients["means"].clone()
+        twin.step()
+        with torch.no_grad():
+            leaf.copy_(before + (leaf - before) * column_rates)
+        parameters.step(gradients, rates, native.Context())
+    np.testing.assert_allclose(parameters.values["means"], leaf.detach(), atol=1e-5)
+
+
+def test_growth_splits_where_the_error_is_and_drops_the_faint() -> None:
+    scene = checkered(200, 0)
+    opacities = np.full(200, 0.9, np.float32)
+    opacities[:20] = 0.001
+    faint = Gaussians(
+        means=scene.means, quats=scene.quats, scales=scene.scales, opacities=opacities, sh=scene.sh
+    )
+    shares = np.zeros(200)
+    shares[:60] = 1.0
+    grown = relocate_and_grow(parameters_of(faint, 0), shares, 210, 0.01, np.random.default_rng(0))
+    assert len(grown) == 210
+    result = gaussians_of(grown)
+    assert result.opacities.min() > 0.5
+    untouched = scene.means[60:]
+    distances = np.linalg.norm(result.means[:, None] - untouched[None], axis=2).min(0)
+    assert distances.max() == 0
+    kept = {row.tobytes() for row in scene.means[20:]}
+    moved = np.array([row.tobytes() not in kept for row in result.means])
+    assert moved.sum() == 60  # thirty parents, two halves each
+
+
+def test_error_is_laid_to_the_gaussians_that_paint_it() -> None:
+    scene, cameras = checkered(600, 0), ring(3)
+    recolored = np.array(scene.sh)
+    recolored[:50] += 1.5
+    wrong = Gaussians(
+        means=scene.means, quats=scene.quats, scales=scene.scales, opacities=scene.opacities, sh=recolored
+    )
+    targets = [render(scene, c).rgb.transpose(2, 0, 1) for c in cameras]
+    shares = error_shares(wrong, cameras, targets)
+    assert shares[:50].mean() > 3 * shares[50:].mean()
+
+
+def test_metrics() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.random((40, 50, 3))
+    assert psnr(image, image) == math.inf
+    assert psnr(np.zeros((4, 4, 3)), np.full((4, 4, 3), 0.1)) == pytest.approx(20)
+    assert ssim(image, image) == pytest.approx(1)
+    noisy = [ssim(image, np.clip(image + s * rng.normal(size=image.shape), 0, 1)) for s in (0.05, 0.2, 0.5)]
+    assert noisy == sorted(noisy, reverse=True)
+    with pytest.raises(ValueError, match="shapes"):
+        ssim(image, image[:-1])
