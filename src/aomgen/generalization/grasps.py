@@ -32,11 +32,11 @@ class HandConventions:
         return np.asarray(np.cross(self.closing, self.approach), np.float64)
 
 
-TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0)
+TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
 # How far beyond the end effector point a bar may lie and still be between the pads, [m].
 DEPTHS_M = (-0.005, 0.012)
-# Above it the hand turns with the part.
-RIGID_RATIO = 0.97
+# A hand that cannot turn as far as the door lets the bar turn between its fingers this much.
+LOOSE_RATIO = 0.7
 # The 2F-85's pinch site: z out of the palm, fingers close along y.
 PINCH = HandConventions(approach=np.array([0.0, 0.0, 1.0]), closing=np.array([0.0, 1.0, 0.0]))
 
@@ -50,15 +50,12 @@ class Grasp:
         R_object_ee: Hand's orientation with the part closed (3, 3).
         held_ee: Held point in the end effector frame (3,), [m].
         turn_ratio: Turn of the hand over turn of the part while it opens.
-        style: "demonstrated" or "straight": the last stretch of the approach and the first of
-            the retreat.
     """
 
     name: str
     R_object_ee: Array
     held_ee: Array
     turn_ratio: float
-    style: str
 
     def __post_init__(self) -> None:
         freeze(self, "R_object_ee", self.R_object_ee, (3, 3))
@@ -112,18 +109,16 @@ def grasps(
         hand: Directions of the gripper.
     """
     depth = float(np.clip(demonstrated_depth, *DEPTHS_M))
-    ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if fitted.asset.joint.type == "revolute" else 1.0
-    choices = [("demonstrated", ratio), ("straight", ratio)]
-    if ratio < RIGID_RATIO:
-        choices.append(("straight", 1.0))
+    revolute = fitted.asset.joint.type == "revolute"
+    ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
+    ratios = (ratio,) if ratio < LOOSE_RATIO or not revolute else (ratio, LOOSE_RATIO)
     for name, R in orientations(R_front_ee, fitted.asset.handle_axis, hand, TILTS_DEG):
-        for style, share in choices:
+        for share in ratios:
             yield Grasp(
-                name=f"{name}, {style}, turn {share:.2f}",
+                name=f"{name}, turn {share:.2f}",
                 R_object_ee=R,
                 held_ee=depth * hand.approach,
                 turn_ratio=share,
-                style=style,
             )
 
 

@@ -26,7 +26,7 @@ class IkLimits:
 
     residual_mm: float = 1.0
     residual_deg: float = 0.5
-    speed: float = 2.6
+    speed: float = 2.0
     limit_margin: float = 0.02
     iterations: int = 12
 
@@ -38,13 +38,11 @@ class IkPath:
     Attributes:
         joints: (T, J), [rad].
         residual_mm, residual_deg: Largest over the path.
-        speed: Largest joint speed, [rad/s].
     """
 
     joints: Array
     residual_mm: float
     residual_deg: float
-    speed: float
 
     def __post_init__(self) -> None:
         freeze(self, "joints", self.joints, (None, None))
@@ -73,7 +71,7 @@ def ik_solver(robot: RobotModel) -> IkSolver:
 
 
 def solve_path(
-    solver: IkSolver, Ts_world_ee: Array, start_joints: ArrayLike, fps: float, limits: IkLimits
+    solver: IkSolver, Ts_world_ee: Array, start_joints: ArrayLike, limits: IkLimits
 ) -> IkPath | Rejection:
     """Arm joints along a path of end effector poses.
 
@@ -81,12 +79,10 @@ def solve_path(
         solver: From `ik_solver`.
         Ts_world_ee: (T, 4, 4), close enough together for the arm to follow.
         start_joints: Where the arm is before the first pose (J,), [rad]; sets the branch.
-        fps: Poses a second.
-        limits: Acceptance.
+        limits: Acceptance; speed is left to `check_speed`, as only the caller knows the time.
 
     Returns:
-        The path; or a Rejection "unreachable", "joint_limit" or "too_fast" at the first pose that
-        breaks a limit.
+        The path; or a Rejection "unreachable" or "joint_limit" at the first pose that breaks a limit.
 
     Not checked: collisions.
     """
@@ -96,21 +92,39 @@ def solve_path(
     configuration.update(qpos)
     task = mink.FrameTask(solver.robot.ee_site, "site", position_cost=1.0, orientation_cost=0.3)
     bounds = [mink.ConfigurationLimit(solver.model)]
+    low, high = solver.robot.joint_limits.T
     joints = np.empty((len(Ts_world_ee), len(solver.addresses)))
-    worst = np.zeros(3)
+    worst_mm, worst_deg = 0.0, 0.0
     for row, T in enumerate(np.asarray(Ts_world_ee, np.float64)):
         task.set_target(mink.SE3(np.concatenate([quat_from_matrix(T[:3, :3]), T[:3, 3]])))
-        before = configuration.q[solver.addresses]
         residual_mm, residual_deg = _converge(configuration, task, bounds, limits)
         joints[row] = configuration.q[solver.addresses]
-        speed = float(np.abs(joints[row] - before).max() * fps) if row else 0.0
-        worst = np.maximum(worst, [residual_mm, residual_deg, speed])
-        rejection = _check(solver, joints[row], worst, row / fps, limits)
-        if rejection is not None:
-            return rejection
-    return IkPath(
-        joints=joints, residual_mm=float(worst[0]), residual_deg=float(worst[1]), speed=float(worst[2])
-    )
+        worst_mm, worst_deg = max(worst_mm, residual_mm), max(worst_deg, residual_deg)
+        done = row / max(len(Ts_world_ee) - 1, 1)
+        if not (residual_mm <= limits.residual_mm and residual_deg <= limits.residual_deg):
+            return Rejection(
+                reason="unreachable",
+                detail=f"{residual_mm:.1f} mm and {residual_deg:.1f} deg from the asked pose",
+                metrics={"residual_mm": residual_mm, "residual_deg": residual_deg, "path_share": done},
+            )
+        margin = float(np.minimum(joints[row] - low, high - joints[row]).min())
+        if not margin >= limits.limit_margin:
+            return Rejection(
+                reason="joint_limit",
+                detail=f"{margin:.3f} rad from a joint limit, at least {limits.limit_margin} wanted",
+                metrics={"limit_margin_rad": margin, "path_share": done},
+            )
+    return IkPath(joints=joints, residual_mm=worst_mm, residual_deg=worst_deg)
+
+
+def check_speed(joints: Array, fps: float, limits: IkLimits) -> float | Rejection:
+    """Largest joint speed of a path (T, J), [rad/s]; or a Rejection "too_fast" (a jump is one)."""
+    speeds = np.abs(np.diff(joints, axis=0)).max(1) * fps
+    speed = float(speeds.max(initial=0.0))
+    if speed <= limits.speed:
+        return speed
+    detail = f"joint speed {speed:.1f} rad/s at {speeds.argmax() / fps:.1f} s, limit {limits.speed} rad/s"
+    return Rejection(reason="too_fast", detail=detail, metrics={"joint_speed": speed})
 
 
 def _converge(
@@ -130,27 +144,3 @@ def _converge(
         configuration.integrate_inplace(velocity, 1.0)
     error = task.compute_error(configuration)
     return 1000 * float(np.linalg.norm(error[:3])), float(np.rad2deg(np.linalg.norm(error[3:])))
-
-
-def _check(
-    solver: IkSolver, joints: Array, worst: Array, time_s: float, limits: IkLimits
-) -> Rejection | None:
-    low, high = solver.robot.joint_limits.T
-    margin = float(np.minimum(joints - low, high - joints).min())
-    metrics = {
-        "residual_mm": float(worst[0]),
-        "residual_deg": float(worst[1]),
-        "joint_speed": float(worst[2]),
-        "limit_margin": margin,
-        "time_s": time_s,
-    }
-    if not (worst[0] <= limits.residual_mm and worst[1] <= limits.residual_deg):
-        detail = f"{worst[0]:.1f} mm and {worst[1]:.1f} deg from the asked pose at {time_s:.1f} s"
-        return Rejection(reason="unreachable", detail=detail, metrics=metrics)
-    if not margin >= limits.limit_margin:
-        detail = f"{margin:.3f} rad from a joint limit, at least {limits.limit_margin} wanted"
-        return Rejection(reason="joint_limit", detail=detail, metrics=metrics)
-    if not worst[2] <= limits.speed:
-        detail = f"joint speed {worst[2]:.1f} rad/s at {time_s:.1f} s, limit {limits.speed} rad/s"
-        return Rejection(reason="too_fast", detail=detail, metrics=metrics)
-    return None

@@ -1,6 +1,7 @@
 """Plan one episode: place the object, choose a grasp, retarget, solve the arm, check for collisions."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,11 +9,24 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
+from aomgen.generalization.arm import FreeWay, solve_around, solve_contact
 from aomgen.generalization.grasps import PINCH, Grasp, HandConventions, grasps
-from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, solve_path
-from aomgen.generalization.retarget import CONTACT, HandMotion, retarget, timing
+from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed
+from aomgen.generalization.retarget import CONTACT, HandMotion, Style, retarget, timing
 from aomgen.physics.kinematic import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.physics.scene import Scene
+
+# From early to late.
+REASONS = (
+    "joint_limit",
+    "unreachable",
+    "branch",
+    "too_fast",
+    "self_collision",
+    "collision",
+    "grip_collision",
+    "no_grip",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +39,6 @@ class PlanParams:
         ik: Limits of the arm.
         kinematic: Limits of tier A.
         max_slow_down: How much slower than demonstrated a too fast plan may become.
-        max_grasps: Grasps tried before a variation is given up.
     """
 
     fps: float = 10.0
@@ -33,7 +46,6 @@ class PlanParams:
     ik: IkLimits = field(default_factory=IkLimits)
     kinematic: KinematicLimits = field(default_factory=KinematicLimits)
     max_slow_down: float = 2.0
-    max_grasps: int = 12
 
 
 def plan_episode(
@@ -67,15 +79,14 @@ def plan_episode(
     R_front_ee = R_world_front.T @ demo.Ts_world_ee[min(close, len(demo.times_s) - 1), :3, :3]
     depth = float(demo.grasp_ee @ params.hand.approach)
     best: Rejection | None = None
-    choices = grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio, params.hand)
-    for tried, grasp in enumerate(choices, start=1):
-        result = _plan_with(fitted, demo, variation, T_world_object, grasp, placed, solver, params)
+    tried = 0
+    for grasp in grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio, params.hand):
+        tried += 1
+        result = _plan_with(_Task(fitted, demo, variation, T_world_object, placed, solver, params), grasp)
         if isinstance(result, EpisodePlan):
             return result
-        if best is None or _progress(result) > _progress(best):
+        if best is None or _rank(result) > _rank(best):
             best = result
-        if tried >= params.max_grasps:
-            break
     if best is None:
         return Rejection(reason="no_grasp", detail="the asset offers no grasp")
     return Rejection(
@@ -83,72 +94,97 @@ def plan_episode(
     )
 
 
-def _plan_with(
-    fitted: FittedAsset,
-    demo: Demonstration,
-    variation: Variation,
-    T_world_object: Array,
-    grasp: Grasp,
-    placed: Scene,
-    solver: IkSolver,
-    params: PlanParams,
-) -> EpisodePlan | Rejection:
-    motion, path = _solved(fitted, demo, T_world_object, grasp, solver, params)
-    if isinstance(path, Rejection):
-        return path
-    figures = _collision_free(fitted, demo, motion, path, placed, params)
-    if isinstance(figures, Rejection):
-        return figures
-    metrics = {
-        **figures,
-        "residual_mm": path.residual_mm,
-        "residual_deg": path.residual_deg,
-        "joint_speed": path.speed,
-    }
-    return EpisodePlan(
-        variation=variation,
-        fitted=fitted,
-        T_world_object=T_world_object,
-        fps=params.fps,
-        joints=path.joints,
-        gripper=motion.gripper,
-        thetas=motion.thetas,
-        phases=motion.phases,
-        Ts_world_ee=motion.Ts_world_ee,
-        grasp=grasp.name,
-        metrics=metrics,
-    )
+class _Task(NamedTuple):
+    """What all grasps of one variation share."""
+
+    fitted: FittedAsset
+    demo: Demonstration
+    variation: Variation
+    T_world_object: Array
+    placed: Scene
+    solver: IkSolver
+    params: PlanParams
 
 
-def _solved(
-    fitted: FittedAsset,
-    demo: Demonstration,
-    T_world_object: Array,
-    grasp: Grasp,
-    solver: IkSolver,
-    params: PlanParams,
-) -> tuple[HandMotion, IkPath | Rejection]:
+class _Ways(NamedTuple):
+    """One choice of how to come and go."""
+
+    free: FreeWay
+    approach: Style
+    retreat: Style
+
+
+# The demonstrated ways first; the last is the one with the least to go wrong.
+WAYS = (
+    _Ways("cartesian", "demonstrated", "demonstrated"),
+    _Ways("joints", "demonstrated", "demonstrated"),
+    _Ways("joints", "straight", "straight"),
+)
+
+
+def _plan_with(task: _Task, grasp: Grasp) -> EpisodePlan | Rejection:
+    """The first way of coming and going that works with one grasp."""
+    params = task.params
+    best: Rejection | None = None
+    for ways in WAYS:
+        motion, path = _solved(task, grasp, ways)
+        result = path if isinstance(path, Rejection) else _collision_free(task, motion, path)
+        if isinstance(path, IkPath) and not isinstance(result, Rejection):
+            speed = float(np.abs(np.diff(path.joints, axis=0)).max() * params.fps)
+            residuals = {"residual_mm": path.residual_mm, "residual_deg": path.residual_deg}
+            return EpisodePlan(
+                variation=task.variation,
+                fitted=task.fitted,
+                T_world_object=task.T_world_object,
+                fps=params.fps,
+                joints=path.joints,
+                gripper=motion.gripper,
+                thetas=motion.thetas,
+                phases=motion.phases,
+                Ts_world_ee=task.placed.robot.ee_poses(path.joints),
+                grasp=f"{grasp.name}; {ways.free} way, {ways.approach} approach, {ways.retreat} retreat",
+                metrics={**result, **residuals, "joint_speed": speed},
+            )
+        if isinstance(result, Rejection) and (best is None or _rank(result) > _rank(best)):
+            best = result
+        if isinstance(result, Rejection) and result.metrics.get("in_contact"):
+            break
+    return best or Rejection(reason="no_grasp")
+
+
+def _solved(task: _Task, grasp: Grasp, ways: _Ways) -> tuple[HandMotion, IkPath | Rejection]:
     """Hand and arm motion; a motion that is only too fast is tried again more slowly."""
-    slow_down = 1.0
+    params, slow_down = task.params, 1.0
     while True:
-        motion = retarget(demo, fitted, T_world_object, grasp, params.hand, params.fps, slow_down)
-        path = solve_path(solver, motion.Ts_world_ee, demo.joints[0], params.fps, params.ik)
-        if not isinstance(path, Rejection) or path.reason != "too_fast":
+        motion = retarget(
+            task.demo,
+            task.fitted,
+            task.T_world_object,
+            grasp,
+            params.hand,
+            params.fps,
+            approach=ways.approach,
+            retreat=ways.retreat,
+            slow_down=slow_down,
+        )
+        contact = solve_contact(task.solver, motion, task.demo, params.ik)
+        if isinstance(contact, Rejection):
+            # No way of coming or going can mend this grasp.
+            return motion, replace(contact, metrics={**contact.metrics, "in_contact": 1.0})
+        path = solve_around(task.solver, motion, contact, task.demo, ways.free, params.ik)
+        if isinstance(path, Rejection):
             return motion, path
-        slow_down *= 1.1 * path.metrics["joint_speed"] / params.ik.speed
+        speed = check_speed(path.joints, params.fps, params.ik)
+        if not isinstance(speed, Rejection):
+            return motion, path
+        slow_down *= 1.1 * speed.metrics["joint_speed"] / params.ik.speed
         if not slow_down <= params.max_slow_down:
-            return motion, path
+            return motion, speed
 
 
-def _collision_free(
-    fitted: FittedAsset,
-    demo: Demonstration,
-    motion: HandMotion,
-    path: IkPath,
-    placed: Scene,
-    params: PlanParams,
-) -> dict[str, float] | Rejection:
+def _collision_free(task: _Task, motion: HandMotion, path: IkPath) -> dict[str, float] | Rejection:
     """Tier A with the fingers as wide open as the handle will hold them."""
+    fitted, demo, placed = task.fitted, task.demo, task.placed
     bar = fitted.asset.handle_bar
     measured = float(np.median(demo.gripper[demo.contact_frames]))
     width = 2 * float(np.min(bar.half_extents)) if bar is not None else 0.0
@@ -158,19 +194,10 @@ def _collision_free(
     between = (motion.phases == CONTACT) & ~holding
     gripper = np.minimum(motion.gripper, held_at)
     gripper = np.where(between, np.minimum(gripper, 0.5 * held_at), gripper)
-    return check_kinematics(placed, path.joints, gripper, motion.thetas, holding, params.kinematic)
+    return check_kinematics(placed, path.joints, gripper, motion.thetas, holding, task.params.kinematic)
 
 
-def _progress(rejection: Rejection) -> float:
+def _rank(rejection: Rejection) -> float:
     """How far planning came, to tell which of several rejections says most."""
-    order = (
-        "unreachable",
-        "joint_limit",
-        "too_fast",
-        "self_collision",
-        "collision",
-        "grip_collision",
-        "no_grip",
-    )
-    rank = order.index(rejection.reason) if rejection.reason in order else len(order)
-    return rank + 0.01 * rejection.metrics.get("time_s", 0.0)
+    known = REASONS.index(rejection.reason) if rejection.reason in REASONS else len(REASONS)
+    return known + rejection.metrics.get("path_share", 0.0)

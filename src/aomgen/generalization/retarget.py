@@ -9,6 +9,7 @@ it is made anew from the joint, so that the object may be another one.
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,8 @@ from aomgen.core.values import Array, freeze
 from aomgen.generalization.grasps import Grasp, HandConventions
 
 APPROACH, CONTACT, RETREAT = range(len(PHASES))
+# How the hand moves beside the handle: as demonstrated, or straight along its approach direction.
+Style = Literal["demonstrated", "straight"]
 # The last stretch of the approach, and the first of the retreat, moves with the object, [m].
 RIGID_STRETCH_M = 0.10
 # A turn of one radian counts as this much way, [m].
@@ -71,6 +74,8 @@ class HandMotion:
         thetas: Planned joint value (T,), [rad] or [m].
         phases: (T,) index into `PHASES`.
         demo_times_s: Moment of the demonstration that each sample answers to (T,), [s].
+        blend: Share of the new grasp in each approach pose (T,): 0 at the start, 1 from where
+            the hand moves with the object.
     """
 
     Ts_world_ee: Array
@@ -78,6 +83,7 @@ class HandMotion:
     thetas: Array
     phases: NDArray[np.int64]
     demo_times_s: Array
+    blend: Array
 
     def __post_init__(self) -> None:
         count = len(self.thetas)
@@ -86,6 +92,7 @@ class HandMotion:
         freeze(self, "thetas", self.thetas, (count,))
         freeze(self, "phases", self.phases, (count,), np.int64)
         freeze(self, "demo_times_s", self.demo_times_s, (count,))
+        freeze(self, "blend", self.blend, (count,))
 
 
 def gripper_command(demo: Demonstration) -> Array:
@@ -123,6 +130,9 @@ def retarget(
     grasp: Grasp,
     hand: HandConventions,
     fps: float,
+    *,
+    approach: Style = "demonstrated",
+    retreat: Style = "demonstrated",
     slow_down: float = 1.0,
 ) -> HandMotion:
     """The hand's motion for an object at a new pose.
@@ -137,12 +147,13 @@ def retarget(
         grasp: How it is held.
         hand: Directions of the gripper.
         fps: Samples a second of the result.
+        approach, retreat: How the hand moves beside the handle.
         slow_down: Stretches approach and contact further, at least 1.
 
     Not checked: reach, collisions.
     """
     moments = timing(demo)
-    path = _HandPath(demo, fitted, T_world_object, grasp, hand, moments)
+    path = _HandPath(demo, fitted, T_world_object, grasp, hand, moments, (approach, retreat))
     marks = moments.marks
     stretch = np.maximum(path.stretches(), 1.0)
     stretch[:3] *= slow_down
@@ -158,6 +169,7 @@ def retarget(
         thetas=path.thetas(times),
         phases=phases,
         demo_times_s=times,
+        blend=path.blend(times),
     )
 
 
@@ -172,7 +184,9 @@ class _HandPath:
         grasp: Grasp,
         hand: HandConventions,
         moments: Timing,
+        styles: tuple[Style, Style],
     ) -> None:
+        self.styles = styles
         self.demo, self.fitted, self.grasp, self.hand, self.moments = demo, fitted, grasp, hand, moments
         self.T_world_object = T_world_object
         self.times = demo.times_s - demo.times_s[0]
@@ -221,26 +235,32 @@ class _HandPath:
             ratios.append(new / old if old > 0.03 and last - first > 1e-6 else 1.0)
         return np.clip(ratios, 0.5, 4.0)
 
+    def blend(self, times: Array) -> Array:
+        """Share of the new grasp in the approach poses (N,), smooth in the way left to go."""
+        close = self._way(np.array([self.moments.close]))
+        left = close - self._way(times)
+        total = max(float(close[0]) - RIGID_STRETCH_M, 1e-6)
+        share = np.clip(1.0 - (left - RIGID_STRETCH_M) / total, 0.0, 1.0)
+        return share * share * (3 - 2 * share)
+
     def _approach(self, times: Array) -> Array:
         close = np.array([self.moments.close])
         T_hold, T_demo_hold = self.holding(np.zeros(1))[0], self.demonstrated(close)[0]
-        left = self._way(close) - self._way(times)
         old = self.demonstrated(times)
-        moved = self._beside(old, T_hold, T_demo_hold, left)
-        # Share of the way from the start to where the rigid stretch begins.
-        total = max(float(self._way(close)[0]) - RIGID_STRETCH_M, 1e-6)
-        share = np.clip(1.0 - (left - RIGID_STRETCH_M) / total, 0.0, 1.0)
-        return _blend(old, moved, share * share * (3 - 2 * share))
+        moved = self._beside(old, T_hold, T_demo_hold, self._way(close) - self._way(times), self.styles[0])
+        return _blend(old, moved, self.blend(times))
 
     def _retreat(self, times: Array) -> Array:
         free = np.array([self.moments.free])
         T_hold = self.holding(self.thetas(free))[0]
         gone = self._way(times) - self._way(free)
-        return self._beside(self.demonstrated(times), T_hold, self.demonstrated(free)[0], gone)
+        return self._beside(
+            self.demonstrated(times), T_hold, self.demonstrated(free)[0], gone, self.styles[1]
+        )
 
-    def _beside(self, old: Array, T_hold: Array, T_demo_hold: Array, way: Array) -> Array:
+    def _beside(self, old: Array, T_hold: Array, T_demo_hold: Array, way: Array, style: Style) -> Array:
         """Poses near the handle: the demonstrated ones moved with it, or straight along the approach."""
-        if self.grasp.style == "demonstrated":
+        if style == "demonstrated":
             return T_hold @ invert(T_demo_hold) @ old
         return transform(T_hold[:3, :3], T_hold[:3, 3] - way[:, None] * (T_hold[:3, :3] @ self.hand.approach))
 
