@@ -78,6 +78,8 @@ class Painter:
             self._scene.flags[flag] = ids
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not ids
         _place_camera(self._scene, camera)
+        if self._context is None:
+            raise ValueError("the painter is closed")
         self._context.make_current()
         rect = mujoco.MjrRect(0, 0, camera.width, camera.height)
         mujoco.mjr_render(rect, self._scene, self._renderer)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from aomgen.assets.check import outward_normal
@@ -74,7 +75,7 @@ def draw_style(setting: Setting, rng: np.random.Generator) -> GraspStyle:
     )
 
 
-def grasp_poses(setting: Setting, style: GraspStyle, thetas: Sequence[float] | Array) -> Array:
+def grasp_poses(setting: Setting, style: GraspStyle, thetas: ArrayLike) -> Array:
     """Poses T_world_ee (N, 4, 4) of the hand while the object's joint has the given values.
 
     Axes of the hand: z approaches, x lies along the handle's bar, y is the closing direction.
@@ -88,7 +89,7 @@ def grasp_poses(setting: Setting, style: GraspStyle, thetas: Sequence[float] | A
     R = matrix_from_rotvec(-style.tilt_rad * sideways) @ R
     T_asset_grasp = transform(R, asset.handle_point)
     poses = []
-    for theta in thetas:
+    for theta in np.asarray(thetas, np.float64):
         T_held = asset.joint.motion(theta) @ T_asset_grasp
         if asset.joint.type == "revolute":
             lag = matrix_from_rotvec(-(1.0 - style.follow) * theta * asset.joint.axis)
@@ -132,8 +133,9 @@ def plan(robot: RobotModel, world: World, setting: Setting, rng: np.random.Gener
     return None
 
 
-def _withdrawn(T_world_ee: Array, distances: Array) -> Array:
+def _withdrawn(T_world_ee: Array, distances: ArrayLike) -> Array:
     """The pose moved back along its approach direction by each distance, [m]."""
+    distances = np.asarray(distances, np.float64)
     poses = np.repeat(T_world_ee[None], len(distances), 0)
     poses[:, :3, 3] -= distances[:, None] * T_world_ee[:3, 2]
     return poses
@@ -172,15 +174,16 @@ def _free(
     path: Sequence[Array] | Array,
     gripper: float,
     style: GraspStyle | None = None,
-    thetas: Array | None = None,
+    thetas: ArrayLike | None = None,
 ) -> bool:
     """Whether the arm touches nothing along a path; with `style`, the hand may touch the moving part."""
     model = world.model
     data = mujoco.MjData(model)
+    values = np.zeros(len(path)) if thetas is None else np.asarray(thetas, np.float64)
     robot_size = len(robot.qpos(path[0], 0.0)[0])
     for index in range(0, len(path), 2):
         data.qpos[:robot_size] = robot.qpos(path[index], gripper)[0]
-        data.joint(world.names.joint).qpos[0] = 0.0 if thetas is None else thetas[index]
+        data.joint(world.names.joint).qpos[0] = values[index]
         mujoco.mj_forward(model, data)
         for contact in data.contact:
             if contact.dist < 0 and not _allowed(robot, model, contact.geom, world, style is not None):
@@ -219,7 +222,7 @@ def _timed(rest: Array, approach: Array, opening: Array, retreat: Array, style: 
     gripper.append(np.zeros(1))
     stacked = np.concatenate(joints)
     return Script(
-        times_s=CONTROL_STEP_S * np.arange(len(stacked)),
+        times_s=np.arange(len(stacked), dtype=np.float64) * CONTROL_STEP_S,
         joints=stacked,
         gripper=np.concatenate(gripper),
         theta_goal=style.theta_goal,

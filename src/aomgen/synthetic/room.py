@@ -57,15 +57,23 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
         return
     for mesh in room_meshes(room, rng):
         add_visual_mesh(spec, body, mesh, f"room_{mesh.name}")
-    low = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    body.add_light(
-        name="lamp", type=low, pos=[0.4, 0.0, 2.5], dir=[-0.25, 0.45, -1.0], diffuse=[0.42] * 3, specular=[0.2] * 3,
-        ambient=[0.0] * 3, castshadow=True,
-    )  # fmt: skip
-    body.add_light(
-        name="window", type=low, pos=[-2.0, -1.0, 2.0], dir=[0.8, 0.55, -0.6], diffuse=[0.22, 0.22, 0.25],
-        specular=[0.1] * 3, ambient=[0.0] * 3, castshadow=False,
-    )  # fmt: skip
+    # A steep lamp casts the shadows; the others only shade, so that every picture sees one light.
+    lights = {
+        "lamp": ((-0.10, 0.18, -1.0), 0.45, True),
+        "window": ((0.8, 0.5, -0.45), 0.26, False),
+        "door": ((-0.5, 0.75, -0.35), 0.20, False),
+    }
+    for name, (direction, strength, shadow) in lights.items():
+        body.add_light(
+            name=name,
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=[0.0, 0.4, 2.5],
+            dir=direction,
+            diffuse=[strength] * 3,
+            specular=[0.3 * strength] * 3,
+            ambient=[0.0] * 3,
+            castshadow=shadow,
+        )
 
 
 def room_meshes(room: Room, rng: np.random.Generator) -> list[Mesh]:
@@ -76,15 +84,18 @@ def room_meshes(room: Room, rng: np.random.Generator) -> list[Mesh]:
     dark = Surface(texture_srgb=brushed_metal(rng, (0.23, 0.23, 0.25), 256), tile_m=1.0)
     steel = Surface(texture_srgb=brushed_metal(rng, (0.60, 0.60, 0.62), 512), tile_m=0.4)
     x0, x1, y0, y1 = room.table
-    z, down = room.table_z, room.floor_z
+    z, down, back = room.table_z, room.floor_z, room.wall_y
     legs = [
         box(x - 0.025, x + 0.025, y - 0.025, y + 0.025, down, z - 0.04)
         for x in (x0 + 0.05, x1 - 0.05)
         for y in (y0 + 0.05, y1 - 0.05)
     ]
     meshes = [
-        panel("floor", (-2.2, room.wall_y - 4.4, down), (4.4, 0, 0), (0, 4.4, 0), floor),
-        panel("wall", (-2.2, room.wall_y, down), (4.4, 0, 0), (0, 0, 2.9), wall),
+        panel("floor", (-2.2, back - 4.4, down), (4.4, 0, 0), (0, 4.4, 0), floor),
+        panel("wall", (-2.2, back, down), (4.4, 0, 0), (0, 0, 2.9), wall),
+        panel("wall_left", (-2.2, back - 4.4, down), (0, 4.4, 0), (0, 0, 2.9), wall),
+        panel("wall_right", (2.2, back, down), (0, -4.4, 0), (0, 0, 2.9), wall),
+        panel("wall_behind", (2.2, back - 4.4, down), (-4.4, 0, 0), (0, 0, 2.9), wall),
         boxes_mesh("top", [box(x0, x1, y0, y1, z - 0.04, z)], top),
         boxes_mesh("legs", legs, dark),
         boxes_mesh("pedestal", [box(-0.13, 0.13, -0.13, 0.13, down, -0.022)], dark),
@@ -94,15 +105,25 @@ def room_meshes(room: Room, rng: np.random.Generator) -> list[Mesh]:
 
 
 def _posters(room: Room, rng: np.random.Generator) -> list[Mesh]:
-    """A row of posters on the wall, above and beside the table."""
-    meshes, x = [], -1.75 + rng.uniform(0.0, 0.2)
-    while x < 1.5:
-        width = rng.uniform(0.36, 0.52)
-        height = width * rng.uniform(1.15, 1.4)
-        corner = (x, room.wall_y - 0.004, room.table_z + rng.uniform(0.12, 0.45))
-        surface = Surface(texture_srgb=prints.poster(rng), roughness=0.9)
-        meshes.append(panel(f"poster_{len(meshes)}", corner, (width, 0, 0), (0, 0, height), surface))
-        x += width + rng.uniform(0.05, 0.22)
+    """Posters on all four walls, densest behind the table; no two are the same."""
+    back, near = room.wall_y - 0.004, room.wall_y - 4.396
+    walls = [
+        ((-1.9, back), (1.0, 0.0), (0.05, 0.22)),
+        ((-2.196, near + 0.3), (0.0, 1.0), (0.2, 0.6)),
+        ((2.196, back - 0.3), (0.0, -1.0), (0.2, 0.6)),
+        ((1.9, near), (-1.0, 0.0), (0.3, 0.8)),
+    ]
+    meshes: list[Mesh] = []
+    for (x, y), (dx, dy), gaps in walls:
+        along = rng.uniform(0.0, 0.2)
+        while along < 3.4:
+            width = rng.uniform(0.36, 0.56)
+            height = width * rng.uniform(1.15, 1.4)
+            corner = (x + along * dx, y + along * dy, room.table_z + rng.uniform(0.05, 0.45))
+            surface = Surface(texture_srgb=prints.poster(rng), roughness=0.9)
+            right = (width * dx, width * dy, 0.0)
+            meshes.append(panel(f"poster_{len(meshes)}", corner, right, (0, 0, height), surface))
+            along += width + rng.uniform(*gaps)
     return meshes
 
 
@@ -115,7 +136,9 @@ def _clutter(room: Room, rng: np.random.Generator) -> list[Mesh]:
     for kind in wanted:
         for _ in range(60):
             a, b, c = _size(kind, rng)
-            x, y = rng.uniform(x0 + 0.02, x1 - a - 0.02), rng.uniform(y0 + 0.02, y1 - b - 0.02)
+            # Cartons stand at the back, where they hide little.
+            front = y0 + (0.55 * (y1 - y0) if kind == "carton" else 0.02)
+            x, y = rng.uniform(x0 + 0.02, x1 - a - 0.02), rng.uniform(front, y1 - b - 0.02)
             area = (x, x + a, y, y + b)
             if not any(_meet(area, other) for other in taken):
                 taken.append(area)

@@ -11,6 +11,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
+from aomgen.synthetic.robot_looks import add_robot_looks
 from aomgen.synthetic.room import Room, add_room
 
 # The passive joint: (damping, dry friction) in [N m s/rad], [N m] or [N s/m], [N].
@@ -101,7 +102,7 @@ def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
 
     With and without `visual` the joints are the same, so that `qpos` carries over.
     """
-    spec = robot.spec(visual=visual)
+    spec = robot.spec(visual=False)
     for name in robot.body_names:
         spec.body(name).gravcomp = 1.0
     add_room(spec, setting.room, np.random.default_rng(setting.room_seed), visual=visual)
@@ -110,9 +111,11 @@ def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
         spec, setting.asset, setting.T_world_object, damping=damping, frictionloss=friction, visual=visual
     )
     if visual:
-        spec.visual.quality.shadowsize = 2048
-        spec.visual.headlight.ambient = [0.38, 0.38, 0.38]
-        spec.visual.headlight.diffuse = [0.18, 0.18, 0.18]
+        add_robot_looks(spec, robot)
+        spec.stat.extent, spec.stat.center = 1.6, [0.0, 0.0, 0.0]
+        spec.visual.quality.shadowsize = 1024
+        spec.visual.headlight.ambient = [0.42, 0.42, 0.42]
+        spec.visual.headlight.diffuse = [0.0, 0.0, 0.0]
         spec.visual.headlight.specular = [0.0, 0.0, 0.0]
         spec.visual.map.znear = 0.01
     return World(model=spec.compile(), names=names)

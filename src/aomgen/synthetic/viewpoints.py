@@ -32,7 +32,7 @@ def scan_cameras(
         for share in sweep:
             angle = np.deg2rad(98.0 * share + rng.uniform(-3, 3))
             radius = (1.22, 1.18, 1.05)[number] + rng.uniform(-0.06, 0.06)
-            height = setting.room.table_z + (0.24, 0.55, 0.95)[number] + rng.uniform(-0.05, 0.05)
+            height = setting.room.table_z + (0.32, 0.58, 0.95)[number] + rng.uniform(-0.05, 0.05)
             eye = np.array([target[0] + radius * np.sin(angle), target[1] - radius * np.cos(angle), height])
             aim = target + rng.uniform(-0.07, 0.07, 3)
             cameras.append(_in_room(setting, size, eye, aim))
@@ -43,7 +43,7 @@ def demo_candidates(setting: Setting, size: tuple[int, int], rng: np.random.Gene
     """Places for the fixed camera, left and right of the robot, both see the front of the object."""
     target = np.array([0.0, 0.52, setting.room.table_z + 0.13])
     cameras = []
-    for side in (-1.0, 1.0):
+    for side in (-1.0, 1.0, -1.0, 1.0):
         height = setting.room.table_z + rng.uniform(0.5, 0.8)
         eye = np.array([side * rng.uniform(0.85, 1.1), rng.uniform(-0.25, 0.1), height])
         cameras.append(_in_room(setting, size, eye, target + rng.uniform(-0.04, 0.04, 3)))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.make import make_asset
+from aomgen.conventions import MOVING
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.joint_log import JointLog
@@ -198,10 +199,10 @@ def _log(
 def _best_camera(
     painter: Painter, candidates: list[Camera], demonstration: Demonstration, steps: NDArray[np.int64]
 ) -> Camera:
-    """The candidate that sees most of the moving part, at its worst moment of five."""
-    moments = steps[np.linspace(0, len(steps) - 1, 5).astype(int)]
+    """The candidate that sees most of the moving part, at its worst moment of three."""
+    moments = steps[np.linspace(0, len(steps) - 1, 3).astype(int)]
     seen = [
-        min(int((painter.labels(camera, demonstration.qpos[step]) == 3).sum()) for step in moments)
+        min(int((painter.labels(camera, demonstration.qpos[step]) == MOVING).sum()) for step in moments)
         for camera in candidates
     ]
     return candidates[int(np.argmax(seen))]

@@ -155,7 +155,7 @@ def _clearest(labels: list[NDArray[np.uint8]], label: int) -> list[int]:
 
 def prompt_of(mask: NDArray[np.bool_]) -> tuple[list[float], list[float]]:
     """What a person would click: the pixel deepest inside a mask (H, W), and the mask's box, [px]."""
-    depth = distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    depth = np.asarray(distance_transform_edt(np.pad(mask, 1)))[1:-1, 1:-1]
     row, column = np.unravel_index(int(np.argmax(depth)), mask.shape)
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     bounds = [float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)]
