@@ -1,5 +1,7 @@
 """The native engine against its float64 twin, on every instruction set of this machine."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 import splatting_reference as reference
@@ -14,6 +16,15 @@ from aomgen.splatting.rasterizer import contribution_weights, render
 
 BACKGROUND = (0.2, 0.4, 0.6)
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_torch_thread() -> Iterator[None]:
+    """The reference runs thousands of tiny operations, which threads only slow down."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 def make_camera(width: int = 70, height: int = 50) -> Camera:

@@ -1,5 +1,7 @@
 """Gaussians fitted to posed images: one loop, counted in iterations."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,6 +94,18 @@ def train(
         ValueError: No images, or images that do not fit their cameras.
     """
     _check(initial, cameras, images)
+    with _one_torch_thread():
+        return _train(initial, cameras, images, params, progress, rng)
+
+
+def _train(
+    initial: Gaussians,
+    cameras: list[Camera],
+    images: list[NDArray[np.uint8]],
+    params: TrainingParams,
+    progress: Progress,
+    rng: np.random.Generator,
+) -> Gaussians:
     extent = scene_extent(initial, cameras)
     parameters = parameters_of(initial, params.sh_degree)
     exposure = Exposure.neutral(len(images), params.exposure)
@@ -113,6 +127,17 @@ def train(
             progress((iteration + 1) / params.iterations, f"{len(parameters)} Gaussians, loss {loss:.4f}")
     trained = gaussians_of(parameters)
     return trained.select(np.isfinite(trained.means).all(1) & (trained.opacities >= params.min_opacity))
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    """The engine has its own threads; torch's would wait for each other by spinning on its cores."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
