@@ -1,5 +1,7 @@
 """Real spherical harmonics up to degree 3: evaluation and exact rotation."""
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -47,16 +49,20 @@ def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
     directions, because a band's basis functions span a space that rotation maps to itself.
     """
     R = np.asarray(R, np.float64)
+    directions, solvers = _sampled_bands(degree)
+    turned = sh_basis(directions @ R, degree)  # basis at R^T d
+    return [solver @ turned[:, band * band : (band + 1) ** 2] for band, solver in enumerate(solvers, start=1)]
+
+
+@cache
+def _sampled_bands(degree: int) -> tuple[Array, list[Array]]:
+    """Directions (32, 3), and for each band the pseudo-inverse of its basis there."""
     # Fixed directions, enough of them and generic, so that every band's system is well posed.
     directions = np.random.default_rng(7).normal(size=(32, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    turned = sh_basis(directions @ R, degree)  # basis at R^T d
     fixed = sh_basis(directions, degree)
-    bands = []
-    for band in range(1, degree + 1):
-        columns = slice(band * band, (band + 1) ** 2)
-        bands.append(np.linalg.lstsq(fixed[:, columns], turned[:, columns], rcond=None)[0])
-    return bands
+    bands = [fixed[:, band * band : (band + 1) ** 2] for band in range(1, degree + 1)]
+    return directions, [np.asarray(np.linalg.pinv(band), np.float64) for band in bands]
 
 
 def rotate_sh(sh: NDArray[np.float32], R: ArrayLike) -> NDArray[np.float32]:

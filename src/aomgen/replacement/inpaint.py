@@ -90,7 +90,8 @@ def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) 
     grid = np.argwhere(~known)
     grid = grid[(grid % STEP == 0).all(1)]
     grid = grid[np.argsort(inner[tuple(grid.T)], kind="stable")]
-    feather = np.minimum(*np.meshgrid(*[half + 1 - np.abs(np.arange(PATCH) - half)] * 2)) / (half + 1)
+    ramp = 1 - np.abs(np.arange(PATCH) - half) / (half + 1)
+    feather = np.minimum.outer(ramp, ramp)
     height, width = known.shape
     for row, column in grid:
         r = int(np.clip(row - half, 0, height - PATCH))

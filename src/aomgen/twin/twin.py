@@ -3,7 +3,6 @@
 A state gives body poses, body poses move Gaussians, Gaussians give images.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
@@ -12,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.camera import Camera
-from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
+from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.light import Light, shaded_srgb
+from aomgen.core.sh import rotate_sh
+from aomgen.core.transforms import quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
@@ -128,6 +129,71 @@ class Twin:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """A twin prepared for posing again and again: Gaussians sorted by body.
+
+    Attributes:
+        gaussians: N, in body frames.
+        order: (N,) index of each in the twin.
+        spans: (body, first, past the last) of every body that carries something.
+        surfaces: For each span its relit rows (M,) among the sorted Gaussians, their albedo
+            (M, 3) and transfer (M, 9).
+        light: What relit surfaces are lit by, or None.
+    """
+
+    gaussians: Gaussians
+    order: NDArray[np.int64]
+    spans: tuple[tuple[int, int, int], ...]
+    surfaces: tuple[tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]], ...]
+    light: Light | None
+
+    def pose(self, Ts_world_body: Array) -> Gaussians:
+        """The Gaussians in the world frame, in this rig's order, for body poses (B, 4, 4).
+
+        Gaussians turn with their bodies, their harmonics too; relit surfaces are lit anew.
+        """
+        source = self.gaussians
+        means, quats, sh = np.array(source.means), np.array(source.quats), np.array(source.sh)
+        for (body, start, end), (rows, albedo, transfer) in zip(self.spans, self.surfaces, strict=True):
+            T, span = Ts_world_body[body], slice(start, end)
+            if self.light is not None and len(rows):
+                colors = shaded_srgb(albedo, transfer, self.light.seen_from(T[:3, :3]))
+                sh[rows, 0] = (colors - 0.5) / SH_C0
+                sh[rows, 1:] = 0
+            if np.array_equal(T, np.eye(4)):
+                continue
+            means[span] = source.means[span] @ T[:3, :3].T + T[:3, 3]
+            quats[span] = quat_multiply(quat_from_matrix(T[:3, :3]), source.quats[span])
+            if sh.shape[1] > 1 and len(rows) < end - start:
+                sh[span] = rotate_sh(sh[span], T[:3, :3])
+        return gaussians_of(means=means, quats=quats, scales=source.scales, opacities=source.opacities, sh=sh)
+
+
+def rig(twin: Twin) -> Rig:
+    """Prepare a twin for posing."""
+    order = np.argsort(twin.bodies, kind="stable")
+    edges = np.searchsorted(twin.bodies[order], np.arange(len(twin.body_names) + 1))
+    spans = tuple((body, a, b) for body, (a, b) in enumerate(pairwise(edges.tolist())) if b > a)
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    relit = twin.relit
+    surfaces = []
+    for _, start, end in spans:
+        rows = place[relit.indices] if relit is not None else np.zeros(0, np.int64)
+        mine = (rows >= start) & (rows < end)
+        albedo = relit.albedo_linear[mine] if relit is not None else np.zeros((0, 3), np.float32)
+        transfer = relit.transfer[mine] if relit is not None else np.zeros((0, 9), np.float32)
+        surfaces.append((rows[mine], albedo, transfer))
+    return Rig(
+        gaussians=twin.gaussians.select(order),
+        order=order,
+        spans=spans,
+        surfaces=tuple(surfaces),
+        light=relit.light if relit is not None else None,
+    )
+
+
 def trajectory_body_poses(
     twin: Twin,
     robot: RobotModel,
@@ -167,24 +233,11 @@ def posed(twin: Twin, robot: RobotModel, state: TwinState) -> Gaussians:
 
 
 def posed_by(twin: Twin, Ts_world_body: Array) -> Gaussians:
-    """All Gaussians in the world frame, in the twin's order, for body poses (B, 4, 4).
-
-    Gaussians turn with their bodies, their harmonics too; relit surfaces are lit anew.
-    """
-    source = _lit(twin, Ts_world_body)
-    order = np.argsort(twin.bodies, kind="stable")
-    edges = np.searchsorted(twin.bodies[order], np.arange(len(twin.body_names) + 1))
-    pieces: list[Gaussians] = []
-    for body, (start, end) in enumerate(pairwise(edges)):
-        if end > start:
-            members = source.select(order[start:end])
-            still = np.array_equal(Ts_world_body[body], np.eye(4))
-            pieces.append(members if still else members.transformed(Ts_world_body[body]))
-    if not pieces:
-        return source
-    back = np.empty(len(order), np.int64)
-    back[order] = np.arange(len(order))
-    return concatenate(pieces).select(back)
+    """All Gaussians in the world frame, in the twin's order, for body poses (B, 4, 4)."""
+    rigged = rig(twin)
+    back = np.empty(len(rigged.order), np.int64)
+    back[rigged.order] = np.arange(len(rigged.order))
+    return rigged.pose(Ts_world_body).select(back)
 
 
 def render_state(
@@ -194,29 +247,6 @@ def render_state(
     return render(posed(twin, robot, state), camera, **options)
 
 
-def _lit(twin: Twin, Ts_world_body: Array) -> Gaussians:
-    """The Gaussians in body frames, relit surfaces colored for these body poses."""
-    relit = twin.relit
-    if relit is None or not len(relit.indices):
-        return twin.gaussians
-    sh = np.array(twin.gaussians.sh)
-    owners = twin.bodies[relit.indices]
-    for body in np.unique(owners):
-        mine = owners == body
-        local = relit.light.seen_from(Ts_world_body[body][:3, :3])
-        colors = shaded_srgb(relit.albedo_linear[mine], relit.transfer[mine], local)
-        sh[relit.indices[mine], 0] = (colors - 0.5) / SH_C0
-        sh[relit.indices[mine], 1:] = 0
-    source = twin.gaussians
-    return source.with_sh(sh)
-
-
 def body_list(robot: RobotModel) -> tuple[str, ...]:
     """Names of a twin's bodies for a robot."""
     return (WORLD, *robot.body_names, OBJECT, PART)
-
-
-def joined_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
-    """Gaussians of several sets; empty sets are allowed."""
-    filled = [item for item in sets if len(item)]
-    return concatenate(filled) if filled else sets[0]

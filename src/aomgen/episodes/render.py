@@ -1,0 +1,129 @@
+"""Pictures of an episode from fixed cameras, by the twin."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array, freeze
+from aomgen.physics.robot import RobotModel
+from aomgen.twin.layers import StaticLayer, over, static_layer
+from aomgen.twin.shadow import cast_shadow
+from aomgen.twin.twin import OBJECT, PART, Twin, rig, trajectory_body_poses
+
+# Joint values for which the shadow is computed; between them it is interpolated.
+SHADOW_STATES: Final = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trajectory:
+    """What moves in the pictures, T frames.
+
+    Attributes:
+        joints: (T, J), [rad].
+        gripper: (T,), 0..1.
+        thetas: (T,), [rad] or [m].
+        T_world_object: Object pose (4, 4).
+    """
+
+    joints: Array
+    gripper: Array
+    thetas: Array
+    T_world_object: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.thetas)
+        freeze(self, "joints", self.joints, (count, None))
+        freeze(self, "gripper", self.gripper, (count,))
+        freeze(self, "thetas", self.thetas, (count,))
+        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+
+
+def static_layers(
+    twin: Twin, cameras: Mapping[str, Camera], threads: int | None = None
+) -> dict[str, StaticLayer]:
+    """What each camera sees of the scene that never moves; the same for all episodes of a scene."""
+    still = twin.gaussians.select(~twin.moves)
+    return {name: static_layer(still, camera, threads) for name, camera in cameras.items()}
+
+
+def render_frames(
+    twin: Twin,
+    robot: RobotModel,
+    trajectory: Trajectory,
+    layers: Mapping[str, StaticLayer],
+    T_world_plane: Array | None = None,
+    threads: int | None = None,
+) -> dict[str, NDArray[np.uint8]]:
+    """Draw an episode.
+
+    Args:
+        twin: With the object that stands in it.
+        robot: Its robot.
+        trajectory: Where everything is.
+        layers: From `static_layers`, of the same twin.
+        T_world_plane: The surface that the object's shadow falls on; None for no shadow.
+        threads: As in `splatting.rasterizer.render`.
+
+    Returns:
+        Frames (T, H, W, 3) uint8 of each camera.
+    """
+    Ts = trajectory_body_poses(
+        twin, robot, trajectory.joints, trajectory.gripper, trajectory.thetas, trajectory.T_world_object
+    )
+    moving = rig(twin.select(twin.moves))
+    shades = {}
+    if T_world_plane is not None and twin.relit is not None:
+        shades = _shades(twin, trajectory, layers, T_world_plane)
+    frames = {
+        name: np.empty((len(Ts), layer.camera.height, layer.camera.width, 3), np.uint8)
+        for name, layer in layers.items()
+    }
+    knots = _knots(trajectory.thetas)
+    for t, poses in enumerate(Ts):
+        gaussians = moving.pose(poses)
+        for name, layer in layers.items():
+            shade = _between(shades[name], knots, trajectory.thetas[t]) if name in shades else None
+            frames[name][t] = over(layer, gaussians, shade, threads)
+    return frames
+
+
+def _knots(thetas: Array) -> Array:
+    return np.linspace(thetas.min(), max(thetas.max(), thetas.min() + 1e-6), SHADOW_STATES)
+
+
+def _shades(
+    twin: Twin, trajectory: Trajectory, layers: Mapping[str, StaticLayer], T_world_plane: Array
+) -> dict[str, NDArray[np.float32]]:
+    """Factors (SHADOW_STATES, H, W) on each camera's static picture, one for each knot."""
+    relit = twin.relit
+    if relit is None:
+        return {}
+    points = {
+        name: twin.gaussians.means[relit.indices[twin.bodies[relit.indices] == twin.body(name)]]
+        for name in (OBJECT, PART)
+    }
+    T_object = trajectory.T_world_object
+    places = {
+        name: layer.camera.center + layer.camera.directions() * np.minimum(layer.depth, 100.0)[..., None]
+        for name, layer in layers.items()
+    }
+    shades: dict[str, list[NDArray[np.float32]]] = {name: [] for name in layers}
+    for T_part in T_object @ twin.joint.motion(_knots(trajectory.thetas)):
+        solid = np.concatenate([apply(T_object, points[OBJECT]), apply(T_part, points[PART])])
+        shadow = cast_shadow(solid, T_world_plane, relit.light)
+        for name, seen in places.items():
+            shades[name].append(shadow.at(seen))
+    return {name: np.stack(images) for name, images in shades.items()}
+
+
+def _between(images: NDArray[np.float32], knots: Array, theta: float) -> NDArray[np.float32]:
+    """Image at a joint value, linear between the knots' images."""
+    place = float(np.interp(theta, knots, np.arange(len(knots))))
+    first = min(int(place), len(knots) - 2)
+    share = np.float32(place - first)
+    return (1 - share) * images[first] + share * images[first + 1]

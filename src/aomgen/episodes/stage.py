@@ -1,0 +1,129 @@
+"""Render verified episodes and commit them, each as one folder."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Final
+
+from aomgen.core.camera import Camera
+from aomgen.core.episode import Episode
+from aomgen.core.plan import VerifiedEpisode
+from aomgen.core.progress import Progress, silent
+from aomgen.core.values import Array
+from aomgen.episodes.render import Trajectory, render_frames, static_layers
+from aomgen.io.atomic import remove_staging
+from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
+from aomgen.io.video import encode_video
+from aomgen.physics.robot import RobotModel
+from aomgen.twin.layers import StaticLayer
+from aomgen.twin.twin import Twin
+
+WORKERS: Final = 2
+
+
+def run_episodes(
+    verified: Sequence[VerifiedEpisode],
+    twins: Mapping[str, Twin],
+    robot: RobotModel,
+    cameras: Mapping[str, Camera],
+    folder: Path,
+    *,
+    instruction: str,
+    T_world_plane: Array | None = None,
+    workers: int = WORKERS,
+    progress: Progress = silent,
+) -> list[Path]:
+    """Draw and commit every verified episode that is not committed yet.
+
+    The number of workers changes nothing in the results.
+
+    Args:
+        verified: What passed; an episode's folder is its place in this sequence.
+        twins: For each asset's name, the cleared scene with that asset in it.
+        robot: The robot.
+        cameras: Cameras of the pictures.
+        folder: Of all episodes; committed ones are kept.
+        instruction: Language instruction.
+        T_world_plane: The surface that shadows fall on, (4, 4).
+        workers: Episodes drawn at the same time.
+        progress: Told about every episode.
+
+    Returns:
+        Folders of all episodes, in order.
+
+    Raises:
+        StorageError: The disk refuses.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    remove_staging(folder)
+    done = set(list_committed(folder))
+    open_ = [i for i in range(len(verified)) if episode_folder(folder, i) not in done]
+    layers = {name: static_layers(twin, cameras) for name, twin in twins.items()} if open_ else {}
+    # One engine thread a worker, except when a worker is alone.
+    threads = 1 if workers > 1 else None
+
+    def draw(index: int) -> None:
+        name = verified[index].plan.fitted.asset.name
+        episode = episode_of(verified[index], index, robot, instruction, cameras)
+        videos = episode_videos(episode, twins[name], robot, layers[name], T_world_plane, threads)
+        commit_episode(folder, episode, videos)
+
+    with ThreadPoolExecutor(workers) as pool:
+        tasks = [pool.submit(draw, index) for index in open_]
+        try:
+            for count, task in enumerate(as_completed(tasks), start=len(verified) - len(open_) + 1):
+                task.result()
+                progress(count / len(verified), f"{count} of {len(verified)} episodes")
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return [episode_folder(folder, index) for index in range(len(verified))]
+
+
+def episode_of(
+    verified: VerifiedEpisode, index: int, robot: RobotModel, instruction: str, cameras: Mapping[str, Camera]
+) -> Episode:
+    """The episode that a verified plan becomes."""
+    plan = verified.plan
+    asset = plan.fitted.asset
+    return Episode(
+        index=index,
+        seed=plan.variation.seed,
+        instruction=instruction,
+        robot=robot.name,
+        asset=asset.name,
+        joint_names=robot.joint_names,
+        fps=round(plan.fps),
+        joints=verified.joints,
+        gripper=verified.gripper,
+        action_joints=plan.joints,
+        action_gripper=plan.gripper,
+        Ts_world_ee=verified.Ts_world_ee,
+        Ts_world_ee_action=plan.Ts_world_ee,
+        thetas=verified.thetas,
+        phases=plan.phases,
+        contacts=verified.contacts,
+        joint=asset.joint.moved(plan.T_world_object),
+        T_world_object=plan.T_world_object,
+        cameras=cameras,
+        verdict={**verified.verdict.as_json(), "variation": plan.variation.index, "grasp": plan.grasp},
+    )
+
+
+def episode_videos(
+    episode: Episode,
+    twin: Twin,
+    robot: RobotModel,
+    layers: Mapping[str, StaticLayer],
+    T_world_plane: Array | None,
+    threads: int | None,
+) -> dict[str, bytes]:
+    """MP4 bytes of each camera."""
+    trajectory = Trajectory(
+        joints=episode.joints,
+        gripper=episode.gripper,
+        thetas=episode.thetas,
+        T_world_object=episode.T_world_object,
+    )
+    frames = render_frames(twin, robot, trajectory, layers, T_world_plane, threads)
+    return {name: encode_video(images, episode.fps) for name, images in frames.items()}

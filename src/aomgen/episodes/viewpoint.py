@@ -1,0 +1,120 @@
+"""Choose a second camera: where the scan looked from, so that the scene is well known there."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.values import Array
+from aomgen.errors import ReconstructionError
+from aomgen.physics.robot import RobotModel
+from aomgen.splatting.rasterizer import render
+from aomgen.twin.twin import Twin, TwinState, body_poses, rig
+
+# Size of the pictures in which visibility is judged, [px].
+LOOK: Final = (160, 120)
+# A point is seen when nothing lies nearer than this before it, [m].
+CLEARANCE: Final = 0.06
+# The camera is turned towards the action by at most this angle, [rad].
+MAX_TURN: Final = 0.35
+# Share of the picture's width that the action should span.
+WANTED_SPAN: Final = 0.45
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Viewpoint:
+    """A chosen camera.
+
+    Attributes:
+        camera: World frame.
+        scan_image: The scan image whose place it takes.
+        score: Higher is better; visible share, spread and difference of direction.
+        visible: Share of the key points that it sees.
+    """
+
+    camera: Camera
+    scan_image: str
+    score: float
+    visible: float
+
+
+def choose_viewpoint(
+    scan_cameras: Mapping[str, Camera],
+    first: Camera,
+    twin: Twin,
+    robot: RobotModel,
+    states: Sequence[TwinState],
+    key_points: Sequence[Array],
+) -> Viewpoint:
+    """Find a camera that sees gripper and object from another side than the first one.
+
+    Args:
+        scan_cameras: Registered scan cameras, world frame, by image name.
+        first: The demonstration's camera; its size and field of view are kept.
+        twin: The scene.
+        robot: Its robot.
+        states: A few states along the demonstration.
+        key_points: What must be seen in each state, for example gripper and handle, (P, 3) each.
+
+    Raises:
+        ReconstructionError: There is no scan camera, or none sees the action.
+    """
+    if not scan_cameras:
+        raise ReconstructionError("viewpoint", "no scan camera is registered", "scan the scene again")
+    every = np.concatenate(list(key_points))
+    target = every.mean(0)
+    rigged = rig(twin)
+    scenes = [rigged.pose(body_poses(twin, robot, state)) for state in states]
+    best: Viewpoint | None = None
+    for name in sorted(scan_cameras):
+        camera = aimed(first, scan_cameras[name], target)
+        if camera is None:
+            continue
+        small = camera.resized(*LOOK)
+        pixels, depths = small.project(every)
+        inside = (depths > 0.3) & ((pixels > 0.06 * np.array(LOOK)) & (pixels < 0.94 * np.array(LOOK))).all(1)
+        if not inside.mean() > 0.9:
+            continue
+        span = float(np.ptp(pixels[:, 0])) / LOOK[0]
+        angle = _azimuth_between(camera.center - target, first.center - target)
+        # Half of the score can be told without drawing; most cameras end here.
+        promise = min(angle / (np.pi / 2), 1.0) * 0.6 - abs(np.log(max(span, 0.01) / WANTED_SPAN)) * 0.4
+        if best is not None and promise + 1.0 <= best.score:
+            continue
+        visible = float(np.mean([
+            _visible(render(scene, small).depth, small, points).mean()
+            for scene, points in zip(scenes, key_points, strict=True)
+        ]))  # fmt: skip
+        if best is None or promise + visible > best.score:
+            best = Viewpoint(camera=camera, scan_image=name, score=promise + visible, visible=visible)
+    if best is None:
+        raise ReconstructionError(
+            "viewpoint", "no scan camera sees the action", "name a camera in the project file"
+        )
+    return best
+
+
+def aimed(optics: Camera, place: Camera, target: Array) -> Camera | None:
+    """`optics` at the place of another camera, turned to the target; None if that turns too far."""
+    T = look_at(place.center, target)
+    cosine = float(T[:3, 2] @ place.T_world_cam[:3, 2])
+    if not cosine > np.cos(MAX_TURN):
+        return None
+    return replace(optics, T_world_cam=T)
+
+
+def _azimuth_between(a: Array, b: Array) -> float:
+    turn = np.arctan2(a[1], a[0]) - np.arctan2(b[1], b[0])
+    return float(abs((turn + np.pi) % (2 * np.pi) - np.pi))
+
+
+def _visible(depth: NDArray[np.float32], camera: Camera, points: Array) -> NDArray[np.bool_]:
+    """Which points (P, 3) are not hidden in a depth picture."""
+    pixels, depths = camera.project(points)
+    u = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
+    v = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
+    nearest = depth[v, u]
+    return (nearest <= 0) | (depths < nearest + CLEARANCE)
