@@ -51,7 +51,6 @@ class PlanParams:
 def plan_episode(
     fitted: FittedAsset,
     demo: Demonstration,
-    R_world_front: Array,
     variation: Variation,
     scene: Scene,
     solver: IkSolver,
@@ -60,10 +59,9 @@ def plan_episode(
     """Plan one episode, with the grasp nearest to the demonstrated one that works.
 
     Args:
-        fitted: The object and its planned motion.
+        fitted: The object and its planned motion. It faces as the recorded object did, so its
+            axes are those in which the demonstrated hand is understood.
         demo: The demonstration.
-        R_world_front: Upright front frame of the recorded object (3, 3), in which the
-            demonstrated hand is understood.
         variation: Where the object stands.
         scene: Robot, table and this asset, at any pose.
         solver: Of the same robot.
@@ -76,7 +74,7 @@ def plan_episode(
     T_world_object = variation.placed(fitted)
     placed = scene.placed(T_world_object)
     close = int(np.searchsorted(demo.times_s - demo.times_s[0], timing(demo).start))
-    R_front_ee = R_world_front.T @ demo.Ts_world_ee[min(close, len(demo.times_s) - 1), :3, :3]
+    R_front_ee = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[min(close, len(demo.times_s) - 1), :3, :3]
     depth = float(demo.grasp_ee @ params.hand.approach)
     best: Rejection | None = None
     tried = 0

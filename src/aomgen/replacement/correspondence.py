@@ -111,7 +111,7 @@ def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
     """
     low, high = asset.moving.bounds
     mapped = low + np.clip(np.asarray(recorded_share, np.float64), 0, 1) * (high - low)
-    reach = max(bar_half_length(asset) - BAR_MARGIN_M, 0.0)
+    reach = bar_reach(asset)
     along = float(np.clip((mapped - asset.handle_point) @ asset.handle_axis, -reach, reach))
     return asset.handle_point + along * asset.handle_axis
 
@@ -127,12 +127,13 @@ def normalised_share(points: ArrayLike, point: ArrayLike, R_world_front: ArrayLi
     return (np.asarray(point, np.float64) @ R - low) / np.maximum(high - low, 1e-6)
 
 
-def bar_half_length(asset: ArticulatedAsset) -> float:
-    """Half the length of the handle's bar along the handle's axis, [m]; 0 without handle colliders."""
+def bar_reach(asset: ArticulatedAsset) -> float:
+    """How far from `handle_point` along the handle's bar a hand may hold, [m]; 0 without handle colliders."""
     bar = asset.handle_bar
     if bar is None:
         return 0.0
-    return float(np.abs((bar.corners - bar.T_asset_box[:3, 3]) @ asset.handle_axis).max())
+    half = float(np.abs((bar.corners - bar.T_asset_box[:3, 3]) @ asset.handle_axis).max())
+    return max(half - BAR_MARGIN_M, 0.0)
 
 
 def mirrored(asset: ArticulatedAsset) -> ArticulatedAsset:

@@ -8,23 +8,17 @@ Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation".
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import isotonic_regression, least_squares
-from scipy.signal import savgol_filter
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.demonstration import Demonstration, RecordedObject
 from aomgen.core.joint import Joint
 from aomgen.core.plan import Adaptation, FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
-from aomgen.replacement.correspondence import (
-    Frontal,
-    frontal,
-    held_point_of,
-    mirrored,
-    normalised_share,
-)
+from aomgen.replacement.correspondence import bar_reach, frontal, held_point_of, mirrored
+from aomgen.replacement.recorded import RecordedContact, smooth_rise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +30,7 @@ class FitParams:
         scale_prior_sd: Standard deviation of the scale about that ratio, as a share of it.
         noise_m: Standard deviation of the recorded path, [m].
         slide_noise_m: Standard deviation of sliding along the face, stage two, [m].
+        theta_sd: Standard deviation of the recovered joint values, [rad] or [m].
         allow_mirror: Mode "object" may mirror the asset when the hinge is on the other side.
         limit_share: Share of the asset's joint range that may be used.
         max_residual_m: Mode "object" refuses a larger RMS distance of the paths, [m].
@@ -46,72 +41,10 @@ class FitParams:
     scale_prior_sd: float = 0.2
     noise_m: float = 0.003
     slide_noise_m: float = 0.010
+    theta_sd: float = 0.05
     allow_mirror: bool = True
     limit_share: float = 0.95
     max_residual_m: float = 0.03
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordedContact:
-    """The recorded motion as the fit needs it.
-
-    Attributes:
-        path_world: Held point while the part moves (K, 3), [m].
-        shares: Time share 0..1 of each point (K,).
-        thetas: Recovered joint value (K,), first 0, never falling, [rad] or [m].
-        front: The recorded object's front.
-        held_share: Held point in the normalised cube of the moving part (3,).
-        size: Extent of the moving part along right, inward, up (3,), [m].
-        support_z: Height of the support, [m].
-    """
-
-    path_world: Array
-    shares: Array
-    thetas: Array
-    front: Frontal
-    held_share: Array
-    size: Array
-    support_z: float
-
-    def __post_init__(self) -> None:
-        count = len(self.shares)
-        freeze(self, "path_world", self.path_world, (count, 3))
-        freeze(self, "shares", self.shares, (count,))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "held_share", self.held_share, (3,))
-        freeze(self, "size", self.size, (3,))
-
-
-def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedContact:
-    """Cut the contact out of the demonstration and describe the recorded object's front.
-
-    Raises:
-        EstimationError: The part's front cannot be told (see `frontal`).
-    """
-    frames = demo.contact_frames
-    path = demo.grasp_path_world[frames]
-    front = frontal(demo.joint, path[0], recorded.moving_points_world)
-    times = demo.times_s[frames]
-    aligned = recorded.moving_points_world @ front.R_world_front
-    return RecordedContact(
-        path_world=path,
-        shares=(times - times[0]) / max(times[-1] - times[0], 1e-9),
-        thetas=smooth_rise(demo.thetas[frames]),
-        front=front,
-        held_share=normalised_share(recorded.moving_points_world, path[0], front.R_world_front),
-        size=np.ptp(np.percentile(aligned, [1, 99], axis=0), axis=0),
-        support_z=recorded.support.height,
-    )
-
-
-def smooth_rise(thetas: Array) -> Array:
-    """The nearest never-falling curve to (K,) noisy joint values, smoothed, starting at 0."""
-    window = min(7, len(thetas) - (len(thetas) + 1) % 2)
-    smooth = savgol_filter(thetas, window, 2) if window >= 5 else np.asarray(thetas, np.float64)
-    smooth = smooth.copy()
-    smooth[0], smooth[-1] = thetas[0], max(thetas[-1], smooth[-1])
-    rising = isotonic_regression(smooth).x
-    return rising - rising[0]
 
 
 def fit_asset(
@@ -186,6 +119,7 @@ def _fit_scale(
     ratio = float(np.exp(np.mean(np.log(contact.size[[0, 2]] / (high - low)[[0, 2]]))))
     R = matrix_from_rotvec(np.array([0.0, 0.0, contact.front.yaw]))
     first = contact.path_world[0] - R @ held * ratio
+    noise = _NoiseAlong(bar=R @ asset.handle_axis, bar_m=ratio * bar_reach(asset), params=params)
 
     def pose(g: Array) -> Array:
         return similarity(g[0], R, np.array([g[-2], g[-1], contact.support_z]))
@@ -196,14 +130,16 @@ def _fit_scale(
     def stage_one(g: Array) -> Array:
         moved = apply(asset.joint.motion(g[1] * contact.shares), held[None])
         distance = apply(pose(g), moved) - contact.path_world
-        return np.append(distance.ravel() / params.noise_m, prior(g))
+        return np.append((distance / noise.world_axes()).ravel(), prior(g))
 
     def stage_two(g: Array) -> Array:
         S = pose(g)
         joint, point = asset.joint.moved(S), apply(S, held)
         thetas = face_thetas(joint, point, contact.path_world)
         moved = apply(joint.motion(thetas), point[None])
-        return np.append(_slide_weighted(joint, moved, contact.path_world, params).ravel(), prior(g))
+        away = _slide_weighted(joint, point, moved, contact.path_world, noise)
+        turn = (thetas - contact.thetas) / params.theta_sd
+        return np.concatenate([away.ravel(), turn, prior(g)])
 
     bounds = (ratio * params.min_scale, ratio * params.max_scale)
     unit = 1.0 if asset.joint.type == "revolute" else 1.0 / ratio
@@ -232,23 +168,21 @@ def _scaled(
     T = transform(S_world_asset[:3, :3] / scale, S_world_asset[:3, 3])
     joint, point = sized.joint.moved(T), apply(T, scale * held)
     thetas = smooth_rise(face_thetas(joint, point, contact.path_world))
-    residual = apply(joint.motion(thetas), point[None]) - contact.path_world
+    held = _shifted_along_bar(sized, T, scale * held, joint.motion(thetas), contact.path_world)
+    residual = apply(joint.motion(thetas), apply(T, held)[None]) - contact.path_world
     limit = params.limit_share * sized.joint.upper
     figures = {"scale": scale, "residual_mm": _rms_mm(residual), "travel": float(thetas[-1])}
+    allowed_mm = 1000 * params.max_residual_m
     if not thetas[-1] <= limit:
-        return Rejection(
-            reason="size", detail=f"needs a travel of {thetas[-1]:.3f}, limit {limit:.3f}", metrics=figures
-        )
-    if not figures["residual_mm"] <= 1000 * params.max_residual_m:
-        return Rejection(
-            reason="path",
-            detail=f"paths differ by {figures['residual_mm']:.1f} mm, limit {1000 * params.max_residual_m:.0f} mm",
-            metrics=figures,
-        )
+        detail = f"needs a travel of {thetas[-1]:.3f}, limit {limit:.3f}"
+        return Rejection(reason="size", detail=detail, metrics=figures)
+    if not figures["residual_mm"] <= allowed_mm:
+        detail = f"paths differ by {figures['residual_mm']:.1f} mm, limit {allowed_mm:.0f} mm"
+        return Rejection(reason="path", detail=detail, metrics=figures)
     return FittedAsset(
         asset=replace(sized, name=asset.name),
         T_world_asset=T,
-        contact_asset=scale * held,
+        contact_asset=held,
         shares=contact.shares,
         thetas=thetas,
         scale=scale,
@@ -256,6 +190,41 @@ def _scaled(
         mode="object",
         residual_mm=figures["residual_mm"],
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _NoiseAlong:
+    """How much the recorded path may deviate along a direction: a hand may hold a bar anywhere.
+
+    Attributes:
+        bar: Direction of the placed handle's bar (3,), world frame.
+        bar_m: How far along it a hand may hold, [m].
+        params: Noise of the path itself.
+    """
+
+    bar: Array
+    bar_m: float
+    params: FitParams
+
+    def along(self, direction: ArrayLike, noise_m: float) -> float:
+        """Standard deviation along a unit direction (3,), [m]."""
+        return float(np.hypot(noise_m, self.bar_m * (np.asarray(direction, np.float64) @ self.bar)))
+
+    def world_axes(self) -> Array:
+        """Standard deviations along the world's axes (3,), [m]."""
+        return np.array([self.along(axis, self.params.noise_m) for axis in np.eye(3)])
+
+
+def _shifted_along_bar(
+    asset: ArticulatedAsset, T_world_asset: Array, held: Array, motions: Array, path: Array
+) -> Array:
+    """The held point (3,) moved along the handle's bar to where the recorded path passes it."""
+    moved = apply(motions, apply(T_world_asset, held)[None])
+    bars = motions[:, :3, :3] @ (T_world_asset[:3, :3] @ asset.handle_axis)
+    reach = bar_reach(asset)
+    now = float((held - asset.handle_point) @ asset.handle_axis)
+    shift = float(np.median(np.einsum("ki,ki->k", path - moved, bars)))
+    return held + (np.clip(now + shift, -reach, reach) - now) * asset.handle_axis
 
 
 def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
@@ -279,15 +248,23 @@ def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
     return np.unwrap(np.arctan2(relative @ outward, relative @ along)).astype(np.float64)
 
 
-def _slide_weighted(joint: Joint, moved: Array, path: Array, params: FitParams) -> Array:
-    """Distances (K, 2) over their noise: along the axis, and along the face (sliding allowed)."""
-    difference = moved - path
+def _slide_weighted(joint: Joint, point: Array, moved: Array, path: Array, noise: _NoiseAlong) -> Array:
+    """Distances (K, 2) over their noise: across the motion, and along the face, where a hand slides."""
+    outward = joint.axis if joint.type == "prismatic" else np.cross(joint.axis, point - joint.origin)
+    outward = outward / np.linalg.norm(outward)
     if joint.type == "prismatic":
-        across = difference - np.outer(difference @ joint.axis, joint.axis)
-        return across / params.noise_m
-    lift = difference @ joint.axis
+        first = np.cross(outward, np.array([0.0, 0.0, 1.0]))
+        first = first / max(float(np.linalg.norm(first)), 1e-9)
+        second = np.cross(outward, first)
+        sds = [noise.along(d, noise.params.noise_m) for d in (first, second)]
+        difference = moved - path
+        return np.stack([difference @ first / sds[0], difference @ second / sds[1]], 1)
+    along = np.cross(outward, joint.axis)
+    lift = (moved - path) @ joint.axis
     radius = [np.linalg.norm(np.cross(p - joint.origin, joint.axis), axis=1) for p in (moved, path)]
-    return np.stack([lift / params.noise_m, (radius[0] - radius[1]) / params.slide_noise_m], 1)
+    lift_sd = noise.along(joint.axis, noise.params.noise_m)
+    slide_sd = noise.along(along, noise.params.slide_noise_m)
+    return np.stack([lift / lift_sd, (radius[0] - radius[1]) / slide_sd], 1)
 
 
 def _placed(yaw: float, held_asset: Array, held_world: Array, support_z: float) -> Array:
