@@ -1,0 +1,147 @@
+"""How far the robot's drawn outline lies from the outline that an image shows.
+
+Each point of the drawn outline carries a short line of pixels across it. Colors seen inside and
+outside say, pixel by pixel, which side of the true outline the line is on; the gradient says
+where exactly. Source: the sparse region-based trackers of Stoiber et al., "SRT3D", 2022, here
+with many views at once and a similarity instead of a rigid motion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
+
+from aomgen.core.camera import Camera
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array
+
+BINS = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """One image to align with.
+
+    Attributes:
+        name: File or camera name.
+        camera_recon: Its camera, recon frame.
+        image_srgb: (H, W, 3) uint8.
+    """
+
+    name: str
+    camera_recon: Camera
+    image_srgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contour:
+    """Points of a drawn outline.
+
+    Attributes:
+        pixels: (C, 2), on the outline, [px].
+        normals: (C, 2), unit, out of the silhouette.
+        points: (C, 3) on the robot, in the frame of the camera drawn with.
+        share: Area of the silhouette over the image's.
+    """
+
+    pixels: Array
+    normals: Array
+    points: Array
+    share: float
+
+
+def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32], limit: int) -> Contour:
+    """The outline of a silhouette, thinned to `limit` points, image border left out."""
+    smooth = gaussian_filter(mask.astype(np.float32), 2.0)
+    inner = mask & ~(np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1))
+    inner[:3], inner[-3:], inner[:, :3], inner[:, -3:] = False, False, False, False
+    v, u = np.nonzero(inner)
+    if len(v) > limit:
+        keep = np.linspace(0, len(v) - 1, limit).astype(int)
+        v, u = v[keep], u[keep]
+    normals = -np.stack([np.gradient(smooth, axis=1)[v, u], np.gradient(smooth, axis=0)[v, u]], 1)
+    lengths = np.linalg.norm(normals, axis=1)
+    good = lengths > 0.02
+    v, u, normals = v[good], u[good], normals[good] / lengths[good, None]
+    centers = np.stack([u + 0.5, v + 0.5], 1)
+    z = depth[v, u].astype(np.float64)
+    points_cam = np.stack(
+        [(centers[:, 0] - camera.cx) / camera.fx * z, (centers[:, 1] - camera.cy) / camera.fy * z, z], 1
+    )
+    return Contour(
+        pixels=centers + 0.5 * normals,
+        normals=normals,
+        points=apply(camera.T_world_cam, points_cam),
+        share=float(mask.mean()),
+    )
+
+
+def color_ratio(image: NDArray[np.uint8], mask: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
+    """Log ratio (H, W) of a pixel's color inside the silhouette to just outside it."""
+    bins = (image >> 4).astype(np.int32) @ np.array([BINS * BINS, BINS, 1], np.int32)
+    near = binary_dilation(mask, iterations=max(2, reach))
+    inside = _histogram(bins[mask])
+    outside = _histogram(bins[near & ~mask])
+    return np.log(inside / outside).clip(-3, 3).astype(np.float32)[bins]
+
+
+def _histogram(bins: NDArray[np.int32]) -> Array:
+    counts = np.bincount(bins, minlength=BINS**3).reshape(BINS, BINS, BINS).astype(np.float64)
+    smooth = gaussian_filter(counts, 0.7)
+    return (smooth.ravel() + 1e-3 * max(1.0, counts.sum()) / BINS) / max(1.0, counts.sum())
+
+
+def region_shifts(contour: Contour, ratio: NDArray[np.float32], reach: int) -> tuple[Array, Array]:
+    """Signed shifts (C,) outwards and their variances (C,), [px], from color on either side."""
+    offsets = np.arange(-reach, reach + 1)
+    lines = _along(ratio, contour, offsets)
+    # Score of the outline lying between samples k-1 and k: inside before, outside after.
+    before = np.concatenate([np.zeros((len(lines), 1)), np.cumsum(lines, 1)], 1)
+    scores = 2 * before - before[:, -1:]
+    scores = (scores - scores.max(1, keepdims=True)) * 0.5
+    weights = np.exp(scores)
+    weights /= weights.sum(1, keepdims=True)
+    steps = np.arange(-reach, reach + 2) - 0.5
+    means = weights @ steps
+    return means, weights @ steps**2 - means**2
+
+
+def edge_shifts(contour: Contour, gray: NDArray[np.float32], reach: int) -> tuple[Array, Array]:
+    """Signed shifts (C,) to the strongest image edge across the outline, and its strength (C,).
+
+    Strength is the step across the edge, in gray levels 0..1; sub-pixel by a parabola.
+    """
+    offsets = np.arange(-reach - 2, reach + 3)
+    lines = _along(gray, contour, offsets)
+    steps = np.abs((lines[:, 2:] - lines[:, :-2]) / 2)[:, 1:-1]
+    # A slight preference for near edges breaks ties between parallel ones.
+    preferred = steps * np.exp(-0.5 * (offsets[2:-2] / max(reach, 1)) ** 2)
+    best = np.argmax(preferred, 1).clip(1, steps.shape[1] - 2)
+    rows = np.arange(len(best))
+    left, middle, right = steps[rows, best - 1], steps[rows, best], steps[rows, best + 1]
+    bend = left - 2 * middle + right
+    fraction = np.where(np.abs(bend) > 1e-6, 0.5 * (left - right) / np.where(bend == 0, 1, bend), 0.0)
+    return (offsets[2:-2][best] + fraction.clip(-0.5, 0.5)).astype(np.float64), middle.astype(np.float64)
+
+
+def _along(field: NDArray[np.float32], contour: Contour, offsets: NDArray[np.int64]) -> Array:
+    places = contour.pixels[:, None] + offsets[None, :, None] * contour.normals[:, None]
+    rows_columns = [places[..., 1] - 0.5, places[..., 0] - 0.5]
+    return map_coordinates(field, rows_columns, np.float64, order=1, mode="nearest")
+
+
+def shift_jacobian(camera: Camera, contour: Contour, pivot: Array) -> Array:
+    """Change (C, 7) of the outline along its normals for a motion of the robot about `pivot`.
+
+    Columns: rotation vector [rad], translation [m], log scale; the camera stays.
+    """
+    R_cam_world = invert(camera.T_world_cam)[:3, :3]
+    p = apply(camera.T_cam_world, contour.points)
+    n = contour.normals
+    along_u = camera.fx * n[:, :1] * np.stack([1 / p[:, 2], np.zeros(len(p)), -p[:, 0] / p[:, 2] ** 2], 1)
+    along_v = camera.fy * n[:, 1:] * np.stack([np.zeros(len(p)), 1 / p[:, 2], -p[:, 1] / p[:, 2] ** 2], 1)
+    gradient = (along_u + along_v) @ R_cam_world
+    arm = contour.points - pivot
+    columns = [np.cross(arm, gradient), gradient, np.einsum("cd,cd->c", gradient, arm)[:, None]]
+    return np.concatenate(columns, 1).astype(np.float64)

@@ -1,0 +1,144 @@
+"""Alignment finds a hidden similarity from drawn images, and refuses where no robot stands."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.progress import silent
+from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts, transform
+from aomgen.errors import AlignmentError
+from aomgen.physics.robot import load_robot
+from aomgen.physics.silhouette import SilhouetteRenderer
+from aomgen.reconstruction.alignment import AlignmentParams, align
+from aomgen.reconstruction.alignment_stage import load_alignment, save_alignment
+from aomgen.reconstruction.alignment_start import RobotBox, up_candidates
+from aomgen.reconstruction.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
+from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
+
+JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
+S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
+PARAMS = AlignmentParams(starts=3, finalists=2, views=6, contour_points=250)
+
+
+@pytest.fixture(scope="module")
+def posture() -> RobotPosture:
+    return RobotPosture(robot=load_robot("ur5e_2f85"), joints=JOINTS, gripper=0.1)
+
+
+def recon_camera(angle: float, height: float) -> Camera:
+    eye = [-0.2 + 1.9 * np.cos(angle), 1.9 * np.sin(angle), height]
+    world = Camera(
+        fx=260.0, fy=260.0, cx=160.0, cy=120.0, width=320, height=240,
+        T_world_cam=look_at(eye, [-0.2, 0.0, 0.35]),
+    )  # fmt: skip
+    return camera_in_world(np.array(np.linalg.inv(S_WORLD_RECON), np.float64), world)
+
+
+def scene(
+    posture: RobotPosture, rng: np.random.Generator, *, robot: bool
+) -> tuple[list[View], list[RobotBox]]:
+    """Flat-colored robot bodies before a cloudy background, with sensor noise."""
+    colors = rng.uniform(60, 220, (len(posture.robot.body_names), 1)) + rng.normal(0, 15, (1, 3))
+    views, boxes = [], []
+    with SilhouetteRenderer(posture.robot, max_width=320, max_height=240) as renderer:
+        for index in range(6):
+            camera = recon_camera(2 * np.pi * index / 8, 0.5 + 0.06 * index)
+            bodies, _ = renderer.draw(camera_in_world(S_WORLD_RECON, camera), JOINTS, 0.1)
+            clouds = np.stack([gaussian_filter(rng.normal(0, 500, (240, 320)), 6) for _ in range(3)], -1)
+            image = 120 + clouds
+            if robot:
+                image = np.where((bodies >= 0)[..., None], colors[bodies], image)
+            image = (image + rng.normal(0, 3, image.shape)).clip(0, 255).astype(np.uint8)
+            views.append(View(name=f"{index}", camera_recon=camera, image_srgb=image))
+            if index in (1, 4):
+                v, u = np.nonzero(bodies >= 0)
+                box = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1]) + rng.normal(0, 3, 4)
+                boxes.append(RobotBox(camera_recon=camera, box_px=box))
+    return views, boxes
+
+
+def ground_points(rng: np.random.Generator) -> np.ndarray:
+    floor = np.concatenate([rng.uniform(-2, 2, (400, 2)), rng.normal(0, 0.003, (400, 1))], 1)
+    return apply(np.linalg.inv(S_WORLD_RECON), np.concatenate([floor, rng.uniform(-1, 1, (80, 3))]))
+
+
+def test_a_hidden_similarity_is_found_to_millimetres(posture, tmp_path):
+    rng = np.random.default_rng(3)
+    views, boxes = scene(posture, rng, robot=True)
+    result = align(views, boxes, ground_points(rng), posture, silent, rng, PARAMS)
+    moved = apply(result.S_world_recon @ np.linalg.inv(S_WORLD_RECON), posture.ee_world)
+    assert np.linalg.norm(moved - posture.ee_world) < 0.004
+    assert similarity_parts(result.S_world_recon)[0] == pytest.approx(0.37, rel=0.005)
+    assert result.ee_sd_m < 0.003
+    save_alignment(result, tmp_path)
+    assert load_alignment(tmp_path).S_world_recon == pytest.approx(result.S_world_recon)
+
+
+def test_images_without_the_robot_are_refused(posture):
+    rng = np.random.default_rng(4)
+    views, boxes = scene(posture, rng, robot=False)
+    with pytest.raises(AlignmentError, match="confirm"):
+        align(views, boxes, ground_points(rng), posture, silent, rng, PARAMS)
+
+
+def test_no_box_is_refused(posture):
+    with pytest.raises(AlignmentError, match="robot box"):
+        align([], [], np.zeros((0, 3)), posture, silent, np.random.default_rng(0))
+
+
+def test_the_floor_gives_up_within_a_degree():
+    rng = np.random.default_rng(5)
+    cameras = [recon_camera(angle, 0.8) for angle in np.linspace(0, 3, 8)]
+    up = up_candidates(cameras, ground_points(rng), rng)[0]
+    expected = np.linalg.inv(S_WORLD_RECON[:3, :3]) @ [0, 0, 1.0]
+    assert np.degrees(np.arccos(up @ expected / np.linalg.norm(expected))) < 1.0
+
+
+def vertical_edge_contour(at: float, normal: float = 1.0) -> Contour:
+    rows = np.arange(20.0, 80.0) + 0.5
+    return Contour(
+        pixels=np.stack([np.full(60, at), rows], 1),
+        normals=np.tile([normal, 0.0], (60, 1)),
+        points=np.zeros((60, 3)),
+        share=0.5,
+    )
+
+
+@pytest.mark.parametrize("offset", [-5.0, 0.0, 3.0])
+def test_region_and_edge_see_the_same_shift(offset):
+    inside = np.where(np.arange(100) < 50, 1.0, -1.0)[None].repeat(100, 0).astype(np.float32)
+    shifts, variances = region_shifts(vertical_edge_contour(50.0 - offset), inside, 10)
+    assert shifts == pytest.approx(offset, abs=0.3)
+    assert variances.max() < 3
+    edges, strength = edge_shifts(vertical_edge_contour(50.0 - offset), (inside / 2).astype(np.float32), 8)
+    assert edges == pytest.approx(offset, abs=0.5)
+    assert strength.min() > 0.2
+
+
+def test_jacobian_matches_finite_differences():
+    rng = np.random.default_rng(6)
+    camera = Camera(
+        fx=300.0, fy=310.0, cx=150.0, cy=120.0, width=320, height=240,
+        T_world_cam=look_at([2.0, 0.5, 1.0], [0, 0, 0]),
+    )  # fmt: skip
+    points, pivot = rng.uniform(-0.4, 0.4, (30, 3)), np.array([0.1, 0.2, -0.1])
+    angles = rng.uniform(0, 6.28, 30)
+    normals = np.stack([np.cos(angles), np.sin(angles)], 1)
+    contour = Contour(pixels=camera.project(points)[0], normals=normals, points=points, share=0.1)
+    J = shift_jacobian(camera, contour, pivot)
+    for column in range(7):
+        step = np.zeros(7)
+        step[column] = 1e-6
+        D = transform(matrix_from_rotvec(step[:3]) * np.exp(step[6]), pivot + step[3:6])
+        moved = camera.project(apply(D, points - pivot))[0]
+        numeric = np.einsum("cd,cd->c", moved - contour.pixels, normals) / 1e-6
+        assert J[:, column] == pytest.approx(numeric, abs=1e-2)
+
+
+def test_a_camera_keeps_its_pixels_through_the_similarity():
+    camera = recon_camera(0.4, 0.9)
+    points_recon = (camera.center + camera.directions()[100, 50] * 2)[None]
+    before, _ = camera.project(points_recon)
+    after, _ = camera_in_world(S_WORLD_RECON, camera).project(apply(S_WORLD_RECON, points_recon))
+    assert after == pytest.approx(before, abs=1e-6)
