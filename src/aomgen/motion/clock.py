@@ -9,6 +9,7 @@ pose hardly moves the answer; what is left of it is absorbed by a common shift o
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,10 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import SyncError
 from aomgen.io.images import resize
 from aomgen.io.video import Video
+
+# Stretches of time left out in turn for the standard deviation, and the smallest one believed.
+_BLOCKS = 5
+_MIN_SD_S = 0.002
 
 # Robot masks (T, height, width) at log times (T,), width and height in px.
 MasksAt = Callable[[Array, int, int], NDArray[np.bool_]]
@@ -32,7 +37,7 @@ class ClockParams:
         lags: Distances between compared frames, in coarse steps.
         min_overlap: Share of the video that the log has to cover.
         fine_pairs: Frame pairs used for the fine search.
-        fine_steps: Fine steps in one coarse step; five are tried around the coarse optimum.
+        fine_steps: Fine steps in one coarse step; five or more are tried around the coarse optimum.
         shift_px: Silhouette shifts tried along x and y in the fine search, [px].
         change_likelihood: Probability of a change where the silhouettes differ.
         max_rival: Largest score of another offset, as share of the best one's.
@@ -192,27 +197,55 @@ def _unambiguous_peak(candidates: Array, scores: Array, params: ClockParams) -> 
 
 
 def _fine(
-    frames: _Frames, coarse_s: float, log_times_s: Array, masks_at: MasksAt, params: ClockParams
+    frames: _Frames, guess_s: float, log_times_s: Array, masks_at: MasksAt, params: ClockParams
 ) -> tuple[float, float]:
     """Offset between grid points and its standard deviation, from the pairs that changed most."""
-    pairs = _busiest_pairs(frames, coarse_s, log_times_s, params)
-    offsets = coarse_s + np.arange(-2, 3) / params.fine_steps * frames.step_s
+    pairs = _busiest_pairs(frames, guess_s, log_times_s, params)
+    weights = _weights(np.stack([frames.change(*pair) for pair in pairs]), params)
+    step = frames.step_s / params.fine_steps
+    columns: dict[int, Array] = {}
+    low, high = -2, 2
+    while True:
+        for index in range(low, high + 1):
+            if index not in columns:
+                columns[index] = _fine_scores(
+                    frames, pairs, weights, guess_s + index * step, masks_at, params
+                )
+        offsets = guess_s + np.arange(low, high + 1) * step
+        table = np.stack([columns[index] for index in range(low, high + 1)], 1)
+        top = low + int(np.argmax(table.sum(0).max(1)))
+        # The silhouettes' shift may draw the optimum away from the coarse guess: follow it.
+        if low < top < high or high - low >= 2 * params.fine_steps:
+            break
+        low, high = min(low, top - 1), max(high, top + 1)
+    best = _peak(offsets, table.sum(0))
+    blocks = np.array_split(np.arange(len(pairs)), min(_BLOCKS, len(pairs)))
+    left_out = np.array([_peak(offsets, np.delete(table, block, 0).sum(0)) for block in blocks])
+    # Jackknife over stretches of time, in which a wrong camera pose acts alike.
+    sd = np.sqrt((len(blocks) - 1) / len(blocks) * np.sum((left_out - left_out.mean()) ** 2))
+    return best, float(max(sd, _MIN_SD_S))
+
+
+def _fine_scores(
+    frames: _Frames,
+    pairs: list[tuple[int, int]],
+    weights: tuple[NDArray, NDArray],
+    offset_s: float,
+    masks_at: MasksAt,
+    params: ClockParams,
+) -> Array:
+    """Score (K, S) of each pair under each shift of the silhouettes."""
     moments = sorted({k for pair in pairs for k in pair})
     row = {k: i for i, k in enumerate(moments)}
-    differ, still = _weights(np.stack([frames.change(*pair) for pair in pairs]), params)
-    table = np.empty((len(pairs), len(offsets), len(params.shift_px) ** 2))
-    for column, offset in enumerate(offsets):
-        masks = masks_at(frames.times_s[moments] + offset, *frames.size)
-        first, second = masks[[row[k] for k, _ in pairs]], masks[[row[k] for _, k in pairs]]
-        apart, away = first ^ second, ~(first | second)
-        for index, (dx, dy) in enumerate((x, y) for x in params.shift_px for y in params.shift_px):
-            moved = [np.roll(part, (dy, dx), (1, 2)).reshape(len(pairs), -1) for part in (apart, away)]
-            table[:, column, index] = (differ * moved[0] + still * moved[1]).sum(1)
-    best = _peak(offsets, table.sum(0))
-    left_out = [_peak(offsets, np.delete(table, k, 0).sum(0)) for k in range(len(pairs))]
-    # Jackknife: the pairs are nearly independent, the pixels of one pair are not.
-    sd = np.sqrt((len(pairs) - 1) / len(pairs) * np.sum((np.array(left_out) - np.mean(left_out)) ** 2))
-    return best, float(max(sd, 0.001))
+    masks = masks_at(frames.times_s[moments] + offset_s, *frames.size)
+    first, second = masks[[row[k] for k, _ in pairs]], masks[[row[k] for _, k in pairs]]
+    apart, away = first ^ second, ~(first | second)
+    differ, still = weights
+    scores = []
+    for shift in product(params.shift_px, repeat=2):
+        moved = [np.roll(part, shift, (1, 2)).reshape(len(pairs), -1) for part in (apart, away)]
+        scores.append((differ * moved[0] + still * moved[1]).sum(1))
+    return np.stack(scores, 1)
 
 
 def _busiest_pairs(
@@ -234,17 +267,17 @@ def _busiest_pairs(
     return [(covered[i], covered[i] + lag) for i in sorted(chosen)]
 
 
-def _peak(offsets: Array, table: Array) -> float:
+def _peak(offsets: NDArray, table: NDArray) -> float:
     """Maximum of a score over offsets and shifts (D, S)."""
     return _vertex(offsets, table.max(1))
 
 
-def _vertex(offsets: Array, scores: Array) -> float:
-    """Where a parabola through the scores is highest, at most one step outside the offsets."""
-    center = offsets[int(np.argmax(scores))]
-    if len(offsets) < 3:
-        return float(center)
-    a, b, _ = np.polyfit(offsets - center, scores, 2)
+def _vertex(offsets: NDArray, scores: NDArray) -> float:
+    """Where a parabola through the best score and its neighbours is highest."""
+    top = int(np.argmax(scores))
+    near = slice(max(0, top - 2), top + 3)
+    if len(offsets[near]) < 3:
+        return float(offsets[top])
+    a, b, _ = np.polyfit(offsets[near] - offsets[top], scores[near], 2)
     step = offsets[1] - offsets[0]
-    vertex = center - b / (2 * a) if a < 0 else center
-    return float(np.clip(vertex, offsets[0] - step, offsets[-1] + step))
+    return float(offsets[top] + (np.clip(-b / (2 * a), -step, step) if a < 0 else 0.0))

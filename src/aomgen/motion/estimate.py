@@ -18,6 +18,7 @@ from aomgen.io.video import Video
 from aomgen.motion.clock import ClockEstimate, ClockParams, MasksAt, estimate_clock_offset
 from aomgen.motion.contact import ContactParams, Contacts, find_contacts
 from aomgen.motion.edges import EdgePrior, edge_prior
+from aomgen.motion.filters import smooth
 from aomgen.motion.hand import HandSignals, Touch, hand_signals, touch_interval
 from aomgen.motion.joint import JointEstimate, JointParams, estimate_joint
 from aomgen.motion.keyframes import (
@@ -34,12 +35,12 @@ from aomgen.motion.theta import (
     LEAVE_RAD,
     leaving_and_arriving,
     path_values,
-    smooth_values,
     values_at_frames,
 )
 from aomgen.physics.robot import RobotModel
 
 _DENSE_STEP_S = 0.01
+_SMOOTH_S = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,10 +202,10 @@ def _recover(
         reference = int(np.argmin(np.abs(times - interval[0])))
         poses = _poses(demo, times + offset_s)
         path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, edges.face_normal)
-        values = smooth_values(path.values, _DENSE_STEP_S)
+        values = smooth(path.values, _DENSE_STEP_S, _SMOOTH_S)
         leave = LEAVE_RAD if estimate.joint.type == "revolute" else LEAVE_M
         felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=touch.gripped)
-        interval = tuple(f if abs(f - s) <= params.agree_s else s for f, s in zip(felt, seen, strict=True))  # pyright: ignore[reportAssignmentType]
+        interval = (_nearby(felt[0], seen[0], params.agree_s), _nearby(felt[1], seen[1], params.agree_s))
     return _Recovery(
         contacts=contacts,
         estimate=estimate,
@@ -215,6 +216,11 @@ def _recover(
         values=values,
         slip_m=path.slip_m,
     )
+
+
+def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:
+    """The moment felt by the hand, unless the picture contradicts it."""
+    return felt_s if abs(felt_s - seen_s) <= limit_s else seen_s
 
 
 def _edges(

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from aomgen.core.joint_log import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
+from aomgen.motion.filters import runs
 from aomgen.physics.robot import FingerPad, RobotModel
 
 _PAD_GRID = 9
@@ -130,8 +130,8 @@ def touch_interval(signals: HandSignals) -> Touch:
     grip = signals.gripper
     stroke = float(grip.max() - grip.min())
     if stroke >= _MIN_STROKE:
-        labels, runs = ndimage.label(grip > (grip.max() + grip.min()) / 2)
-        grasps = [_plateau(np.flatnonzero(labels == k + 1), grip, 0.1 * stroke) for k in range(runs)]
+        closed = runs(grip > (grip.max() + grip.min()) / 2)
+        grasps = [_plateau(run, grip, 0.1 * stroke) for run in closed]
         first, last = min(grasps, key=lambda grasp: signals.distances_m[grasp[0]])
         if signals.distances_m[first] <= _NEAR_GRASP_M and last > first:
             return Touch(first=first, last=last, gripped=True)

@@ -6,7 +6,7 @@ hand's rotation axis together, the centre from the path, and the object's edges 
 is short. Revolute and prismatic explanations compete by BIC.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class JointParams:
         min_margin: Smallest BIC difference between the two types.
     """
 
-    noise: JointNoise = JointNoise()
+    noise: JointNoise = field(default_factory=JointNoise)
     nodes: int = 24
     smooth: int = 11
     min_turn_rad: float = float(np.radians(15.0))

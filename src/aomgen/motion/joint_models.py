@@ -181,7 +181,7 @@ def tangent_basis(axis: Array) -> Array:
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     first = np.cross(axis, helper)
     first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first)])
+    return np.asarray(np.stack([first, np.cross(axis, first)]), np.float64)
 
 
 def _tilted(axis: Array, tangents: Array, tilt: Array) -> Array:

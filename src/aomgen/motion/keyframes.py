@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.signal import savgol_filter
 
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import NoMotionError
+from aomgen.motion.filters import closed, filled, grown, runs, smooth, touching
 from aomgen.motion.hand import Touch
 
 
@@ -73,7 +72,7 @@ def part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
     seen = (depths > 0) & (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
     region = np.zeros((camera.height, camera.width), bool)
     region[rows[seen], columns[seen]] = True
-    return ndimage.binary_fill_holes(ndimage.binary_closing(region, iterations=3, border_value=0))
+    return filled(closed(region, 3))
 
 
 def motion_scores(
@@ -99,18 +98,18 @@ def motion_scores(
     neighbouring frames; here the picture itself is compared with the first and the last state.
     """
     params = params or KeyframeParams()
-    grown = np.stack([ndimage.binary_dilation(mask, iterations=params.dilate_px) for mask in robot])
+    hidden = np.stack([grown(mask, params.dilate_px) for mask in robot])
     first, last = touch.first, touch.last
     begin, finish = (
         slice(first, first + reference_frames),
         slice(max(first, last + 1 - reference_frames), last + 1),
     )
-    before, before_seen = _reference(frames_srgb[begin], grown[begin])
-    after, after_seen = _reference(frames_srgb[finish], grown[finish])
+    before, before_seen = _reference(frames_srgb[begin], hidden[begin])
+    after, after_seen = _reference(frames_srgb[finish], hidden[finish])
     moved = before_seen & after_seen & (_change(before, after, params) > 0.5)
-    footprint = _touching(ndimage.binary_closing(moved, iterations=1) | region, region)
-    left = _departures(frames_srgb, grown, before, footprint & before_seen, params)
-    ahead = _departures(frames_srgb, grown, after, footprint & after_seen, params)
+    footprint = touching(closed(moved, 1) | region, region)
+    left = _departures(frames_srgb, hidden, before, footprint & before_seen, params)
+    ahead = _departures(frames_srgb, hidden, after, footprint & after_seen, params)
     return np.minimum(left, ahead)
 
 
@@ -128,7 +127,7 @@ def find_interval(
     """
     params = params or KeyframeParams()
     step = float(np.median(np.diff(times_s)))
-    smoothed = _smooth(scores, step, params.smooth_s)
+    smoothed = smooth(scores, step, params.smooth_s)
     first, last = touch.first, touch.last
     count = reference_count(times_s, params)
     still = np.concatenate(
@@ -142,16 +141,16 @@ def find_interval(
     top = float(smoothed[allowed].max()) - base
     opening = base + max(params.open_sd * noise, params.open_share * top)
     keeping = base + max(params.keep_sd * noise, params.keep_share * top)
-    runs = _merge(_hysteresis(smoothed, opening, keeping, allowed), params.merge_gap_s / step)
-    runs = [run for run in runs if (run[1] - run[0] + 1) * step >= params.min_length_s]
-    if not (runs and top >= params.min_score):
+    moving = _merge(_hysteresis(smoothed, opening, keeping, allowed), params.merge_gap_s / step)
+    moving = [run for run in moving if (run[1] - run[0] + 1) * step >= params.min_length_s]
+    if not (moving and top >= params.min_score):
         raise NoMotionError(
             "demonstration video",
             f"the part does not move: its score stays below {smoothed[allowed].max():.3f}, a motion needs "
             f"{max(opening, base + params.min_score):.3f}",
             "check the 'moving' prompts, the camera pose and that the video shows the opening",
         )
-    begin, finish = max(runs, key=lambda run: float((smoothed[run[0] : run[1] + 1] - base).sum()))
+    begin, finish = max(moving, key=lambda run: float((smoothed[run[0] : run[1] + 1] - base).sum()))
     return Interval(first=begin, last=finish, smoothed=smoothed, threshold=opening)
 
 
@@ -164,10 +163,10 @@ def _reference(
     frames: NDArray[np.uint8], robot: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Median picture (H, W, 3) of the frames without robot, and where there is one (H, W)."""
-    hidden = np.where(robot[..., None], np.nan, frames.astype(np.float32))
-    seen = ~robot.all(0)
-    hidden[:, ~seen] = 0
-    return np.nanmedian(hidden, axis=0).astype(np.float32), seen
+    bare = np.where(robot[..., None], np.nan, frames.astype(np.float32))
+    seen = np.asarray(~robot.all(0))
+    bare[:, ~seen] = 0
+    return np.nanmedian(bare, axis=0).astype(np.float32), seen
 
 
 def _change(
@@ -176,13 +175,6 @@ def _change(
     """How surely pixels changed (H, W), 0..1."""
     difference = np.abs(first - second).max(-1)
     return np.clip((difference - params.low_change) / (params.high_change - params.low_change), 0, 1)
-
-
-def _touching(candidates: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Connected parts of `candidates` that meet `seed`."""
-    labels, _ = ndimage.label(candidates, np.ones((3, 3)))
-    wanted = np.unique(labels[seed])
-    return np.isin(labels, wanted[wanted > 0])
 
 
 def _departures(
@@ -202,18 +194,12 @@ def _departures(
     return shares
 
 
-def _smooth(scores: Array, step_s: float, window_s: float) -> Array:
-    window = max(5, 2 * round(window_s / step_s / 2) + 1)
-    return savgol_filter(scores, window, 2) if len(scores) > window else scores.copy()
-
-
 def _hysteresis(
     scores: Array, opening: float, keeping: float, allowed: NDArray[np.bool_]
 ) -> list[tuple[int, int]]:
     """Runs of frames above `keeping` that somewhere exceed `opening`."""
-    labels, count = ndimage.label((scores > keeping) & allowed)
-    runs = [np.flatnonzero(labels == k + 1) for k in range(count)]
-    return [(int(run[0]), int(run[-1])) for run in runs if scores[run].max() > opening]
+    stretches = runs((scores > keeping) & allowed)
+    return [(int(run[0]), int(run[-1])) for run in stretches if scores[run].max() > opening]
 
 
 def _merge(runs: list[tuple[int, int]], gap: float) -> list[tuple[int, int]]:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
@@ -78,12 +77,6 @@ def path_values(
     lean = side * np.arcsin(height / radii)
     values = turn - (lean - lean[reference])
     return PathValues(values=values - values[reference], slip_m=radii - radii[reference])
-
-
-def smooth_values(values: Array, step_s: float, window_s: float = 0.2) -> Array:
-    """Savitzky-Golay smoothed values (T,) of a series with equal steps."""
-    window = 2 * round(window_s / step_s / 2) + 1
-    return savgol_filter(values, window, 2) if 3 <= window < len(values) else values.copy()
 
 
 def leaving_and_arriving(

@@ -1,0 +1,43 @@
+"""The few scipy filters that motion needs, with plain array types."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.signal import savgol_filter
+
+from aomgen.core.values import Array
+
+
+def smooth(values: Array, step_s: float, window_s: float) -> Array:
+    """Savitzky-Golay smoothed series (T,), second order, at least five samples wide."""
+    window = max(5, 2 * round(window_s / step_s / 2) + 1)
+    return np.asarray(savgol_filter(values, window, 2)) if len(values) > window else np.array(values)
+
+
+def grown(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    """A mask (H, W) with a margin added."""
+    return np.asarray(ndimage.binary_dilation(mask, iterations=pixels), bool)
+
+
+def closed(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    """A mask (H, W) with gaps up to twice `pixels` closed."""
+    return np.asarray(ndimage.binary_closing(mask, iterations=pixels, border_value=0), bool)
+
+
+def filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask (H, W) without holes."""
+    return np.asarray(ndimage.binary_fill_holes(mask), bool)
+
+
+def touching(mask: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Connected regions of a mask (H, W), diagonals included, that meet the seed (H, W)."""
+    labels = np.zeros(mask.shape, np.int32)
+    ndimage.label(mask, np.ones((3, 3)), output=labels)
+    wanted = np.unique(labels[seed])
+    return np.isin(labels, wanted[wanted > 0])
+
+
+def runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Index arrays of the stretches in which flags (T,) hold."""
+    where = np.flatnonzero(flags)
+    return np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if len(where) else []
