@@ -1,7 +1,7 @@
 """Dense colored points of the scene from a sparse model: where the Gaussians will start."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ class DensifyParams:
     planes: int = 128
     sources: int = 4
     shell_points: int = 8_000
-    sweep: SweepParams = SweepParams()
+    sweep: SweepParams = field(default_factory=SweepParams)
     threads: int = 2
 
 

@@ -1,6 +1,6 @@
 """The scene as Gaussians: started from dense points, trained, cleaned and judged on held-out images."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,8 @@ class GaussiansParams:
         seed: Of the training's random choices.
     """
 
-    densify: DensifyParams = DensifyParams()
-    training: TrainingParams = TrainingParams(iterations=1800, sh_degree=2, max_gaussians=110_000)
+    densify: DensifyParams = field(default_factory=DensifyParams)
+    training: TrainingParams = field(default_factory=lambda: TrainingParams(max_gaussians=110_000))
     near_share: float = 0.25
     min_psnr_db: float = 15.0
     seed: int = 0
