@@ -1,0 +1,151 @@
+"""Make as many verified episodes as asked for, trying variation after variation."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from aomgen.core.demonstration import Demonstration, SupportPlane
+from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
+from aomgen.core.progress import Progress
+from aomgen.core.verdict import Rejection
+from aomgen.errors import NotEnoughEpisodesError
+from aomgen.generalization.ik import ik_solver
+from aomgen.generalization.planning import PlanParams, plan_episode
+from aomgen.generalization.variations import PoseRanges, longest_reach, variations, worth_trying
+from aomgen.physics.robot import RobotModel
+from aomgen.physics.scene import build_scene
+from aomgen.physics.verify import PassRule, verify_plan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenerationParams:
+    """What is generated.
+
+    Attributes:
+        count: Verified episodes wanted of each asset.
+        seed: Of the sequences of variations; asset k uses seed + k.
+        ranges: Of the poses.
+        plan: How an episode is planned.
+        rule: When it counts.
+        bolted: The object is fixed to its support; False lets it stand by friction.
+        attempts_per_episode: Variations tried for each wanted episode before giving up.
+        max_skipped: Poses out of reach or off the table in a row before giving up.
+    """
+
+    count: int
+    seed: int = 0
+    ranges: PoseRanges = field(default_factory=PoseRanges)
+    plan: PlanParams = field(default_factory=PlanParams)
+    rule: PassRule = field(default_factory=PassRule)
+    bolted: bool = True
+    attempts_per_episode: int = 5
+    max_skipped: int = 500
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rejected:
+    """A variation that gave no episode.
+
+    Attributes:
+        asset: Name of the asset.
+        variation: Where it stood.
+        rejection: Why.
+    """
+
+    asset: str
+    variation: Variation
+    rejection: Rejection
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Generated:
+    """The outcome of a generation.
+
+    Attributes:
+        episodes: Verified, in the order of assets and variations.
+        rejected: The rest of what was tried.
+        skipped: Variations filtered before planning.
+    """
+
+    episodes: tuple[VerifiedEpisode, ...]
+    rejected: tuple[Rejected, ...]
+    skipped: int
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """How often each reason rejected a variation, most frequent first."""
+        return dict(Counter(item.rejection.reason for item in self.rejected).most_common())
+
+
+Attempt = Callable[[Variation], VerifiedEpisode | Rejection]
+
+
+def generate_episodes(
+    assets: Sequence[FittedAsset],
+    demo: Demonstration,
+    robot: RobotModel,
+    support: SupportPlane,
+    params: GenerationParams,
+    progress: Progress,
+) -> Generated:
+    """Plan and verify episodes of every asset until each has enough.
+
+    The result depends on the arguments alone: variations come from seed and index.
+
+    Args:
+        assets: From the fit.
+        demo: The demonstration.
+        robot: The robot of the demonstration.
+        support: What the objects stand on.
+        params: How many, and how.
+        progress: Told after every attempt.
+
+    Raises:
+        NotEnoughEpisodesError: An asset has too few after five attempts for each; says why.
+    """
+    solver = ik_solver(robot)
+    shoulder, reach = longest_reach(robot)
+    episodes: list[VerifiedEpisode] = []
+    rejected: list[Rejected] = []
+    skipped = 0
+    for number, fitted in enumerate(assets):
+        scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=params.bolted)
+
+        def attempt(variation: Variation, fitted: FittedAsset = fitted, scene=scene):
+            plan = plan_episode(fitted, demo, variation, scene, solver, params.plan)
+            return verify_plan(plan, scene, rule=params.rule) if isinstance(plan, EpisodePlan) else plan
+
+        tried, good, passed_over = 0, 0, 0
+        for variation in variations(params.seed + number, params.ranges):
+            if good >= params.count:
+                break
+            if not worth_trying(variation, fitted, support, shoulder, reach):
+                passed_over += 1
+                if passed_over < params.max_skipped:
+                    continue
+            if passed_over >= params.max_skipped or tried >= params.count * params.attempts_per_episode:
+                raise _too_few(fitted.asset.name, good, tried, passed_over, params, rejected)
+            tried += 1
+            result = attempt(variation)
+            if isinstance(result, Rejection):
+                rejected.append(Rejected(asset=fitted.asset.name, variation=variation, rejection=result))
+            else:
+                episodes.append(result)
+                good += 1
+            share = (number + good / params.count) / len(assets)
+            progress(share, f"{fitted.asset.name}: {good} of {params.count} verified, {tried} tried")
+        skipped += passed_over
+    return Generated(episodes=tuple(episodes), rejected=tuple(rejected), skipped=skipped)
+
+
+def _too_few(
+    asset: str, good: int, tried: int, skipped: int, params: GenerationParams, rejected: list[Rejected]
+) -> NotEnoughEpisodesError:
+    counts = Counter(item.rejection.reason for item in rejected if item.asset == asset)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in counts.most_common()) or "none tried"
+    return NotEnoughEpisodesError(
+        asset,
+        f"{good} of {params.count} episodes verified in {tried} attempts, {skipped} poses out of reach or off "
+        f"the table ({reasons})",
+        "narrow the pose ranges, choose another asset or ask for fewer episodes",
+    )
