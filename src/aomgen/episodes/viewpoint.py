@@ -81,7 +81,9 @@ def choose_viewpoint(
         span = float(np.ptp(pixels[:, 0])) / LOOK[0]
         angle = _azimuth_between(camera.center - target, first.center - target)
         # Half of the score can be told without drawing; most cameras end here.
-        promise = min(angle / (np.pi / 2), 1.0) * 0.6 - abs(np.log(max(span, 0.01) / WANTED_SPAN)) * 0.4
+        promise = float(
+            min(angle / (np.pi / 2), 1.0) * 0.6 - abs(np.log(max(span, 0.01) / WANTED_SPAN)) * 0.4
+        )
         if best is not None and promise + 1.0 <= best.score:
             continue
         visible = float(np.mean([

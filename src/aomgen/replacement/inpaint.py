@@ -86,7 +86,7 @@ def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) 
     if not len(sources):
         return result
     windows = np.asarray(sliding_window_view(detail, (PATCH, PATCH, 3)))[:, :, 0]
-    inner = distance_transform_edt(~known)
+    inner = np.asarray(distance_transform_edt(~known))
     grid = np.argwhere(~known)
     grid = grid[(grid % STEP == 0).all(1)]
     grid = grid[np.argsort(inner[tuple(grid.T)], kind="stable")]

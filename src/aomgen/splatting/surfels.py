@@ -27,7 +27,7 @@ OVERSAMPLING: Final = 5
 # Density of a Poisson-disc set of radius r is about this over r^2.
 DISC_DENSITY: Final = 0.7
 # Standard deviation of a disc over its radius: wide enough that neighbours close the surface.
-SPREAD: Final = 0.72
+SPREAD: Final = 0.8
 # Thickness of a disc over its radius.
 THICKNESS: Final = 0.05
 OPACITY: Final = 0.99
@@ -129,7 +129,8 @@ def _colors(mesh: Mesh, face_ids: NDArray[np.int64], weights: Array, footprint: 
         return np.broadcast_to(mesh.color_srgb, (len(face_ids), 3))
     height, width = mesh.texture_srgb.shape[:2]
     a, b, c = (mesh.uvs[:, k] * (width, height) for k in range(3))
-    texels = 0.5 * np.abs(np.cross(b - a, c - a)).sum()
+    (ux, uy), (vx, vy) = (b - a).T, (c - a).T
+    texels = 0.5 * np.abs(ux * vy - uy * vx).sum()
     area = face_normals_areas(mesh.vertices, mesh.faces)[1].sum()
     shrink = max(footprint * np.sqrt(max(texels, 1e-9) / area), 1.0)
     small = resize(mesh.texture_srgb, max(round(width / shrink), 1), max(round(height / shrink), 1))

@@ -1,0 +1,137 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.light import hemisphere_light
+from aomgen.errors import ReconstructionError
+from aomgen.replacement.inpaint import inpainted
+from aomgen.replacement.light import LIMITS, estimate_light, fitted_light
+from aomgen.replacement.removal import clear_object, shadow_gain
+from aomgen.twin.twin import render_state
+
+TABLE_SRGB = (0.6, 0.45, 0.3)
+
+
+@pytest.fixture(scope="module")
+def cleared(toy_scene):
+    return clear_object(toy_scene.twin, toy_scene.robot, np.random.default_rng(0))
+
+
+def test_the_plane_is_found_under_the_object(cleared):
+    T = cleared.support.T_world_plane
+    assert abs(T[2, 3]) < 0.003
+    np.testing.assert_allclose(T[:3, 2], [0, 0, 1], atol=0.01)
+
+
+@pytest.mark.parametrize("eye", [(-0.3, -0.9, 0.7), (0.1, 0.9, 0.8), (0.2, -0.2, 1.2)])
+def test_no_hole_and_no_trace_of_the_object_is_left(toy_scene, cleared, eye):
+    camera = Camera(
+        fx=150, fy=150, cx=80, cy=60, width=160, height=120, T_world_cam=look_at(eye, (0.65, -0.1, 0))
+    )
+    before = render_state(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state, camera, with_ids=True)
+    after = render_state(cleared.twin, toy_scene.robot, toy_scene.twin.scan_state, camera, with_ids=True)
+    was_object = np.isin(toy_scene.twin.labels[np.maximum(before.max_id, 0)], (2, 3)) & (before.max_id >= 0)
+    rays = camera.directions()
+    hit = camera.center + rays * (-camera.center[2] / np.minimum(rays[..., 2], -1e-6))[..., None]
+    on_table = was_object & (hit[..., 0] < 1.15) & (np.abs(hit[..., 1] + 0.05) < 0.8) & (rays[..., 2] < 0)
+    assert on_table.sum() > 500
+    assert after.alpha[on_table].min() > 0.9
+    assert np.abs(after.rgb[on_table] - TABLE_SRGB).max() < 0.12
+    elsewhere = (before.max_id >= 0) & ~was_object
+    assert np.abs(after.rgb - before.rgb)[elsewhere].mean() < 0.02
+
+
+def test_labels_and_robot_after_removal(toy_scene, cleared):
+    assert set(np.unique(cleared.twin.labels)) == {BACKGROUND, ROBOT}
+    assert (cleared.twin.labels == ROBOT).sum() == (toy_scene.labels == ROBOT).sum()
+
+
+def test_removal_is_the_same_each_time(toy_scene, cleared):
+    again = clear_object(toy_scene.twin, toy_scene.robot, np.random.default_rng(0))
+    np.testing.assert_array_equal(again.twin.gaussians.sh, cleared.twin.gaussians.sh)
+
+
+def test_an_object_in_the_air_has_no_support(toy_scene):
+    floating = toy_scene.twin.select(
+        (toy_scene.labels != BACKGROUND) | (toy_scene.gaussians.means[:, 2] > 0.05)
+    )
+    with pytest.raises(ReconstructionError, match="lie flat"):
+        clear_object(floating, toy_scene.robot, np.random.default_rng(0))
+
+
+def test_inpainting_continues_color_and_texture():
+    rng = np.random.default_rng(0)
+    rows = np.arange(120)[:, None, None]
+    image = 0.5 + 0.001 * rows + 0.08 * np.sin(np.arange(140) * 1.1)[None, :, None] * np.ones((120, 1, 3))
+    known = np.ones((120, 140), bool)
+    known[40:80, 50:100] = False
+    result = inpainted(np.where(known[..., None], image, 0.0), known, rng)
+    np.testing.assert_array_equal(result[known], image[known])
+    filled = result[40:80, 50:100]
+    assert np.abs(filled.mean(1) - image[40:80, 50:100].mean(1)).max() < 0.03
+    assert filled.std(1).mean() > 0.6 * image[40:80, 50:100].std(1).mean()
+
+
+def test_inpainting_nothing_gives_grey():
+    assert (inpainted(np.zeros((40, 40, 3)), np.zeros((40, 40), bool), np.random.default_rng(0)) == 0.5).all()
+
+
+def shadowed(tint: tuple[float, float, float]) -> tuple[np.ndarray, ...]:
+    xy = np.stack(np.meshgrid(np.arange(160) * 0.004 - 0.32, np.arange(160) * 0.004 - 0.32), -1)
+    outside = np.maximum(np.abs(xy).max(-1) - 0.04, 0)
+    dark = np.exp(-outside / 0.04)
+    picture = np.array([0.6, 0.5, 0.4]) * (1 - dark[..., None] * np.array(tint))
+    return picture, outside > 0.02, outside, xy
+
+
+def test_a_grey_shadow_is_lifted_and_a_colored_patch_is_not():
+    picture, known, outside, xy = shadowed((0.4, 0.4, 0.4))
+    gain = shadow_gain(picture, known, outside, xy)
+    near = known & (outside < 0.05)
+    assert (
+        np.abs(picture[near] * gain[near][:, None] - [0.6, 0.5, 0.4]).mean()
+        < 0.5 * np.abs(picture[near] - [0.6, 0.5, 0.4]).mean()
+    )
+    assert gain.min() == 1
+    picture, known, outside, xy = shadowed((0.1, 0.4, 0.8))
+    assert shadow_gain(picture, known, outside, xy)[near].mean() < 1.05
+
+
+def test_light_is_read_from_the_robot(toy_scene):
+    found = estimate_light(toy_scene.twin, toy_scene.robot, np.random.default_rng(0))
+    assert found.source == "robot"
+    normals = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]])
+    np.testing.assert_allclose(
+        found.light.irradiance(normals), toy_scene.light.irradiance(normals), atol=0.08
+    )
+
+
+def test_without_a_robot_light_comes_from_above(toy_scene):
+    bare = toy_scene.twin.select(toy_scene.labels != ROBOT)
+    found = estimate_light(bare, toy_scene.robot, np.random.default_rng(0))
+    assert found.source == "scene"
+    up, down = found.light.irradiance(np.array([[0, 0, 1], [0, 0, -1.0]])).mean(1)
+    assert up > down
+    assert LIMITS[0] * 0.9 <= up <= LIMITS[1]
+
+
+def test_light_is_fitted_in_spite_of_glare(toy_scene):
+    rng = np.random.default_rng(1)
+    normals = rng.normal(size=(2000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    albedo = linear_from_srgb(rng.uniform(0.5, 0.9, (2000, 3)))
+    seen = albedo * toy_scene.light.irradiance(normals)
+    seen[rng.random(2000) < 0.1] = 1.0
+    light, residual = fitted_light(normals, albedo, seen, hemisphere_light(np.ones(3), np.ones(3)))
+    up = np.array([[0, 0, 1.0]])
+    np.testing.assert_allclose(light.irradiance(up), toy_scene.light.irradiance(up), rtol=0.05)
+    assert residual < 0.05
+
+
+def test_the_scan_itself_is_not_changed(toy_scene):
+    before = toy_scene.twin.gaussians.sh.copy()
+    clear_object(replace(toy_scene.twin), toy_scene.robot, np.random.default_rng(3))
+    np.testing.assert_array_equal(toy_scene.twin.gaussians.sh, before)

@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.light import Light, hemisphere_light, open_transfer, shaded_srgb
+from aomgen.core.mesh import Mesh
+from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.errors import AssetError
+from aomgen.splatting.creases import crease_edges
+from aomgen.splatting.rasterizer import render
+from aomgen.splatting.surfels import surfels_of
+from aomgen.splatting.visibility import occluded_transfer
+
+QUAD = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def plate(size: float = 0.4, texture: np.ndarray | None = None, z: float = 0.0) -> Mesh:
+    corners = size / 2 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) + [0, 0, z]
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
+    return Mesh(
+        name="plate",
+        vertices=corners,
+        faces=QUAD,
+        uvs=uv[QUAD] if texture is not None else np.zeros((0, 3, 2)),
+        texture_srgb=texture if texture is not None else np.zeros((0, 0, 3), np.uint8),
+        color_srgb=np.array([0.8, 0.2, 0.1]),
+    )
+
+
+def camera_above(f: float = 200) -> Camera:
+    T = look_at((0.05, -0.02, 1.0), (0, 0, 0), (0, 1, 0))
+    return Camera(fx=f, fy=f, cx=60, cy=60, width=120, height=120, T_world_cam=T)
+
+
+def test_discs_close_the_surface_and_end_at_its_edge():
+    surfels = surfels_of([plate()], 4000, np.random.default_rng(0))
+    assert 2500 < len(surfels.gaussians) < 5500
+    camera = camera_above()
+    drawn = render(surfels.gaussians, camera)
+    rays = camera.directions()
+    hit = camera.center + rays * (-camera.center[2] / rays[..., 2])[..., None]
+    from_edge = 0.2 - np.abs(hit[..., :2]).max(-1)
+    assert drawn.alpha[from_edge > 0.01].min() > 0.9
+    assert drawn.alpha[from_edge < -0.012].max() < 0.05
+    inside = drawn.rgb[from_edge > 0.02]
+    np.testing.assert_allclose(
+        inside / drawn.alpha[from_edge > 0.02][:, None], [[0.8, 0.2, 0.1]] * len(inside), atol=0.02
+    )
+
+
+def test_the_texture_lies_the_right_way_round():
+    texture = np.zeros((64, 64, 3), np.uint8)
+    texture[:32, :32] = (255, 0, 0)  # upper left in the file: u < 0.5, v > 0.5
+    texture[32:, 32:] = (0, 0, 255)
+    surfels = surfels_of([plate(texture=texture)], 3000, np.random.default_rng(0))
+    upper_left = (surfels.gaussians.means[:, 0] < -0.03) & (surfels.gaussians.means[:, 1] > 0.03)
+    lower_right = (surfels.gaussians.means[:, 0] > 0.03) & (surfels.gaussians.means[:, 1] < -0.03)
+    np.testing.assert_allclose(surfels.albedo_linear[upper_left].mean(0), [1, 0, 0], atol=0.02)
+    np.testing.assert_allclose(surfels.albedo_linear[lower_right].mean(0), [0, 0, 1], atol=0.02)
+
+
+def test_detail_gets_more_discs():
+    texture = np.full((64, 64, 3), 128, np.uint8)
+    texture[:, 32:] = (np.indices((64, 32)).sum(0) // 4 % 2 * 255)[..., None]
+    surfels = surfels_of([plate(texture=texture)], 4000, np.random.default_rng(0))
+    right = surfels.gaussians.means[:, 0] > 0.02
+    left = surfels.gaussians.means[:, 0] < -0.02
+    assert right.sum() > 2 * left.sum()
+
+
+def test_a_sticker_hides_the_wall_right_behind_it():
+    sticker = plate(0.1, texture=np.full((4, 4, 3), 255, np.uint8), z=0.0005)
+    surfels = surfels_of([plate(), sticker], 4000, np.random.default_rng(0))
+    drawn = render(surfels.gaussians, camera_above())
+    np.testing.assert_allclose(drawn.rgb[55:65, 55:65] / drawn.alpha[55:65, 55:65, None], 1.0, atol=0.05)
+
+
+def test_only_borders_and_sharp_edges_are_creases():
+    assert crease_edges(plate().vertices, QUAD).sum() == 4  # the diagonal is none
+    folded = np.array([[-1, 0, 0], [0, -1, 0], [0, 1, 0], [1, 0, 0.9]])
+    assert crease_edges(folded, np.array([[0, 1, 2], [1, 3, 2]])).all()
+
+
+def test_transfer_of_an_open_surface_is_the_clamped_cosine():
+    points = np.random.default_rng(0).uniform((-0.2, -0.2, 0), (0.2, 0.2, 0), (400, 3))
+    normals = np.tile([0, 0, 1.0], (400, 1))
+    transfer, turned = occluded_transfer(points, normals, points)
+    np.testing.assert_allclose(transfer, open_transfer(normals), atol=0.05)
+    np.testing.assert_array_equal(turned, normals)
+
+
+def test_the_floor_of_a_box_is_darker_than_its_lid():
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-0.1, 0.1, (4000, 2)), np.zeros(4000)])
+    sides = [
+        np.insert(rng.uniform((-0.1, 0), (0.1, 0.2), (4000, 2)), axis, at, axis=1)
+        for axis in (0, 1)
+        for at in (-0.1, 0.1)
+    ]
+    box = np.concatenate([floor, *sides])
+    middle = np.array([[0.0, 0, 0], [0, 0, 0.2]])
+    transfer, _ = occluded_transfer(middle, np.array([[0, 0, 1.0], [0, 0, 1.0]]), box)
+    light = hemisphere_light((1, 1, 1), (0, 0, 0))
+    inside, above = shaded_srgb(np.full((2, 3), 0.8), transfer, light.radiance_sh)
+    assert inside.mean() < 0.85 * above.mean()
+
+
+def test_light_turns_the_other_way_when_the_body_turns():
+    light = Light(radiance_sh=np.random.default_rng(0).normal(size=(9, 3)) + 3 * (np.arange(9) == 0)[:, None])
+    R = matrix_from_rotvec(np.array([0.3, -0.8, 0.5]))
+    normal_body = np.array([[0.6, 0.0, 0.8]])
+    world = light.irradiance(normal_body @ R.T)
+    body = open_transfer(normal_body) @ light.seen_from(R)
+    np.testing.assert_allclose(body, world, atol=1e-5)
+
+
+def test_a_mesh_without_surface_is_refused():
+    empty = Mesh(
+        name="empty",
+        vertices=np.zeros((3, 3)),
+        faces=np.array([[0, 1, 2]]),
+        uvs=np.zeros((0, 3, 2)),
+        texture_srgb=np.zeros((0, 0, 3), np.uint8),
+        color_srgb=np.ones(3),
+    )
+    with pytest.raises(AssetError, match="no surface"):
+        surfels_of([empty], 100, np.random.default_rng(0))

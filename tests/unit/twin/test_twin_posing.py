@@ -1,0 +1,159 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aomgen.core.sh import sh_basis
+from aomgen.core.transforms import angle_between, apply, invert, matrix_from_rotvec, transform
+from aomgen.errors import MalformedFileError, MissingFileError
+from aomgen.splatting.rasterizer import render
+from aomgen.twin.binding import object_frame, with_object
+from aomgen.twin.layers import over, static_layer
+from aomgen.twin.shadow import cast_shadow
+from aomgen.twin.store import load_twin, save_twin
+from aomgen.twin.twin import PART, body_poses, posed, render_state, rig
+
+
+def test_the_scanned_state_gives_the_scan_back(toy_scene):
+    again = posed(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state)
+    np.testing.assert_allclose(again.means, toy_scene.gaussians.means, atol=1e-6)
+    np.testing.assert_allclose(again.sh, toy_scene.gaussians.sh, atol=1e-5)
+    picture = render_state(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state, toy_scene.camera)
+    np.testing.assert_allclose(picture.rgb, render(toy_scene.gaussians, toy_scene.camera).rgb, atol=2e-3)
+
+
+def test_a_part_moves_by_its_joint_alone(toy_scene):
+    twin, state = toy_scene.twin, replace(toy_scene.twin.scan_state, theta=0.8)
+    before, after = toy_scene.gaussians, posed(twin, toy_scene.robot, state)
+    part = twin.bodies == twin.body(PART)
+    np.testing.assert_array_equal(
+        after.means[~part & (twin.bodies == 0)], before.means[~part & (twin.bodies == 0)]
+    )
+    T = state.T_world_object @ twin.joint.motion(0.8) @ invert(state.T_world_object)
+    np.testing.assert_allclose(after.means[part], apply(T, before.means[part]), atol=1e-5)
+
+
+def test_harmonics_turn_with_their_body(toy_scene):
+    twin = toy_scene.twin
+    colored = replace(
+        twin, gaussians=twin.gaussians.with_sh(np.random.default_rng(0).normal(size=(len(twin.bodies), 9, 3)))
+    )
+    Ts = body_poses(colored, toy_scene.robot, replace(twin.scan_state, joints=twin.scan_state.joints + 0.5))
+    after = posed(colored, toy_scene.robot, replace(twin.scan_state, joints=twin.scan_state.joints + 0.5))
+    which = int(np.flatnonzero(twin.bodies == 6)[0])
+    direction_body = np.array([[0.36, 0.48, 0.8]])
+    seen_body = sh_basis(direction_body, 2) @ colored.gaussians.sh[which]
+    seen_world = sh_basis(direction_body @ Ts[6][:3, :3].T, 2) @ after.sh[which]
+    np.testing.assert_allclose(seen_world, seen_body, atol=1e-4)
+
+
+def test_moving_the_whole_object_moves_both_of_its_bodies(toy_scene):
+    twin = toy_scene.twin
+    shift = transform(matrix_from_rotvec(np.array([0, 0, 0.4])), np.array([0.1, 0.0, 0.0]))
+    state = replace(twin.scan_state, T_world_object=shift @ twin.T_world_object, theta=0.3)
+    Ts = body_poses(twin, toy_scene.robot, state)
+    rest = body_poses(twin, toy_scene.robot, replace(twin.scan_state, theta=0.3))
+    np.testing.assert_allclose(Ts[twin.body(PART)], shift @ rest[twin.body(PART)], atol=1e-12)
+
+
+def test_a_door_gets_darker_when_it_turns_away_from_the_light(toy_scene):
+    static, moving = toy_scene.surfels
+    twin = with_object(
+        toy_scene.twin, static, moving, toy_scene.asset.joint, toy_scene.light, toy_scene.twin.T_world_object
+    )
+    surface = twin.relit
+    assert surface is not None
+    rigged = rig(twin)
+    closed = rigged.pose(body_poses(twin, toy_scene.robot, twin.scan_state))
+    opened = rigged.pose(body_poses(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5)))
+    part = twin.bodies[rigged.order] == twin.body(PART)
+    assert np.abs(closed.sh[part, 0] - opened.sh[part, 0]).mean() > 0.05
+    normals = np.concatenate([static.normals, moving.normals])
+    assert len(normals) == len(surface.indices)
+    # The same door in a light without direction stays as it is.
+    even = replace(toy_scene.light, radiance_sh=toy_scene.light.radiance_sh * (np.arange(9) == 0)[:, None])
+    flat = rig(replace(twin, relit=replace(surface, light=even)))
+    a = flat.pose(body_poses(twin, toy_scene.robot, twin.scan_state)).sh[part, 0]
+    b = flat.pose(body_poses(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5))).sh[part, 0]
+    np.testing.assert_allclose(a, b, atol=1e-5)
+
+
+def test_with_object_leaves_nothing_of_the_recorded_one(toy_scene):
+    static, moving = toy_scene.surfels
+    twin = with_object(
+        toy_scene.twin, static, moving, toy_scene.asset.joint, toy_scene.light, toy_scene.twin.T_world_object
+    )
+    recorded = int(np.isin(toy_scene.labels, (2, 3)).sum())
+    expected = len(toy_scene.labels) - recorded + len(static.gaussians) + len(moving.gaussians)
+    assert len(twin.gaussians) == expected
+    chosen = twin.select(twin.moves)
+    assert chosen.relit is not None
+    np.testing.assert_array_equal(
+        np.sort(chosen.relit.indices), np.flatnonzero(np.isin(chosen.labels, (2, 3)))
+    )
+
+
+def test_the_object_frame_is_found_from_points(toy_scene):
+    means, labels = toy_scene.gaussians.means, toy_scene.labels
+    T_true = toy_scene.twin.T_world_object
+    joint = toy_scene.asset.joint.moved(T_true)
+    T = object_frame(means[labels == 2], joint, means[labels == 3])
+    assert np.rad2deg(angle_between(T[:3, 1], T_true[:3, 1])) < 5
+    np.testing.assert_allclose(T[:3, 2], [0, 0, 1], atol=1e-12)
+    assert np.linalg.norm(T[:3, 3] - T_true[:3, 3]) < 0.06
+
+
+def test_layers_agree_with_drawing_everything(toy_scene):
+    twin, state = toy_scene.twin, replace(toy_scene.twin.scan_state, theta=0.9)
+    everything = render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb
+    layer = static_layer(twin.gaussians.select(~twin.moves), toy_scene.camera)
+    moving = rig(twin.select(twin.moves)).pose(body_poses(twin, toy_scene.robot, state))
+    layered = over(layer, moving) / 255
+    assert 10 * np.log10(1 / np.mean((layered - everything) ** 2)) > 35
+    assert np.mean(np.abs(layered - layer.rgb) > 0.05) > 0.02  # something does move
+
+
+def test_a_box_casts_its_shadow_away_from_the_light(toy_scene):
+    rng = np.random.default_rng(0)
+    box = rng.uniform((-0.1, -0.1, 0), (0.1, 0.1, 0.2), (20_000, 3))
+    radiance = np.zeros((9, 3))
+    radiance[0], radiance[3], radiance[2] = 1.0, -0.6, 0.4  # bright from +x and above
+    light = replace(toy_scene.light, radiance_sh=radiance)
+    factor = cast_shadow(box, np.eye(4), light).at(
+        np.array([[-0.13, 0, 0], [0.13, 0, 0], [-2.0, 0, 0], [-0.13, 0, 0.1]])
+    )
+    assert factor[0] < factor[1] < 1
+    assert factor[0] < 0.8
+    assert factor[2] == 1  # far away
+    assert factor[3] == 1  # not on the surface
+
+
+def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):
+    static, moving = toy_scene.surfels
+    twin = with_object(
+        toy_scene.twin, static, moving, toy_scene.asset.joint, toy_scene.light, toy_scene.twin.T_world_object
+    )
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    save_twin(tmp_path / "a", twin)
+    again = load_twin(tmp_path / "a")
+    save_twin(tmp_path / "b", again)
+    for name in ("twin.json", "twin.npz"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    np.testing.assert_array_equal(again.gaussians.sh, twin.gaussians.sh)
+    np.testing.assert_array_equal(again.scan_state.T_world_object, twin.scan_state.T_world_object)
+
+
+def test_damaged_twins_are_refused(toy_scene, tmp_path):
+    with pytest.raises(MissingFileError):
+        load_twin(tmp_path)
+    save_twin(tmp_path, toy_scene.twin)
+    data = (tmp_path / "twin.npz").read_bytes()
+    (tmp_path / "twin.npz").write_bytes(data[: len(data) // 2])
+    with pytest.raises(MalformedFileError):
+        load_twin(tmp_path)
+    (tmp_path / "twin.npz").write_bytes(data)
+    text = (tmp_path / "twin.json").read_text().replace('"part"', '"lid"').replace('"object",', "")
+    (tmp_path / "twin.json").write_text(text)
+    with pytest.raises(MalformedFileError):
+        load_twin(tmp_path)
