@@ -2,22 +2,11 @@
 
 from typing import Any
 
-import numpy as np
-
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import Capture
-from aomgen.core.transforms import apply, similarity_parts
 from aomgen.core.values import Array
-
-
-def world_camera(camera_recon: Camera, S_world_recon: Array) -> Camera:
-    """The same camera in the world: the pose turns and moves, the optics stay."""
-    _, R, _ = similarity_parts(S_world_recon)
-    T = np.eye(4)
-    T[:3, :3] = R @ camera_recon.T_world_cam[:3, :3]
-    T[:3, 3] = apply(S_world_recon, camera_recon.T_world_cam[:3, 3])
-    return camera_recon.moved(T)
+from aomgen.reconstruction.alignment import camera_in_world
 
 
 def estimates_of(
@@ -39,7 +28,7 @@ def estimates_of(
         refusals: {quantity, reason} of what was refused.
     """
     scan = {
-        path.name: world_camera(cameras_recon[path.name], S_world_recon).T_world_cam.tolist()
+        path.name: camera_in_world(S_world_recon, cameras_recon[path.name]).T_world_cam.tolist()
         if path.name in cameras_recon
         else None
         for path in capture.scan_images

@@ -1,0 +1,220 @@
+"""Stages from the recording to the twin: what was there, and how it moved. [paper 4.1, 4.2]"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.capture.check import read_demo_videos
+from aomgen.capture.read import read_capture
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.progress import Progress
+from aomgen.core.recording import Capture
+from aomgen.core.values import Array
+from aomgen.errors import EstimationError
+from aomgen.io.atomic import write_json
+from aomgen.io.video import Video
+from aomgen.motion.estimate import Demonstration as MotionInput
+from aomgen.motion.stage import load_motion, run_motion
+from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.pipeline.estimates import estimates_of
+from aomgen.pipeline.stage import Run
+from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment
+from aomgen.reconstruction.gaussians import GaussiansParams
+from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
+from aomgen.reconstruction.parts_stage import load_parts
+from aomgen.reconstruction.structure import DemoView
+from aomgen.reconstruction.structure_stage import load_structure, run_structure
+from aomgen.twin.binding import bind, object_frame
+from aomgen.twin.store import save_twin
+from aomgen.twin.twin import TwinState
+
+ESTIMATES = "estimates.json"
+# Gaussians that count as surface.
+SOLID_OPACITY = 0.3
+# The temporal median needs no more frames than this.
+MEDIAN_FRAMES = 48
+
+
+def robot_of(capture: Capture) -> RobotModel:
+    """The robot of a capture, with the capture's world frame."""
+    return load_robot(capture.robot.model_file or capture.robot.model, capture.robot.base_frame)
+
+
+def structure(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Cameras and sparse points of the scan, fixed cameras in the same model."""
+    capture = read_capture(run.project.capture)
+    videos = read_demo_videos(capture)
+    demo = {
+        camera.name: DemoView(
+            first_srgb=videos[camera.name].frames_srgb[0],
+            median_srgb=_median_frame(videos[camera.name]),
+            intrinsics=None
+            if camera.intrinsics is None
+            else (camera.intrinsics.fx, camera.intrinsics.fy, camera.intrinsics.cx, camera.intrinsics.cy),
+        )
+        for camera in capture.cameras
+    }
+    known = capture.scan_intrinsics
+    intrinsics = None if known is None else (known.fx, known.fy, known.cx, known.cy)
+    images = {path.name: path for path in capture.scan_images}
+    result = run_structure(images, intrinsics, demo, folder, progress)
+    return {
+        "registered": len(result.cameras_recon),
+        "of": len(images),
+        "reprojection_error_px": round(result.reprojection_error_px, 3),
+        "points": len(result.points_recon),
+    }
+
+
+def _median_frame(video: Video) -> np.ndarray:
+    step = max(1, len(video.times_s) // MEDIAN_FRAMES)
+    return np.median(video.frames_srgb[::step], axis=0).astype(np.uint8)
+
+
+def gaussians(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Trained Gaussians of the scene, with held-out views."""
+    capture = read_capture(run.project.capture)
+    images = {path.name: path for path in capture.scan_images}
+    params = GaussiansParams()
+    params = replace(
+        params,
+        training=replace(
+            params.training, iterations=run.project.iterations, max_gaussians=run.project.gaussians
+        ),
+    )
+    scene = run_gaussians(load_structure(run.folders["structure"]), images, folder, progress, params)
+    views = list(scene.heldout.values())
+    return {
+        "gaussians": len(scene.gaussians_recon),
+        "heldout_psnr": float(np.mean([view.psnr_db for view in views])) if views else 0.0,
+        "heldout_ssim": float(np.mean([view.ssim for view in views])) if views else 0.0,
+    }
+
+
+def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Scale and pose of the scene in the robot's base frame."""
+    capture = read_capture(run.project.capture)
+    videos = read_demo_videos(capture)
+    result = run_alignment(
+        load_structure(run.folders["structure"]),
+        {path.name: path for path in capture.scan_images},
+        {name: video.frames_srgb[0] for name, video in videos.items()},
+        capture.prompts,
+        posture_of(capture),
+        folder,
+        progress,
+    )
+    return {
+        "support": result.support,
+        "runner_up_support": result.runner_up_support,
+        "residual_px": result.residual_px,
+        "end_effector_sd_mm": 1e3 * result.ee_sd_m,
+    }
+
+
+def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """When, where and how the part moved; writes `estimates.json`.
+
+    A refused motion is written there as refused before the error goes on.
+    """
+    capture = read_capture(run.project.capture)
+    camera = capture.cameras[0]
+    scene = load_structure(run.folders["structure"])
+    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
+    cameras_world = {
+        name: camera_in_world(S_world_recon, item) for name, item in scene.demo_cameras_recon.items()
+    }
+    world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
+    parts = load_parts(run.folders["parts"])
+    demonstration = MotionInput(
+        video=read_demo_videos(capture)[camera.name],
+        camera=cameras_world[camera.name],
+        log=capture.joint_log,
+        robot=robot_of(capture),
+        points_moving=surface_points(world, parts.labels, MOVING),
+        points_static=surface_points(world, parts.labels, STATIC),
+        clock_offset_s=capture.clock_offset_s,
+    )
+
+    def write_estimates(estimate: MotionEstimate | None, refusals: list[dict[str, str]]) -> None:
+        content = estimates_of(capture, scene.cameras_recon, cameras_world, S_world_recon, estimate, refusals)
+        write_json(run.out / ESTIMATES, content)
+
+    try:
+        estimate = run_motion(demonstration, folder, progress)
+    except EstimationError as error:
+        write_estimates(None, [{"quantity": "motion", "reason": str(error)}])
+        raise
+    write_estimates(estimate, [])
+    unit = "deg" if estimate.joint.type == "revolute" else "mm"
+    factor = 180 / np.pi if unit == "deg" else 1e3
+    return {
+        "clock_offset_s": estimate.clock_offset_s,
+        "start_s": estimate.start_s,
+        "end_s": estimate.end_s,
+        "joint": estimate.joint.type,
+        f"opened_{unit}": factor * float(estimate.thetas.max()),
+        "axis_sd_deg": float(np.degrees(estimate.axis_sd_rad)),
+        "origin_sd_mm": 1e3 * estimate.origin_sd_m,
+    }
+
+
+def surface_points(world: Gaussians, labels: NDArray[np.uint8], label: int) -> Array:
+    """Centres (N, 3) of a part's solid Gaussians."""
+    return np.asarray(world.means[(labels == label) & (world.opacities > SOLID_OPACITY)], np.float64)
+
+
+def posture_of(capture: Capture) -> RobotPosture:
+    """The robot as it stood during the scan."""
+    return RobotPosture(
+        robot=robot_of(capture), joints=capture.robot.scan_joints, gripper=capture.robot.scan_gripper
+    )
+
+
+def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Every Gaussian bound to the body that carries it."""
+    capture = read_capture(run.project.capture)
+    robot = robot_of(capture)
+    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
+    world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
+    parts = load_parts(run.folders["parts"])
+    joint = load_motion(run.folders["motion"]).joint
+    T_world_object = object_frame(
+        surface_points(world, parts.labels, STATIC), joint, surface_points(world, parts.labels, MOVING)
+    )
+    state = TwinState(
+        joints=capture.robot.scan_joints,
+        gripper=capture.robot.scan_gripper,
+        theta=0.0,
+        T_world_object=T_world_object,
+    )
+    result = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
+    save_twin(folder, result)
+    return {"gaussians": len(world), "moving": int(np.sum(result.moves))}
+
+
+def demo_camera_world(run: Run) -> Camera:
+    """The first fixed camera, as estimated."""
+    name = read_capture(run.project.capture).cameras[0].name
+    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
+    return camera_in_world(S_world_recon, load_structure(run.folders["structure"]).demo_cameras_recon[name])
+
+
+def scan_cameras_world(run: Run) -> dict[str, Camera]:
+    """Registered scan cameras by image name."""
+    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
+    cameras = load_structure(run.folders["structure"]).cameras_recon
+    return {name: camera_in_world(S_world_recon, camera) for name, camera in cameras.items()}
+
+
+def demo_fps(run: Run) -> float:
+    """Frame rate of the first demonstration video, [1/s]."""
+    capture = read_capture(run.project.capture)
+    return float(round(read_demo_videos(capture)[capture.cameras[0].name].fps))

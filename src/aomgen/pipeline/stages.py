@@ -1,0 +1,145 @@
+"""The one list of stages, and how it is run."""
+
+from pathlib import Path
+
+from aomgen.capture.check import read_demo_videos
+from aomgen.capture.read import read_capture
+from aomgen.core.recording import Capture
+from aomgen.errors import ConfigError
+from aomgen.pipeline import generation, recovery
+from aomgen.pipeline.manifest import files_digest
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.runner import Display, run_stages
+from aomgen.pipeline.stage import Run, Stage
+
+STAGES: tuple[Stage, ...] = (
+    Stage(
+        name="structure",
+        folder="01_structure",
+        title="structure from motion",
+        needs=("capture",),
+        settings=(),
+        version=1,
+        weight=60,
+        function=recovery.structure,
+    ),
+    Stage(
+        name="gaussians",
+        folder="02_gaussians",
+        title="training Gaussians",
+        needs=("capture", "structure"),
+        settings=("iterations", "gaussians"),
+        version=1,
+        weight=110,
+        function=recovery.gaussians,
+    ),
+    Stage(
+        name="alignment",
+        folder="03_alignment",
+        title="aligning scene and robot",
+        needs=("capture", "structure"),
+        settings=(),
+        version=1,
+        weight=25,
+        function=recovery.alignment,
+    ),
+    Stage(
+        name="parts",
+        folder="04_parts",
+        title="parts of robot and object",
+        needs=("capture", "structure", "gaussians", "alignment"),
+        settings=(),
+        version=1,
+        weight=45,
+        function=recovery.parts,
+    ),
+    Stage(
+        name="motion",
+        folder="05_motion",
+        title="clock, keyframes, contact, joint",
+        needs=("capture", "structure", "gaussians", "alignment", "parts"),
+        settings=(),
+        version=1,
+        weight=20,
+        function=recovery.motion,
+    ),
+    Stage(
+        name="twin",
+        folder="06_twin",
+        title="binding the twin",
+        needs=("capture", "gaussians", "alignment", "parts", "motion"),
+        settings=(),
+        version=1,
+        weight=3,
+        function=recovery.twin,
+    ),
+    Stage(
+        name="replacement",
+        folder="07_replacement",
+        title="removing the object, fitting assets",
+        needs=("capture", "structure", "alignment", "motion", "twin"),
+        settings=("assets", "adapt", "seed", "image_size"),
+        version=1,
+        weight=25,
+        function=generation.replacement,
+    ),
+    Stage(
+        name="plans",
+        folder="08_plans",
+        title="new poses, verified in physics",
+        needs=("capture", "motion", "twin", "replacement"),
+        settings=("seed", "poses"),
+        version=1,
+        weight=30,
+        function=generation.plans,
+    ),
+    Stage(
+        name="episodes",
+        folder="09_episodes",
+        title="rendering episodes",
+        needs=("capture", "replacement", "plans"),
+        settings=(),
+        version=1,
+        weight=50,
+        function=generation.episodes,
+        incremental=True,
+    ),
+    Stage(
+        name="dataset",
+        folder="dataset",
+        title="LeRobot dataset",
+        needs=("episodes",),
+        settings=(),
+        version=1,
+        weight=3,
+        function=generation.dataset,
+    ),
+)
+
+
+def run_pipeline(project: Project, display: Display, *, until: str = "") -> Run:
+    """Check the capture, then bring every stage up to date.
+
+    Raises:
+        ConfigError: `until` names no stage.
+        InputError: The capture is not usable; nothing was started.
+        AomgenError: Whatever a stage refuses.
+    """
+    names = [stage.name for stage in STAGES]
+    if until and until not in names:
+        raise ConfigError("--until", f"'{until}' is no stage", f"stages: {', '.join(names)}")
+    capture = read_capture(project.capture)
+    read_demo_videos(capture)
+    return run_stages(project, STAGES, display, capture_digest=capture_digest(capture), until=until)
+
+
+def capture_digest(capture: Capture) -> str:
+    """Digest of everything that a capture's capture.toml refers to."""
+    files: list[Path] = [capture.folder / "capture.toml", *capture.scan_images]
+    files += [camera.video for camera in capture.cameras]
+    files += sorted((capture.folder / "demo").glob("*.csv"))
+    if capture.robot.model_file:
+        files.append(capture.robot.model_file)
+    for masks in capture.mask_folders.values():
+        files += sorted(masks.glob("*.png"))
+    return files_digest(files)
