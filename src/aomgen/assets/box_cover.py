@@ -1,6 +1,7 @@
 """Boxes that cover meshes, for assets that bring no box colliders of their own."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ SOLID_SHARE = 0.6
 # Cells along the longest edge of a hollow component, and their bounds, [m].
 CELLS = 40
 CELL_RANGE = (0.006, 0.03)
+# More different vertex coordinates than this along an axis mean a curved surface.
+MAX_PLANES = 60
+BELOW_SURFACE = 2e-4
 # Components thinner than this in two directions, [m], never need cells.
 ROD_THICKNESS = 0.02
 
@@ -26,7 +30,8 @@ def box_cover(meshes: Sequence[Mesh]) -> list[BoxCollider]:
 
     Each connected component that fills its bounding box, or is a rod or plate, becomes that
     box; others are filled with cells along their surface, merged into as few boxes as a greedy
-    sweep finds. Thin walls become at most one cell thicker than they are.
+    sweep finds, each shrunk to the surface inside it. Where gaps between links are narrower
+    than a cell the boxes may still overlap; such an asset needs authored colliders.
     """
     boxes: list[BoxCollider] = []
     for mesh in meshes:
@@ -63,29 +68,67 @@ def _is_box_like(triangles: Array) -> bool:
     size = np.sort(upper - lower)
     if size[1] < ROD_THICKNESS or size[0] < 2e-3:
         return True
+    if not _is_closed(triangles):
+        return False
     centred = triangles - triangles.mean((0, 1))
     volume = abs(np.einsum("ni,ni->n", centred[:, 0], np.cross(centred[:, 1], centred[:, 2])).sum()) / 6
     return volume >= SOLID_SHARE * float(np.prod(size))
 
 
+def _is_closed(triangles: Array) -> bool:
+    """Whether every edge belongs to an even number of triangles, so that a volume is defined."""
+    keys = np.round(triangles.reshape(-1, 3) / 1e-5).astype(np.int64)
+    _, corners = np.unique(keys, axis=0, return_inverse=True)
+    faces = corners.reshape(-1, 3)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all())
+
+
 def _cells(triangles: Array) -> list[tuple[Array, Array]]:
-    """Merged surface cells as (lower, upper) corners."""
+    """Surface cells merged into blocks, as (lower, upper) corners.
+
+    Cells end where vertices lie, so that boards and panels are met exactly.
+    """
     lower, upper = _bounds(triangles)
     cell = float(np.clip((upper - lower).max() / CELLS, *CELL_RANGE))
-    shape = np.maximum(np.ceil((upper - lower) / cell - 1e-6).astype(int), 1)
-    step = (upper - lower) / shape
+    planes = [_planes(triangles[..., axis].ravel(), cell) for axis in range(3)]
     points = _dense_points(triangles, 0.4 * cell)
-    # Points on a cell's border belong to the cell nearer to the middle, so that walls stay inside.
-    index = np.clip(np.floor((points - lower) / np.maximum(step, 1e-9)).astype(int), 0, shape - 1)
+    shape = tuple(len(p) - 1 for p in planes)
+    # Points were moved a little below the surface, so that each falls into the cell behind it.
+    index = tuple(
+        np.clip(np.searchsorted(plane, points[:, axis]) - 1, 0, shape[axis] - 1)
+        for axis, plane in enumerate(planes)
+    )
     filled = np.zeros(shape, bool)
-    filled[tuple(index.T)] = True
-    return [(lower + a * step, lower + b * step) for a, b in _merged(filled)]
+    filled[index] = True
+    # A block is shrunk to the surface inside it, so that what is thinner than a cell stays thin.
+    low, high = np.full((*shape, 3), np.inf), np.full((*shape, 3), -np.inf)
+    np.minimum.at(low, index, points - BELOW_SURFACE)
+    np.maximum.at(high, index, points + BELOW_SURFACE)
+    return [
+        (low[block].reshape(-1, 3).min(0), high[block].reshape(-1, 3).max(0)) for block in _merged(filled)
+    ]
+
+
+def _planes(coordinates: Array, cell: float) -> Array:
+    """Borders of the cells along one axis: where many vertices lie, or else evenly spaced."""
+    values = np.unique(np.round(coordinates / 1e-4)) * 1e-4
+    values = values[np.concatenate([[True], np.diff(values) > 1e-3])]
+    if len(values) > MAX_PLANES or len(values) < 2:
+        low, high = float(coordinates.min()), float(coordinates.max())
+        return np.linspace(low, max(high, low + 1e-3), max(2, int((high - low) / cell) + 2))
+    parts = [np.linspace(a, b, int((b - a) / (2 * cell)) + 2)[:-1] for a, b in pairwise(values)]
+    return np.asarray(np.concatenate([*parts, values[-1:]]), np.float64)
 
 
 def _dense_points(triangles: Array, spacing: float) -> Array:
-    """Points on triangles, about `spacing` apart, on a regular barycentric grid."""
+    """Points just below triangles, about `spacing` apart, on a regular barycentric grid."""
     faces = np.arange(3 * len(triangles)).reshape(-1, 3)
-    _, areas = face_normals_areas(triangles.reshape(-1, 3), faces)
+    normals, areas = face_normals_areas(triangles.reshape(-1, 3), faces)
+    inwards = triangles.mean(1, keepdims=True) - triangles
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=2, keepdims=True), 1e-12)
+    # Also away from the triangle's edges, which are borders of cells.
+    triangles = triangles - BELOW_SURFACE * normals[:, None] + 2 * BELOW_SURFACE * inwards
     edges = np.linalg.norm(triangles - np.roll(triangles, 1, 1), axis=2).max(1)
     steps = np.clip(np.ceil(edges / spacing).astype(int), 1, 400)
     points = []
@@ -97,8 +140,8 @@ def _dense_points(triangles: Array, spacing: float) -> Array:
     return np.concatenate(points)
 
 
-def _merged(filled: NDArray[np.bool_]) -> list[tuple[Array, Array]]:
-    """Cover of the filled cells by blocks, each grown greedily from its first free cell."""
+def _merged(filled: NDArray[np.bool_]) -> list[tuple[slice, ...]]:
+    """Cover of the filled cells by blocks (index slices), each grown greedily from its first free cell."""
     free, blocks = filled.copy(), []
     while free.any():
         start = np.array(np.unravel_index(np.argmax(free), free.shape))
@@ -110,6 +153,7 @@ def _merged(filled: NDArray[np.bool_]) -> list[tuple[Array, Array]]:
                 if not free[tuple(window)].all():
                     break
                 end[axis] += 1
-        free[tuple(slice(a, b) for a, b in zip(start, end, strict=True))] = False
-        blocks.append((start.astype(np.float64), end.astype(np.float64)))
+        block = tuple(slice(int(a), int(b)) for a, b in zip(start, end, strict=True))
+        free[block] = False
+        blocks.append(block)
     return blocks

@@ -46,12 +46,23 @@ def require_usable(asset: ArticulatedAsset) -> None:
 
 
 def outward_normal(asset: ArticulatedAsset) -> Array:
-    """Direction (3,) in which the closed part starts to move, at the handle: away from the body."""
+    """Unit normal (3,) of the front at the handle, away from the body.
+
+    The handle starts to move roughly along it; of the axes of the moving colliders the one
+    nearest to that motion is taken, because a hinge lies a little behind the front.
+    """
     joint = asset.joint
     if joint.type == "prismatic":
         return joint.axis
-    direction = np.cross(joint.axis, asset.handle_point - joint.origin)
-    return np.asarray(direction / max(float(np.linalg.norm(direction)), 1e-12), np.float64)
+    motion = np.cross(joint.axis, asset.handle_point - joint.origin)
+    motion = motion / max(float(np.linalg.norm(motion)), 1e-12)
+    poses, _ = stacked(asset.moving.colliders)
+    axes = np.concatenate([poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 3), motion[None]])
+    alignments = axes @ motion
+    # The motion itself is last and wins only where no box looks along it within 30 degrees.
+    alignments[-1] = np.sign(alignments[-1]) * np.cos(np.deg2rad(30))
+    best = int(np.argmax(np.abs(alignments)))
+    return np.asarray(axes[best] * np.sign(alignments[best]), np.float64)
 
 
 def stacked(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:

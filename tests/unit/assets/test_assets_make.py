@@ -1,0 +1,135 @@
+"""Made assets: laws of their geometry, and what the check must refuse."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from aomgen.assets.check import check_asset, outward_normal, require_usable
+from aomgen.assets.make import MAKERS, make_asset
+from aomgen.assets.mjcf import add_asset
+from aomgen.core.asset import BoxCollider
+from aomgen.core.transforms import transform
+from aomgen.errors import AssetError, ConfigError
+
+ALL = [(category, seed) for category in sorted(MAKERS) for seed in range(4)]
+
+
+@pytest.mark.parametrize(("category", "seed"), ALL)
+def test_made_asset_has_no_problems(category: str, seed: int) -> None:
+    asset = make_asset(category, seed)
+    assert check_asset(asset) == []
+    assert asset.joint.type == ("revolute" if category == "microwave" else "prismatic")
+    assert outward_normal(asset) @ [0, -1, 0] > 0.99
+
+
+def test_same_seed_same_asset() -> None:
+    a, b, c = make_asset("microwave", 5), make_asset("microwave", 5), make_asset("microwave", 6)
+    assert np.array_equal(a.static.meshes[0].vertices, b.static.meshes[0].vertices)
+    assert np.array_equal(a.moving.meshes[0].texture_srgb, b.moving.meshes[0].texture_srgb)
+    assert not np.allclose(a.handle_point, c.handle_point)
+
+
+def test_microwaves_come_with_both_hinge_sides() -> None:
+    assert {np.sign(make_asset("microwave", seed).joint.axis[2]) for seed in range(8)} == {-1.0, 1.0}
+
+
+def test_unknown_category_lists_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="drawer, microwave"):
+        make_asset("toaster", 0)
+
+
+@pytest.mark.parametrize("category", sorted(MAKERS))
+def test_meshes_face_outwards_and_textures_do_not_repeat(category: str) -> None:
+    asset = make_asset(category, 1)
+    for link in (asset.static, asset.moving):
+        for mesh in link.meshes:
+            if len(mesh.uvs):
+                assert mesh.uvs.min() >= -1e-9
+                assert mesh.uvs.max() <= 1 + 1e-9
+    handle = next(mesh for mesh in asset.moving.meshes if mesh.name == "handle")
+    a, b, c = (handle.vertices[handle.faces[:, i]] for i in range(3))
+    volume = np.einsum("ni,ni->", a, np.cross(b, c)) / 6
+    assert volume > 1e-6
+
+
+@pytest.mark.parametrize(("category", "seed"), ALL[::3])
+def test_mujoco_sees_no_contact_along_the_joint(category: str, seed: int) -> None:
+    asset = make_asset(category, seed)
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    names = add_asset(spec, asset, np.eye(4), damping=0.1, frictionloss=0.1)
+    # Without the exclude, MuJoCo reports every touch of door and body.
+    for exclude in list(spec.excludes):
+        spec.delete(exclude)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for theta in np.linspace(0, asset.joint.upper, 40):
+        data.joint(names.joint).qpos[0] = theta
+        mujoco.mj_forward(model, data)
+        assert data.ncon == 0, theta
+
+
+def test_mujoco_masses_limits_and_motion_are_the_assets() -> None:
+    asset = make_asset("drawer", 2)
+    T = transform(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), [0.3, -0.2, 0.1])
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    names = add_asset(spec, asset, T, damping=4.0, frictionloss=2.0, visual=True)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    assert model.body(names.moving_body).mass[0] == pytest.approx(asset.moving.mass)
+    assert model.joint(names.joint).range.tolist() == pytest.approx([0.0, asset.joint.upper])
+    assert len(names.visual_geoms) == len(asset.static.meshes) + len(asset.moving.meshes)
+    assert all("handle" in name for name in names.handle_geoms)
+    assert len(names.handle_geoms) == 3
+    data.joint(names.joint).qpos[0] = 0.17
+    mujoco.mj_kinematics(model, data)
+    expected = (T @ asset.joint.motion(0.17))[:3, 3]
+    assert data.body(names.moving_body).xpos == pytest.approx(expected, abs=1e-9)
+
+
+def test_degrees_are_refused() -> None:
+    with pytest.raises(ValueError, match="degree"):
+        add_asset(mujoco.MjSpec(), make_asset("drawer", 0), np.eye(4), damping=1, frictionloss=0)
+
+
+def _with_collider(asset, box):
+    return replace(asset, moving=replace(asset.moving, colliders=(*asset.moving.colliders, box)))
+
+
+def test_check_names_the_colliders_that_overlap() -> None:
+    asset = make_asset("microwave", 0)
+    peg = BoxCollider(
+        name="peg", T_asset_box=transform(np.eye(3), [0, 0, 0.01]), half_extents=[0.02, 0.02, 0.02]
+    )
+    problems = check_asset(_with_collider(asset, peg))
+    assert any("'peg'" in problem and "overlap" in problem for problem in problems)
+    with pytest.raises(AssetError, match="peg"):
+        require_usable(_with_collider(asset, peg))
+
+
+def test_check_wants_room_for_a_finger_behind_the_handle() -> None:
+    asset = make_asset("drawer", 0)
+    behind = asset.handle_point + [0, 0.016, 0]
+    filler = BoxCollider(
+        name="filler", T_asset_box=transform(np.eye(3), behind), half_extents=[0.03, 0.005, 0.01]
+    )
+    problems = check_asset(_with_collider(asset, filler))
+    assert len(problems) == 1
+    assert "12 mm ball" in problems[0]
+
+
+def test_check_refuses_wrong_units() -> None:
+    asset = make_asset("microwave", 0)
+    assert "metersPerUnit" in check_asset(asset.transformed(np.diag([100.0, 100, 100, 1])))[0]
+    degrees = replace(asset, joint=replace(asset.joint, upper=100.0))
+    assert any("degrees" in problem for problem in check_asset(degrees))
+    stuck = replace(asset, joint=replace(asset.joint, upper=0.1))
+    assert any("opens by" in problem for problem in check_asset(stuck))
+
+
+def test_scaled_asset_stays_usable() -> None:
+    asset = make_asset("microwave", 3).transformed(np.diag([0.9, 0.9, 0.9, 1.0]))
+    assert check_asset(asset) == []

@@ -1,0 +1,204 @@
+"""USD: what is written comes back; what cannot be used is refused by name."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aomgen.assets.archive import load_asset, save_asset
+from aomgen.assets.canonical import guess_handle
+from aomgen.assets.check import check_asset
+from aomgen.assets.make import make_asset
+from aomgen.assets.usd_read import read_usd
+from aomgen.assets.usd_write import write_usd
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.errors import AssetError, ConfigError, MalformedFileError, MissingFileError, UnsafePathError
+
+UsdGeom = pytest.importorskip("pxr.UsdGeom")
+from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def microwave() -> ArticulatedAsset:
+    return make_asset("microwave", 1)
+
+
+@pytest.fixture
+def usd(tmp_path: Path, microwave: ArticulatedAsset) -> Path:
+    path = tmp_path / "asset" / "microwave-1.usda"
+    write_usd(microwave, path)
+    return path
+
+
+def assert_same(a: ArticulatedAsset, b: ArticulatedAsset, tolerance: float = 2e-6) -> None:
+    assert (a.name, a.category, a.joint.type) == (b.name, b.category, b.joint.type)
+    for name in ("axis", "origin", "lower", "upper"):
+        assert getattr(b.joint, name) == pytest.approx(getattr(a.joint, name), abs=tolerance), name
+    assert b.handle_point == pytest.approx(a.handle_point, abs=tolerance)
+    assert b.handle_axis == pytest.approx(a.handle_axis, abs=tolerance)
+    for x, y in ((a.static, b.static), (a.moving, b.moving)):
+        assert (x.name, len(x.meshes)) == (y.name, len(y.meshes))
+        assert y.mass == pytest.approx(x.mass, rel=1e-6)
+        assert [box.name for box in x.colliders] == [box.name for box in y.colliders]
+        for p, q in zip(x.colliders, y.colliders, strict=True):
+            assert q.T_asset_box == pytest.approx(p.T_asset_box, abs=tolerance)
+            assert q.half_extents == pytest.approx(p.half_extents, abs=tolerance)
+        for p, q in zip(x.meshes, y.meshes, strict=True):
+            assert p.name == q.name
+            assert q.vertices[q.faces] == pytest.approx(p.vertices[p.faces], abs=tolerance)
+            assert q.uvs == pytest.approx(p.uvs, abs=1e-6)
+            assert np.array_equal(p.texture_srgb, q.texture_srgb)
+            assert q.color_srgb == pytest.approx(p.color_srgb, abs=1e-3)
+            assert (q.roughness, q.metallic) == pytest.approx((p.roughness, p.metallic), abs=1e-6)
+
+
+def test_text_round_trip(usd: Path, microwave: ArticulatedAsset) -> None:
+    assert_same(microwave, read_usd(usd))
+    assert "textures/" in usd.read_text()
+    assert str(usd.parent) not in usd.read_text()
+
+
+def test_binary_round_trip_of_a_scaled_drawer(tmp_path: Path) -> None:
+    asset = make_asset("drawer", 2).transformed(np.diag([0.8, 0.8, 0.8, 1.0]))
+    write_usd(asset, tmp_path / "drawer.usdc")
+    assert_same(asset, read_usd(tmp_path / "drawer.usdc"))
+
+
+def test_centimetres_y_up_and_negative_limits(usd: Path, microwave: ArticulatedAsset, tmp_path: Path) -> None:
+    """The same object as another tool would export it gives the same asset."""
+    other = usd.parent / "exported.usda"
+    stage = Usd.Stage.CreateNew(str(other))
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    root = UsdGeom.Xform.Define(stage, "/export")
+    # From our metres, Z up, to centimetres, Y up: scale by 100, then turn -90 degrees about x.
+    root.AddRotateXOp().Set(-90.0)
+    root.AddScaleOp().Set(Gf.Vec3f(100, 100, 100))
+    stage.OverridePrim("/export/thing").GetReferences().AddReference("./microwave-1.usda")
+    joint = UsdPhysics.RevoluteJoint(stage.GetPrimAtPath("/export/thing/joint"))
+    joint.GetLowerLimitAttr().Set(-float(np.rad2deg(microwave.joint.upper)))
+    joint.GetUpperLimitAttr().Set(0.0)
+    # Turned by 180 degrees about its own y axis, the joint's x axis points the other way.
+    for attribute in (joint.GetLocalRot0Attr(), joint.GetLocalRot1Attr()):
+        attribute.Set(attribute.Get() * Gf.Quatf(0, 0, 1, 0))
+    stage.SetDefaultPrim(root.GetPrim())
+    stage.GetRootLayer().Save()
+    asset = read_usd(other)
+    assert asset.joint.axis == pytest.approx(microwave.joint.axis, abs=1e-5)
+    assert asset.joint.origin == pytest.approx(microwave.joint.origin, abs=1e-4)
+    assert (asset.joint.lower, asset.joint.upper) == pytest.approx((0, microwave.joint.upper), abs=1e-5)
+    door, ours = asset.moving.meshes[0], microwave.moving.meshes[0]
+    assert door.vertices[door.faces] == pytest.approx(ours.vertices[ours.faces], abs=1e-4)
+    # The root of this file names no handle, so it is guessed.
+    assert asset.handle_point == pytest.approx(microwave.handle_point, abs=0.008)
+    assert check_asset(asset) == []
+
+
+@pytest.mark.parametrize("category", ["microwave", "drawer"])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_handle_is_guessed_from_shape_alone(category: str, seed: int) -> None:
+    asset = make_asset(category, seed)
+    unnamed = replace(
+        asset.moving, meshes=tuple(replace(m, name=f"part_{i}") for i, m in enumerate(asset.moving.meshes))
+    )
+    guess = guess_handle(unnamed, asset.joint)
+    assert guess.point == pytest.approx(asset.handle_point, abs=0.008)
+    assert abs(guess.axis @ asset.handle_axis) > 0.99
+
+
+def test_boxes_are_made_where_none_are_authored(usd: Path) -> None:
+    stage = Usd.Stage.Open(str(usd))
+    for link in ("body", "door"):
+        stage.RemovePrim(f"/microwave_1/{link}/collision")
+    stage.GetRootLayer().Save()
+    asset = read_usd(usd)
+    assert len(asset.moving.colliders) >= 4
+    assert check_asset(asset) == []
+
+
+def _edit(usd: Path) -> Usd.Stage:
+    return Usd.Stage.Open(str(usd))
+
+
+def test_no_joint_is_refused(usd: Path) -> None:
+    stage = _edit(usd)
+    stage.RemovePrim("/microwave_1/joint")
+    stage.GetRootLayer().Save()
+    with pytest.raises(AssetError, match="0 revolute or prismatic joints"):
+        read_usd(usd)
+
+
+def test_two_joints_are_listed(usd: Path) -> None:
+    stage = _edit(usd)
+    UsdPhysics.PrismaticJoint.Define(stage, "/microwave_1/tray_slide")
+    stage.GetRootLayer().Save()
+    with pytest.raises(AssetError, match=r"/microwave_1/joint.*/microwave_1/tray_slide"):
+        read_usd(usd)
+
+
+def test_texture_outside_the_folder_is_refused(usd: Path) -> None:
+    outside = usd.parent.parent / "secret.png"
+    outside.write_bytes(next(usd.parent.glob("*_textures/*.png")).read_bytes())
+    stage = _edit(usd)
+    for prim in stage.Traverse():
+        if prim.IsA(UsdShade.Shader) and UsdShade.Shader(prim).GetIdAttr().Get() == "UsdUVTexture":
+            UsdShade.Shader(prim).GetInput("file").Set(Sdf.AssetPath("../secret.png"))
+    stage.GetRootLayer().Save()
+    with pytest.raises(UnsafePathError, match="secret"):
+        read_usd(usd)
+
+
+def test_layer_outside_the_folder_is_refused(usd: Path) -> None:
+    (usd.parent.parent / "other.usda").write_text('#usda 1.0\ndef Xform "extra" {}\n')
+    stage = _edit(usd)
+    stage.GetRootLayer().subLayerPaths.append("../other.usda")
+    stage.GetRootLayer().Save()
+    with pytest.raises(UnsafePathError, match="other"):
+        read_usd(usd)
+
+
+def test_missing_texture_is_named(usd: Path) -> None:
+    victim = next(usd.parent.glob("*_textures/*keypad.png"))
+    victim.unlink()
+    with pytest.raises(MissingFileError, match="keypad"):
+        read_usd(usd)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_truncated_file_is_malformed(tmp_path: Path, microwave: ArticulatedAsset, suffix: str) -> None:
+    path = tmp_path / f"cut{suffix}"
+    write_usd(microwave, path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(MalformedFileError):
+        read_usd(path)
+
+
+def test_parser_that_hangs_or_is_no_usd(tmp_path: Path, usd: Path) -> None:
+    (tmp_path / "noise.usdc").write_bytes(np.random.default_rng(0).bytes(4000))
+    with pytest.raises(MalformedFileError):
+        read_usd(tmp_path / "noise.usdc")
+    with pytest.raises(MalformedFileError, match="not parsed within"):
+        read_usd(usd, timeout_s=0.05)
+    with pytest.raises(MissingFileError):
+        read_usd(tmp_path / "nowhere.usda")
+    with pytest.raises(ConfigError, match="suffix"):
+        write_usd(make_asset("drawer", 0), tmp_path / "x.obj")
+
+
+def test_faces_out_of_range_are_malformed(usd: Path) -> None:
+    stage = _edit(usd)
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/microwave_1/body/visual/shell"))
+    mesh.GetFaceVertexIndicesAttr().Set([0, 1, 100_000])
+    mesh.GetFaceVertexCountsAttr().Set([3])
+    stage.GetRootLayer().Save()
+    with pytest.raises(MalformedFileError, match="shell"):
+        read_usd(usd)
+
+
+def test_archive_is_exact_and_bounded(tmp_path: Path, microwave: ArticulatedAsset) -> None:
+    save_asset(microwave, tmp_path / "a.npz")
+    assert_same(microwave, load_asset(tmp_path / "a.npz"), tolerance=0.0)
+    (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:1000])
+    with pytest.raises(MalformedFileError):
+        load_asset(tmp_path / "a.npz")
