@@ -116,7 +116,8 @@ def _planes(coordinates: Array, cell: float) -> Array:
     values = values[np.concatenate([[True], np.diff(values) > 1e-3])]
     if len(values) > MAX_PLANES or len(values) < 2:
         low, high = float(coordinates.min()), float(coordinates.max())
-        return np.linspace(low, max(high, low + 1e-3), max(2, int((high - low) / cell) + 2))
+        count = max(2, int((high - low) / cell) + 2)
+        return np.asarray(np.linspace(low, max(high, low + 1e-3), count), np.float64)
     parts = [np.linspace(a, b, int((b - a) / (2 * cell)) + 2)[:-1] for a, b in pairwise(values)]
     return np.asarray(np.concatenate([*parts, values[-1:]]), np.float64)
 

@@ -1,12 +1,10 @@
 """Assets in MuJoCo: bodies, joint, box colliders and, on request, textured meshes."""
 
-import io
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
@@ -147,10 +145,11 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
 
 def add_texture(spec: mujoco.MjSpec, name: str, texture_srgb: NDArray[np.uint8]) -> None:
     """Add a 2D texture (H, W, 3) uint8 from memory."""
-    buffer = io.BytesIO()
-    Image.fromarray(texture_srgb).save(buffer, "PNG", compress_level=1)
-    spec.assets[f"{name}.png"] = buffer.getvalue()
-    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
+    height, width, channels = texture_srgb.shape
+    item = spec.add_texture(
+        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height, nchannel=channels
+    )
+    item.data = np.ascontiguousarray(texture_srgb).tobytes()
 
 
 def _add_colliders(
