@@ -1,12 +1,12 @@
 """Stages from the twin to the dataset: other objects, other poses, verified and drawn. [paper 4.3, 5.2]"""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import binary_closing
 
 from aomgen.assets.check import require_usable
 from aomgen.assets.make import make_asset
@@ -18,26 +18,25 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
 from aomgen.core.light import Light
-from aomgen.core.plan import FittedAsset, Variation, VerifiedEpisode
-from aomgen.core.progress import Progress, part
+from aomgen.core.plan import FittedAsset
+from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
+from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.episodes.stage import run_episodes
 from aomgen.episodes.viewpoint import choose_viewpoint
-from aomgen.errors import ConfigError, EstimationError, NotEnoughEpisodesError
-from aomgen.generalization.ik import IkSolver, ik_solver
-from aomgen.generalization.planning import PlanParams, plan_episode
-from aomgen.generalization.variations import PoseRanges, longest_reach, variations, worth_trying
+from aomgen.errors import ConfigError, EstimationError
+from aomgen.generalization.generate import GenerationParams
+from aomgen.generalization.planning import PlanParams
+from aomgen.generalization.stage import load_generalization, run_generalization
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import camera_dict, list_committed
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.stage import load_motion
 from aomgen.physics.demonstration import demonstration_from
 from aomgen.physics.robot import RobotModel
-from aomgen.physics.scene import Scene, build_scene
-from aomgen.physics.verify import verify_plan
-from aomgen.pipeline.plan_store import load_fitted, load_verified, save_fitted, save_verified
+from aomgen.pipeline.fitted_store import load_fitted, save_fitted
 from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, surface_points
 from aomgen.pipeline.stage import Run
 from aomgen.replacement.extent import free_rectangle
@@ -45,16 +44,19 @@ from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.light import estimate_light
 from aomgen.replacement.recorded import recorded_contact
 from aomgen.replacement.removal import Cleared, clear_object
-from aomgen.replacement.support import on_surface
+from aomgen.replacement.support import seen_from_above
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import Twin, TwinState, posed
 
 SURFELS = 30_000
-# Variations tried for each episode wanted before giving up.
-ATTEMPTS = 5
 NEW_CAMERA = "side"
+# How far around the object the table is looked for, in which cells, and what counts as seen.
+TABLE_REACH_M = 1.0
+TABLE_CELL_M = 0.01
+SURFACE_ALPHA = 0.15
+GAP_CELLS = 3
 
 
 def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -104,26 +106,18 @@ def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 def plans(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """New poses, retargeted, solved for the arm, and verified in physics."""
     robot = robot_of(read_capture(run.project.capture))
-    twin = load_twin(run.folders["twin"])
     support = stored_support(run)
-    demo, _ = recorded_demonstration(run, robot, twin, support)
-    solver = ik_solver(robot)
-    shoulder, reach = longest_reach(robot)
-    verified: list[VerifiedEpisode] = []
-    attempts: list[dict[str, Any]] = []
-    for number, fitted in enumerate(fitted_assets(run)):
-        share = part(progress, number / len(run.project.assets), (number + 1) / len(run.project.assets))
-        scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support)
-        usable = (
-            item
-            for item in islice(variations(run.project.seed + number, PoseRanges()), 100 * run.project.poses)
-            if worth_trying(item, fitted, support, shoulder, reach)
-        )
-        verified += _until_enough(usable, fitted, demo, scene, solver, run, attempts, share)
-    save_verified(folder, verified)
-    write_json(folder / "attempts.json", attempts)
-    margins = [item.verdict.margin for item in verified]
-    return {"verified": len(verified), "tried": len(attempts), "smallest_margin": float(min(margins))}
+    demo, _ = recorded_demonstration(run, robot, load_twin(run.folders["twin"]), support)
+    params = GenerationParams(
+        count=run.project.poses, seed=run.project.seed, plan=PlanParams(fps=demo_fps(run))
+    )
+    result = run_generalization(fitted_assets(run), demo, robot, support, params, folder, progress)
+    margins = [episode.verdict.margin for episode in result.episodes]
+    return {
+        "verified": len(margins),
+        "rejected": len(result.rejected),
+        "smallest_margin": float(min(margins, default=0.0)),
+    }
 
 
 def episodes(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -131,7 +125,7 @@ def episodes(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     capture = read_capture(run.project.capture)
     robot = robot_of(capture)
     fitted = fitted_assets(run)
-    verified = load_verified(run.folders["plans"], {item.asset.name: item for item in fitted})
+    verified = load_generalization(run.folders["plans"], fitted)
     twins = {
         item.asset.name: load_twin(run.folders["replacement"] / "assets" / f"{index:02d}")
         for index, item in enumerate(fitted)
@@ -214,14 +208,21 @@ def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -
 def support_plane(cleared: Cleared) -> SupportPlane:
     """The table as physics sees it: its height, and the rectangle that is there and free."""
     support = cleared.support
+    low, high = support.low - TABLE_REACH_M, support.high + TABLE_REACH_M
     world = cleared.twin.gaussians.select(cleared.twin.bodies == 0)
-    surface = np.asarray(world.means[on_surface(world, support)], np.float64)[:, :2]
-    corners = np.array(
-        [[x, y, 0] for x in (support.low[0], support.high[0]) for y in (support.low[1], support.high[1])]
-    )
-    footprint = apply(support.T_world_plane, corners)[:, :2]
-    low, high = free_rectangle(surface, footprint.min(0), footprint.max(0))
-    return SupportPlane(height=float(support.T_world_plane[2, 3]), low_xy=low, high_xy=high)
+    _, alpha = seen_from_above(world, support, low, high, TABLE_CELL_M)
+    rows, columns = np.nonzero(binary_closing(alpha > SURFACE_ALPHA, iterations=GAP_CELLS))
+    xy = low + (np.stack([columns, rows], -1) + 0.5) * TABLE_CELL_M
+    xy_corners = [
+        [x, y] for x in (support.low[0], support.high[0]) for y in (support.low[1], support.high[1])
+    ]
+
+    def in_world(plane_xy: ArrayLike) -> Array:
+        return apply(support.T_world_plane, np.column_stack([plane_xy, np.zeros(len(plane_xy))]))[:, :2]
+
+    footprint = in_world(np.array(xy_corners))
+    free_low, free_high = free_rectangle(in_world(xy), footprint.min(0), footprint.max(0))
+    return SupportPlane(height=float(support.T_world_plane[2, 3]), low_xy=free_low, high_xy=free_high)
 
 
 def stored_support(run: Run) -> SupportPlane:
@@ -251,55 +252,3 @@ def recorded_demonstration(
         support=support,
     )
     return demo, recorded
-
-
-def _until_enough(
-    usable: Iterator[Variation],
-    fitted: FittedAsset,
-    demo: Demonstration,
-    scene: Scene,
-    solver: IkSolver,
-    run: Run,
-    attempts: list[dict[str, Any]],
-    progress: Progress,
-) -> list[VerifiedEpisode]:
-    """Try variations in order until enough passed; every attempt is recorded with its outcome."""
-    wanted = run.project.poses
-    passed: list[VerifiedEpisode] = []
-    params = PlanParams(fps=demo_fps(run))
-    for tried, variation in enumerate(islice(usable, ATTEMPTS * wanted), start=1):
-        plan = plan_episode(fitted, demo, variation, scene, solver, params)
-        result = plan if isinstance(plan, Rejection) else verify_plan(plan, scene)
-        entry = {"asset": fitted.asset.name, "index": variation.index, "x": variation.x, "y": variation.y,
-                 "yaw": variation.yaw}  # fmt: skip
-        if isinstance(result, Rejection):
-            entry |= {
-                "passed": False,
-                "reason": result.reason,
-                "detail": result.detail,
-                "metrics": dict(result.metrics),
-            }
-        else:
-            passed.append(result)
-            entry |= {
-                "passed": True,
-                "reason": "",
-                "detail": "",
-                "metrics": {"margin": result.verdict.margin},
-            }
-        attempts.append(entry)
-        progress(min(1.0, len(passed) / wanted), f"{len(passed)} of {wanted} verified, {tried} tried")
-        if len(passed) == wanted:
-            return passed
-    reasons = [
-        entry["reason"] for entry in attempts if not entry["passed"] and entry["asset"] == fitted.asset.name
-    ]
-    counted = (
-        ", ".join(f"{reason} {reasons.count(reason)}" for reason in sorted(set(reasons)))
-        or "no pose is in reach"
-    )
-    raise NotEnoughEpisodesError(
-        f"asset {fitted.asset.name}",
-        f"{len(passed)} of {wanted} variations passed ({counted})",
-        "ask for fewer poses",
-    )

@@ -1,13 +1,13 @@
 """How much of the supporting surface is known and free."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.values import Array
 
 CELL: float = 0.02
-# A strip of new cells counts as free table when this share of it shows the surface.
-FREE_SHARE: float = 0.9
+# A strip of new cells counts as free table when no run of hidden cells in it is longer than this.
+MAX_GAP_CELLS: int = 3
 
 
 def free_rectangle(
@@ -47,10 +47,16 @@ def free_rectangle(
                     continue
                 across = slice(start[1 - axis], end[1 - axis])
                 values = free[strip, across] if axis == 0 else free[across, strip]
-                if values.mean() >= FREE_SHARE:
+                if _longest_gap(values) <= MAX_GAP_CELLS:
                     growing = True
                     if side < 0:
                         start[axis] -= 1
                     else:
                         end[axis] += 1
     return origin + start * CELL, origin + end * CELL
+
+
+def _longest_gap(free: NDArray[np.bool_]) -> int:
+    """Length of the longest run of cells that are not free."""
+    edges = np.flatnonzero(np.concatenate([[True], free, [True]]))
+    return int(np.diff(edges).max()) - 1
