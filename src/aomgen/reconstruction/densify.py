@@ -10,7 +10,8 @@ from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
 from aomgen.io.images import resize
-from aomgen.reconstruction.fusion import DepthMap, Samples, background_shell, confirmed_samples, thin
+from aomgen.reconstruction.backdrop import dominant_planes, explain, far_shell
+from aomgen.reconstruction.fusion import DepthMap, Samples, confirmations, confirmed_samples, thin
 from aomgen.reconstruction.plane_sweep import SweepParams, plane_sweep
 from aomgen.reconstruction.structure import Structure
 
@@ -24,7 +25,7 @@ class DensifyParams:
         width: Width the images are reduced to, [px].
         planes: Depth hypotheses a pixel, evenly spaced in inverse depth from infinity on.
         sources: Neighbours a view is matched with.
-        shell_points: At most this many points for what lies beyond the scene.
+        shell_points: Directions the far sphere around the scene is divided into.
         sweep: Matching parameters.
         threads: Views worked on at once.
     """
@@ -33,7 +34,7 @@ class DensifyParams:
     width: int = 320
     planes: int = 128
     sources: int = 4
-    shell_points: int = 8_000
+    shell_points: int = 16_000
     sweep: SweepParams = field(default_factory=SweepParams)
     threads: int = 2
 
@@ -46,12 +47,14 @@ class DensePoints:
         points_recon: (P, 3).
         normals_recon: (P, 3) unit, towards the cameras; zero where unknown.
         colors_srgb: (P, 3) uint8.
+        sizes: Width of what each point stands for (P,), recon units.
         shell: (P,) True for points of the far shell.
     """
 
     points_recon: Array
     normals_recon: Array
     colors_srgb: NDArray[np.uint8]
+    sizes: Array
     shell: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
@@ -59,6 +62,7 @@ class DensePoints:
         freeze(self, "points_recon", self.points_recon, (count, 3))
         freeze(self, "normals_recon", self.normals_recon, (count, 3))
         freeze(self, "colors_srgb", self.colors_srgb, (count, 3), np.uint8)
+        freeze(self, "sizes", self.sizes, (count,))
         freeze(self, "shell", self.shell, (count,), np.bool_)
 
 
@@ -78,7 +82,8 @@ def densify(
 
     Returns:
         Points on surfaces, thinned by their size in the nearest view and more where the image has
-        detail, the sparse points, and a far shell for directions in which nothing was found.
+        detail, the sparse points, large planes continued where stereo is undecided, and a far shell where the
+        views agree on infinity.
 
     Not checked: mirrors and glass, which give points at the mirrored place.
     """
@@ -111,15 +116,21 @@ def densify(
         for depth_map in pool.map(sweep, range(len(views))):
             maps.append(depth_map)
             progress(0.75 * len(maps) / len(views), "sweeping planes")
-    progress(0.78, "comparing depth maps")
-    samples = confirmed_samples(maps)
-    kept = thin(samples.with_points(_sparse(structure, names, views)), params.target_points)
-    progress(0.95, "looking for the background")
-    shell = background_shell(maps, kept.points_recon, params.shell_points)
+    progress(0.76, "comparing depth maps")
+    with ThreadPoolExecutor(params.threads) as pool:
+        votes = list(pool.map(lambda one: confirmations(one, maps), maps))
+    surfaces = confirmed_samples(maps, votes).with_points(_sparse(structure, names, views))
+    progress(0.85, "continuing planes")
+    planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon)
+    filled, rays = explain(maps, votes, planes)
+    kept = thin(surfaces.with_points(filled), params.target_points)
+    centers = np.array([camera.center for camera, _ in views])
+    shell = far_shell(rays, kept.points_recon, centers, params.shell_points)
     return DensePoints(
         points_recon=np.concatenate([kept.points_recon, shell.points_recon]),
         normals_recon=np.concatenate([kept.normals_recon, shell.normals_recon]),
         colors_srgb=np.concatenate([kept.colors_srgb, shell.colors_srgb]),
+        sizes=np.concatenate([kept.footprints, shell.footprints]),
         shell=np.arange(len(kept.points_recon) + len(shell.points_recon)) >= len(kept.points_recon),
     )
 
@@ -202,4 +213,5 @@ def _sparse(structure: Structure, names: list[str], views: list[tuple[Camera, ND
         colors_srgb=np.array(colors, np.uint8).reshape(-1, 3),
         footprints=np.array(footprints),
         detail=np.ones(count),
+        weights=np.full(count, 6.0),
     )

@@ -13,6 +13,9 @@ from aomgen.core.values import Array
 # A depth is confirmed by a view whose own depth there differs by at most this many planes.
 MAX_PLANES_APART = 1.5
 MIN_CONFIRMATIONS = 2
+MIN_SCORE = 0.25
+# Pixels that must agree on a cell for it to hold a point.
+MIN_WEIGHT = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +48,7 @@ class Samples:
         colors_srgb: (P, 3) uint8.
         footprints: Size of a pixel at the point (P,), recon units.
         detail: How much finer than usual the point should be kept (P,), about 0.5..2.
+        weights: How many pixels the point stands for (P,).
     """
 
     points_recon: Array
@@ -52,6 +56,7 @@ class Samples:
     colors_srgb: NDArray[np.uint8]
     footprints: Array
     detail: Array
+    weights: Array
 
     def with_points(self, other: "Samples") -> "Samples":
         """Both sets, one after the other."""
@@ -66,12 +71,13 @@ def joined(parts: list[Samples]) -> Samples:
         colors_srgb=np.concatenate([p.colors_srgb for p in parts]),
         footprints=np.concatenate([p.footprints for p in parts]),
         detail=np.concatenate([p.detail for p in parts]),
+        weights=np.concatenate([p.weights for p in parts]),
     )
 
 
-def confirmed_samples(maps: list[DepthMap]) -> Samples:
+def confirmed_samples(maps: list[DepthMap], votes: list[NDArray[np.int32]]) -> Samples:
     """Samples of every pixel whose depth at least `MIN_CONFIRMATIONS` neighbours share."""
-    return joined([_samples(depth_map, confirmations(depth_map, maps)) for depth_map in maps])
+    return joined([_samples(depth_map, own) for depth_map, own in zip(maps, votes, strict=True)])
 
 
 def confirmations(depth_map: DepthMap, maps: list[DepthMap]) -> NDArray[np.int32]:
@@ -107,25 +113,26 @@ def normals_recon(depth_map: DepthMap) -> Array:
 def thin(samples: Samples, target: int) -> Samples:
     """About `target` samples: one for each cell, cells as large as the points' footprints ask.
 
-    A cell's point and color are the means of its samples, which also averages depth noise.
+    A cell's point and color are the means of its samples, which also averages depth noise. A
+    surface leaves many samples in a cell, a wrong match few: cells with less than `MIN_WEIGHT`
+    are dropped. The footprints of the result are the cells' edges.
     """
     wanted = samples.footprints / samples.detail
-    low, high = 0.3, 30.0
-    cells = np.zeros(0, np.int64)
-    for _ in range(14):
+    low, high = 0.5, 30.0
+    for _ in range(10):
         factor = np.sqrt(low * high)
-        cells = _cells(samples.points_recon, wanted * factor)
-        if cells.max(initial=-1) + 1 > target:
+        totals = np.bincount(_cells(samples.points_recon, wanted * factor), samples.weights)
+        if (totals >= MIN_WEIGHT).sum() > target:
             low = factor
         else:
             high = factor
-    count = int(cells.max(initial=-1)) + 1
-    weights = np.maximum(np.bincount(cells, minlength=count), 1)[:, None]
+    cells = _cells(samples.points_recon, wanted * high)
+    totals = np.bincount(cells, samples.weights)
+    keep = totals >= MIN_WEIGHT
 
     def mean(values: Array) -> Array:
-        return (
-            np.stack([np.bincount(cells, values[:, k], count) for k in range(values.shape[1])], 1) / weights
-        )
+        sums = [np.bincount(cells, values[:, k] * samples.weights) for k in range(values.shape[1])]
+        return (np.stack(sums, 1) / np.maximum(totals, 1e-9)[:, None])[keep]
 
     normals = mean(samples.normals_recon)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -133,47 +140,9 @@ def thin(samples: Samples, target: int) -> Samples:
         points_recon=mean(samples.points_recon),
         normals_recon=np.where(length > 0.5, normals / np.maximum(length, 1e-12), 0.0),
         colors_srgb=np.round(mean(samples.colors_srgb.astype(np.float64))).astype(np.uint8),
-        footprints=mean(samples.footprints[:, None])[:, 0],
-        detail=mean(samples.detail[:, None])[:, 0],
-    )
-
-
-def background_shell(maps: list[DepthMap], points_recon: Array, limit: int) -> Samples:
-    """Points on a far sphere for what the views see at infinity.
-
-    Args:
-        maps: All depth maps.
-        points_recon: The scene's points; the sphere is far outside of them.
-        limit: Number of directions the whole sphere is divided into.
-    """
-    center = np.median(points_recon, axis=0)
-    reach = np.percentile(np.linalg.norm(points_recon - center, axis=1), 98)
-    centers = np.array([m.camera.center for m in maps])
-    radius = 12.0 * max(float(reach), float(np.linalg.norm(centers - center, axis=1).max()))
-    directions, colors = [], []
-    for depth_map in maps:
-        far = ndimage.binary_opening(depth_map.inverse_depth < 1.5 * depth_map.step, iterations=1)
-        rays = depth_map.camera.directions()[far]
-        directions.append(rays / np.linalg.norm(rays, axis=1, keepdims=True))
-        colors.append(depth_map.image_srgb[far])
-    rays, seen = np.concatenate(directions), np.concatenate(colors)
-    cells = _cells(rays, np.full(len(rays), np.sqrt(4 * np.pi / limit)))
-    count = int(cells.max(initial=-1)) + 1
-    weights = np.bincount(cells, minlength=count)
-    keep = weights >= 3
-
-    def mean(values: Array) -> Array:
-        sums = np.stack([np.bincount(cells, values[:, k], count) for k in range(3)], 1)
-        return (sums / np.maximum(weights, 1)[:, None])[keep]
-
-    unit = mean(rays)
-    unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
-    return Samples(
-        points_recon=center + radius * unit,
-        normals_recon=-unit,
-        colors_srgb=np.round(mean(seen.astype(np.float64))).astype(np.uint8),
-        footprints=np.full(len(unit), radius * np.sqrt(4 * np.pi / limit)),
-        detail=np.ones(len(unit)),
+        footprints=mean(wanted[:, None] * high)[:, 0],
+        detail=np.ones(int(keep.sum())),
+        weights=totals[keep],
     )
 
 
@@ -184,7 +153,7 @@ def _points(depth_map: DepthMap) -> Array:
 
 
 def _samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
-    keep = votes >= MIN_CONFIRMATIONS
+    keep = (votes >= MIN_CONFIRMATIONS) & (depth_map.score >= MIN_SCORE)
     gray = depth_map.image_srgb.mean(-1)
     contrast = ndimage.gaussian_filter(ndimage.gaussian_gradient_magnitude(gray, 0.8), 1.5)
     detail = np.clip(np.sqrt(contrast / 6.0), 0.45, 1.8)
@@ -194,6 +163,7 @@ def _samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
         colors_srgb=depth_map.image_srgb[keep],
         footprints=(1.0 / np.maximum(depth_map.inverse_depth[keep], depth_map.step)) / depth_map.camera.fx,
         detail=detail[keep],
+        weights=np.minimum(votes[keep] - 1.0, 2.0),
     )
 
 

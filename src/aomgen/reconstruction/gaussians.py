@@ -140,9 +140,7 @@ def initial_gaussians(dense: DensePoints) -> Gaussians:
         if which.sum() > 3:
             distances, _ = cKDTree(points[which]).query(points[which], k=4)
             spacing[which] = np.sqrt((distances[:, 1:] ** 2).mean(1))
-    surface = ~dense.shell
-    limit = 6 * np.median(spacing[surface]) if surface.any() else np.inf
-    spacing[surface] = np.clip(spacing[surface], 0.05 * limit / 6, limit)
+    spacing = np.clip(spacing, 0.4 * dense.sizes, 1.6 * dense.sizes)
     known = np.linalg.norm(dense.normals_recon, axis=1) > 0.5
     scales = np.repeat(0.6 * spacing[:, None], 3, axis=1)
     scales[known, 2] *= 0.3

@@ -1,0 +1,142 @@
+"""Dense depth, its confirmation, thinning, planes and the initial Gaussians."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.transforms import matrix_from_quat
+from aomgen.errors import BackendError
+from aomgen.reconstruction.backdrop import dominant_planes
+from aomgen.reconstruction.densify import DensePoints
+from aomgen.reconstruction.fusion import DepthMap, Samples, confirmations, thin
+from aomgen.reconstruction.gaussians import held_out, initial_gaussians
+from aomgen.reconstruction.mapping import choose_pairs
+from aomgen.reconstruction.plane_sweep import SweepParams, plane_sweep
+
+TEXTURE = ndimage.gaussian_filter(np.random.default_rng(0).random((512, 512)), 1.5, mode="wrap")
+TEXTURE = ((TEXTURE - TEXTURE.min()) / np.ptp(TEXTURE)).astype(np.float32)
+
+
+def _camera(x: float, y: float = 0.0) -> Camera:
+    T = look_at([x, y, 0], [x, y, 1], up=(0, -1, 0))
+    return Camera(fx=120, fy=120, cx=64, cy=48, width=128, height=96, T_world_cam=T)
+
+
+def _seen(camera: Camera, slope: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Image and depth of the textured plane z = 2 + slope * x."""
+    rays = camera.directions()
+    depth = (2 + slope * camera.center[0] - camera.center[2]) / (rays[..., 2] - slope * rays[..., 0])
+    points = camera.center + rays * depth[..., None]
+    texels = np.stack([points[..., 1], points[..., 0]]) * 60 + 256
+    return ndimage.map_coordinates(TEXTURE, texels, order=1, mode="wrap"), depth
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.4])
+def test_plane_sweep_recovers_a_plane(slope):
+    cameras = [_camera(0), _camera(0.2), _camera(-0.2), _camera(0, 0.2)]
+    views = [(camera, _seen(camera, slope)[0]) for camera in cameras]
+    inverse_depth, score = plane_sweep(views[0], views[1:], np.linspace(0, 1, 64), SweepParams())
+    expected = 1 / _seen(cameras[0], slope)[1]
+    inner = np.abs(inverse_depth - expected)[12:-12, 24:-24]
+    assert np.median(inner) < 0.25 / 63
+    assert np.quantile(inner, 0.95) < 1.0 / 63
+    assert np.median(score) > 0.8
+
+
+def test_plane_sweep_sees_infinity():
+    cameras = [_camera(0), _camera(0.2), _camera(-0.2)]
+    image = _seen(cameras[0])[0]
+    inverse_depth, _ = plane_sweep(
+        (cameras[0], image), [(camera, image) for camera in cameras[1:]], np.linspace(0, 1, 64), SweepParams()
+    )
+    assert np.median(inverse_depth) < 0.5 / 63
+
+
+def test_plane_sweep_refuses_more_planes_than_it_has_room_for():
+    view = (_camera(0), _seen(_camera(0))[0])
+    with pytest.raises(BackendError, match="refuses"):
+        plane_sweep(view, [view], np.linspace(0, 1, 300), SweepParams())
+
+
+def _map(camera: Camera, inverse_depth: np.ndarray, neighbours: tuple[int, ...]) -> DepthMap:
+    return DepthMap(
+        camera=camera,
+        image_srgb=np.zeros((96, 128, 3), np.uint8),
+        inverse_depth=inverse_depth.astype(np.float32),
+        score=np.ones((96, 128), np.float32),
+        step=1 / 63,
+        neighbours=neighbours,
+    )
+
+
+def test_only_depths_that_neighbours_share_are_confirmed():
+    cameras = [_camera(0), _camera(0.1), _camera(-0.1)]
+    good = np.full((96, 128), 0.5)
+    wrong = good.copy()
+    wrong[:, 64:] = 0.8
+    maps = [_map(cameras[0], wrong, (1, 2)), _map(cameras[1], good, (0, 2)), _map(cameras[2], good, (0, 1))]
+    votes = confirmations(maps[0], maps)
+    assert (votes[10:-10, 20:60] == 2).all()
+    assert (votes[:, 68:] == 0).all()
+
+
+def test_thinning_hits_its_target_and_drops_lonely_samples():
+    rng = np.random.default_rng(1)
+    plane = np.concatenate([rng.uniform(-1, 1, (60_000, 2)), np.zeros((60_000, 1))], 1)
+    noise = rng.uniform(-1, 1, (200, 3)) + [0, 0, 5]
+    points = np.concatenate([plane, noise])
+    count = len(points)
+    samples = Samples(
+        points_recon=points,
+        normals_recon=np.tile([0.0, 0, 1], (count, 1)),
+        colors_srgb=np.full((count, 3), 90, np.uint8),
+        footprints=np.full(count, 0.01),
+        detail=np.ones(count),
+        weights=np.ones(count),
+    )
+    kept = thin(samples, 3000)
+    assert 1000 < len(kept.points_recon) <= 3000
+    assert np.abs(kept.points_recon[:, 2]).max() < 1e-9
+    assert (kept.colors_srgb == 90).all()
+
+
+def test_dominant_planes_are_found_in_clutter():
+    rng = np.random.default_rng(2)
+    floor = np.concatenate([rng.uniform(-2, 2, (3000, 2)), rng.normal(0, 0.004, (3000, 1))], 1)
+    wall = np.stack([rng.uniform(-2, 2, 2000), rng.normal(2, 0.004, 2000), rng.uniform(0, 2, 2000)], 1)
+    planes = dominant_planes(np.concatenate([floor, wall, rng.uniform(-2, 2, (1500, 3))]))
+    assert abs(planes[0].normal[2]) > 0.9999
+    assert abs(planes[0].offset) < 0.005
+    assert abs(planes[1].normal[1]) > 0.9999
+    assert dominant_planes(rng.normal(size=(2000, 3)), min_share=0.2) == []
+
+
+def test_initial_gaussians_lie_flat_on_the_surface():
+    grid = np.stack(np.meshgrid(np.arange(10), np.arange(10)), -1).reshape(-1, 2) * 0.1
+    count = len(grid)
+    dense = DensePoints(
+        points_recon=np.concatenate([grid, np.zeros((count, 1))], 1),
+        normals_recon=np.tile([0.0, 0.6, 0.8], (count, 1)),
+        colors_srgb=np.full((count, 3), 255, np.uint8),
+        sizes=np.full(count, 0.1),
+        shell=np.zeros(count, bool),
+    )
+    gaussians = initial_gaussians(dense)
+    thin_axis = matrix_from_quat(gaussians.quats)[:, :, 2]
+    assert np.allclose(thin_axis, [0, 0.6, 0.8], atol=1e-5)
+    assert np.all(gaussians.scales[:, 2] < 0.5 * gaussians.scales[:, 0])
+    assert np.allclose(0.5 + 0.28209479 * gaussians.sh[:, 0], 1.0, atol=1e-5)
+
+
+def test_every_eighth_image_is_held_out():
+    names = [f"{index:04d}.jpg" for index in range(20)]
+    assert held_out(names[::-1]) == ["0004.jpg", "0012.jpg"]
+
+
+def test_long_scans_are_not_matched_exhaustively():
+    assert len(choose_pairs(20, 90)) == 190
+    pairs = choose_pairs(400, 90)
+    assert len(pairs) < 20_000
+    chosen = set(pairs)
+    assert all((i, i + 1) in chosen for i in range(399))
