@@ -3,7 +3,7 @@
 import numpy as np
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.synthetic.setting import Setting
 
@@ -24,7 +24,8 @@ def scan_cameras(
     setting: Setting, size: tuple[int, int], count: int, rng: np.random.Generator
 ) -> list[Camera]:
     """A hand-held walk in three arcs around robot and object, low to high, (count) views."""
-    target = np.array([0.0, 0.45, setting.room.table_z + 0.12])
+    x, y = _object_place(setting)
+    target = np.array([0.6 * x, 0.58 * y, setting.room.table_z + 0.12])
     arcs = np.array_split(np.arange(count), 3)
     cameras = []
     for number, arc in enumerate(arcs):
@@ -40,14 +41,21 @@ def scan_cameras(
 
 
 def demo_candidates(setting: Setting, size: tuple[int, int], rng: np.random.Generator) -> list[Camera]:
-    """Places for the fixed camera, left and right of the robot, both see the front of the object."""
-    target = np.array([0.0, 0.52, setting.room.table_z + 0.13])
+    """Places for the fixed camera, left and right of the robot, all see the front of the object."""
+    x, y = _object_place(setting)
+    target = np.array([0.8 * x, 0.68 * y, setting.room.table_z + 0.13])
     cameras = []
     for side in (-1.0, 1.0, -1.0, 1.0):
         height = setting.room.table_z + rng.uniform(0.5, 0.8)
-        eye = np.array([side * rng.uniform(0.85, 1.1), rng.uniform(-0.25, 0.1), height])
+        eye = np.array([target[0] + side * rng.uniform(0.85, 1.15), rng.uniform(-0.4, 0.0), height])
         cameras.append(_in_room(setting, size, eye, target + rng.uniform(-0.04, 0.04, 3)))
     return cameras
+
+
+def _object_place(setting: Setting) -> tuple[float, float]:
+    """Middle of the object on the table (x, y), room frame, [m]."""
+    place = apply(invert(setting.room.T_world_room), setting.T_world_object[:3, 3])
+    return float(place[0]), float(place[1])
 
 
 def _in_room(setting: Setting, size: tuple[int, int], eye_room: Array, target_room: Array) -> Camera:
