@@ -27,7 +27,6 @@ from aomgen.reconstruction.outline_fit import (
     gray_levels,
     reduced,
     refine,
-    scaled,
     spread,
 )
 
@@ -144,7 +143,7 @@ def _refine_starts(
     few = replace(params, contour_points=200)
     coarse, ranked = [], []
     for index, start in enumerate(starts):
-        chosen = [scaled(view, 0.5) for view in spread(views, start.S_world_recon, drawing, 6)]
+        chosen = [reduced(view, 160) for view in spread(views, start.S_world_recon, drawing, 6)]
         if chosen:
             S = refine(start.S_world_recon, chosen, drawing, COARSE, 200)
             coarse.append((_judge(S, chosen, drawing, 0.0, few).support, S))

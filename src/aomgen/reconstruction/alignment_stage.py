@@ -15,6 +15,7 @@ from aomgen.io.jsonfile import read_json
 from aomgen.reconstruction.alignment import Alignment, AlignmentParams, align
 from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.contours import View
+from aomgen.reconstruction.gaussians import held_out
 from aomgen.reconstruction.outline_fit import RobotPosture
 from aomgen.reconstruction.structure import Structure
 
@@ -36,7 +37,7 @@ def run_alignment(
 
     Args:
         structure: Cameras and sparse points, recon frame.
-        images: Scan images by file name.
+        images: Scan images by file name; held-out ones are not looked at.
         demo_first_srgb: First frame (H, W, 3) of each fixed camera's video, robot as in the scan.
         prompts: Of the capture; those of the robot that carry a box are used.
         posture: Robot and its joint values during the scan.
@@ -48,9 +49,11 @@ def run_alignment(
     Raises:
         AlignmentError: See `align`.
     """
+    withheld = set(held_out(list(images)))
     views = [
         View(name=name, camera_recon=camera, image_srgb=read_image(images[name]))
         for name, camera in structure.cameras_recon.items()
+        if name not in withheld
     ]
     views += [
         View(name=name, camera_recon=structure.demo_cameras_recon[name], image_srgb=image)

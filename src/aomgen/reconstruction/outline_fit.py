@@ -51,21 +51,20 @@ class RobotPosture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """One setting of the refinement: image scale, search reach [px], iterations, evidence."""
+    """One setting of the refinement: image width [px], search reach [px], iterations, evidence."""
 
-    scale: float
+    width: int
     reach: int
     iterations: int
     edges: bool
 
 
-# Scales of COARSE count from half-size images.
-COARSE = (Level(scale=0.5, reach=16, iterations=10, edges=False),)
-MIDDLE = (Level(scale=0.5, reach=12, iterations=6, edges=False),)
+COARSE = (Level(width=160, reach=16, iterations=10, edges=False),)
+MIDDLE = (Level(width=320, reach=12, iterations=6, edges=False),)
 FINE = (
-    Level(scale=0.5, reach=8, iterations=4, edges=False),
-    Level(scale=1.0, reach=8, iterations=5, edges=False),
-    Level(scale=1.0, reach=4, iterations=6, edges=True),
+    Level(width=320, reach=8, iterations=4, edges=False),
+    Level(width=640, reach=8, iterations=5, edges=False),
+    Level(width=640, reach=4, iterations=6, edges=True),
 )
 
 
@@ -97,7 +96,7 @@ def refine(
     S: Array, views: list[View], drawing: RobotDrawing, levels: tuple[Level, ...], contour_points: int
 ) -> Array:
     for level in levels:
-        resized = [scaled(view, level.scale) for view in views]
+        resized = [reduced(view, level.width) for view in views]
         grays = [gray_levels(view.image_srgb) for view in resized]
         for _ in range(level.iterations):
             A, b = _normal_equations(S, resized, grays, drawing, level, contour_points)
@@ -169,6 +168,7 @@ def spread(views: list[View], S: Array, drawing: RobotDrawing, count: int) -> li
 
 
 def reduced(view: View, width: int) -> View:
+    """The view at most `width` pixels wide."""
     return scaled(view, min(1.0, width / view.camera_recon.width))
 
 

@@ -73,7 +73,7 @@ class MobileSam:
         resized = np.asarray(Image.fromarray(image_srgb).resize(size, Image.Resampling.BILINEAR), np.float32)
         padded = np.zeros((1, 3, _SIDE, _SIDE), np.float32)
         padded[0, :, : size[1], : size[0]] = ((resized - _MEAN) / _SPREAD).transpose(2, 0, 1)
-        embedding = self._encoder.run(None, {"input": padded})[0]
+        embedding = np.asarray(self._encoder.run(None, {"input": padded})[0])
         return _EncodedImage(
             decoder=self._decoder, embedding=embedding, height=height, width=width, scale=scale
         )
@@ -165,12 +165,12 @@ class _PlainImage:
 def clean(mask: Mask) -> Mask:
     """Closed, opened, its largest piece, holes filled."""
     smooth = binary_opening(binary_closing(mask, iterations=2), iterations=1)
-    pieces, count = label(smooth)
-    if count == 0:
+    pieces = np.zeros(mask.shape, np.int32)
+    if label(smooth, output=pieces) == 0:
         return mask
     sizes = np.bincount(pieces.ravel())
     sizes[0] = 0
-    return binary_fill_holes(pieces == int(np.argmax(sizes)))
+    return np.asarray(binary_fill_holes(pieces == int(np.argmax(sizes))), bool)
 
 
 def choose_segmenter(mask_folders: Mapping[str, Path]) -> Segmenter:
