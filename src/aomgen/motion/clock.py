@@ -199,8 +199,8 @@ def _unambiguous_peak(candidates: Array, scores: Array, params: ClockParams) -> 
 def _fine(
     frames: _Frames, guess_s: float, log_times_s: Array, masks_at: MasksAt, params: ClockParams
 ) -> tuple[float, float]:
-    """Offset between grid points and its standard deviation, from the pairs that changed most."""
-    pairs = _busiest_pairs(frames, guess_s, log_times_s, params)
+    """Offset between grid points and its standard deviation, from pairs spread over the motion."""
+    pairs = _telling_pairs(frames, guess_s, log_times_s, params)
     weights = _weights(np.stack([frames.change(*pair) for pair in pairs]), params)
     step = frames.step_s / params.fine_steps
     columns: dict[int, Array] = {}
@@ -248,7 +248,7 @@ def _fine_scores(
     return np.stack(scores, 1)
 
 
-def _busiest_pairs(
+def _telling_pairs(
     frames: _Frames, offset_s: float, log_times_s: Array, params: ClockParams
 ) -> list[tuple[int, int]]:
     lag = params.lags[len(params.lags) // 2]
@@ -262,9 +262,11 @@ def _busiest_pairs(
         raise SyncError(
             "joint log", "does not cover the moving frames", "export the log of the whole demonstration"
         )
-    energy = np.array([frames.change(k, k + lag).sum() for k in covered])
-    chosen = np.argsort(energy)[::-1][: params.fine_pairs]
-    return [(covered[i], covered[i] + lag) for i in sorted(chosen)]
+    # Evenly over the energy, not the strongest: strokes in different directions tell time from shift.
+    energy = np.cumsum([frames.change(k, k + lag).sum() + 1e-6 for k in covered])
+    marks = (np.arange(params.fine_pairs) + 0.5) / params.fine_pairs * energy[-1]
+    chosen = np.unique(np.searchsorted(energy, marks))
+    return [(covered[i], covered[i] + lag) for i in chosen]
 
 
 def _peak(offsets: NDArray, table: NDArray) -> float:

@@ -14,6 +14,12 @@ def smooth(values: Array, step_s: float, window_s: float) -> Array:
     return np.asarray(savgol_filter(values, window, 2)) if len(values) > window else np.array(values)
 
 
+def without_glitches(values: Array) -> Array:
+    """Series (T,) in which single samples that stand out are replaced: the median of three."""
+    padded = np.pad(values, 1, mode="edge")
+    return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
+
+
 def grown(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """A mask (H, W) with a margin added."""
     return np.asarray(ndimage.binary_dilation(mask, iterations=pixels), bool)

@@ -28,6 +28,8 @@ class JointParams:
         smooth: Samples averaged when measuring travel.
         min_turn_rad, min_travel_m: Shortest motion that tells a joint.
         min_margin: Smallest BIC difference between the two types.
+        door_radius_m: A path is called straight only if an arc of this radius would stand out, [m].
+        straight_sd: How far it has to stand out, in standard deviations.
     """
 
     noise: JointNoise = field(default_factory=JointNoise)
@@ -36,6 +38,8 @@ class JointParams:
     min_turn_rad: float = float(np.radians(15.0))
     min_travel_m: float = 0.03
     min_margin: float = 3.0
+    door_radius_m: float = 0.6
+    straight_sd: float = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +108,8 @@ def estimate_joint(
         raise DemonstrationTooShortError(
             "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
         )
+    if best is prismatic:
+        _refuse_hidden_arc(extent, best.residual_m, params)
     if not margin >= params.min_margin:
         raise AmbiguousJointError(
             "joint",
@@ -115,6 +121,19 @@ def estimate_joint(
 
 
 _REMEDY = "record a longer demonstration"
+
+
+def _refuse_hidden_arc(extent_m: float, residual_m: float, params: JointParams) -> None:
+    """A straight path is evidence of a prismatic joint only where a door's arc would be seen."""
+    bulge = extent_m**2 / (8 * params.door_radius_m)
+    need = params.straight_sd * residual_m / np.sqrt(params.noise.independent_nodes)
+    if not bulge >= need:
+        raise AmbiguousJointError(
+            "joint",
+            f"the path of {extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
+            f"would bend it by {bulge * 1e3:.1f} mm only, need {need * 1e3:.1f} mm",
+            "record a longer motion or give the joint's type in the project",
+        )
 
 
 def _compete(path: HandPath, edges: EdgePrior | None, noise: JointNoise) -> tuple[Solution, Solution]:

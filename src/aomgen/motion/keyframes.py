@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import NoMotionError
-from aomgen.motion.filters import closed, filled, grown, runs, smooth, touching
+from aomgen.motion.filters import closed, filled, grown, runs, smooth, touching, without_glitches
 from aomgen.motion.hand import Touch
 
 
@@ -127,7 +127,7 @@ def find_interval(
     """
     params = params or KeyframeParams()
     step = float(np.median(np.diff(times_s)))
-    smoothed = smooth(scores, step, params.smooth_s)
+    smoothed = smooth(without_glitches(scores), step, params.smooth_s)
     first, last = touch.first, touch.last
     count = reference_count(times_s, params)
     still = np.concatenate(

@@ -1,0 +1,84 @@
+"""Joint values in closed form."""
+
+import numpy as np
+import pytest
+
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.motion.theta import LEAVE_RAD, leaving_and_arriving, path_values, values_at_frames
+
+HINGE = np.array([0.6, 0.2, 0.0])
+NORMAL = np.array([-1.0, 0, 0])
+# The handle sits 0.31 m along the face and 0.05 m in front of it.
+HANDLE = HINGE + [-0.05, -0.31, 0.22]
+DOOR = Joint(type="revolute", axis=[0, 0, -1], origin=HINGE, lower=0, upper=2)
+
+
+def poses_at(points: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Hands (T, 4, 4) at points with some turn about the vertical (T,)."""
+    return transform(matrix_from_rotvec(turn[:, None] * np.array([0, 0, 1.0])), points)
+
+
+def opened(values: np.ndarray, slide: np.ndarray) -> np.ndarray:
+    """Where the handle is (T, 3), slid along the door's face by `slide` (T,)."""
+    local = HANDLE + slide[:, None] * np.array([0, -1.0, 0])
+    T = DOOR.motion(values)
+    return np.einsum("tij,tj->ti", T[:, :3, :3], local) + T[:, :3, 3]
+
+
+@pytest.mark.parametrize("turn_share", [0.0, -0.5, -1.0])
+def test_the_value_does_not_depend_on_the_hands_turn(turn_share: float) -> None:
+    values = np.linspace(0, 1.3, 80)
+    poses = poses_at(opened(values, np.zeros(80)), turn_share * values)
+    assert path_values(DOOR, poses, np.zeros(3), 0).values == pytest.approx(values, abs=1e-9)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_sliding_along_the_face_does_not_change_the_value(mirrored: bool) -> None:
+    values, slide = np.linspace(0, 1.2, 60), np.linspace(0, 0.08, 60)
+    flip = np.diag([1.0, -1.0, 1.0]) if mirrored else np.eye(3)
+    joint = Joint(
+        type="revolute", axis=DOOR.axis * (-1 if mirrored else 1), origin=flip @ HINGE, lower=0, upper=2
+    )
+    poses = poses_at(opened(values, slide) @ flip, np.zeros(60))
+    result = path_values(joint, poses, np.zeros(3), 0, NORMAL)
+    assert result.values == pytest.approx(values, abs=1e-9)
+    assert result.slip_m[-1] == pytest.approx(0.08, abs=0.002)
+
+
+def test_a_drawers_value_is_its_travel() -> None:
+    drawer = Joint(type="prismatic", axis=[0, -1, 0], origin=HANDLE, lower=0, upper=0.4)
+    travel = np.linspace(0, 0.3, 40)
+    points = HANDLE + travel[:, None] * np.array([0, -1.0, 0]) + [0, 0, 0.001]
+    values = path_values(drawer, poses_at(points, np.zeros(40)), np.zeros(3), 5).values
+    assert values == pytest.approx(travel - travel[5], abs=1e-12)
+
+
+def moving_series() -> tuple[np.ndarray, np.ndarray]:
+    times = np.arange(0, 4, 0.01)
+    return times, 0.3 + np.interp(times, [1.0, 3.0], [0, 1.0])
+
+
+def test_the_interval_is_where_the_value_has_left_and_not_arrived() -> None:
+    times, values = moving_series()
+    (start, end), levels = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD, gripped=True)
+    assert start == pytest.approx(1.0 + 2 * LEAVE_RAD, abs=0.02)
+    assert end == pytest.approx(3.0 - 2 * LEAVE_RAD, abs=0.02)
+    assert levels == pytest.approx((0.3, 1.3), abs=0.002)
+
+
+def test_running_time_backwards_swaps_start_and_end() -> None:
+    times, values = moving_series()
+    (start, end), _ = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD, gripped=True)
+    turned = times[-1] - times[::-1]
+    seen = (float(times[-1]) - 2.7, float(times[-1]) - 1.2)
+    (back_start, back_end), _ = leaving_and_arriving(turned, values[::-1], seen, LEAVE_RAD, gripped=True)
+    assert back_start == pytest.approx(times[-1] - end, abs=0.03)
+    assert back_end == pytest.approx(times[-1] - start, abs=0.03)
+
+
+def test_frames_rest_before_the_start_and_after_the_end() -> None:
+    times, values = moving_series()
+    frames = np.array([0.0, 0.5, 2.0, 3.5, 9.0])
+    thetas = values_at_frames(frames, times, values, (1.0, 3.0), (0.3, 1.3))
+    assert thetas == pytest.approx([0, 0, 0.5, 1.0, 1.0], abs=1e-6)
