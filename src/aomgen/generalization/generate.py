@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
@@ -12,9 +12,13 @@ from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.ik import ik_solver
 from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.variations import PoseRanges, longest_reach, variations, worth_trying
+from aomgen.physics.kinematic import table_overlap_m
 from aomgen.physics.robot import RobotModel
-from aomgen.physics.scene import build_scene
+from aomgen.physics.scene import Scene, build_scene
 from aomgen.physics.verify import PassRule, verify_plan
+
+# Kept between the recorded arm and a table that it would have hit, [m].
+TABLE_CLEARANCE_M = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +113,7 @@ def generate_episodes(
     rejected: list[Rejected] = []
     skipped = 0
     for number, fitted in enumerate(assets):
-        scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=params.bolted)
+        scene = _scene(robot, fitted, demo, support, params.bolted)
 
         def attempt(variation: Variation, fitted: FittedAsset = fitted, scene=scene):
             plan = plan_episode(fitted, demo, variation, scene, solver, params.plan)
@@ -136,6 +140,21 @@ def generate_episodes(
             progress(share, f"{fitted.asset.name}: {good} of {params.count} verified, {tried} tried")
         skipped += passed_over
     return Generated(episodes=tuple(episodes), rejected=tuple(rejected), skipped=skipped)
+
+
+def _scene(
+    robot: RobotModel, fitted: FittedAsset, demo: Demonstration, support: SupportPlane, bolted: bool
+) -> Scene:
+    """Robot, table and asset; a table that the recorded arm would have hit is lowered out of its way.
+
+    An object that is not bolted needs its table where it is.
+    """
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=bolted)
+    overlap = table_overlap_m(scene, demo.joints)
+    if overlap <= 0.0 or not bolted:
+        return scene
+    lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
+    return build_scene(robot, fitted.asset, fitted.T_world_asset, lower, bolted=bolted)
 
 
 def _too_few(

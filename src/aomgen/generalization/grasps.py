@@ -75,20 +75,16 @@ def orientations(
         tilts_deg: Turns about the bar to try in this order.
 
     Yields:
-        Name and R_asset_ee (3, 3): for each tilt the nearer end of the bar, then the other (the
-        hand turned half round, which swaps the fingers).
+        Name and R_asset_ee (3, 3), every tilt once; last the hand turned half round, which swaps
+        the fingers.
     """
     bar = R_front_ee @ hand.bar
     near = handle_axis if bar @ handle_axis >= 0 else -handle_axis
     aligned = _least_turn(bar, near) @ R_front_ee
     turned = matrix_from_rotvec(np.pi * (aligned @ hand.approach)) @ aligned
-    for label, R in (("", aligned), ("turned ", turned)):
-        for tilt in tilts_deg:
-            # Positive tilts lean the same way for either end of the bar.
-            yield (
-                f"{label}tilt {tilt:+.0f}",
-                matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ R,
-            )
+    for tilt in tilts_deg:
+        yield f"tilt {tilt:+.0f}", matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ aligned
+    yield "turned", turned
 
 
 def grasps(
@@ -111,7 +107,7 @@ def grasps(
     depth = float(np.clip(demonstrated_depth, *DEPTHS_M))
     revolute = fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
-    ratios = (ratio,) if ratio < LOOSE_RATIO or not revolute else (ratio, LOOSE_RATIO)
+    ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
     for name, R in orientations(R_front_ee, fitted.asset.handle_axis, hand, TILTS_DEG):
         for share in ratios:
             yield Grasp(

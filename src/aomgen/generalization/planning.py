@@ -78,6 +78,7 @@ def plan_episode(
     depth = float(demo.grasp_ee @ params.hand.approach)
     best: Rejection | None = None
     tried = 0
+    # The contact segment decides most grasps; its Rejection ends a grasp's other ways.
     for grasp in grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio, params.hand):
         tried += 1
         result = _plan_with(_Task(fitted, demo, variation, T_world_object, placed, solver, params), grasp)

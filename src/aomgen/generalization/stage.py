@@ -12,7 +12,7 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisod
 from aomgen.core.progress import Progress
 from aomgen.core.verdict import SettingOutcome, Verdict
 from aomgen.errors import MalformedFileError
-from aomgen.generalization.generate import Generated, GenerationParams, Rejected, generate_episodes
+from aomgen.generalization.generate import Generated, GenerationParams, generate_episodes
 from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
@@ -120,6 +120,3 @@ def _episode(row: dict, arrays: dict[str, np.ndarray], fitted: FittedAsset) -> V
         verdict=verdict,
         **{name: arrays[f"run_{name}"] for name in RUN_ARRAYS},
     )
-
-
-__all__ = ["Generated", "Rejected", "load_generalization", "run_generalization"]

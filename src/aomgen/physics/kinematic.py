@@ -89,6 +89,25 @@ def check_kinematics(
     return figures
 
 
+def table_overlap_m(scene: Scene, joints: Array) -> float:
+    """How deep a path that a real arm has taken (T, J) dips into the assumed table, [m].
+
+    More than nothing means that the table ends before it, or that its plane is estimated too high.
+    """
+    data = mujoco.MjData(scene.model)
+    deepest = 0.0
+    for qpos in scene.qpos(joints, 0.0, 0.0):
+        _place(scene, data, qpos)
+        for index in range(data.ncon):
+            contact = data.contact[index]
+            a, b = int(contact.geom[0]), int(contact.geom[1])
+            if (scene.roles.table[a] and scene.roles.robot[b]) or (
+                scene.roles.table[b] and scene.roles.robot[a]
+            ):
+                deepest = max(deepest, -float(contact.dist))
+    return deepest
+
+
 def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
     """Gripper value 0..1 at which the pads stand `width_m` apart.
 

@@ -74,7 +74,7 @@ def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
     Args:
         joint: Any frame with z up.
         held_point: (3,), same frame, part closed, [m].
-        points: Surface of the moving part (N, 3), same frame, part closed, [m].
+        points: Surface of the object (N, 3), same frame, part closed, [m].
 
     Raises:
         EstimationError: The part neither opens forward nor swings up about a side.

@@ -50,7 +50,9 @@ def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedC
     """
     frames = demo.contact_frames
     path = demo.grasp_path_world[frames]
-    front = frontal(demo.joint, path[0], recorded.moving_points_world)
+    # Both parts together are a box more often than a door with its handle is.
+    whole = np.concatenate([recorded.moving_points_world, recorded.static_points_world])
+    front = frontal(demo.joint, path[0], whole)
     times = demo.times_s[frames]
     aligned = recorded.moving_points_world @ front.R_world_front
     return RecordedContact(
