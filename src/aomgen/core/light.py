@@ -74,5 +74,7 @@ def shaded_srgb(albedo_linear: ArrayLike, transfer: ArrayLike, radiance_sh: Arra
         transfer: (N, 9), in the frame of `radiance_sh`.
         radiance_sh: (9, 3), linear.
     """
-    exitant = np.maximum(np.asarray(transfer, np.float32) @ np.asarray(radiance_sh, np.float32), 0)
+    # einsum, not a matrix product: a threaded BLAS may round differently from call to call.
+    exitant = np.einsum("nk,kc->nc", np.asarray(transfer, np.float32), np.asarray(radiance_sh, np.float32))
+    exitant = np.maximum(exitant, 0)
     return np.asarray(srgb_from_linear(np.minimum(np.asarray(albedo_linear) * exitant, 1.0)), np.float64)

@@ -19,7 +19,7 @@ from aomgen.twin.twin import Twin, posed
 # Remains of the object are looked for this far around it, [m].
 HALO: Final = 0.025
 # The surface is made new this far beyond the object's footprint, [m].
-MARGIN: Final = 0.02
+MARGIN: Final = 0.03
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
 CELL: Final = 0.004
@@ -27,11 +27,13 @@ CELL: Final = 0.004
 BELOW: Final = 0.0015
 # It reaches this far under the old one, [m].
 OVERLAP: Final = 0.03
-# Difference of sRGB from the surface beside the object that is certainly another thing.
-MIN_CONTRAST: Final = 0.12
+# Cells of the picture from above that are covered this much are known.
+MIN_ALPHA: Final = 0.6
+# Difference of chromaticity from most of the surface that is certainly another thing.
+MIN_TINT: Final = 0.07
 # A cast shadow is lifted up to this factor, and only where it is this grey.
 MAX_GAIN: Final = 2.0
-MAX_TINT: Final = 0.06
+MAX_TINT: Final = 0.04
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,10 +83,14 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     picture, alpha = seen_from_above(remaining.gaussians.select(table), support, low, high, CELL)
     xy = _cell_centres(low, picture.shape)
     outside = support.outside(xy)
-    known = _same_material(picture, (alpha > 0.9) & (outside > MARGIN), outside)
+    covered = (alpha > MIN_ALPHA) & (outside > MARGIN)
+    known = _same_material(picture, covered)
+    # What lies close to the footprint and is not the table is the object's: its foot, its mirror image.
+    rest = _in_cells(remaining.gaussians, support, low, covered & ~known & (outside < 1.5 * MARGIN)) & table
+    remaining, table = remaining.select(~rest), table[~rest]
     gain = shadow_gain(picture, known, outside, xy)
     lightened = _lightened(remaining.gaussians, table, support, low, gain)
-    texture = inpainted(np.clip(picture * gain[..., None], 0, 1), known, rng)
+    texture = inpainted(np.clip(picture * gain, 0, 1), known, rng)
     # Where nothing was scanned before either, the table ends.
     where = (outside <= 0) | ((outside <= MARGIN + OVERLAP) & (extent > 0.5))
     fill = _surface(texture, xy, where, support, lightened.select(table))
@@ -98,7 +104,7 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     return Cleared(
         twin=cleared,
         support=support,
-        removed=int(leftover.sum()),
+        removed=int(leftover.sum() + rest.sum()),
         filled=count,
         shadow_gain=float(gain.max()),
     )
@@ -121,24 +127,27 @@ def _cell_centres(low: Array, shape: tuple[int, ...]) -> Array:
     return low + np.stack([columns, rows], -1) * CELL
 
 
-def _same_material(picture: Array, known: NDArray[np.bool_], outside: Array) -> NDArray[np.bool_]:
-    """Known cells (H, W) that look like the surface beside the object, not like what lies on it."""
-    border = known & (outside < 3 * MARGIN)
-    if not border.sum() > 50:
+def _same_material(picture: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Known cells (H, W) that look like most of the surface, lit or in shadow, not like things on it."""
+    if not known.sum() > 200:
         return known
-    middle = np.median(picture[border], 0)
-    spread = 1.4826 * np.median(np.abs(picture[border] - middle), 0)
-    far = np.abs(gaussian_filter(picture, (1, 1, 0)) - middle) > np.maximum(4 * spread, MIN_CONTRAST)
-    return known & ~binary_dilation(far.any(-1) & known, iterations=2)
+    smooth = gaussian_filter(picture, (1, 1, 0))
+    brightness = smooth.mean(-1)
+    chroma = smooth / np.maximum(3 * brightness, 1e-3)[..., None]
+    tint = np.abs(chroma - np.median(chroma[known], 0)).max(-1)
+    level = np.log(np.maximum(brightness, 1e-3)) - np.log(np.median(brightness[known]))
+    other = (tint > max(4 * float(np.median(tint[known])), MIN_TINT)) | (level < -1.2)
+    other |= level > max(4 * float(np.median(np.abs(level[known]))), 0.3)
+    return known & ~binary_dilation(other & known, iterations=2)
 
 
 def shadow_gain(picture: Array, known: NDArray[np.bool_], outside: Array, xy: Array) -> Array:
-    """Factor (H, W) >= 1 that lifts the object's shadow to the brightness further away.
+    """Factor (H, W, 3) >= 1 that lifts the object's shadow to the brightness further away.
 
     Brightness far from the object is continued inwards as a plane in the logarithm. Where the
     table changes its tint, or varies as much without a shadow, nothing is lifted.
     """
-    gain = np.ones(known.shape)
+    gain = np.ones((*known.shape, 3))
     weight = gaussian_filter(known.astype(float), 5.0)
     smooth = (
         np.stack([gaussian_filter(np.where(known, picture[..., k], 0.0), 5.0) for k in range(3)], -1)
@@ -155,24 +164,38 @@ def shadow_gain(picture: Array, known: NDArray[np.bool_], outside: Array, xy: Ar
         far &= residual < max(float(2.5 * np.median(residual[far])), 0.02)
     lift = A @ fit - logs
     spread = float(np.std(lift[far].mean(-1)))
+    depth = np.maximum(lift.mean(-1), 0)
     tint = np.abs(lift - lift.mean(-1, keepdims=True)).max(-1)
-    strength = np.clip(1.5 - tint / MAX_TINT, 0, 1) * np.clip(1 - outside / RING, 0, 1) ** 0.5
-    amount = np.maximum(lift.mean(-1) - spread, 0) * strength
-    # Under the object nothing is known; what lies beside it holds there.
-    gain = np.exp(np.where(weight > 0.05, amount, 0.0))
-    return np.clip(np.where(known, gain, 1.0), 1.0, MAX_GAIN)
+    # Wood or cloth throws its own color into its shadows: the deeper, the more tint is allowed.
+    strength = np.clip(1.5 - tint / (MAX_TINT + 0.35 * depth), 0, 1) * np.clip(1.2 - outside / RING, 0, 1)
+    strength *= np.clip(depth / max(spread, 0.02) - 0.5, 0, 1) * (weight > 0.05) * known
+    return np.exp(np.clip(lift * strength[..., None], 0, np.log(MAX_GAIN)))
+
+
+def _cells(
+    gaussians: Gaussians, support: Support, low: Array, shape: tuple[int, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Column and row (N, 2) of each Gaussian in the picture from above, and which are inside it."""
+    cells = np.floor((support.coordinates(gaussians.means)[:, :2] - low) / CELL).astype(np.int64)
+    return cells, ((cells >= 0) & (cells < shape[1::-1])).all(1)
+
+
+def _in_cells(gaussians: Gaussians, support: Support, low: Array, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    cells, inside = _cells(gaussians, support, low, chosen.shape)
+    inside[inside] = chosen[cells[inside, 1], cells[inside, 0]]
+    return inside
 
 
 def _lightened(
     gaussians: Gaussians, table: NDArray[np.bool_], support: Support, low: Array, gain: Array
 ) -> Gaussians:
     """The table's Gaussians brighter by the gain of their cell."""
-    cells = ((support.coordinates(gaussians.means)[:, :2] - low) / CELL).astype(np.int64)
-    inside = table & ((cells >= 0) & (cells < gain.shape[::-1])).all(1)
-    factor = np.ones(len(gaussians))
+    cells, inside = _cells(gaussians, support, low, gain.shape)
+    inside &= table
+    factor = np.ones((len(gaussians), 3))
     factor[inside] = gain[cells[inside, 1], cells[inside, 0]]
-    sh = gaussians.sh * factor[:, None, None]
-    sh[:, 0] += (factor - 1)[:, None] * 0.5 / SH_C0
+    sh = gaussians.sh * factor[:, None]
+    sh[:, 0] += (factor - 1) * 0.5 / SH_C0
     return gaussians.with_sh(sh)
 
 

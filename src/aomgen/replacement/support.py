@@ -13,8 +13,10 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
 from aomgen.splatting.rasterizer import render
 
-# Height above and below the plane at which a Gaussian still belongs to its surface, [m].
+# Height above the plane up to which a Gaussian belongs to its surface, [m]. Trained surfaces
+# have a tail of Gaussians below, which show through the upper ones and belong to it too.
 SURFACE: Final = 0.012
+TAIL: Final = 0.035
 MIN_SUPPORT: Final = 60
 # This share of the object's height stands on the surface, without handles that reach out.
 LOWER_SHARE: Final = 0.2
@@ -97,6 +99,10 @@ def find_support(
         A = np.column_stack([points[:, :2], np.ones(len(points))])
         plane = np.linalg.lstsq(A, points[:, 2], rcond=None)[0]
         points = points[np.abs(points[:, 2] - A @ plane) < reach]
+    # The surface is where most Gaussians lie, a little above the mean of body and tail.
+    heights = means[near][:, 2] - np.column_stack([means[near][:, :2], np.ones(near.sum())]) @ plane
+    counts, edges = np.histogram(heights, bins=np.arange(-0.012, 0.0121, 0.003))
+    plane[2] += edges[counts.argmax()] + 0.0015
     up = np.array([-plane[0], -plane[1], 1.0])
     up /= np.linalg.norm(up)
     x = np.array([1.0, 0, 0]) - up[0] * up
@@ -147,4 +153,5 @@ def seen_from_above(
 
 def on_surface(gaussians: Gaussians, support: Support) -> NDArray[np.bool_]:
     """Which Gaussians (N,) lie on the plane."""
-    return np.abs(support.coordinates(gaussians.means)[:, 2]) < SURFACE
+    heights = support.coordinates(gaussians.means)[:, 2]
+    return (heights > -TAIL) & (heights < SURFACE)

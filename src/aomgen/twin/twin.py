@@ -15,7 +15,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.light import Light, shaded_srgb
 from aomgen.core.sh import rotate_sh
-from aomgen.core.transforms import quat_from_matrix, quat_multiply
+from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
@@ -163,7 +163,7 @@ class Rig:
                 sh[rows, 1:] = 0
             if np.array_equal(T, np.eye(4)):
                 continue
-            means[span] = source.means[span] @ T[:3, :3].T + T[:3, 3]
+            means[span] = apply(T, source.means[span])
             quats[span] = quat_multiply(quat_from_matrix(T[:3, :3]), source.quats[span])
             if sh.shape[1] > 1 and len(rows) < end - start:
                 sh[span] = rotate_sh(sh[span], T[:3, :3])

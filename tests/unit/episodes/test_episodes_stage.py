@@ -200,7 +200,7 @@ def scan_cameras(toy_scene) -> dict[str, Camera]:
 
 
 def test_the_second_camera_looks_from_another_side_and_sees_the_object(toy_scene):
-    points = [np.array([[0.35, 0.05, 0.1], [0.4, 0.0, 0.2], [0.6, 0.0, 0.32]])]
+    points = [np.array([[0.38, 0.1, 0.1], [0.42, 0.05, 0.2], [0.6, 0.0, 0.32]])]
     found = choose_viewpoint(
         scan_cameras(toy_scene),
         toy_scene.camera,
