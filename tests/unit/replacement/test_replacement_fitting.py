@@ -1,0 +1,172 @@
+"""The asset takes the recorded object's place: known answers, and cases that must be refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aomgen.assets.make import make_asset
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
+from aomgen.core.joint import Joint
+from aomgen.core.mesh import sample_surface
+from aomgen.core.plan import FittedAsset
+from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
+from aomgen.core.verdict import Rejection
+from aomgen.errors import EstimationError
+from aomgen.replacement.correspondence import frontal, held_point_of, mirrored
+from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
+from aomgen.replacement.recorded import recorded_contact, smooth_rise
+
+YAW = np.deg2rad(-70.0)
+SCALE = 1.15
+PLACE = np.array([0.8, 0.1, 0.05])
+
+
+def recording(
+    asset: ArticulatedAsset, scale: float = SCALE, noise_m: float = 0.0
+) -> tuple[Demonstration, RecordedObject]:
+    """A hand that carries a scaled asset's handle, at uneven speed."""
+    rng = np.random.default_rng(0)
+    T = transform(matrix_from_rotvec(np.array([0.0, 0.0, YAW])), PLACE)
+    sized = asset.transformed(similarity(scale, np.eye(3), np.zeros(3)))
+    joint = sized.joint.moved(T)
+    times = np.arange(60) / 10
+    travel = 1.0 if joint.type == "revolute" else 0.16
+    thetas = travel * np.clip((times - 2) / 3, 0, 1) ** 1.5
+    path = apply(joint.motion(thetas), apply(T, sized.handle_point)[None])
+    poses = transform(np.eye(3), path + rng.normal(0, noise_m, path.shape))
+    demo = Demonstration(
+        times_s=times,
+        joints=np.zeros((60, 6)),
+        gripper=np.zeros(60),
+        Ts_world_ee=poses,
+        thetas=thetas,
+        start_s=2.0,
+        end_s=5.0,
+        joint=joint,
+        grasp_ee=np.zeros(3),
+        ee_turn_ratio=1.0,
+    )
+    points = []
+    for link in (sized.moving, sized.static):
+        vertices = [sample_surface(m.vertices, m.faces, 600, rng)[0] for m in link.meshes]
+        points.append(apply(T, np.concatenate(vertices)))
+    support = SupportPlane(height=PLACE[2], low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
+    return demo, RecordedObject(moving_points_world=points[0], static_points_world=points[1], support=support)
+
+
+def fitted(asset: ArticulatedAsset, mode: str, **changes: float) -> FittedAsset | Rejection:
+    demo, recorded = recording(make_asset("microwave", 1), **changes)
+    return fit_asset(asset, recorded_contact(demo, recorded), demo.joint.type, mode, FitParams())
+
+
+@pytest.mark.parametrize("category", ["microwave", "drawer"])
+def test_front_of_a_turned_asset_is_found(category: str) -> None:
+    demo, recorded = recording(make_asset(category, 1))
+    yaw = recorded_contact(demo, recorded).front.yaw
+    assert np.rad2deg(abs(yaw - YAW)) < 2.0
+
+
+def test_object_mode_recovers_a_known_scale_place_and_motion() -> None:
+    asset = make_asset("microwave", 1)
+    result = fitted(asset, "object", noise_m=0.001)
+    assert isinstance(result, FittedAsset)
+    assert abs(result.scale - SCALE) < 0.03
+    assert np.linalg.norm(result.T_world_asset[:3, 3] - PLACE) < 0.015
+    assert abs(result.target_theta - 1.0) < 0.03
+    assert result.residual_mm < 6.0
+    assert not result.mirrored
+
+
+def test_object_mode_recovers_a_drawer() -> None:
+    asset = make_asset("drawer", 1)
+    demo, recorded = recording(asset)
+    result = fit_asset(asset, recorded_contact(demo, recorded), "prismatic", "object", FitParams())
+    assert isinstance(result, FittedAsset)
+    assert abs(result.scale - SCALE) < 0.03
+    assert abs(result.target_theta - 0.16) < 0.003
+
+
+def test_trajectory_mode_keeps_size_and_meets_the_recorded_handle_from_above() -> None:
+    result = fitted(make_asset("microwave", 2), "trajectory")
+    assert isinstance(result, FittedAsset)
+    demo, _ = recording(make_asset("microwave", 1))
+    held = apply(result.T_world_asset, result.contact_asset)
+    assert result.scale == 1.0
+    np.testing.assert_allclose(held[:2], demo.Ts_world_ee[demo.contact_frames[0], :2, 3], atol=1e-9)
+    assert result.T_world_asset[2, 3] == PLACE[2]
+    assert np.all(np.diff(result.thetas) >= 0)
+    assert result.thetas[0] == 0
+
+
+def test_asset_with_another_kind_of_joint_is_refused() -> None:
+    result = fitted(make_asset("drawer", 0), "trajectory")
+    assert isinstance(result, Rejection)
+    assert result.reason == "joint_type"
+
+
+def test_hinge_on_the_other_side_is_mirrored_or_refused() -> None:
+    other = mirrored(make_asset("microwave", 1))
+    result = fitted(other, "object")
+    assert isinstance(result, FittedAsset)
+    assert result.mirrored
+    demo, recorded = recording(make_asset("microwave", 1))
+    strict = FitParams(allow_mirror=False)
+    refused = fit_asset(other, recorded_contact(demo, recorded), "revolute", "object", strict)
+    assert isinstance(refused, Rejection)
+    assert refused.reason == "hinge_side"
+
+
+def test_asset_that_cannot_open_far_enough_is_refused() -> None:
+    asset = make_asset("microwave", 1)
+    stiff = replace(asset, joint=replace(asset.joint, upper=0.6))
+    result = fitted(stiff, "object")
+    assert isinstance(result, Rejection)
+    assert result.reason == "size"
+
+
+def test_mirroring_twice_is_nothing_and_once_keeps_the_opening_direction() -> None:
+    asset = make_asset("microwave", 3)
+    once = mirrored(asset)
+    M = np.diag([-1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(once.joint.motion(0.7), M @ asset.joint.motion(0.7) @ M, atol=1e-12)
+    for before, after in zip(asset.moving.meshes, mirrored(once).moving.meshes, strict=True):
+        np.testing.assert_array_equal(before.vertices, after.vertices)
+        np.testing.assert_array_equal(before.faces, after.faces)
+    for box in once.moving.colliders:
+        assert np.linalg.det(box.T_asset_box[:3, :3]) == pytest.approx(1.0)
+
+
+def test_held_point_stays_on_the_bar_and_off_its_posts() -> None:
+    asset = make_asset("microwave", 0)
+    for height in (-1.0, 0.5, 2.0):
+        held = held_point_of(asset, np.array([0.5, 0.5, height]))
+        offset = held - asset.handle_point
+        np.testing.assert_allclose(np.cross(offset, asset.handle_axis), 0, atol=1e-12)
+        bar = asset.handle_bar
+        assert bar is not None
+        assert abs(offset @ asset.handle_axis) <= bar.half_extents.max() - 0.029
+
+
+def test_face_thetas_ignore_sliding_along_the_face() -> None:
+    joint = Joint(type="revolute", axis=[0, 0, 1], origin=[0.2, 0.1, 0], lower=0, upper=2)
+    held = np.array([0.5, 0.1, 0.3])
+    thetas = np.linspace(0, 1.5, 20)
+    slid = held + np.linspace(0, 0.05, 20)[:, None] * np.array([1.0, 0, 0])
+    path = apply(joint.motion(thetas), slid)
+    np.testing.assert_allclose(face_thetas(joint, held, path), thetas, atol=1e-9)
+
+
+def test_smooth_rise_never_falls_and_keeps_the_travel() -> None:
+    noisy = np.linspace(0, 1, 30) ** 2 + np.random.default_rng(0).normal(0, 0.01, 30)
+    rise = smooth_rise(noisy)
+    assert np.all(np.diff(rise) >= 0)
+    assert rise[0] == 0
+    assert abs(rise[-1] - 1.0) < 0.04
+
+
+def test_a_part_that_moves_straight_up_has_no_front() -> None:
+    joint = Joint(type="prismatic", axis=[0, 0, 1], origin=[0, 0, 0], lower=0, upper=1)
+    with pytest.raises(EstimationError, match="no front"):
+        frontal(joint, np.zeros(3), np.zeros((0, 3)))
