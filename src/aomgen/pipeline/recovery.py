@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
-from aomgen.conventions import MOVING, STATIC
+from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.motion import MotionEstimate
@@ -29,6 +29,7 @@ from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment
 from aomgen.reconstruction.gaussians import GaussiansParams
 from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.parts_stage import load_parts
+from aomgen.reconstruction.segmenter import choose_segmenter
 from aomgen.reconstruction.structure import DemoView
 from aomgen.reconstruction.structure_stage import load_structure, run_structure
 from aomgen.twin.binding import bind, object_frame
@@ -116,6 +117,29 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         "runner_up_support": result.runner_up_support,
         "residual_px": result.residual_px,
         "end_effector_sd_mm": 1e3 * result.ee_sd_m,
+    }
+
+
+def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """A part label for every Gaussian, and the robot link that carries it."""
+    capture = read_capture(run.project.capture)
+    result = run_parts(
+        load_structure(run.folders["structure"]),
+        load_gaussians(run.folders["gaussians"]).gaussians_recon,
+        load_alignment(run.folders["alignment"]).S_world_recon,
+        {path.name: path for path in capture.scan_images},
+        capture.prompts,
+        choose_segmenter(capture.mask_folders),
+        posture_of(capture),
+        folder,
+        progress,
+    )
+    counts = np.bincount(result.labels, minlength=4)
+    return {
+        "robot": int(counts[ROBOT]),
+        "static": int(counts[STATIC]),
+        "moving": int(counts[MOVING]),
+        "confidence": float(np.median(result.confidence[result.labels != BACKGROUND])),
     }
 
 
