@@ -21,6 +21,9 @@ MAX_DIFFERENCE = 11.0
 # Infinity must explain a pixel better than a plane by this much.
 INFINITY_HANDICAP = 1.5
 STRIDE = 2
+# Radius of the far sphere over the cameras' reach: a step aside moves it by less than a pixel.
+SHELL_DISTANCE = 500.0
+COARSE_DIRECTIONS = 3000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,36 +176,50 @@ def _smooth(cost: Array) -> Array:
 
 
 def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) -> Samples:
-    """Points on a far sphere where several views saw infinity.
+    """Points on a far sphere: fine where views saw infinity, coarse in all other directions.
 
     Args:
         rays: Samples whose points are unit directions.
         points_recon: The scene's points (P, 3); the sphere is far outside of them.
         centers: Camera centres (V, 3).
-        limit: Number of directions the whole sphere is divided into.
+        limit: Number of directions the whole sphere is divided into where it was seen.
+
+    The coarse directions take the color of the nearest fine one, so that no view looks into a hole.
     """
     center = np.median(points_recon, axis=0)
-    reach = np.percentile(np.linalg.norm(points_recon - center, axis=1), 90)
-    radius = 12.0 * max(float(reach), float(np.linalg.norm(centers - center, axis=1).max()))
+    radius = SHELL_DISTANCE * float(np.linalg.norm(centers - center, axis=1).max())
     edge = np.sqrt(4 * np.pi / limit)
     keys = np.floor(rays.points_recon / edge).astype(np.int64)
     cells = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
-    count = int(cells.max(initial=-1)) + 1
-    weights = np.bincount(cells, minlength=count)
-    keep = weights >= 2
+    totals = np.maximum(np.bincount(cells), 1)[:, None]
 
     def mean(values: Array) -> Array:
-        sums = np.stack([np.bincount(cells, values[:, k], count) for k in range(3)], 1)
-        return (sums / np.maximum(weights, 1)[:, None])[keep]
+        return np.stack([np.bincount(cells, values[:, k]) for k in range(3)], 1) / totals
 
-    unit = mean(rays.points_recon)
-    unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
-    colors = mean(rays.colors_srgb.astype(np.float64))
+    fine = mean(rays.points_recon).reshape(-1, 3)
+    fine /= np.maximum(np.linalg.norm(fine, axis=1, keepdims=True), 1e-12)
+    colors = mean(rays.colors_srgb.astype(np.float64)).reshape(-1, 3)
+    coarse, coarse_edge = _sphere(COARSE_DIRECTIONS), np.sqrt(4 * np.pi / COARSE_DIRECTIONS)
+    if len(fine):
+        distances, nearest = cKDTree(fine).query(coarse)
+        coarse, coarse_colors = coarse[distances > coarse_edge], colors[nearest[distances > coarse_edge]]
+    else:
+        coarse_colors = np.full((len(coarse), 3), 128.0)
+    unit = np.concatenate([fine, coarse])
+    sizes = np.concatenate([np.full(len(fine), edge), np.full(len(coarse), coarse_edge)])
     return Samples(
         points_recon=center + radius * unit,
         normals_recon=-unit,
-        colors_srgb=np.round(colors).astype(np.uint8),
-        footprints=np.full(len(unit), radius * edge),
+        colors_srgb=np.round(np.concatenate([colors, coarse_colors])).astype(np.uint8),
+        footprints=radius * sizes,
         detail=np.ones(len(unit)),
-        weights=weights[keep].astype(np.float64),
+        weights=np.ones(len(unit)),
     )
+
+
+def _sphere(count: int) -> Array:
+    """Unit directions (count, 3), evenly spread on a Fibonacci spiral."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
+    around = np.sqrt(1 - z * z)
+    return np.stack([around * np.cos(turn), around * np.sin(turn), z], 1)

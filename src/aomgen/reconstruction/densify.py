@@ -34,7 +34,7 @@ class DensifyParams:
     width: int = 320
     planes: int = 128
     sources: int = 4
-    shell_points: int = 16_000
+    shell_points: int = 50_000
     sweep: SweepParams = field(default_factory=SweepParams)
     threads: int = 2
 

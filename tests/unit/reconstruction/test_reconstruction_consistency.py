@@ -39,7 +39,7 @@ def _pairs(points, cameras, rng, reach: int = 4) -> list[Pair]:
 
 
 def test_epipolar_error_is_zero_at_the_true_poses_and_grows_with_a_wrong_one():
-    points, cameras, rng = _world(0)
+    points, cameras, _ = _world(0)
     a, b = cameras["00.png"], cameras["02.png"]
     pair = Pair(a="a", b="b", pixels_a=a.project(points)[0], pixels_b=b.project(points)[0])
     assert epipolar_errors_px(pair, a.T_world_cam, b.T_world_cam, a.K).max() < 1e-6
