@@ -83,7 +83,7 @@ def motion_scores(
     reference_frames: int,
     params: KeyframeParams | None = None,
 ) -> Array:
-    """Score (T,), 0..1, of every frame.
+    """Score (T,), 0..1, of every frame; 0 outside the touch, where nothing can move the part.
 
     Args:
         frames_srgb: Small frames (T, H, W, 3).
@@ -110,7 +110,9 @@ def motion_scores(
     footprint = touching(closed(moved, 1) | region, region)
     left = _departures(frames_srgb, hidden, before, footprint & before_seen, params)
     ahead = _departures(frames_srgb, hidden, after, footprint & after_seen, params)
-    return np.minimum(left, ahead)
+    scores = np.minimum(left, ahead)
+    scores[:first], scores[last + 1 :] = 0.0, 0.0
+    return scores
 
 
 def find_interval(

@@ -87,6 +87,14 @@ def test_motion_outside_the_touch_does_not_count() -> None:
     assert TIMES[interval.first] == pytest.approx(5.0, abs=0.3)
 
 
+def test_frames_outside_the_touch_score_nothing() -> None:
+    touch = Touch(first=25, last=70, gripped=True)
+    scores = motion_scores(*film(moves(3.0, 5.0)), touch, 3)
+    assert scores[:25].max() == 0
+    assert scores[71:].max() == 0
+    assert scores[40] > 0.2
+
+
 def signals(gripper: np.ndarray, distances: np.ndarray) -> HandSignals:
     zeros = np.zeros(COUNT)
     return HandSignals(
