@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import render_tensors
 from aomgen.splatting.loss import image_loss
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
+from aomgen.splatting.photographs import Exposure, View, reduced
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +47,7 @@ class TrainingParams:
 
     iterations: int = 1800
     sh_degree: int = 2
-    sh_starts: tuple[float, float, float] = (0.25, 0.5, 0.75)
+    sh_starts: tuple[float, float, float] = (0.1, 0.3, 0.5)
     downsampling: tuple[tuple[float, int], ...] = ((0.0, 4), (0.1, 2), (0.35, 1))
     max_gaussians: int = 100_000
     grow_every: int = 100
@@ -58,13 +59,13 @@ class TrainingParams:
     scale_weight: float = 0.0
     transparency_weight: float = 0.0
     background: tuple[float, float, float] | None = None
-    rate_means: float = 3e-4
+    rate_means: float = 8e-4
     rate_means_decay: float = 0.02
-    rate_quats: float = 2e-3
-    rate_log_scales: float = 8e-3
-    rate_logit_opacities: float = 4e-2
-    rate_color: float = 4e-3
-    rate_sh: float = 4e-4
+    rate_quats: float = 4e-3
+    rate_log_scales: float = 2.5e-2
+    rate_logit_opacities: float = 6e-2
+    rate_color: float = 2e-2
+    rate_sh: float = 2e-3
     rate_gain: float = 2e-3
     rate_decay: float = 0.3
     exposure: bool = True
@@ -140,76 +141,10 @@ def _one_torch_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class View:
-    """One image at the size it is learned from: camera and planar (3, H, W) uint8."""
-
-    camera: Camera
-    image: Tensor
-
-    def target(self) -> Tensor:
-        """(3, H, W) float32, sRGB 0..1."""
-        return self.image.float().div_(255)
-
-
-@dataclass(slots=True, kw_only=True)
-class Exposure:
-    """Gains of every image (M, 3) in logarithms, with their optimizer state."""
-
-    enabled: bool
-    log_gains: Tensor
-    averages: Tensor
-    squares: Tensor
-    steps: list[int]
-
-    @staticmethod
-    def neutral(count: int, enabled: bool) -> "Exposure":
-        """Gains of one."""
-        zeros = (torch.zeros(count, 3), torch.zeros(count, 3), torch.zeros(count, 3))
-        return Exposure(
-            enabled=enabled, log_gains=zeros[0], averages=zeros[1], squares=zeros[2], steps=[0] * count
-        )
-
-    def step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
-        """Adam on one image's gains; afterwards the mean over the images is zero again."""
-        self.steps[index] += 1
-        rates = torch.full((3,), rate)
-        rows = (
-            self.log_gains[index],
-            gradient.contiguous(),
-            self.averages[index],
-            self.squares[index],
-            rates,
-        )
-        first, second, third, fourth, fifth = (row.data_ptr() for row in rows)
-        context.adam_step((1, 3), (first, second, third, fourth, fifth), self.steps[index])
-        self.log_gains -= self.log_gains.mean(0)
-
-
 def scene_extent(gaussians: Gaussians, cameras: list[Camera]) -> float:
     """Length that steps are measured in: median distance from a camera to the middle of the Gaussians."""
     middle = np.median(gaussians.means, axis=0)
     return float(np.median([np.linalg.norm(camera.center - middle) for camera in cameras]))
-
-
-def reduced(camera: Camera, image: NDArray[np.uint8], factor: int) -> View:
-    """A view whose pixels are means of factor x factor pixels; what does not fill a pixel is cut."""
-    planar = torch.tensor(np.ascontiguousarray(image.transpose(2, 0, 1)))
-    factor = max(1, min(factor, image.shape[0] // 16, image.shape[1] // 16))
-    if factor == 1:
-        return View(camera=camera, image=planar)
-    pooled = torch.nn.functional.avg_pool2d(planar.float(), factor).round_().to(torch.uint8)
-    height, width = pooled.shape[1:]
-    small = replace(
-        camera,
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=camera.cx / factor,
-        cy=camera.cy / factor,
-        width=int(width),
-        height=int(height),
-    )
-    return View(camera=small, image=pooled)
 
 
 def _learn(
