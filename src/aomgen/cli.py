@@ -54,7 +54,7 @@ def demo(
 
     Stop it whenever you like; the same command continues where it was.
     """
-    from aomgen.pipeline.project import Project, write_project
+    from aomgen.pipeline.project import Project
 
     sample = Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE
     project = Project(
@@ -65,7 +65,6 @@ def demo(
         assets=("microwave:1", "microwave:2"),
     )
     run_project(project)
-    write_project(out / "project.toml", project)
 
 
 @app.command()
@@ -230,10 +229,13 @@ def run_project(project, *, until: str = ""):
     """Run the pipeline with a terminal display and say where the results are."""
     from aomgen.cli_display import TerminalDisplay
     from aomgen.pipeline.stages import run_pipeline
+    from aomgen.report.page import REPORT, write_report
 
     with TerminalDisplay() as display:
-        run_pipeline(project, display, until=until)
+        changed = run_pipeline(project, display, until=until)
     if not until:
+        if changed or not (project.out / REPORT).exists():
+            write_report(project.out)
         print(f"dataset  {project.out / 'dataset'}")
         print(f"report   {project.out / 'report.html'}")
 

@@ -28,7 +28,7 @@ from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
 from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment
 from aomgen.reconstruction.gaussians import GaussiansParams
 from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
-from aomgen.reconstruction.parts_stage import load_parts
+from aomgen.reconstruction.parts_stage import load_parts, run_parts
 from aomgen.reconstruction.segmenter import choose_segmenter
 from aomgen.reconstruction.structure import DemoView
 from aomgen.reconstruction.structure_stage import load_structure, run_structure

@@ -39,8 +39,9 @@ def draw_twin(
     """
     drawn = render_state(twin, robot, state, camera, with_ids=True)
     image = np.clip(np.rint(drawn.rgb * 255), 0, 255).astype(np.uint8)
-    seen = (drawn.max_id >= 0) & (drawn.alpha > LABEL_MIN_ALPHA)
-    labels = np.where(seen, twin.labels[np.maximum(drawn.max_id, 0)], BACKGROUND).astype(np.uint8)
+    strongest = np.asarray(drawn.max_id)
+    seen = (strongest >= 0) & (drawn.alpha > LABEL_MIN_ALPHA)
+    labels = np.where(seen, twin.labels[np.maximum(strongest, 0)], BACKGROUND).astype(np.uint8)
     return image, labels
 
 

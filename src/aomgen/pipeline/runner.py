@@ -14,6 +14,7 @@ from aomgen.errors import LockedError, StorageError
 from aomgen.io.atomic import remove_staging, staged_folder, write_json, write_text
 from aomgen.io.jsonfile import read_json
 from aomgen.pipeline.manifest import (
+    Manifest,
     describe,
     files_present,
     read_manifest,
@@ -25,6 +26,9 @@ from aomgen.pipeline.stage import Run, Stage
 
 TIMINGS = "timings.json"
 STARTED = "started.json"
+
+# A stage's version, the digests of its inputs, its parameters.
+Identity = tuple[int, dict[str, str], dict[str, Any]]
 
 
 class Display(Protocol):
@@ -39,7 +43,7 @@ class Display(Protocol):
 
 def run_stages(
     project: Project, stages: tuple[Stage, ...], display: Display, *, capture_digest: str, until: str = ""
-) -> Run:
+) -> list[str]:
     """Bring every stage up to date, in order.
 
     Args:
@@ -48,6 +52,9 @@ def run_stages(
         display: Hears what happens.
         capture_digest: Digest of everything the capture refers to.
         until: Stop after this stage; all of them when empty.
+
+    Returns:
+        Names of the stages that were made anew.
 
     Raises:
         LockedError: Another process works in the same folder.
@@ -60,11 +67,18 @@ def run_stages(
     with _locked(project.out):
         remove_staging(project.out)
         digests = {"capture": capture_digest}
+        made: list[str] = []
         for stage in stages:
-            digests[stage.name] = _bring_up_to_date(run, stage, digests, display)
+            kept = _kept(run, stage, digests)
+            if kept is None:
+                digests[stage.name] = _make(run, stage, digests, display)
+                made.append(stage.name)
+            else:
+                display.begin(stage, fresh=True)
+                digests[stage.name] = kept.digest
             if stage.name == until:
                 break
-    return run
+    return made
 
 
 def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stage, str]]:
@@ -80,19 +94,24 @@ def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stag
     return states
 
 
-def _bring_up_to_date(run: Run, stage: Stage, digests: dict[str, str], display: Display) -> str:
-    folder = run.folders[stage.name]
+def _wanted(run: Run, stage: Stage, digests: dict[str, str]) -> Identity:
     inputs = {name: digests[name] for name in stage.needs}
-    parameters = {name: _plain(getattr(run.project, name)) for name in stage.settings}
+    return stage.version, inputs, {name: _plain(getattr(run.project, name)) for name in stage.settings}
+
+
+def _kept(run: Run, stage: Stage, digests: dict[str, str]) -> Manifest | None:
+    """The stage's manifest when its result was made from what the inputs are now."""
+    folder = run.folders[stage.name]
     manifest = read_manifest(folder)
-    wanted = (stage.version, inputs, parameters)
-    if (
-        manifest
-        and (manifest.version, manifest.inputs, manifest.parameters) == wanted
-        and files_present(folder, manifest)
-    ):
-        display.begin(stage, fresh=True)
-        return manifest.digest
+    if manifest is None or not files_present(folder, manifest):
+        return None
+    same = (manifest.version, manifest.inputs, manifest.parameters) == _wanted(run, stage, digests)
+    return manifest if same else None
+
+
+def _make(run: Run, stage: Stage, digests: dict[str, str], display: Display) -> str:
+    """Run a stage and commit its folder; the new digest."""
+    folder, wanted = run.folders[stage.name], _wanted(run, stage, digests)
     display.begin(stage, fresh=False)
     start = time.monotonic()
     if stage.incremental:
@@ -108,7 +127,7 @@ def _bring_up_to_date(run: Run, stage: Stage, digests: dict[str, str], display: 
     return manifest.digest
 
 
-def _finish(folder: Path, stage: Stage, wanted: tuple[int, dict, dict], figures: dict[str, Any]):
+def _finish(folder: Path, stage: Stage, wanted: Identity, figures: dict[str, Any]) -> Manifest:
     version, inputs, parameters = wanted
     manifest = describe(
         folder, stage=stage.name, version=version, inputs=inputs, parameters=parameters, figures=figures
@@ -117,9 +136,7 @@ def _finish(folder: Path, stage: Stage, wanted: tuple[int, dict, dict], figures:
     return manifest
 
 
-def _work_in_place(
-    run: Run, stage: Stage, wanted: tuple[int, dict, dict], progress: Progress
-) -> dict[str, Any]:
+def _work_in_place(run: Run, stage: Stage, wanted: Identity, progress: Progress) -> dict[str, Any]:
     """Continue an incremental stage when it was started for the same inputs, else start it over."""
     folder = run.folders[stage.name]
     identity = text_digest(repr((__version__, wanted)))

@@ -8,9 +8,11 @@ from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
 from aomgen.pipeline import generation, recovery
 from aomgen.pipeline.manifest import files_digest
-from aomgen.pipeline.project import Project
+from aomgen.pipeline.project import Project, write_project
 from aomgen.pipeline.runner import Display, run_stages
-from aomgen.pipeline.stage import Run, Stage
+from aomgen.pipeline.stage import Stage
+
+PROJECT_FILE = "project.toml"
 
 STAGES: tuple[Stage, ...] = (
     Stage(
@@ -117,8 +119,8 @@ STAGES: tuple[Stage, ...] = (
 )
 
 
-def run_pipeline(project: Project, display: Display, *, until: str = "") -> Run:
-    """Check the capture, then bring every stage up to date.
+def run_pipeline(project: Project, display: Display, *, until: str = "") -> list[str]:
+    """Check the capture, then bring every stage up to date; the names of those made anew.
 
     Raises:
         ConfigError: `until` names no stage.
@@ -130,6 +132,8 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> Run:
         raise ConfigError("--until", f"'{until}' is no stage", f"stages: {', '.join(names)}")
     capture = read_capture(project.capture)
     read_demo_videos(capture)
+    # The choices lie beside the results, so that reports can be made again and questions answered.
+    write_project(project.out / PROJECT_FILE, project)
     return run_stages(project, STAGES, display, capture_digest=capture_digest(capture), until=until)
 
 

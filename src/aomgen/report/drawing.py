@@ -17,7 +17,7 @@ Image8 = NDArray[np.uint8]
 def overlay_outline(image: Image8, mask: NDArray[np.bool_], color: tuple[int, int, int]) -> Image8:
     """The mask's outline, two pixels wide, drawn over an image (H, W, 3)."""
     result = image.copy()
-    result[binary_dilation(mask) & ~binary_erosion(mask)] = color
+    result[np.asarray(binary_dilation(mask)) & ~np.asarray(binary_erosion(mask))] = color
     return result
 
 

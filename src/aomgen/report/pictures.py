@@ -1,0 +1,151 @@
+"""The report's pictures of the recording: what was seen beside what was recovered."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.capture.check import read_demo_videos
+from aomgen.capture.read import read_capture
+from aomgen.core.camera import Camera
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.recording import Capture
+from aomgen.core.transforms import apply
+from aomgen.io.images import read_image, resize
+from aomgen.io.video import Video, read_video
+from aomgen.motion.stage import load_motion
+from aomgen.physics.robot import RobotModel
+from aomgen.physics.silhouette import SilhouetteRenderer
+from aomgen.pipeline.recovery import demo_camera_world, scan_cameras_world
+from aomgen.pipeline.rendering import draw_twin, open_twin
+from aomgen.pipeline.stage import Run
+from aomgen.reconstruction.gaussians import held_out
+from aomgen.report.drawing import overlay_joint, overlay_labels, overlay_outline, sheet
+from aomgen.twin.twin import Twin, TwinState
+
+OUTLINE = (255, 60, 200)
+Image8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovered:
+    """Everything the pictures are made from."""
+
+    run: Run
+    capture: Capture
+    video: Video
+    camera: Camera
+    motion: MotionEstimate
+    twin: Twin
+    robot: RobotModel
+
+    def state(self, frame: int) -> TwinState:
+        """The twin's state at a video frame, as estimated."""
+        time = self.video.times_s[frame] + self.motion.clock_offset_s
+        joints, gripper = self.capture.joint_log.at([time])
+        return TwinState(
+            joints=joints[0],
+            gripper=float(gripper[0]),
+            theta=float(self.motion.thetas[frame]),
+            T_world_object=self.twin.T_world_object,
+        )
+
+    def spread_frames(self, count: int) -> list[int]:
+        """Frame numbers evenly over the video."""
+        return [int(frame) for frame in np.linspace(0, len(self.video.times_s) - 1, count)]
+
+
+def open_recovered(run: Run) -> Recovered:
+    """Load what a run recovered.
+
+    Raises:
+        MissingFileError: The run has not come that far.
+    """
+    capture = read_capture(run.project.capture)
+    twin, robot = open_twin(run.out)
+    return Recovered(
+        run=run,
+        capture=capture,
+        video=read_demo_videos(capture)[capture.cameras[0].name],
+        camera=demo_camera_world(run),
+        motion=load_motion(run.folders["motion"]),
+        twin=twin,
+        robot=robot,
+    )
+
+
+def heldout_sheet(data: Recovered, count: int = 4) -> Image8:
+    """Held-out scan images above renders of the twin from the same places."""
+    cameras = scan_cameras_world(data.run)
+    paths = {path.name: path for path in data.capture.scan_images}
+    names = [name for name in held_out(list(paths)) if name in cameras]
+    picked = [names[i] for i in np.linspace(0, len(names) - 1, min(count, len(names))).astype(int)]
+    real = [_small(read_image(paths[name])) for name in picked]
+    drawn = [
+        _small(draw_twin(data.twin, data.robot, cameras[name], data.twin.scan_state)[0]) for name in picked
+    ]
+    return sheet(real + drawn, len(picked))
+
+
+def parts_sheet(data: Recovered, count: int = 4) -> Image8:
+    """Part labels of the Gaussians over scan images."""
+    cameras = scan_cameras_world(data.run)
+    names = sorted(cameras)
+    picked = [names[i] for i in np.linspace(0, len(names) - 1, count + 2).astype(int)[1:-1]]
+    paths = {path.name: path for path in data.capture.scan_images}
+    images = []
+    for name in picked:
+        labels = draw_twin(data.twin, data.robot, cameras[name], data.twin.scan_state)[1]
+        images.append(_small(overlay_labels(read_image(paths[name]), labels)))
+    return sheet(images, len(images))
+
+
+def robot_sheet(data: Recovered, count: int = 4) -> Image8:
+    """The robot model's outline over the video, at the estimated clock offset and camera."""
+    images = []
+    height, width = data.video.frames_srgb.shape[1:3]
+    with SilhouetteRenderer(data.robot, max_width=width, max_height=height) as renderer:
+        for frame in data.spread_frames(count):
+            state = data.state(frame)
+            bodies, _ = renderer.draw(data.camera, state.joints, state.gripper)
+            images.append(_small(overlay_outline(data.video.frames_srgb[frame], bodies >= 0, OUTLINE)))
+    return sheet(images, count)
+
+
+def joint_picture(data: Recovered) -> Image8:
+    """Axis and path of the held point over the first and the last frame."""
+    first_contact = int(np.searchsorted(data.motion.times_s, data.motion.start_s))
+    state = data.state(first_contact)
+    held = apply(data.robot.ee_poses(state.joints[None])[0], data.motion.grasp_ee)
+    frames = (first_contact, len(data.video.times_s) - 1)
+    return sheet(
+        [
+            overlay_joint(data.video.frames_srgb[frame], data.camera, data.motion.joint, held)
+            for frame in frames
+        ],
+        2,
+    )
+
+
+def replay_sheet(data: Recovered, count: int = 4) -> Image8:
+    """Video frames above the twin's replay of them."""
+    frames = data.spread_frames(count)
+    real = [_small(data.video.frames_srgb[frame]) for frame in frames]
+    drawn = [_small(draw_twin(data.twin, data.robot, data.camera, data.state(frame))[0]) for frame in frames]
+    return sheet(real + drawn, count)
+
+
+def demo_strip(data: Recovered, count: int = 6) -> list[Image8]:
+    """Frames of the recorded demonstration."""
+    return [_small(data.video.frames_srgb[frame]) for frame in data.spread_frames(count)]
+
+
+def episode_strip(folder: Path, camera: str, count: int) -> list[Image8]:
+    """Frames of one committed episode from one camera."""
+    frames = read_video(folder / f"{camera}.mp4").frames_srgb
+    return [frames[int(i)] for i in np.linspace(0, len(frames) - 1, count)]
+
+
+def _small(image: Image8, width: int = 320) -> Image8:
+    return resize(image, width, round(image.shape[0] * width / image.shape[1]))
