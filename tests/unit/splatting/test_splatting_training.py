@@ -158,25 +158,22 @@ def test_inputs_that_do_not_fit_are_refused() -> None:
 def test_the_optimizer_is_adam() -> None:
     rng = np.random.default_rng(0)
     parameters = parameters_of(checkered(50, 0), 1)
-    rates = {
-        name: torch.tensor(rng.random(v[0].numel()).astype(np.float32))
-        for name, v in parameters.values.items()
-    }
-    leaf = parameters.values["means"].clone().requires_grad_()
-    column_rates = rates["means"].clone()
-    twin = torch.optim.Adam([leaf], lr=1.0, eps=1e-15)
-    for _ in range(3):
-        gradients = {
-            n: torch.tensor(rng.normal(size=v.shape), dtype=torch.float32)
-            for n, v in parameters.values.items()
-        }
-        before = leaf.detach().clone()
-        leaf.grad = gradients["means"].clone()
-        twin.step()
-        with torch.no_grad():
-            leaf.copy_(before + (leaf - before) * column_rates)
-        parameters.step(gradients, rates, native.Context())
-    np.testing.assert_allclose(parameters.values["means"], leaf.detach(), atol=1e-5)
+    shapes = {name: tuple(value.shape) for name, value in parameters.values.items()}
+    rates = {name: rng.random(math.prod(shape[1:])).astype(np.float32) for name, shape in shapes.items()}
+    want = {name: value.double().numpy().copy() for name, value in parameters.values.items()}
+    averages, squares = ({name: np.zeros(shape) for name, shape in shapes.items()} for _ in range(2))
+    context = native.Context()
+    for step in range(1, 4):
+        gradients = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+        for name, gradient in gradients.items():
+            averages[name] = 0.9 * averages[name] + 0.1 * gradient
+            squares[name] = 0.999 * squares[name] + 0.001 * gradient.astype(np.float64) ** 2
+            direction = averages[name] / (1 - 0.9**step) / np.sqrt(squares[name] / (1 - 0.999**step))
+            want[name] -= rates[name].reshape(shapes[name][1:]) * direction
+        tensors = {name: torch.tensor(gradient) for name, gradient in gradients.items()}
+        parameters.step(tensors, {name: torch.tensor(rate) for name, rate in rates.items()}, context)
+    for name, value in parameters.values.items():
+        np.testing.assert_allclose(value.numpy(), want[name], atol=2e-5, err_msg=name)
 
 
 def test_growth_splits_where_the_error_is_and_drops_the_faint() -> None:
