@@ -30,8 +30,9 @@ def box_cover(meshes: Sequence[Mesh]) -> list[BoxCollider]:
 
     Each connected component that fills its bounding box, or is a rod or plate, becomes that
     box; others are filled with cells along their surface, merged into as few boxes as a greedy
-    sweep finds, each shrunk to the surface inside it. Where gaps between links are narrower
-    than a cell the boxes may still overlap; such an asset needs authored colliders.
+    sweep finds, each shrunk to the surface inside it. Straight furniture is
+    met exactly; where a curved part leaves a gap narrower than a cell, boxes may overlap, and
+    such an asset needs authored colliders.
     """
     boxes: list[BoxCollider] = []
     for mesh in meshes:
@@ -112,7 +113,7 @@ def _cells(triangles: Array) -> list[tuple[Array, Array]]:
 
 def _planes(coordinates: Array, cell: float) -> Array:
     """Borders of the cells along one axis: where many vertices lie, or else evenly spaced."""
-    values = np.unique(np.round(coordinates / 1e-4)) * 1e-4
+    values = np.unique(np.round(coordinates / 1e-7)) * 1e-7
     values = values[np.concatenate([[True], np.diff(values) > 1e-3])]
     if len(values) > MAX_PLANES or len(values) < 2:
         low, high = float(coordinates.min()), float(coordinates.max())

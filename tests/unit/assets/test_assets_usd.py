@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aomgen.assets.archive import load_asset, save_asset
+from aomgen.assets.box_cover import box_cover
 from aomgen.assets.canonical import guess_handle
 from aomgen.assets.check import check_asset
 from aomgen.assets.make import make_asset
@@ -115,6 +116,16 @@ def test_boxes_are_made_where_none_are_authored(usd: Path) -> None:
     asset = read_usd(usd)
     assert len(asset.moving.colliders) >= 4
     assert check_asset(asset) == []
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_cover_of_a_drawer_keeps_its_gaps_open(seed: int) -> None:
+    asset = make_asset("drawer", seed)
+    static = replace(asset.static, colliders=tuple(box_cover(asset.static.meshes)))
+    moving = replace(asset.moving, colliders=tuple(box_cover(asset.moving.meshes)))
+    covered = replace(asset, static=static, moving=moving)
+    assert len(static.colliders) < 80
+    assert check_asset(covered) == []
 
 
 def _edit(usd: Path) -> Usd.Stage:
