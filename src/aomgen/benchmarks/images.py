@@ -43,8 +43,9 @@ def score_scan(
             continue
         real = read_image(path)
         image, labels = render(cameras[path.name], scan_state)
-        values["psnr"].append(psnr(image, real))
-        values["ssim"].append(ssim(image, real))
+        drawn, photographed = image.astype(np.float64) / 255, real.astype(np.float64) / 255
+        values["psnr"].append(psnr(drawn, photographed))
+        values["ssim"].append(ssim(drawn, photographed))
         true = read_labels(truth.folder / "masks" / "scan" / f"{path.stem}.png")
         values["objects"].append(masked_psnr(image, real, true > 0))
         add_ious(ious, labels, true)

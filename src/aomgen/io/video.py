@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import av
+import av.error
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,9 +65,9 @@ def read_video(path: Path) -> Video:
                     raise LimitExceededError(
                         path, f"is longer than {MAX_FRAMES} frames or too large", "cut the demonstration"
                     )
-                times.append(float(frame.pts * stream.time_base))
+                times.append(float(frame.pts * (stream.time_base or 0)))
                 frames.append(frame.to_ndarray(format="rgb24"))
-    except (av.FFmpegError, IndexError) as error:
+    except (av.error.FFmpegError, IndexError) as error:
         raise MalformedFileError(
             path,
             f"stops being readable after frame {len(frames)} ({error})",

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import binary_closing
 
 from aomgen.assets.check import require_usable
@@ -217,7 +216,7 @@ def support_plane(cleared: Cleared) -> SupportPlane:
         [x, y] for x in (support.low[0], support.high[0]) for y in (support.low[1], support.high[1])
     ]
 
-    def in_world(plane_xy: ArrayLike) -> Array:
+    def in_world(plane_xy: Array) -> Array:
         return apply(support.T_world_plane, np.column_stack([plane_xy, np.zeros(len(plane_xy))]))[:, :2]
 
     footprint = in_world(np.array(xy_corners))
