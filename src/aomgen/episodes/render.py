@@ -117,7 +117,7 @@ def _shades(
         solid = np.concatenate([apply(T_object, points[OBJECT]), apply(T_part, points[PART])])
         shadow = cast_shadow(solid, T_world_plane, relit.light)
         for name, seen in places.items():
-            shades[name].append(shadow.at(seen))
+            shades[name].append(shadow.at(seen, layers[name].camera.center))
     return {name: np.stack(images) for name, images in shades.items()}
 
 

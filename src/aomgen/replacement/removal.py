@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, gaussian_filter
+from scipy.ndimage import binary_dilation, binary_opening, gaussian_filter, label
+from scipy.spatial import ConvexHull
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
@@ -91,8 +92,9 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     gain = shadow_gain(picture, known, outside, xy)
     lightened = _lightened(remaining.gaussians, table, support, low, gain)
     texture = inpainted(np.clip(picture * gain, 0, 1), known, rng)
-    # Where nothing was scanned before either, the table ends.
-    where = (outside <= 0) | ((outside <= MARGIN + OVERLAP) & (extent > 0.5))
+    # Where nothing was scanned before either, the table ends; gaps within it are closed too.
+    thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
+    where = (outside <= 0) | (((outside <= MARGIN + OVERLAP) | thin) & _hull(extent > 0.5))
     fill = _surface(texture, xy, where, support, lightened.select(table))
     count = len(fill)
     cleared = replace(
@@ -119,6 +121,19 @@ def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
     faint = (world.opacities < 0.3) & (places[:, 2] > SURFACE) & (places[:, 2] < support.top + 2 * HALO)
     beneath = (np.abs(places[:, 2]) <= 0.04) & (places[:, 2] <= SURFACE) & (outside < MARGIN)
     return above | (faint & (beyond < 2 * HALO)) | beneath
+
+
+def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells (H, W) inside the convex hull of the largest connected patch; tables are convex."""
+    opened = binary_opening(cells, iterations=2)
+    components, count = label(opened)
+    if not count:
+        return cells
+    largest = components == 1 + np.bincount(components.ravel())[1:].argmax()
+    hull = ConvexHull(np.argwhere(largest))
+    places = np.argwhere(np.ones(cells.shape, bool))
+    inside = (places @ hull.equations[:, :2].T + hull.equations[:, 2] <= 1e-9).all(1)
+    return inside.reshape(cells.shape)
 
 
 def _cell_centres(low: Array, shape: tuple[int, ...]) -> Array:
@@ -180,7 +195,9 @@ def _cells(
     return cells, ((cells >= 0) & (cells < shape[1::-1])).all(1)
 
 
-def _in_cells(gaussians: Gaussians, support: Support, low: Array, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _in_cells(
+    gaussians: Gaussians, support: Support, low: Array, chosen: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     cells, inside = _cells(gaussians, support, low, chosen.shape)
     inside[inside] = chosen[cells[inside, 1], cells[inside, 0]]
     return inside

@@ -22,8 +22,9 @@ CELL: Final = 0.015
 REACH: Final = 0.35
 AZIMUTHS: Final = 16
 ELEVATIONS: Final = 5
-# Points this near to the plane lie on it, [m].
-SURFACE: Final = 0.012
+# Heights over which a seen point fades in and out of the surface, [m]. Depth of trained
+# surfaces is uncertain, mostly downwards, because lower Gaussians shine through.
+HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
 # Light that things around throw into a shadow, as a share of what is blocked.
 FILL: Final = 0.15
 
@@ -47,14 +48,22 @@ class ShadowMap:
         freeze(self, "low", self.low, (2,))
         freeze(self, "share", self.share, (None, None))
 
-    def at(self, points_world: ArrayLike) -> NDArray[np.float32]:
-        """Factor on sRGB values (...,) at points (..., 3); 1 away from the surface."""
-        places = apply(invert(self.T_world_plane), points_world)
-        cells = (places[..., :2] - self.low) / CELL - 0.5
+    def at(self, points_world: ArrayLike, eye_world: ArrayLike) -> NDArray[np.float32]:
+        """Factor on sRGB values (...,) at points (..., 3) seen from an eye (3,); 1 off the surface.
+
+        The shadow is looked up where the line of sight meets the surface.
+        """
+        T_plane_world = invert(self.T_world_plane)
+        places, eye = apply(T_plane_world, points_world), apply(T_plane_world, eye_world)
+        heights = places[..., 2]
+        along = eye[2] / np.maximum(eye[2] - heights, 1e-6)
+        met = eye[:2] + along[..., None] * (places[..., :2] - eye[:2])
+        cells = (met - self.low) / CELL - 0.5
         share = map_coordinates(self.share, [cells[..., 1], cells[..., 0]], order=1, cval=1.0)
         # sRGB is close to the power 1 / 2.2 of linear light.
         factor = np.maximum(share, 0) ** (1 / 2.2)
-        return np.where(np.abs(places[..., 2]) < SURFACE, factor, 1.0).astype(np.float32)
+        belongs = np.interp(heights, HEIGHTS, (0.0, 1.0, 1.0, 0.0))
+        return (1 - belongs * (1 - factor)).astype(np.float32)
 
 
 def cast_shadow(points_world: ArrayLike, T_world_plane: ArrayLike, light: Light) -> ShadowMap:

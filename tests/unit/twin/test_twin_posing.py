@@ -119,9 +119,8 @@ def test_a_box_casts_its_shadow_away_from_the_light(toy_scene):
     radiance = np.zeros((9, 3))
     radiance[0], radiance[3], radiance[2] = 1.0, -0.6, 0.4  # bright from +x and above
     light = replace(toy_scene.light, radiance_sh=radiance)
-    factor = cast_shadow(box, np.eye(4), light).at(
-        np.array([[-0.13, 0, 0], [0.13, 0, 0], [-2.0, 0, 0], [-0.13, 0, 0.1]])
-    )
+    places = np.array([[-0.13, 0, 0], [0.13, 0, 0], [-2.0, 0, 0], [-0.13, 0, 0.1]])
+    factor = cast_shadow(box, np.eye(4), light).at(places, (0.0, 0.0, 2.0))
     assert factor[0] < factor[1] < 1
     assert factor[0] < 0.8
     assert factor[2] == 1  # far away
