@@ -124,14 +124,19 @@ def test_nothing_in_view_shows_the_background() -> None:
 @pytest.mark.parametrize("isa", native.instruction_sets())
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -3e38])
 @pytest.mark.parametrize("field", ["means", "quats", "scales", "opacities", "sh"])
-def test_broken_numbers_are_left_out(field: str, value: float, isa: str) -> None:
+def test_broken_numbers_are_left_out(
+    field: str, value: float, isa: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Nothing crashes, nothing is NaN, and NaN or infinity changes no pixel at all."""
     good, bad = scatter(200, seed=1), scatter(40, seed=2)
     arrays = {name: np.array(getattr(bad, name)) for name in ("means", "quats", "scales", "opacities", "sh")}
     flat = arrays[field].reshape(40, -1)
     flat[:, np.arange(40) % flat.shape[1]] = value
     broken = Gaussians(**arrays)
-    native.scratch_context().configure(None, isa)
+    context = native.Context()
+    configure = context.configure
+    monkeypatch.setattr(context, "configure", lambda threads=None: configure(threads, isa))
+    monkeypatch.setattr(native, "scratch_context", lambda: context)
     drawn = render(concatenate([good, broken]), CAMERA, with_ids=True)
     assert all(np.isfinite(image).all() for image in (drawn.rgb, drawn.alpha, drawn.depth))
     if not np.isfinite(value):
