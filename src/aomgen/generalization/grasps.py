@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aomgen.core.plan import FittedAsset
-from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.core.values import Array, freeze
 
 
@@ -35,6 +35,10 @@ class HandConventions:
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
 # How far beyond the end effector point a bar may lie and still be between the pads, [m].
 DEPTHS_M = (-0.005, 0.012)
+# A bar may lie this much (cosine) along the approach before the hand is set square to it.
+MAX_ALONG_BAR = 0.6
+# The square hand is worth trying when it differs by more than this.
+MIN_LEVELLED_RAD = np.deg2rad(5.0)
 # A hand that cannot turn as far as the door lets the bar turn between its fingers this much.
 LOOSE_RATIO = 0.7
 # The 2F-85's pinch site: z out of the palm, fingers close along y.
@@ -75,16 +79,23 @@ def orientations(
         tilts_deg: Turns about the bar to try in this order.
 
     Yields:
-        Name and R_asset_ee (3, 3), every tilt once; last the hand turned half round, which swaps
+        Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the hand
+        square to the bar, each with every tilt; last the hand turned half round, which swaps
         the fingers.
     """
     bar = R_front_ee @ hand.bar
     near = handle_axis if bar @ handle_axis >= 0 else -handle_axis
-    aligned = _least_turn(bar, near) @ R_front_ee
-    turned = matrix_from_rotvec(np.pi * (aligned @ hand.approach)) @ aligned
-    for tilt in tilts_deg:
-        yield f"tilt {tilt:+.0f}", matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ aligned
-    yield "turned", turned
+    level = _least_turn(bar, near) @ R_front_ee
+    bases = [("", _across(R_front_ee, near, hand))]
+    if abs((R_front_ee @ hand.approach) @ near) > MAX_ALONG_BAR:
+        bases = []
+    if not bases or angle_between(bases[0][1] @ hand.approach, level @ hand.approach) > MIN_LEVELLED_RAD:
+        bases.append(("level ", level))
+    for label, base in bases:
+        for tilt in tilts_deg:
+            yield f"{label}tilt {tilt:+.0f}", matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ base
+    first = bases[0][1]
+    yield "turned", matrix_from_rotvec(np.pi * (first @ hand.approach)) @ first
 
 
 def grasps(
@@ -116,6 +127,15 @@ def grasps(
                 held_ee=depth * hand.approach,
                 turn_ratio=share,
             )
+
+
+def _across(R: Array, bar: Array, hand: HandConventions) -> Array:
+    """The hand rolled about its approach by at most 90 degrees until its fingers close across the bar."""
+    approach, closing = R @ hand.approach, R @ hand.closing
+    side = np.cross(approach, closing)
+    angle = np.arctan2(-(closing @ bar), side @ bar)
+    angle = (angle + np.pi / 2) % np.pi - np.pi / 2
+    return matrix_from_rotvec(angle * approach) @ R
 
 
 def _least_turn(a: Array, b: Array) -> Array:
