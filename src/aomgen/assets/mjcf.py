@@ -7,11 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix, transform
 
 COLLIDER_GROUP = 3
 VISUAL_GROUP = 2
+# Keeps light doors stable in the solver, [kg m^2] or [kg].
+ARMATURE = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,17 +81,7 @@ def add_asset(
     if free_joint:
         static.add_freejoint(name=free_joint)
     moving = static.add_body(name=f"{prefix}moving")
-    moving.add_joint(
-        name=f"{prefix}joint",
-        type=mujoco.mjtJoint.mjJNT_HINGE if asset.joint.type == "revolute" else mujoco.mjtJoint.mjJNT_SLIDE,
-        pos=asset.joint.origin,
-        axis=asset.joint.axis,
-        range=[asset.joint.lower, asset.joint.upper],
-        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-        damping=[damping, 0.0, 0.0],
-        frictionloss=frictionloss,
-        armature=0.005,
-    )
+    _add_joint(moving, asset.joint, f"{prefix}joint", damping, frictionloss)
     static_geoms = _add_colliders(static, asset.static, f"{prefix}static_", friction)
     moving_geoms = _add_colliders(moving, asset.moving, f"{prefix}moving_", friction)
     spec.add_exclude(name=f"{prefix}exclude", bodyname1=f"{prefix}static", bodyname2=f"{prefix}moving")
@@ -150,6 +143,21 @@ def add_texture(spec: mujoco.MjSpec, name: str, texture_srgb: NDArray[np.uint8])
         name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height, nchannel=channels
     )
     item.data = np.ascontiguousarray(texture_srgb).tobytes()
+
+
+def _add_joint(body: mujoco.MjsBody, joint: Joint, name: str, damping: float, frictionloss: float) -> None:
+    hinge = joint.type == "revolute"
+    body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE if hinge else mujoco.mjtJoint.mjJNT_SLIDE,
+        pos=joint.origin,
+        axis=joint.axis,
+        range=[joint.lower, joint.upper],
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        damping=[damping, 0.0, 0.0],
+        frictionloss=frictionloss,
+        armature=ARMATURE,
+    )
 
 
 def _add_colliders(
