@@ -147,12 +147,15 @@ def _moved(S: Array, step: Array, posture: RobotPosture) -> Array:
 
 def spread(views: list[View], S: Array, drawing: RobotDrawing, count: int) -> list[View]:
     """Views that show the robot well, chosen far from one another by viewing direction."""
-    target = drawing.posture.points_world(300).mean(0)
+    robot = drawing.posture.points_world(300)
+    target = robot.mean(0)
     usable, directions = [], []
     for view in views:
         camera = camera_in_world(S, view.camera_recon)
-        small = camera.resized(160, max(1, round(160 * camera.height / camera.width)))
-        if drawing.contour(small, 100) is not None:
+        pixels, depths = camera.project(robot)
+        size = np.array([camera.width, camera.height])
+        inside = (depths > 0.05) & np.all((pixels > 0) & (pixels < size), 1)
+        if inside.mean() > 0.3 and np.prod(np.ptp(pixels[inside], axis=0)) > 0.02 * np.prod(size):
             offset = camera.center - target
             usable.append(view)
             directions.append(offset / np.linalg.norm(offset))

@@ -13,6 +13,7 @@ from scipy.ndimage import distance_transform_edt
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
+from aomgen.errors import BackendError
 from aomgen.reconstruction.segmenter import Mask, PreparedImage, clean
 from aomgen.splatting.rasterizer import contribution_weights, render
 
@@ -47,6 +48,8 @@ def drawn_parts(gaussians: Gaussians, labels: NDArray[np.uint8], camera: Camera)
     """Masks of static and moving part as their Gaussians paint them, occlusion included."""
     features = np.stack([labels == STATIC, labels == MOVING], 1).astype(np.float32)
     shares = render(gaussians, camera, features=features).features
+    if shares is None:
+        raise BackendError("rasterizer", "drew no features", "rebuild the engine")
     return {STATIC: shares[..., 0] > 0.5, MOVING: shares[..., 1] > 0.5}
 
 
@@ -82,7 +85,7 @@ def _asked(prepared: PreparedImage, part: str, drawn: Mask, robot: Mask, min_iou
     rows, columns = np.flatnonzero(drawn.any(1)), np.flatnonzero(drawn.any(0))
     box = [columns[0] - 1, rows[0] - 1, columns[-1] + 2, rows[-1] + 2]
     free = drawn & ~robot
-    inside = distance_transform_edt(np.pad(free, 1))
+    inside = np.asarray(distance_transform_edt(np.pad(free, 1)))
     row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
     points = np.array([[column - 0.5, row - 0.5, 1.0]])
     best, best_iou = None, min_iou

@@ -155,6 +155,8 @@ def _robot(
     # What no view shows lies inside the robot when it is close to its surface.
     # Mirroring metal is reconstructed behind its surface: what all views see inside the robot is robot.
     close = (share > 0.5) & (distances < MAX_DISTANCE_M)
+    # A Gaussian on a thin finger paints well beyond the finger's outline.
+    close |= (share > 0.25) & (distances < 0.5 * MAX_DISTANCE_M)
     behind = (share > 0.85) & (distances < LOOSE_DISTANCE_M)
     robot = (near >= 0) & np.where(seen > 0.05, close | behind, distances < 0.01)
     return np.where(robot, near, -1).astype(np.int32), share

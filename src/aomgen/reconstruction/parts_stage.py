@@ -1,6 +1,7 @@
 """Loading and saving of the parts stage."""
 
 import io
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -101,7 +102,7 @@ def load_parts(folder: Path) -> Parts:
                 robot_bodies=arrays["robot_bodies"],
                 views=tuple(str(name) for name in arrays["views"]),
             )
-    except (ValueError, KeyError, OSError) as error:
+    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
         raise MalformedFileError(
             path, f"does not hold part labels ({error})", "run the stage again"
         ) from error
