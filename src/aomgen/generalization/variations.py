@@ -15,6 +15,9 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.physics.robot import RobotModel
 
+# An object may stand this far beyond the table's estimated edge, [m].
+OVERHANG_M = 0.02
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseRanges:
@@ -75,6 +78,15 @@ def worth_trying(
     held = apply(T @ moved, fitted.contact_asset[None])
     if not np.linalg.norm(held - shoulder_world, axis=1).max() <= 0.9 * reach_m:
         return False
+    # The recorded object stood on the table, so its place belongs to it whatever the estimate says.
+    recorded = _footprint(fitted, fitted.T_world_asset)
+    low = np.minimum(support.low_xy, recorded.min(0)) - OVERHANG_M
+    high = np.maximum(support.high_xy, recorded.max(0)) + OVERHANG_M
+    corners = _footprint(fitted, T)
+    return bool(np.all(corners >= low) and np.all(corners <= high))
+
+
+def _footprint(fitted: FittedAsset, T_world_object: Array) -> Array:
+    """Corners of the static part seen from above (N, 2), world frame, [m]."""
     feet = np.concatenate([box.corners for box in fitted.asset.static.colliders])
-    corners = apply(T, feet)[:, :2]
-    return bool(np.all(corners >= support.low_xy) and np.all(corners <= support.high_xy))
+    return apply(T_world_object, feet)[:, :2]

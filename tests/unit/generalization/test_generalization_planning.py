@@ -18,7 +18,7 @@ from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik
 from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
 from aomgen.generalization.stage import load_generalization, run_generalization
-from aomgen.generalization.variations import PoseRanges, variations
+from aomgen.generalization.variations import PoseRanges, variations, worth_trying
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.physics.scene import build_scene
 
@@ -228,3 +228,16 @@ def test_too_few_episodes_stop_with_counted_reasons(
     )
     with pytest.raises(NotEnoughEpisodesError, match="2 target_too_small"):
         generate_episodes([short], demo, robot, SUPPORT, params, lambda share, text: None)
+
+
+def test_poses_off_the_table_or_out_of_reach_are_not_tried(fitted: FittedAsset) -> None:
+    shoulder = np.array([0.0, 0.0, 0.16])
+    T = fitted.T_world_asset[:2, 3]
+    small = SupportPlane(height=0.05, low_xy=T - 0.3, high_xy=T + 0.3)
+    here = Variation(seed=0, index=0, x=0, y=0, yaw=0)
+    assert worth_trying(here, fitted, small, shoulder, 1.1)
+    assert not worth_trying(replace(here, y=0.3), fitted, small, shoulder, 1.1)
+    assert worth_trying(replace(here, y=0.3), fitted, SUPPORT, shoulder, 1.1)
+    assert not worth_trying(replace(here, x=0.5), fitted, SUPPORT, shoulder, 1.1)
+    # The recorded place counts as table even where its edge is estimated too near.
+    assert worth_trying(here, fitted, replace(small, high_xy=T - 0.1), shoulder, 1.1)
