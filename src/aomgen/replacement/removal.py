@@ -126,14 +126,14 @@ def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
 def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells (H, W) inside the convex hull of the largest connected patch; tables are convex."""
     opened = binary_opening(cells, iterations=2)
-    components, count = label(opened)
-    if not count:
+    components = np.zeros(cells.shape, np.int32)
+    if not label(opened, output=components):
         return cells
     largest = components == 1 + np.bincount(components.ravel())[1:].argmax()
     hull = ConvexHull(np.argwhere(largest))
     places = np.argwhere(np.ones(cells.shape, bool))
     inside = (places @ hull.equations[:, :2].T + hull.equations[:, 2] <= 1e-9).all(1)
-    return inside.reshape(cells.shape)
+    return np.asarray(inside).reshape(cells.shape)
 
 
 def _cell_centres(low: Array, shape: tuple[int, ...]) -> Array:
@@ -192,7 +192,7 @@ def _cells(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Column and row (N, 2) of each Gaussian in the picture from above, and which are inside it."""
     cells = np.floor((support.coordinates(gaussians.means)[:, :2] - low) / CELL).astype(np.int64)
-    return cells, ((cells >= 0) & (cells < shape[1::-1])).all(1)
+    return cells, np.asarray(((cells >= 0) & (cells < shape[1::-1])).all(1))
 
 
 def _in_cells(

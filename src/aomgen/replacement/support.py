@@ -17,7 +17,7 @@ from aomgen.splatting.rasterizer import render
 # have a tail of Gaussians below, which show through the upper ones and belong to it too.
 SURFACE: Final = 0.012
 TAIL: Final = 0.035
-MIN_SUPPORT: Final = 60
+MIN_SUPPORT: Final = 40
 # This share of the object's height stands on the surface, without handles that reach out.
 LOWER_SHARE: Final = 0.2
 # Height of the camera that looks down; so far away that its picture is an orthographic one, [m].

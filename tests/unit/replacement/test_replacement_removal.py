@@ -33,6 +33,7 @@ def test_no_hole_and_no_trace_of_the_object_is_left(toy_scene, cleared, eye):
     )
     before = render_state(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state, camera, with_ids=True)
     after = render_state(cleared.twin, toy_scene.robot, toy_scene.twin.scan_state, camera, with_ids=True)
+    assert before.max_id is not None
     was_object = np.isin(toy_scene.twin.labels[np.maximum(before.max_id, 0)], (2, 3)) & (before.max_id >= 0)
     rays = camera.directions()
     hit = camera.center + rays * (-camera.center[2] / np.minimum(rays[..., 2], -1e-6))[..., None]
