@@ -35,7 +35,9 @@ class GaussiansParams:
     """
 
     densify: DensifyParams = field(default_factory=DensifyParams)
-    training: TrainingParams = field(default_factory=lambda: TrainingParams(max_gaussians=110_000))
+    training: TrainingParams = field(
+        default_factory=lambda: TrainingParams(iterations=1400, max_gaussians=110_000)
+    )
     near_share: float = 0.25
     min_psnr_db: float = 15.0
     seed: int = 0
