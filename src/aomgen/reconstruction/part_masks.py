@@ -62,7 +62,7 @@ def prompt_again(
     the static part is what is left. None when an answer and the drawing disagree too much.
     """
     drawn = drawn_parts(gaussians, labels, view.camera)
-    whole = _asked(prepared, "static", clean_drawn(drawn[STATIC] | drawn[MOVING]), view.robot, 0.65)
+    whole = _asked(prepared, "object", clean_drawn(drawn[STATIC] | drawn[MOVING]), view.robot, 0.65)
     if whole is None or not whole.any():
         return None
     moving = _asked(prepared, "moving", clean_drawn(drawn[MOVING]), view.robot, 0.5)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.ndimage import binary_closing, binary_fill_holes, binary_opening, gaussian_filter, label
 
-from aomgen.conventions import PART_LABELS
+from aomgen.conventions import MOVING, PART_LABELS, STATIC
 from aomgen.errors import BackendError, MalformedFileError
 from aomgen.io.images import read_labels
 from aomgen.reconstruction.weights import find_weights
@@ -37,7 +37,7 @@ class PreparedImage(Protocol):
         """Mask (H, W) of a part.
 
         Args:
-            part: "moving" or "static"; only label images need it.
+            part: "moving", "static" or "object" (both); only label images need it.
             box_px: x0, y0, x1, y1 (4,), [px], around the part.
             points: (N, 3): x, y [px] and 1 = on the part, 0 = not on it; may be empty.
         """
@@ -131,6 +131,8 @@ class _LabelImage:
     labels: NDArray[np.uint8]
 
     def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
+        if part == "object":
+            return (self.labels == STATIC) | (self.labels == MOVING)
         return self.labels == PART_LABELS[part]
 
 
