@@ -150,11 +150,11 @@ def initial_gaussians(dense: DensePoints) -> Gaussians:
     quats[known] = quat_from_matrix(_frames(dense.normals_recon[known]))
     colors = (dense.colors_srgb / 255.0 - 0.5) / SH_C0
     return Gaussians(
-        means=points,
-        quats=quats,
-        scales=scales,
-        opacities=np.full(len(points), 0.6),
-        sh=colors[:, None, :],
+        means=points.astype(np.float32),
+        quats=quats.astype(np.float32),
+        scales=scales.astype(np.float32),
+        opacities=np.full(len(points), 0.6, np.float32),
+        sh=colors[:, None, :].astype(np.float32),
     )
 
 
