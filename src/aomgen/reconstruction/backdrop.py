@@ -60,6 +60,7 @@ def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) ->
         votes = (np.abs(rest @ normals.T - offsets) < tolerance).sum(0)
         best = int(votes.argmax())
         inliers = np.abs(rest @ normals[best] - offsets[best]) < tolerance
+        center, normal = np.zeros(3), normals[best]
         for _ in range(3):
             center = rest[inliers].mean(0)
             normal = np.linalg.svd(rest[inliers] - center, full_matrices=False)[2][2]
@@ -84,7 +85,7 @@ def explain(
     Returns:
         Samples on planes; samples whose points are unit directions instead, seen at infinity.
     """
-    blurred = [ndimage.uniform_filter(m.image_srgb.astype(np.float32), (3, 3, 1)) for m in maps]
+    blurred = [ndimage.uniform_filter(m.image_srgb.astype(np.float32), (3, 3, 1)) for m in maps]  # pyright: ignore[reportArgumentType]
     trees = [cKDTree(plane.support) for plane in planes]
     reach = np.median([np.linalg.norm(p.support - p.support.mean(0), axis=1).mean() for p in planes] or [1.0])
     on_planes, far = [], []

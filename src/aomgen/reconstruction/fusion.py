@@ -142,7 +142,7 @@ def thin(samples: Samples, target: int) -> Samples:
         colors_srgb=np.round(mean(samples.colors_srgb.astype(np.float64))).astype(np.uint8),
         footprints=mean(wanted[:, None] * high)[:, 0],
         detail=np.ones(int(keep.sum())),
-        weights=totals[keep],
+        weights=totals[keep].astype(np.float64),
     )
 
 
@@ -163,7 +163,7 @@ def _samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
         colors_srgb=depth_map.image_srgb[keep],
         footprints=(1.0 / np.maximum(depth_map.inverse_depth[keep], depth_map.step)) / depth_map.camera.fx,
         detail=detail[keep],
-        weights=np.minimum(votes[keep] - 1.0, 2.0),
+        weights=np.minimum(votes[keep] - 1.0, 2.0).astype(np.float64),
     )
 
 
