@@ -71,5 +71,5 @@ def rotate_sh(sh: NDArray[np.float32], R: ArrayLike) -> NDArray[np.float32]:
     result = np.array(sh, np.float32)
     for band, matrix in enumerate(sh_rotation(R, degree), start=1):
         columns = slice(band * band, (band + 1) ** 2)
-        result[:, columns] = np.einsum("ij,njc->nic", matrix.astype(np.float32), sh[:, columns])
+        result[:, columns] = np.matmul(matrix.astype(np.float32), sh[:, columns])
     return result
