@@ -5,7 +5,7 @@ VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
-LEROBOT_VENV ?= .venv-lerobot
+LEROBOT_VENV := .venv-lerobot
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .PHONY: demo test check install weights native lerobot-test clean
@@ -19,7 +19,7 @@ test: $(VENV)/dev.stamp weights
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python --level error
 
 install: $(VENV)/demo.stamp weights
 
@@ -52,10 +52,8 @@ $(VENV)/dev.stamp: $(VENV)/demo.stamp
 weights: $(VENV)/demo.stamp
 	@$(BIN)/python -m aomgen.reconstruction.weights
 
-$(LEROBOT_VENV)/installed.stamp: requirements/lerobot-py311.txt
-	$(PYTHON) -m venv $(LEROBOT_VENV)
-	$(LEROBOT_VENV)/bin/pip install -q -r requirements/lerobot-py311.txt
-	$(LEROBOT_VENV)/bin/pip install -q --no-deps lerobot==0.4.4
+$(LEROBOT_VENV)/installed.stamp: requirements/lerobot-py311.txt tests/lerobot_env.sh
+	PYTHON=$(PYTHON) sh tests/lerobot_env.sh
 	@touch $@
 
 clean:
