@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
@@ -23,7 +24,7 @@ CLEARANCE: Final = 0.06
 # points must lie in the picture; if no camera can, the second pair holds.
 DEMANDS: Final = ((0.35, 0.9), (0.9, 0.6))
 # Share of the picture's width that the action should span.
-WANTED_SPAN: Final = 0.45
+WANTED_SPAN: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,15 +68,17 @@ def choose_viewpoint(
     if not scan_cameras:
         raise ReconstructionError("viewpoint", "no scan camera is registered", "scan the scene again")
     every = np.concatenate(list(key_points))
-    target = every.mean(0)
     rigged = rig(twin)
     scenes = [rigged.pose(body_poses(twin, robot, state)) for state in states]
+    of_object = np.isin(twin.labels[rigged.order], (STATIC, MOVING))
+    framed = np.concatenate([every, *(_corners(scene.means[of_object]) for scene in scenes)])
+    target = framed.mean(0)
     for max_turn, share in DEMANDS:
         best: Viewpoint | None = None
         for name in sorted(scan_cameras):
             camera = aimed(first, scan_cameras[name], target, max_turn)
             if camera is not None:
-                promise = _promise(camera, first, every, share)
+                promise = _promise(camera, first, framed, share)
                 if promise is not None and (best is None or promise + 1.0 > best.score):
                     visible = _visible_share(camera.resized(*LOOK), scenes, key_points)
                     if best is None or promise + visible > best.score:
@@ -87,6 +90,15 @@ def choose_viewpoint(
     raise ReconstructionError(
         "viewpoint", "no scan camera sees the action", "name a camera in the project file"
     )
+
+
+def _corners(points: ArrayLike) -> Array:
+    """Corners (8, 3) of the box around points (N, 3), outliers left out; (0, 3) without points."""
+    points = np.asarray(points, np.float64)
+    if not len(points):
+        return np.zeros((0, 3))
+    low, high = np.quantile(points, (0.02, 0.98), axis=0)
+    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 0, low, high)
 
 
 def _promise(camera: Camera, first: Camera, points: Array, share: float) -> float | None:
