@@ -152,12 +152,14 @@ def _robot(
         inside += weights[:, 0]
         seen += weights.sum(1)
     share = inside / np.maximum(seen, 1e-9)
-    # What no view shows lies inside the robot when it is close to its surface.
-    # Mirroring metal is reconstructed behind its surface: what all views see inside the robot is robot.
     close = (share > 0.5) & (distances < MAX_DISTANCE_M)
     # A Gaussian on a thin finger paints well beyond the finger's outline.
     close |= (share > 0.25) & (distances < 0.5 * MAX_DISTANCE_M)
+    # Rims that peep past the outline, and small Gaussians that nearly touch the model, are robot too.
+    close |= (distances < 0.3 * MAX_DISTANCE_M) & (gaussians.scales.max(1) < MAX_DISTANCE_M)
+    # Mirroring metal is reconstructed behind its surface: what all views see inside the robot is robot.
     behind = (share > 0.85) & (distances < LOOSE_DISTANCE_M)
+    # What no view shows lies inside the robot when it is close to its surface.
     robot = (near >= 0) & np.where(seen > 0.05, close | behind, distances < 0.01)
     return np.where(robot, near, -1).astype(np.int32), share
 
