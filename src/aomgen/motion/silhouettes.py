@@ -13,11 +13,16 @@ from aomgen.motion.clock import MasksAt
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 
+# Masks are compared at a few hundred pixels, where finer meshes would not be seen, [m].
+CELL_M = 0.003
+
 
 @contextmanager
 def robot_masks(robot: RobotModel, camera: Camera, log: JointLog) -> Iterator[MasksAt]:
     """A function that draws robot masks at log times in the demonstration camera; one OpenGL context."""
-    with SilhouetteRenderer(robot, max_width=camera.width, max_height=camera.height) as renderer:
+    with SilhouetteRenderer(
+        robot, max_width=camera.width, max_height=camera.height, cell_m=CELL_M
+    ) as renderer:
 
         def masks_at(times_s: Array, width: int, height: int) -> NDArray[np.bool_]:
             small = camera.resized(width, height)

@@ -11,9 +11,11 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
-from aomgen.synthetic.robot_looks import add_robot_looks
+from aomgen.physics.robot_looks import add_robot_looks
 from aomgen.synthetic.room import Room, add_room
 
+# How finely the robot is drawn, [m]: less than a pixel in these pictures.
+ROBOT_CELL_M = 0.0025
 # The passive joint: (damping, dry friction) in [N m s/rad], [N m] or [N s/m], [N].
 RESISTANCE = {"revolute": (0.35, 0.25), "prismatic": (4.0, 2.0)}
 
@@ -111,7 +113,7 @@ def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
         spec, setting.asset, setting.T_world_object, damping=damping, frictionloss=friction, visual=visual
     )
     if visual:
-        add_robot_looks(spec, robot)
+        add_robot_looks(spec, robot, ROBOT_CELL_M)
         spec.stat.extent, spec.stat.center = 1.6, [0.0, 0.0, 0.0]
         spec.visual.quality.shadowsize = 1024
         spec.visual.headlight.ambient = [0.42, 0.42, 0.42]

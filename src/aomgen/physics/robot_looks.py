@@ -1,24 +1,24 @@
-"""The robot as it is drawn in synthetic captures: the same shape with a quarter of the triangles."""
+"""The robot as it is drawn often: the same shape with a fraction of the triangles."""
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotMesh, RobotModel
-
-# Vertices that share a cell of this size become one, [m]: less than a pixel in these pictures.
-CELL_M = 0.0025
+from aomgen.physics.robot import VISUAL_GROUP, RobotMesh, RobotModel
 
 
-def add_robot_looks(spec: mujoco.MjSpec, robot: RobotModel) -> None:
+def add_robot_looks(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> None:
     """Add simplified visual meshes to a model that holds the robot's bodies without its looks.
 
-    Drawing time of a software renderer is mostly vertices; this makes a capture three times
-    faster. Silhouettes move by less than a millimetre.
+    Drawing time of a software renderer is mostly vertices.
+
+    Args:
+        spec: Gets the meshes; holds the robot's bodies.
+        robot: Whose looks are added.
+        cell_m: Vertices that share a cell of this size become one; outlines move by a fraction of it.
     """
-    for number, (mesh, vertices, faces) in enumerate(_simplified_meshes(robot)):
+    for number, (mesh, vertices, faces) in enumerate(_simplified_meshes(robot, cell_m)):
         name = f"looks_{number}"
         item = spec.add_mesh(name=name, uservert=vertices.ravel(), userface=faces.ravel().astype(np.int32))
         item.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
@@ -36,7 +36,7 @@ def add_robot_looks(spec: mujoco.MjSpec, robot: RobotModel) -> None:
         )
 
 
-def _simplified_meshes(robot: RobotModel) -> list[tuple[RobotMesh, Array, NDArray[np.int64]]]:
+def _simplified_meshes(robot: RobotModel, cell_m: float) -> list[tuple[RobotMesh, Array, NDArray[np.int64]]]:
     """Every visual mesh with its simplified vertices and faces.
 
     Meshes of one body are merged by the same cells, so that no cracks open between them.
@@ -45,7 +45,7 @@ def _simplified_meshes(robot: RobotModel) -> list[tuple[RobotMesh, Array, NDArra
     for body in sorted({mesh.body for mesh in robot.meshes}):
         meshes = [mesh for mesh in robot.meshes if mesh.body == body]
         offsets = np.cumsum([0] + [len(mesh.vertices_body) for mesh in meshes])
-        means, cells = merged_vertices(np.concatenate([mesh.vertices_body for mesh in meshes]), CELL_M)
+        means, cells = merged_vertices(np.concatenate([mesh.vertices_body for mesh in meshes]), cell_m)
         for mesh, offset in zip(meshes, offsets, strict=False):
             faces = cells[mesh.faces + offset]
             distinct = np.diff(np.sort(faces, 1), axis=1).min(1) > 0
