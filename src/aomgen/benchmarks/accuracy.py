@@ -7,6 +7,7 @@ A quantity that was refused (null) although truth has it scores None and is list
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.benchmarks.truth import Truth
 from aomgen.core.transforms import angle_between, apply, invert, rotvec_from_matrix, similarity_parts, umeyama
@@ -76,7 +77,7 @@ def _alignment(estimates: dict[str, Any], truth: Truth, robot: RobotModel) -> di
     }
 
 
-def _robust_similarity(source: Array, target: Array) -> tuple[Array, Array]:
+def _robust_similarity(source: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Least-squares similarity on the camera centres that agree with each other.
 
     Starts from the best of many minimal samples, because a misregistered camera may be metres off.
@@ -89,11 +90,12 @@ def _robust_similarity(source: Array, target: Array) -> tuple[Array, Array]:
         if np.median(errors) < np.median(best):
             best = errors
     inliers = best < max(MISREGISTERED_M, 5 * float(np.median(best)))
+    S = umeyama(source[inliers], target[inliers])
     for _ in range(5):
-        S = umeyama(source[inliers], target[inliers])
         errors = np.linalg.norm(apply(S, source) - target, axis=1)
         inliers = errors < MISREGISTERED_M
-    return S, inliers
+        S = umeyama(source[inliers], target[inliers])
+    return S, np.asarray(inliers)
 
 
 def _demo_camera(estimates: dict[str, Any], truth: Truth, camera: str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
 from aomgen.core.progress import Progress
@@ -11,7 +12,7 @@ from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.ik import ik_solver
 from aomgen.generalization.planning import PlanParams, plan_episode
-from aomgen.generalization.variations import PoseRanges, longest_reach, variations, worth_trying
+from aomgen.generalization.variations import PoseRanges, in_view, longest_reach, variations, worth_trying
 from aomgen.physics.kinematic import table_overlap_m
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.scene import Scene, build_scene
@@ -32,8 +33,10 @@ class GenerationParams:
         plan: How an episode is planned.
         rule: When it counts.
         bolted: The object is fixed to its support; False lets it stand by friction.
+        cameras: Cameras that must show the action, world frame.
+        least_in_view: Share of the object that each of them must show, 0..1.
         attempts_per_episode: Variations tried for each wanted episode before giving up.
-        max_skipped: Poses out of reach or off the table in a row before giving up.
+        max_skipped: Poses out of reach, off the table or out of view in a row before giving up.
     """
 
     count: int
@@ -42,6 +45,8 @@ class GenerationParams:
     plan: PlanParams = field(default_factory=PlanParams)
     rule: PassRule = field(default_factory=PassRule)
     bolted: bool = True
+    cameras: tuple[Camera, ...] = ()
+    least_in_view: float = 0.85
     attempts_per_episode: int = 5
     max_skipped: int = 500
 
@@ -123,7 +128,8 @@ def generate_episodes(
         for variation in variations(params.seed + number, params.ranges):
             if good >= params.count:
                 break
-            if not worth_trying(variation, fitted, support, shoulder, reach):
+            shown = all(in_view(variation, fitted, camera, params.least_in_view) for camera in params.cameras)
+            if not (shown and worth_trying(variation, fitted, support, shoulder, reach)):
                 passed_over += 1
                 if passed_over < params.max_skipped:
                     continue
@@ -164,7 +170,7 @@ def _too_few(
     reasons = ", ".join(f"{count} {reason}" for reason, count in counts.most_common()) or "none tried"
     return NotEnoughEpisodesError(
         asset,
-        f"{good} of {params.count} episodes verified in {tried} attempts, {skipped} poses out of reach or off "
-        f"the table ({reasons})",
+        f"{good} of {params.count} episodes verified in {tried} attempts, {skipped} poses out of reach, off the "
+        f"table or out of view ({reasons})",
         "narrow the pose ranges, choose another asset or ask for fewer episodes",
     )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from aomgen.core.camera import Camera
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.transforms import apply
@@ -90,3 +91,25 @@ def _footprint(fitted: FittedAsset, T_world_object: Array) -> Array:
     """Corners of the static part seen from above (N, 2), world frame, [m]."""
     feet = np.concatenate([box.corners for box in fitted.asset.static.colliders])
     return apply(T_world_object, feet)[:, :2]
+
+
+def in_view(variation: Variation, fitted: FittedAsset, camera: Camera, least_share: float) -> bool:
+    """Whether a camera shows the action: the held point always, and most of the object.
+
+    Args:
+        variation: Where the object stands.
+        fitted: The object and its planned motion.
+        camera: World frame.
+        least_share: Of the closed object's outline box that must lie inside the picture, 0..1.
+    """
+    T = variation.placed(fitted)
+    moved = T @ fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, 5))
+    held, depths = camera.project(apply(moved, fitted.contact_asset[None]))
+    size = np.array([camera.width, camera.height])
+    if not (np.all(depths > 0) and np.all(held >= 0) and np.all(held <= size)):
+        return False
+    boxes = (*fitted.asset.static.colliders, *fitted.asset.moving.colliders)
+    pixels, _ = camera.project(apply(T, np.concatenate([box.corners for box in boxes])))
+    low, high = pixels.min(0), pixels.max(0)
+    inside = np.clip(high, 0, size) - np.clip(low, 0, size)
+    return bool(np.prod(inside) >= least_share * np.prod(high - low))

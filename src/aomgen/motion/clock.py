@@ -159,7 +159,7 @@ def _coarse(
             f"spans {log_times_s[-1] - log_times_s[0]:.1f} s, too little for a video of {count * step:.1f} s",
             "export the log of the whole demonstration",
         )
-    masks = masks_at(grid, *frames.size).reshape(len(grid), -1)
+    masks = masks_at(np.asarray(grid, np.float64), *frames.size).reshape(len(grid), -1)
     totals = np.zeros(len(shifts))
     for lag in params.lags:
         changes = np.stack([frames.change(k, k + lag) for k in range(count - lag)])

@@ -235,7 +235,7 @@ def _edges(
 
 def _dense(interval: tuple[float, float]) -> Array:
     count = max(2, round((interval[1] - interval[0]) / _DENSE_STEP_S) + 1)
-    return np.linspace(interval[0], interval[1], count)
+    return np.linspace(interval[0], interval[1], count, dtype=np.float64)
 
 
 def _poses(demo: Demonstration, log_times_s: Array) -> Array:

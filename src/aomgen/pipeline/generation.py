@@ -108,7 +108,10 @@ def plans(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     support = stored_support(run)
     demo, _ = recorded_demonstration(run, robot, load_twin(run.folders["twin"]), support)
     params = GenerationParams(
-        count=run.project.poses, seed=run.project.seed, plan=PlanParams(fps=demo_fps(run))
+        count=run.project.poses,
+        seed=run.project.seed,
+        plan=PlanParams(fps=demo_fps(run)),
+        cameras=tuple(stored_cameras(run).values()),
     )
     result = run_generalization(fitted_assets(run), demo, robot, support, params, folder, progress)
     margins = [episode.verdict.margin for episode in result.episodes]
@@ -130,10 +133,7 @@ def episodes(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         for index, item in enumerate(fitted)
     }
     scene = read_json(run.folders["replacement"] / "scene.json")
-    cameras = {
-        name: Camera(**values)
-        for name, values in read_json(run.folders["replacement"] / "cameras.json").items()
-    }
+    cameras = stored_cameras(run)
     folders = run_episodes(
         verified,
         twins,
@@ -227,6 +227,12 @@ def support_plane(cleared: Cleared) -> SupportPlane:
 def stored_support(run: Run) -> SupportPlane:
     """The table that the replacement stage found."""
     return SupportPlane(**read_json(run.folders["replacement"] / "scene.json")["support"])
+
+
+def stored_cameras(run: Run) -> dict[str, Camera]:
+    """The cameras of the episodes' pictures, world frame, by name."""
+    stored = read_json(run.folders["replacement"] / "cameras.json")
+    return {name: Camera(**values) for name, values in stored.items()}
 
 
 def fitted_assets(run: Run) -> list[FittedAsset]:

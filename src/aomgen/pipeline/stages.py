@@ -1,18 +1,34 @@
 """The one list of stages, and how it is run."""
 
+import importlib
 from pathlib import Path
+from typing import Any
 
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
+from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
-from aomgen.pipeline import generation, recovery
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.project import Project, write_project
 from aomgen.pipeline.runner import Display, run_stages
-from aomgen.pipeline.stage import Stage
+from aomgen.pipeline.stage import Run, Stage, StageFunction
 
 PROJECT_FILE = "project.toml"
+REPORT_FILE = "report.html"
+
+
+def lazily(module: str, name: str) -> StageFunction:
+    """A stage function of a sibling module, imported when the stage runs.
+
+    A finished run is looked through in a second that way, without torch or MuJoCo.
+    """
+
+    def function(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+        return getattr(importlib.import_module(f"aomgen.pipeline.{module}"), name)(run, folder, progress)
+
+    return function
+
 
 STAGES: tuple[Stage, ...] = (
     Stage(
@@ -23,7 +39,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=1,
         weight=60,
-        function=recovery.structure,
+        function=lazily("recovery", "structure"),
     ),
     Stage(
         name="gaussians",
@@ -33,7 +49,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("iterations", "gaussians"),
         version=1,
         weight=110,
-        function=recovery.gaussians,
+        function=lazily("recovery", "gaussians"),
     ),
     Stage(
         name="alignment",
@@ -43,7 +59,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=1,
         weight=25,
-        function=recovery.alignment,
+        function=lazily("recovery", "alignment"),
     ),
     Stage(
         name="parts",
@@ -53,7 +69,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=1,
         weight=45,
-        function=recovery.parts,
+        function=lazily("recovery", "parts"),
     ),
     Stage(
         name="motion",
@@ -63,7 +79,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=1,
         weight=20,
-        function=recovery.motion,
+        function=lazily("recovery", "motion"),
     ),
     Stage(
         name="twin",
@@ -73,7 +89,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=1,
         weight=3,
-        function=recovery.twin,
+        function=lazily("recovery", "twin"),
     ),
     Stage(
         name="replacement",
@@ -83,7 +99,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("assets", "adapt", "seed", "image_size"),
         version=1,
         weight=25,
-        function=generation.replacement,
+        function=lazily("generation", "replacement"),
     ),
     Stage(
         name="plans",
@@ -93,7 +109,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("seed", "poses"),
         version=1,
         weight=30,
-        function=generation.plans,
+        function=lazily("generation", "plans"),
     ),
     Stage(
         name="episodes",
@@ -103,7 +119,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=1,
         weight=50,
-        function=generation.episodes,
+        function=lazily("generation", "episodes"),
         incremental=True,
     ),
     Stage(
@@ -114,7 +130,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=1,
         weight=3,
-        function=generation.dataset,
+        function=lazily("generation", "dataset"),
     ),
 )
 

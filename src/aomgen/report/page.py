@@ -15,13 +15,12 @@ from aomgen.pipeline.manifest import read_manifest
 from aomgen.pipeline.project import read_project
 from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.stage import Run
-from aomgen.pipeline.stages import PROJECT_FILE, STAGES
+from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
 from aomgen.report import pictures
 from aomgen.report.charts import Chart, draw_chart
 from aomgen.report.drawing import sheet
 from aomgen.report.html import page, paragraph, picture, section, table
 
-REPORT = "report.html"
 CONTACT_SHEET = "episodes.jpg"
 SHEET_FRAMES = 5
 
@@ -81,8 +80,8 @@ def write_report(out: Path) -> Path:
         ),
         section("Stages", _stages(run)),
     ]
-    write_text(out / REPORT, page(f"AOMGen: {data.capture.name}", body))
-    return out / REPORT
+    write_text(out / REPORT_FILE, page(f"AOMGen: {data.capture.name}", body))
+    return out / REPORT_FILE
 
 
 def _summary(run: Run) -> str:

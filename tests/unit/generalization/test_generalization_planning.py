@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aomgen.assets.make import make_asset
+from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
@@ -18,7 +19,7 @@ from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik
 from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
 from aomgen.generalization.stage import load_generalization, run_generalization
-from aomgen.generalization.variations import PoseRanges, variations, worth_trying
+from aomgen.generalization.variations import PoseRanges, in_view, variations, worth_trying
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.physics.scene import build_scene
 
@@ -241,3 +242,19 @@ def test_poses_off_the_table_or_out_of_reach_are_not_tried(fitted: FittedAsset) 
     assert not worth_trying(replace(here, x=0.5), fitted, SUPPORT, shoulder, 1.1)
     # The recorded place counts as table even where its edge is estimated too near.
     assert worth_trying(here, fitted, replace(small, high_xy=T - 0.1), shoulder, 1.1)
+
+
+def test_a_pose_that_a_camera_does_not_show_is_not_in_view(fitted: FittedAsset) -> None:
+    here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
+    held = apply(fitted.T_world_asset, fitted.contact_asset)
+    camera = Camera(
+        fx=300, fy=300, cx=160, cy=120, width=320, height=240,
+        T_world_cam=look_at(held + [-1.5, -1.0, 0.8], held),
+    )  # fmt: skip
+    assert in_view(here, fitted, camera, 0.85)
+    assert not in_view(replace(here, x=3.0), fitted, camera, 0.85)
+    behind = camera.moved(look_at(held + [-1.5, -1.0, 0.8], held + [-3.0, -2.0, 1.6]))
+    assert not in_view(here, fitted, behind, 0.85)
+    zoomed = replace(camera, fx=1500, fy=1500)
+    assert not in_view(here, fitted, zoomed, 0.85)
+    assert not in_view(here, fitted, zoomed, 0.0), "the held point leaves the picture while the part opens"
