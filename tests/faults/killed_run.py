@@ -84,7 +84,14 @@ def main(out: Path) -> None:
     """Run both stages in a folder."""
     common = {"settings": (), "version": 1, "weight": 1.0, "title": ""}
     stages = (
-        Stage(name="episodes", folder="episodes", needs=("capture",), function=commit_all, incremental=True, **common),
+        Stage(
+            name="episodes",
+            folder="episodes",
+            needs=("capture",),
+            function=commit_all,
+            incremental=True,
+            **common,
+        ),
         Stage(name="dataset", folder="dataset", needs=("episodes",), function=build, **common),
     )
     run_stages(Project(capture=out, out=out), stages, Quiet(), capture_digest="same")

@@ -16,7 +16,7 @@ capture = {capture!r}          # folder with capture.toml
 out = {out!r}                  # where results go
 
 seed = {seed}                  # same seed, same episodes
-assets = {assets}              # category:seed of a made asset, or a path to a USD file inside this folder
+assets = {assets}              # category:seed of a made asset, or the path of a USD file
 poses = {poses}                # verified episodes wanted for each asset
 adapt = {adapt!r}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion
 
@@ -78,8 +78,13 @@ def read_project(path: Path) -> Project:
         known = ", ".join(sorted(Project.model_fields))
         raise ConfigError(path, f"'{key}': {first['msg']}", f"known keys: {known}") from error
     base = path.parent.resolve()
+    assets = tuple(str((base / item).resolve()) if Path(item).suffix else item for item in project.assets)
     return project.model_copy(
-        update={"capture": (base / project.capture).resolve(), "out": (base / project.out).resolve()}
+        update={
+            "capture": (base / project.capture).resolve(),
+            "out": (base / project.out).resolve(),
+            "assets": assets,
+        }
     )
 
 
