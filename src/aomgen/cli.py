@@ -203,6 +203,22 @@ def assets_make(
     print(path)
 
 
+@app.command()
+def synthetic(
+    folder: Annotated[Path, typer.Argument(help="Capture folder to write; must not exist.")],
+    category: Annotated[str, typer.Option(help="microwave or drawer.")] = "microwave",
+    seed: Annotated[int, typer.Option(help="Same seed, same capture.")] = 0,
+) -> None:
+    """Make a capture with ground truth in a virtual world: simulated physics, rendered pictures."""
+    from aomgen.core.progress import silent
+    from aomgen.synthetic.world import make_capture
+
+    if folder.exists():
+        raise ConfigError(folder, "exists already", "choose another folder")
+    make_capture(folder, category=category, seed=seed, progress=silent)
+    print(folder)
+
+
 @bench_app.command("accuracy")
 def bench_accuracy(
     capture: Annotated[Path, typer.Argument(help="A capture with truth/.")],
