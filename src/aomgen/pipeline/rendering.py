@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import BACKGROUND
+from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.physics.robot import RobotModel, load_robot
@@ -35,13 +35,16 @@ def draw_twin(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Image (H, W, 3) and part labels (H, W), both uint8, of the twin in a state.
 
-    A pixel's label is that of the Gaussian that contributes most, background where alpha <= 0.5.
+    A pixel's label is the one whose Gaussians contribute most together, background where
+    alpha <= 0.5. Summing by label keeps a thin veil before a surface made of many layers from
+    taking the pixel.
     """
-    drawn = render_state(twin, robot, state, camera, with_ids=True)
+    kinds = np.array(sorted(PART_LABELS.values()))
+    shares = (twin.labels[:, None] == kinds).astype(np.float32)
+    drawn = render_state(twin, robot, state, camera, features=shares)
     image = np.clip(np.rint(drawn.rgb * 255), 0, 255).astype(np.uint8)
-    strongest = np.asarray(drawn.max_id)
-    seen = (strongest >= 0) & (drawn.alpha > LABEL_MIN_ALPHA)
-    labels = np.where(seen, twin.labels[np.maximum(strongest, 0)], BACKGROUND).astype(np.uint8)
+    strongest = kinds[np.argmax(np.asarray(drawn.features), axis=-1)]
+    labels = np.where(drawn.alpha > LABEL_MIN_ALPHA, strongest, BACKGROUND).astype(np.uint8)
     return image, labels
 
 
