@@ -67,7 +67,7 @@ STAGES: tuple[Stage, ...] = (
         title="parts of robot and object",
         needs=("capture", "structure", "gaussians", "alignment"),
         settings=(),
-        version=1,
+        version=2,
         weight=45,
         function=lazily("recovery", "parts"),
     ),

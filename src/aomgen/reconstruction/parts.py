@@ -19,6 +19,7 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.binding import MAX_DISTANCE_M, nearest_links
+from aomgen.reconstruction.enclosed import with_enclosed
 from aomgen.reconstruction.outline_fit import RobotPosture
 from aomgen.reconstruction.part_masks import PartMasks, ScanView, drawn_parts, lift, prompt_again
 from aomgen.reconstruction.segmenter import PreparedImage, Segmenter
@@ -119,6 +120,7 @@ def find_parts(
     labels, confidence = _vote(gaussians, labels, masks, bodies, params)
     robot = bodies >= 0
     labels[robot], confidence[robot] = ROBOT, robot_share[robot]
+    labels = with_enclosed(gaussians.means, gaussians.opacities, labels)
     for part, value in (("static", STATIC), ("moving", MOVING)):
         count = int((labels == value).sum())
         if not count >= params.min_gaussians:

