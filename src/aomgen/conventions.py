@@ -18,14 +18,6 @@ STATIC: Final = 2
 MOVING: Final = 3
 PART_LABELS: Final = {"background": BACKGROUND, "robot": ROBOT, "static": STATIC, "moving": MOVING}
 
-# Columns of R_opengl_opencv: OpenGL and USD cameras look along -z with y up.
-_FLIP_YZ: Final = np.diag([1.0, -1.0, -1.0, 1.0])
-
-
-def opengl_from_opencv(T_world_cam: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pose of the same camera with OpenGL / USD / MuJoCo axes (x right, y up, z backward)."""
-    return T_world_cam @ _FLIP_YZ
-
 
 def xyzw_from_wxyz(quats_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
     """Quaternions (..., 4) with the real part last, as scipy and ROS want them."""

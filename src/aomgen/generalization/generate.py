@@ -1,7 +1,7 @@
 """Make as many verified episodes as asked for, trying variation after variation."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from aomgen.core.camera import Camera
@@ -84,9 +84,6 @@ class Generated:
     def reasons(self) -> dict[str, int]:
         """How often each reason rejected a variation, most frequent first."""
         return dict(Counter(item.rejection.reason for item in self.rejected).most_common())
-
-
-Attempt = Callable[[Variation], VerifiedEpisode | Rejection]
 
 
 def generate_episodes(
