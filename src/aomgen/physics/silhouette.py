@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.errors import BackendError
+from aomgen.physics.id_colors import values_of_geoms
 from aomgen.physics.offscreen import offscreen_context
 from aomgen.physics.robot import VISUAL_GROUP, RobotModel
 from aomgen.physics.robot_looks import add_robot_looks
@@ -96,7 +97,7 @@ class SilhouetteRenderer:
         colors = np.empty((height, width, 3), np.uint8)
         buffer = np.empty((height, width), np.float32)
         mujoco.mjr_readPixels(colors, buffer, rect, self._renderer)
-        bodies = self._bodies(colors[::-1])
+        bodies = values_of_geoms(colors[::-1], self._scene, self._model.geom_bodyid - 1, nothing=-1)
         depth = NEAR_M * FAR_M / (NEAR_M + buffer[::-1].astype(np.float64) * (FAR_M - NEAR_M))
         return bodies, np.where(bodies >= 0, depth, 0.0).astype(np.float32)
 
@@ -114,14 +115,6 @@ class SilhouetteRenderer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _bodies(self, colors: NDArray[np.uint8]) -> NDArray[np.int32]:
-        ids = colors.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
-        body_of_id = np.full(self._scene.ngeom + 1, -1, np.int32)
-        for geom in self._scene.geoms[: self._scene.ngeom]:
-            if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
-                body_of_id[geom.segid + 1] = self._model.geom_bodyid[geom.objid] - 1
-        return body_of_id[ids]
 
 
 def _place_camera(scene: mujoco.MjvScene, camera: Camera) -> None:

@@ -11,6 +11,7 @@ from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
+from aomgen.physics.id_colors import values_of_geoms
 from aomgen.physics.offscreen import offscreen_context
 from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.setting import World
@@ -42,13 +43,8 @@ class Painter:
 
     def labels(self, camera: Camera, qpos: Array) -> NDArray[np.uint8]:
         """Part labels (H, W): 0 background, 1 robot, 2 static, 3 moving; no anti-aliasing."""
-        colors = self._render(camera, qpos, ids=True).astype(np.int64)
-        ids = colors @ np.array([1, 1 << 8, 1 << 16])
-        label_of_id = np.zeros(self._scene.ngeom + 1, np.uint8)
-        for geom in self._scene.geoms[: self._scene.ngeom]:
-            if geom.segid >= 0 and geom.objtype == mujoco.mjtObj.mjOBJ_GEOM:
-                label_of_id[geom.segid + 1] = self._labels[geom.objid]
-        return label_of_id[ids]
+        colors = self._render(camera, qpos, ids=True)
+        return values_of_geoms(colors, self._scene, self._labels, nothing=0)
 
     def close(self) -> None:
         """Free the OpenGL context."""
