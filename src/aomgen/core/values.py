@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def freeze(value: Any, name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = np.float64) -> None:
-    """Store `array` on a frozen dataclass as a read-only array of the given dtype and shape.
+    """Store `array` on a frozen dataclass as a read-only, C-contiguous array.
 
     Args:
         value: The dataclass under construction (called from `__post_init__`).
@@ -21,7 +21,7 @@ def freeze(value: Any, name: str, array: Any, shape: tuple[int | None, ...], dty
     Raises:
         ValueError: The shape differs; a programming error, so not an `AomgenError`.
     """
-    result = np.array(array, dtype=dtype)
+    result = np.array(array, dtype=dtype, order="C")
     fits = result.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, result.shape, strict=True)
     )

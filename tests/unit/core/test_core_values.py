@@ -31,6 +31,16 @@ def test_values_cannot_be_changed():
         gaussians.means = gaussians.means
 
 
+def test_arrays_are_contiguous_whatever_they_came_from():
+    """The engine reads them by address: a transposed view of a file's columns must not stay one."""
+    gaussians = some_gaussians(5, 4)
+    stored = np.asfortranarray(gaussians.sh)
+    turned = gaussians.with_sh(stored)
+    assert not stored.flags.c_contiguous
+    assert turned.sh.flags.c_contiguous
+    assert np.array_equal(turned.sh, gaussians.sh)
+
+
 def test_wrong_shapes_are_a_programming_error():
     with pytest.raises(ValueError, match=r"Gaussians\.quats has shape"):
         Gaussians(
