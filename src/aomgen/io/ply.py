@@ -4,6 +4,7 @@ The files hold logarithms of scales, logits of opacities, and SH coefficients by
 x y z nx ny nz, f_dc_0..2, f_rest_0.., opacity, scale_0..2, rot_0..3 (wxyz).
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from aomgen.io.atomic import write_bytes
 MAX_GAUSSIANS = 10_000_000
 MAX_HEADER_BYTES = 64 << 10
 MAX_PROPERTIES = 256
-_END = b"end_header"
+_END = re.compile(rb"\nend_header *\r?\n")
 _REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -29,6 +30,7 @@ _TYPES = {
     **dict.fromkeys(("double", "float64"), "f8"),
 }
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_LARGEST = float(np.finfo(np.float32).max)
 _REMEDY = "export the Gaussians again as binary 3DGS PLY"
 
 
@@ -40,15 +42,18 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
         max_gaussians: Larger files are refused before anything is allocated.
 
     Raises:
-        MissingFileError: No such file.
+        MissingFileError: No such file, or it cannot be opened.
         LimitExceededError: Too many Gaussians, or a header beyond all reason.
         MalformedFileError: Not a PLY of this layout, truncated, or with bytes left over.
-        NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
+        NonFiniteError: A value is NaN, infinite or beyond float32, or a quaternion is zero.
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the path")
-    with path.open("rb") as file:
-        head = file.read(MAX_HEADER_BYTES)
+    try:
+        with path.open("rb") as file:
+            head = file.read(MAX_HEADER_BYTES)
+    except OSError as error:
+        raise MissingFileError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
     lines, start = _header_lines(path, head)
     order, count, properties = _parse_header(path, lines)
     if not count <= max_gaussians:
@@ -58,6 +63,8 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
     if have != want:
         raise MalformedFileError(path, f"has {have} bytes, its header needs {want}", _REMEDY)
     table = np.fromfile(path, dtype, count, offset=start)
+    if len(table) != count:
+        raise MalformedFileError(path, "became shorter while it was read", "wait until it is written")
     return _gaussians(path, table)
 
 
@@ -99,14 +106,13 @@ def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
     """Lines of the header and where the data starts."""
     if not head.startswith((b"ply\n", b"ply\r\n")):
         raise MalformedFileError(path, "does not start as a PLY file", _REMEDY)
-    at = head.find(_END)
-    newline = head.find(b"\n", at)
-    if at < 0 or newline < 0:
+    end = _END.search(head)
+    if not end:
         if len(head) >= MAX_HEADER_BYTES:
             raise LimitExceededError(path, f"has a header of more than {MAX_HEADER_BYTES} bytes")
         raise MalformedFileError(path, "ends inside its header", _REMEDY)
     try:
-        return head[:at].decode("ascii").splitlines()[1:], newline + 1
+        return head[: end.start()].decode("ascii").split("\n")[1:], end.end()
     except UnicodeDecodeError as error:
         raise MalformedFileError(path, "has a header that is not ASCII", _REMEDY) from error
 
@@ -119,9 +125,9 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str, int, list[tuple[st
         match line.split():
             case ["comment" | "obj_info", *_] | []:
                 continue
-            case ["format", name, "1.0"] if name in _ORDERS:
+            case ["format", name, "1.0"] if name in _ORDERS and not order:
                 order = _ORDERS[name]
-            case ["format", name, *_]:
+            case ["format", name, *_] if not order:
                 raise MalformedFileError(path, f"has format {name}, want {' or '.join(_ORDERS)}", _REMEDY)
             case ["element", "vertex", digits] if count < 0 and digits.isdecimal() and len(digits) < 16:
                 count = int(digits)
@@ -151,9 +157,11 @@ def _gaussians(path: Path, table: NDArray) -> Gaussians:
     rest = sum(name.startswith("f_rest_") for name in table.dtype.names or ())
 
     def columns(*names: str) -> NDArray[np.float64]:
-        values = np.stack([table[name].astype(np.float64) for name in names], 1)
-        if not np.isfinite(values).all():
-            row, column = np.argwhere(~np.isfinite(values))[0]
+        with np.errstate(invalid="ignore"):  # signalling NaNs, refused below
+            values = np.stack([table[name].astype(np.float64) for name in names], 1)
+        broken = ~(np.abs(values) <= _LARGEST)
+        if broken.any():
+            row, column = np.argwhere(broken)[0]
             raise NonFiniteError(path, f"Gaussian {row} has {names[column]} = {values[row, column]}", _REMEDY)
         return values
 
