@@ -5,7 +5,9 @@ x y z nx ny nz, f_dc_0..2, f_rest_0.., opacity, scale_0..2, rot_0..3 (wxyz).
 """
 
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +16,11 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, NonFiniteError
 from aomgen.io.atomic import write_bytes
 
-MAX_GAUSSIANS = 10_000_000
-MAX_HEADER_BYTES = 64 << 10
-MAX_PROPERTIES = 256
+MAX_GAUSSIANS: Final = 10_000_000
+MAX_HEADER_BYTES: Final = 64 << 10
+MAX_PROPERTIES: Final = 256
+# Gaussians converted at a time, so that the temporary arrays stay in the cache.
+BLOCK: Final = 1 << 13
 _END = re.compile(rb"\nend_header *\r?\n")
 _REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 _TYPES = {
@@ -34,17 +38,32 @@ _LARGEST = float(np.finfo(np.float32).max)
 _REMEDY = "export the Gaussians again as binary 3DGS PLY"
 
 
+@dataclass(slots=True, kw_only=True)
+class _Element:
+    """One table of the file under construction: its length, and (name, type) of its columns."""
+
+    name: str
+    count: int
+    properties: list[tuple[str, str]] = field(default_factory=list)
+
+    def dtype(self, order: str) -> np.dtype:
+        return np.dtype([(name, order + kind) for name, kind in self.properties])
+
+
 def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussians:
-    """Read Gaussians of SH degree 0..3; quaternions are normalised, unknown properties ignored.
+    """Read Gaussians of SH degree 0..3; quaternions are normalised.
+
+    Properties may come in any order and type; unknown ones, and other elements than `vertex`
+    without lists, are skipped.
 
     Args:
-        path: Binary PLY of either byte order, with one element called `vertex`.
+        path: Binary PLY of either byte order.
         max_gaussians: Larger files are refused before anything is allocated.
 
     Raises:
         MissingFileError: No such file, or it cannot be opened.
         LimitExceededError: Too many Gaussians, or a header beyond all reason.
-        MalformedFileError: Not a PLY of this layout, truncated, or with bytes left over.
+        MalformedFileError: Not a PLY of this layout, ASCII, truncated, or with bytes left over.
         NonFiniteError: A value is NaN, infinite or beyond float32, or a quaternion is zero.
     """
     if not path.is_file():
@@ -55,17 +74,17 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
     except OSError as error:
         raise MissingFileError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
     lines, start = _header_lines(path, head)
-    order, count, properties = _parse_header(path, lines)
-    if not count <= max_gaussians:
-        raise LimitExceededError(path, f"holds {count} Gaussians, limit {max_gaussians}")
-    dtype = np.dtype([(name, order + kind) for name, kind in properties])
-    want, have = start + count * dtype.itemsize, path.stat().st_size
+    order, elements = _parse_header(path, lines)
+    index = [element.name for element in elements].index("vertex")
+    vertices = elements[index]
+    rest = _check_names(path, [name for name, _ in vertices.properties])
+    if not vertices.count <= max_gaussians:
+        raise LimitExceededError(path, f"holds {vertices.count} Gaussians, limit {max_gaussians}")
+    sizes = [element.count * element.dtype(order).itemsize for element in elements]
+    want, have = start + sum(sizes), path.stat().st_size
     if have != want:
         raise MalformedFileError(path, f"has {have} bytes, its header needs {want}", _REMEDY)
-    table = np.fromfile(path, dtype, count, offset=start)
-    if len(table) != count:
-        raise MalformedFileError(path, "became shorter while it was read", "wait until it is written")
-    return _gaussians(path, table)
+    return _read_vertices(path, vertices.dtype(order), (start + sum(sizes[:index]), vertices.count), rest)
 
 
 def write_gaussians(path: Path, gaussians: Gaussians) -> None:
@@ -77,23 +96,19 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     Raises:
         StorageError: The disk refuses.
     """
-    sh = gaussians.sh
-    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), 3 * (sh.shape[1] - 1))
+    rest = 3 * (gaussians.sh.shape[1] - 1)
+    names = _names(rest)
     opacities = np.clip(gaussians.opacities.astype(np.float64), 1e-7, 1 - 1e-7)
-    columns = [
-        gaussians.means,
-        np.zeros_like(gaussians.means),
-        sh[:, 0],
-        rest,
-        np.log(opacities / (1 - opacities))[:, None],
-        np.log(np.maximum(gaussians.scales.astype(np.float64), 1e-12)),
-        gaussians.quats,
-    ]
-    names = _names(rest.shape[1])
+    table = np.zeros((len(gaussians), len(names)), "<f4")
+    table[:, 0:3] = gaussians.means
+    table[:, 6:9] = gaussians.sh[:, 0]
+    table[:, 9 : 9 + rest] = gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(len(gaussians), rest)
+    table[:, -8] = np.log(opacities / (1 - opacities))
+    table[:, -7:-4] = np.log(np.maximum(gaussians.scales.astype(np.float64), 1e-12))
+    table[:, -4:] = gaussians.quats
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(gaussians)}"]
-    header += [f"property float {name}" for name in names] + ["end_header"]
-    table = np.concatenate(columns, axis=1).astype("<f4")
-    write_bytes(path, ("\n".join(header) + "\n").encode() + table.tobytes())
+    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    write_bytes(path, b"".join(["\n".join(header).encode(), table.tobytes()]))
 
 
 def _names(rest: int) -> list[str]:
@@ -117,10 +132,10 @@ def _header_lines(path: Path, head: bytes) -> tuple[list[str], int]:
         raise MalformedFileError(path, "has a header that is not ASCII", _REMEDY) from error
 
 
-def _parse_header(path: Path, lines: list[str]) -> tuple[str, int, list[tuple[str, str]]]:
-    """Byte order, number of Gaussians and (name, type) of their properties."""
-    order, count = "", -1
-    properties: list[tuple[str, str]] = []
+def _parse_header(path: Path, lines: list[str]) -> tuple[str, list[_Element]]:
+    """Byte order and elements, one of which is called `vertex`."""
+    order = ""
+    elements: list[_Element] = []
     for line in lines:
         match line.split():
             case ["comment" | "obj_info", *_] | []:
@@ -129,65 +144,78 @@ def _parse_header(path: Path, lines: list[str]) -> tuple[str, int, list[tuple[st
                 order = _ORDERS[name]
             case ["format", name, *_] if not order:
                 raise MalformedFileError(path, f"has format {name}, want {' or '.join(_ORDERS)}", _REMEDY)
-            case ["element", "vertex", digits] if count < 0 and digits.isdecimal() and len(digits) < 16:
-                count = int(digits)
-            case ["property", kind, name] if count >= 0 and kind in _TYPES:
-                properties.append((name, _TYPES[kind]))
+            case ["element", name, digits] if digits.isdecimal() and len(digits) < 16:
+                elements.append(_Element(name=name, count=int(digits)))
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1].properties.append((name, _TYPES[kind]))
+            case ["property", "list", *_] if elements:
+                raise MalformedFileError(path, f"has a list in element {elements[-1].name}", _REMEDY)
             case _:
                 raise MalformedFileError(
                     path, f"has the header line {line[:80]!r}, which is not understood", _REMEDY
                 )
-    if not order or count < 0:
-        raise MalformedFileError(path, "names no format or no vertices", _REMEDY)
-    if not len(properties) <= MAX_PROPERTIES:
-        raise LimitExceededError(path, f"has {len(properties)} properties, limit {MAX_PROPERTIES}")
-    names = [name for name, _ in properties]
-    if len(set(names)) != len(names):
-        raise MalformedFileError(path, "names a property twice", _REMEDY)
+    if not order or [element.name for element in elements].count("vertex") != 1:
+        raise MalformedFileError(path, "names no format, or not one element called vertex", _REMEDY)
+    total = sum(len(element.properties) for element in elements)
+    if not total <= MAX_PROPERTIES:
+        raise LimitExceededError(path, f"has {total} properties, limit {MAX_PROPERTIES}")
+    for element in elements:
+        if len({name for name, _ in element.properties}) != len(element.properties):
+            raise MalformedFileError(path, "names a property twice", _REMEDY)
+    return order, elements
+
+
+def _check_names(path: Path, names: list[str]) -> int:
+    """How many f_rest properties there are, if all properties of the layout are."""
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in _REST_COUNTS:
         raise MalformedFileError(path, f"has {rest} f_rest properties, want {sorted(_REST_COUNTS)}", _REMEDY)
     missing = [name for name in _names(rest) if name not in names and name not in ("nx", "ny", "nz")]
     if missing:
         raise MalformedFileError(path, f"misses the properties {', '.join(missing)}", _REMEDY)
-    return order, count, properties
+    return rest
 
 
-def _gaussians(path: Path, table: NDArray) -> Gaussians:
-    rest = sum(name.startswith("f_rest_") for name in table.dtype.names or ())
+def _read_vertices(path: Path, dtype: np.dtype, where: tuple[int, int], rest: int) -> Gaussians:
+    """Gaussians from the table at `where` (offset, count), a block at a time."""
+    offset, count = where
+    coefficients = 1 + rest // 3
+    means, quats = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
+    scales, opacities = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    sh = np.empty((count, coefficients, 3), np.float32)
+    names = [name for name in _names(rest) if name not in ("nx", "ny", "nz")]
+    with path.open("rb") as file:
+        file.seek(offset)
+        for first in range(0, count, BLOCK):
+            rows = slice(first, min(first + BLOCK, count))
+            table = np.fromfile(file, dtype, rows.stop - first)
+            if len(table) != rows.stop - first:
+                raise MalformedFileError(path, "became shorter while it was read", "wait until it is written")
+            with np.errstate(invalid="ignore"):  # signalling NaNs, refused below
+                values = np.stack([table[name].astype(np.float64) for name in names], 1)
+            _check_values(path, names, values, first)
+            means[rows] = values[:, :3]
+            quats[rows] = values[:, -4:] / np.linalg.norm(values[:, -4:], axis=1, keepdims=True)
+            scales[rows] = np.exp(values[:, -7:-4])
+            opacities[rows] = 1 / (1 + np.exp(-np.clip(values[:, -8], -80, 80)))
+            sh[rows, 0] = values[:, 3:6]
+            by_channel = values[:, 6 : 6 + rest].reshape(len(values), 3, coefficients - 1)
+            sh[rows, 1:] = by_channel.swapaxes(1, 2)
+    return Gaussians(means=means, quats=quats, scales=scales, opacities=opacities, sh=sh)
 
-    def columns(*names: str) -> NDArray[np.float64]:
-        with np.errstate(invalid="ignore"):  # signalling NaNs, refused below
-            values = np.stack([table[name].astype(np.float64) for name in names], 1)
-        broken = ~(np.abs(values) <= _LARGEST)
-        if broken.any():
-            row, column = np.argwhere(broken)[0]
-            raise NonFiniteError(path, f"Gaussian {row} has {names[column]} = {values[row, column]}", _REMEDY)
-        return values
 
-    quats = columns("rot_0", "rot_1", "rot_2", "rot_3")
-    norms = np.linalg.norm(quats, axis=1, keepdims=True)
+def _check_values(path: Path, names: list[str], values: NDArray[np.float64], first: int) -> None:
+    """Refuse what is no number in float32; `first` is the Gaussian in row 0."""
+    good = np.abs(values) <= _LARGEST
+    if not good.all():
+        row, column = np.argwhere(~good)[0]
+        problem = f"Gaussian {first + row} has {names[column]} = {values[row, column]}"
+        raise NonFiniteError(path, problem, _REMEDY)
+    norms = np.linalg.norm(values[:, -4:], axis=1)
     if not (norms > 1e-12).all():
-        raise NonFiniteError(path, f"Gaussian {int(norms.argmin())} has a rotation of length zero", _REMEDY)
-    by_channel = columns(*[f"f_rest_{i}" for i in range(rest)]) if rest else np.zeros((len(table), 0))
-    sh = np.concatenate(
-        [
-            columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None],
-            by_channel.reshape(len(table), 3, rest // 3).swapaxes(1, 2),
-        ],
-        axis=1,
-    )
-    logits, log_scales = columns("opacity")[:, 0], columns("scale_0", "scale_1", "scale_2")
-    if not (np.abs(log_scales) <= 80).all():
-        raise NonFiniteError(path, "a scale is beyond the range of numbers", _REMEDY)
-    return Gaussians(
-        means=_single(columns("x", "y", "z")),
-        quats=_single(quats / norms),
-        scales=_single(np.exp(log_scales)),
-        opacities=_single(1 / (1 + np.exp(-np.clip(logits, -80, 80)))),
-        sh=_single(sh),
-    )
-
-
-def _single(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    return values.astype(np.float32)
+        problem = f"Gaussian {first + int(norms.argmin())} has a rotation of length zero"
+        raise NonFiniteError(path, problem, _REMEDY)
+    sizes = np.abs(values[:, -7:-4]).max(1)
+    if not (sizes <= 80).all():
+        problem = f"Gaussian {first + int(sizes.argmax())} has a scale beyond the range of numbers"
+        raise NonFiniteError(path, problem, _REMEDY)
