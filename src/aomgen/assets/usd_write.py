@@ -1,6 +1,5 @@
 """Articulated assets as self-contained USD: UsdGeom, UsdPreviewSurface, UsdPhysics."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,12 @@ from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.errors import ConfigError
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_png
+from aomgen.io.usd_stage import export_stage, new_stage
 
 # Our own attributes, for what UsdPhysics has no words for.
 NAMESPACE = "aomgen"
-SUFFIXES = (".usda", ".usdc")
 
 
 def write_usd(asset: ArticulatedAsset, path: Path) -> None:
@@ -37,14 +35,10 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
         ConfigError: Another suffix.
         StorageError: The disk refuses.
     """
-    from pxr import Sdf, Usd, UsdGeom, UsdPhysics
+    from pxr import Sdf, UsdGeom, UsdPhysics
 
-    if path.suffix not in SUFFIXES:
-        raise ConfigError(path, f"has suffix {path.suffix!r}", f"choose one of {', '.join(SUFFIXES)}")
+    stage = new_stage(path)
     textures = path.parent / f"{path.stem}_textures"
-    stage = Usd.Stage.CreateInMemory(f"stage{path.suffix}")
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
     root = UsdGeom.Xform.Define(stage, f"/{_identifier(asset.name)}")
     stage.SetDefaultPrim(root.GetPrim())
@@ -60,7 +54,7 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
         ("handle_axis", Sdf.ValueTypeNames.Double3, _vector(asset.handle_axis)),
     ):
         root.GetPrim().CreateAttribute(f"{NAMESPACE}:{name}", kind).Set(value)
-    _export(stage, path)
+    export_stage(stage, path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,14 +186,3 @@ def _identifier(name: str) -> str:
     from pxr import Tf
 
     return str(Tf.MakeValidIdentifier(name))
-
-
-def _export(stage: Any, path: Path) -> None:
-    """Write the layer beside its place, then move it there."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    staging = path.with_name(f".staging-{os.getpid()}{path.suffix}")
-    try:
-        stage.GetRootLayer().Export(str(staging))
-        write_bytes(path, staging.read_bytes())
-    finally:
-        staging.unlink(missing_ok=True)

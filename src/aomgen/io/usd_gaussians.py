@@ -1,0 +1,71 @@
+"""Gaussians as OpenUSD: one prim of the type `ParticleField3DGaussianSplat` (OpenUSD 26.03).
+
+USD stores what `Gaussians` holds: real scales (standard deviations) and opacities, and harmonics
+by Gaussian with the coefficients in the order of the 3DGS files. Only quaternions differ: their
+arrays lie in memory as xyzw.
+"""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import xyzw_from_wxyz
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import matrix_from_quat
+from aomgen.io.usd_stage import export_stage, new_stage
+
+PRIM: Final = "/Gaussians"
+# A Gaussian is said to end at this many standard deviations, as the kernel's schema suggests.
+REACH: Final = 3.0
+
+
+def write_gaussians(
+    path: Path, gaussians: Gaussians, *, up_axis: str = "Z", meters_per_unit: float = 1.0
+) -> None:
+    """Write Gaussians as the default prim of a new USD file; exact in float32.
+
+    Colors stay sRGB, as in 3DGS files; the schema names no color space.
+
+    Args:
+        path: Ends in .usda (text) or .usdc (binary).
+        gaussians: Their coordinates are not changed.
+        up_axis: Which axis of their frame is up, "Y" or "Z".
+        meters_per_unit: Length of their unit, [m].
+
+    Raises:
+        ConfigError: Another suffix or axis.
+        StorageError: The disk refuses.
+    """
+    from pxr import UsdVol, Vt
+
+    stage = new_stage(path, up_axis=up_axis, meters_per_unit=meters_per_unit)
+    field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
+    stage.SetDefaultPrim(field.GetPrim())
+    field.CreatePositionsAttr(Vt.Vec3fArray.FromNumpy(gaussians.means))
+    quats_xyzw = np.ascontiguousarray(xyzw_from_wxyz(gaussians.quats.astype(np.float64)), np.float32)
+    field.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(quats_xyzw))
+    field.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(gaussians.scales))
+    field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(gaussians.opacities))
+    field.CreateRadianceSphericalHarmonicsDegreeAttr(gaussians.sh_degree)
+    coefficients = field.CreateRadianceSphericalHarmonicsCoefficientsAttr(
+        Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(gaussians.sh.reshape(-1, 3)))
+    )
+    # For renderers that read the coefficients as a primvar and do not look at the degree.
+    coefficients.SetMetadata("elementSize", gaussians.sh.shape[1])
+    coefficients.SetMetadata("interpolation", "vertex")
+    field.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(extent(gaussians)))
+    field.CreateProjectionModeHintAttr("perspective")
+    field.CreateSortingModeHintAttr("zDepth")
+    export_stage(stage, path)
+
+
+def extent(gaussians: Gaussians) -> NDArray[np.float32]:
+    """Corners (2, 3) of the smallest box that holds every Gaussian up to `REACH`; zeros for none."""
+    if not len(gaussians):
+        return np.zeros((2, 3), np.float32)
+    rotations = matrix_from_quat(gaussians.quats)
+    variances = np.einsum("nij,nj->ni", rotations**2, gaussians.scales.astype(np.float64) ** 2)
+    reach = REACH * np.sqrt(variances)
+    return np.stack([(gaussians.means - reach).min(0), (gaussians.means + reach).max(0)]).astype(np.float32)
