@@ -1,0 +1,222 @@
+"""Cameras, points and images of a COLMAP project folder, read without COLMAP: bounded, with typed errors.
+
+Binary models of any COLMAP version; only undistorted pinhole cameras. Pixel centres lie at +0.5 in
+COLMAP as here, and its cameras look along +z with y down.
+"""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.transforms import invert, matrix_from_quat, transform
+from aomgen.core.values import Array, freeze
+from aomgen.errors import (
+    CalibrationError,
+    InputError,
+    LimitExceededError,
+    MalformedFileError,
+    MissingFileError,
+    NonFiniteError,
+)
+from aomgen.io.images import image_size
+from aomgen.io.paths import resolve_inside
+
+MAX_BYTES: Final = 4 << 30
+MAX_SIDE: Final = 1 << 16
+MAX_NAME_BYTES: Final = 1024
+# The order of COLMAP's camera models; the first two have no distortion.
+_MODELS = (
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"),
+    *("FOV", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE"),
+)
+_REMEDY = "export the model again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColmapView:
+    """A registered image: its camera, at the size the image has on disk, and where it lies."""
+
+    camera_recon: Camera
+    path: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColmapModel:
+    """A sparse reconstruction in COLMAP's own frame (no scale, no gravity).
+
+    Attributes:
+        views: Registered images by file name, in name order.
+        points_recon: Points (P, 3).
+        colors_srgb: Their colors (P, 3) uint8.
+    """
+
+    views: dict[str, ColmapView]
+    points_recon: Array
+    colors_srgb: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        freeze(self, "points_recon", self.points_recon, (None, 3))
+        freeze(self, "colors_srgb", self.colors_srgb, (len(self.points_recon), 3), np.uint8)
+
+
+def read_colmap(folder: Path, *, images: str = "images") -> ColmapModel:
+    """Read `folder/sparse/0` (or `folder/sparse`) and find its images in `folder/images`.
+
+    Images may be smaller or larger copies of the ones that were reconstructed (`images_4`); the
+    cameras are scaled to what is on disk.
+
+    Args:
+        folder: COLMAP project, as `colmap image_undistorter` writes it.
+        images: Name of the folder of images, inside `folder`.
+
+    Raises:
+        MissingFileError: No binary model, or an image is missing.
+        MalformedFileError: A file of the model is damaged or contradicts another.
+        NonFiniteError: A number of the model is NaN or infinite.
+        LimitExceededError: A file is larger than 4 GiB.
+        CalibrationError: A camera with lens distortion, or an image of another shape.
+        UnsafePathError: An image's name leaves the folder of images.
+
+    Not checked: that the images are the ones which were reconstructed.
+    """
+    model = folder / "sparse" / "0"
+    if not model.is_dir():
+        model = folder / "sparse"
+    optics = _read_cameras(model / "cameras.bin")
+    cameras = _read_images(model / "images.bin", optics)
+    points, colors = _read_points(model / "points3D.bin")
+    views = {}
+    for name in sorted(cameras):
+        path = resolve_inside(folder / images, name, named_by=model / "images.bin")
+        views[name] = ColmapView(camera_recon=_fitted(cameras[name], path), path=path)
+    return ColmapModel(views=views, points_recon=points, colors_srgb=colors)
+
+
+def _fitted(camera: Camera, path: Path) -> Camera:
+    """The camera at the size of the image file."""
+    width, height = image_size(path)
+    if not abs(width * camera.height - height * camera.width) <= 1.01 * max(camera.width, camera.height):
+        raise CalibrationError(
+            path,
+            f"is {width} x {height}, its camera {camera.width} x {camera.height}: another shape",
+            "use the images that were reconstructed",
+        )
+    return camera.resized(width, height)
+
+
+class _Cursor:
+    """A file's bytes and how far they are read; what a count promises must still be there."""
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            remedy = "convert a text model with `colmap model_converter --output_type BIN`"
+            raise MissingFileError(path, "is missing", remedy)
+        if not path.stat().st_size <= MAX_BYTES:
+            raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
+        self.path, self.data, self.at = path, path.read_bytes(), 0
+
+    def take(self, layout: struct.Struct) -> tuple:
+        if not self.at + layout.size <= len(self.data):
+            raise MalformedFileError(self.path, f"ends at byte {len(self.data)} inside a record", _REMEDY)
+        values = layout.unpack_from(self.data, self.at)
+        self.at += layout.size
+        return values
+
+    def count(self, smallest: int) -> int:
+        """The next number of records, each of at least so many bytes."""
+        (count,) = self.take(_COUNT)
+        if not count * smallest <= len(self.data) - self.at:
+            raise MalformedFileError(self.path, f"promises {count} records and ends before them", _REMEDY)
+        return count
+
+    def skip(self, size: int) -> None:
+        """Step over a counted list of records of so many bytes."""
+        count = self.count(size)
+        self.at += count * size
+
+    def text(self) -> str:
+        end = self.data.find(b"\0", self.at, self.at + MAX_NAME_BYTES)
+        if end < 0:
+            raise MalformedFileError(self.path, "has an image name without end", _REMEDY)
+        try:
+            name = self.data[self.at : end].decode()
+        except UnicodeDecodeError as error:
+            raise MalformedFileError(self.path, "has an image name that is not UTF-8", _REMEDY) from error
+        self.at = end + 1
+        return name
+
+    def done(self) -> None:
+        if self.at != len(self.data):
+            left = len(self.data) - self.at
+            raise MalformedFileError(self.path, f"has {left} bytes after its last record", _REMEDY)
+
+
+_COUNT = struct.Struct("<Q")
+_CAMERA = struct.Struct("<iiQQ")
+_IMAGE = struct.Struct("<i7di")
+_POINT = struct.Struct("<Q3d3Bd")
+
+
+def _read_cameras(path: Path) -> dict[int, Camera]:
+    """Optics by camera id; the pose is left at the identity."""
+    cursor = _Cursor(path)
+    cameras = {}
+    for _ in range(cursor.count(_CAMERA.size)):
+        key, model, width, height = cursor.take(_CAMERA)
+        if model not in (0, 1):
+            name = _MODELS[model] if 0 <= model < len(_MODELS) else str(model)
+            raise CalibrationError(
+                path, f"camera {key} has the model {name}, want PINHOLE", "run `colmap image_undistorter`"
+            )
+        focal_lengths = cursor.take(struct.Struct("<d" if model == 0 else "<2d"))
+        cx, cy = cursor.take(struct.Struct("<2d"))
+        fx, fy = focal_lengths[0], focal_lengths[-1]
+        if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
+            raise MalformedFileError(path, f"camera {key} has {width} x {height} pixels", _REMEDY)
+        if not (min(fx, fy) > 0 and max(fx, fy, abs(cx), abs(cy)) < 1e9):
+            raise NonFiniteError(path, f"camera {key} has the intrinsics {fx}, {fy}, {cx}, {cy}", _REMEDY)
+        cameras[key] = Camera(fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, T_world_cam=np.eye(4))
+    cursor.done()
+    return cameras
+
+
+def _read_images(path: Path, optics: dict[int, Camera]) -> dict[str, Camera]:
+    """Posed cameras by image name."""
+    cursor = _Cursor(path)
+    cameras = {}
+    for _ in range(cursor.count(_IMAGE.size)):
+        _, *pose, key = cursor.take(_IMAGE)
+        name = cursor.text()
+        cursor.skip(24)  # where its points are seen: x, y, point
+        quat, t = np.array(pose[:4]), np.array(pose[4:])
+        norm = np.linalg.norm(quat)
+        if not (np.abs(pose).max() < 1e12 and norm > 1e-6):
+            raise NonFiniteError(path, f"image {name!r} has the pose {pose}", _REMEDY)
+        if key not in optics or name in cameras or not name:
+            raise MalformedFileError(path, f"image {name!r} has an unknown camera, or stands twice", _REMEDY)
+        T_cam_recon = transform(matrix_from_quat(quat / norm), t)
+        cameras[name] = optics[key].moved(invert(T_cam_recon))
+    cursor.done()
+    if not cameras:
+        raise InputError(path, "has no registered image", "reconstruct with more overlap and texture")
+    return cameras
+
+
+def _read_points(path: Path) -> tuple[Array, NDArray[np.uint8]]:
+    """Points (P, 3) and their sRGB colors (P, 3) in the file's order."""
+    cursor = _Cursor(path)
+    count = cursor.count(_POINT.size + _COUNT.size)
+    points, colors = np.empty((count, 3)), np.empty((count, 3), np.uint8)
+    for row in range(count):
+        _, x, y, z, red, green, blue, _ = cursor.take(_POINT)
+        points[row], colors[row] = (x, y, z), (red, green, blue)
+        cursor.skip(8)  # who sees it: image, place
+    cursor.done()
+    if not np.abs(points).max(initial=0) < 1e12:
+        raise NonFiniteError(path, "has a point without finite coordinates", _REMEDY)
+    return points, colors
