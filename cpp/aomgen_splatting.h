@@ -13,7 +13,7 @@
 extern "C" {
 #endif
 
-#define AOMGEN_ABI_VERSION 1
+#define AOMGEN_ABI_VERSION 2
 #define AOMGEN_API __attribute__((visibility("default")))
 
 enum AomgenStatus {
@@ -29,19 +29,25 @@ typedef struct {
   int64_t count;             // N
   int32_t sh_coefficients;   // K stored per Gaussian: 1, 4, 9 or 16
   int32_t sh_degree;         // degree that is evaluated, (degree + 1)^2 <= K
-  const float* means;        // (N, 3)
-  const float* quats;        // (N, 4) wxyz
-  const float* scales;       // (N, 3) standard deviations
-  const float* opacities;    // (N,) 0..1
-  const float* sh;           // (N, K, 3), color = 0.5 + SH
+  int32_t encoded;           // 0: standard deviations and opacities 0..1; 1: logarithms and logits
+  int32_t feature_count;     // D, 0 for none
+  const float* means;        // (N, 3), in the frame of the Gaussian's part
+  const float* quats;        // (N, 4) wxyz, in the frame of the Gaussian's part
+  const float* scales;       // (N, 3)
+  const float* opacities;    // (N,)
+  const float* sh;           // (N, K, 3), color = 0.5 + SH, directions in the frame of the part
+  const float* features;     // (N, D) or null
+  const int32_t* parts;      // (N,) row of the view's cam_from_part, or null: all in row 0
 } AomgenScene;
 
 typedef struct {
   int32_t width, height;
   float fx, fy, cx, cy;      // [px]
   float near_depth;          // Gaussians at or before this depth are not drawn
-  float world_to_cam[12];    // upper three rows of T_cam_world, row-major
+  int32_t antialiased;       // 1: opacity is lowered by what the dilation adds to the area
   float background[3];
+  int32_t part_count;        // P >= 1
+  const float* cam_from_part;  // (P, 12): upper three rows of the rigid transforms, row-major
 } AomgenView;
 
 typedef struct {
@@ -51,25 +57,31 @@ typedef struct {
   float* alpha;              // required (H, W)
   float* median_depth;       // optional (H, W), needs max_id
   int32_t* max_id;           // optional (H, W) int32, Gaussian of the largest weight or -1, needs median_depth
-  int32_t feature_count;     // D, 0 for none
-  const float* features;     // (N, D)
-  float* feature_image;      // (H, W, D)
+  float* features;           // (H, W, D) where the scene has features, else null
 } AomgenImages;
 
 typedef struct {
   const float* rgb;          // (3, H, W) as drawn by the forward pass, planar
   const float* depth;        // (H, W) as drawn
+  const float* features;     // (H, W, D) as drawn, or null without grad_features
   const float* grad_rgb;     // (3, H, W)
   const float* grad_depth;   // (H, W) or null
   const float* grad_alpha;   // (H, W) or null
+  const float* grad_features;  // (H, W, D) or null; D <= 256
 } AomgenImageGradients;
 
-typedef struct {             // all required, written completely (zeros where a Gaussian is not seen)
+// Gradients by the scene's arrays as they were given (logarithms and logits if encoded). Dense arrays
+// are written completely, zeros where a Gaussian is not seen. With `rows`, they are packed: the
+// Gaussians in view alone, in the order of the scene, as many as `aomgen_counts` tells.
+typedef struct {
+  int32_t* rows;             // null for dense; else (N,), receives the Gaussian of every packed row
   float* means;              // (N, 3)
   float* quats;              // (N, 4)
   float* scales;             // (N, 3)
   float* opacities;          // (N,)
   float* sh;                 // (N, K, 3)
+  float* features;           // (N, D) or null
+  float* cam_from_part;      // (P, 12) or null
 } AomgenSceneGradients;
 
 AOMGEN_API int32_t aomgen_abi_version(void);
@@ -111,6 +123,10 @@ AOMGEN_API int32_t aomgen_adam_step(AomgenContext* context, int64_t rows, int32_
 
 // Milliseconds of wall time of the last passes: project, sort, bin, blend, blend backward, project backward.
 AOMGEN_API int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6]);
+// (Gaussian, pixel) pairs of the last forward pass: computed, and drawn. Slow, for measurements.
+AOMGEN_API int32_t aomgen_count_pairs(AomgenContext* context, int64_t* evaluated, int64_t* blended);
+// Fused multiply-adds per second of one thread in the context's instruction set, measured for a few milliseconds.
+AOMGEN_API int32_t aomgen_vector_throughput(AomgenContext* context, double* per_second);
 // Gaussians in view and (Gaussian, tile) pairs of the last forward pass.
 AOMGEN_API int32_t aomgen_counts(const AomgenContext* context, int64_t* visible, int64_t* intersections);
 

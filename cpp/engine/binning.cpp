@@ -29,50 +29,57 @@ int tile_at(float position, int tiles) {  // clamped before the conversion, whic
 
 }  // namespace
 
-TileLists TileBinner::bin(const Splat* splats, uint32_t count, int width, int height, int threads) {
+TileLists TileBinner::bin(const DepthOrder& order, int width, int height, int threads) {
   columns_ = (width + kTile - 1) / kTile;
   rows_ = (height + kTile - 1) / kTile;
-  splat_count_ = count;
-  chunks_ = static_cast<int>((count + kChunk - 1) / kChunk);
+  splat_count_ = order.block_begin.back();
+  chunks_ = static_cast<int>((splat_count_ + kChunk - 1) / kChunk);
   if (touched_.size() < static_cast<size_t>(chunks_)) touched_.resize(chunks_);
   cursors_.reserve(static_cast<size_t>(chunks_) * columns_ * rows_);
-  slot_begin_.reserve(count + 1);
-  parallel(threads, chunks_, 1, [&](int64_t chunk, int) { find_tiles(splats, static_cast<int>(chunk)); });
-  place_chunks();
-  splats_.reserve(entry_count_);
-  slots_.reserve(entry_count_);
-  parallel(threads, chunks_, 1, [&](int64_t chunk, int) { fill_lists(static_cast<int>(chunk)); });
-  return {columns_, rows_, begin_.data(), splats_.data(), slots_.data()};
+  const size_t slots = (order.block_begin.size() - 1) * kProjectionBlock;
+  entry_begin_.reserve(slots);
+  entry_counts_.reserve(slots);
+  parallel(threads, chunks_, 1, [&](int64_t chunk, int) { find_tiles(order, static_cast<int>(chunk)); });
+  place_chunks(order);
+  slots_.reserve(total_);
+  places_.reserve(total_);
+  parallel(threads, chunks_, 1, [&](int64_t chunk, int) { fill_lists(order, static_cast<int>(chunk)); });
+  return {columns_, rows_, begin_.data(), slots_.data(), places_.data()};
 }
 
-void TileBinner::find_tiles(const Splat* splats, int chunk) {
+void TileBinner::find_tiles(const DepthOrder& order, int chunk) {
   uint32_t* counts = cursors_.data() + static_cast<size_t>(chunk) * columns_ * rows_;
   std::fill(counts, counts + static_cast<size_t>(columns_) * rows_, 0u);
   std::vector<uint32_t>& touched = touched_[chunk];
-  touched.clear();
   const uint32_t first = chunk * kChunk, last = std::min(splat_count_, first + kChunk);
+  size_t found = 0;
   for (uint32_t rank = first; rank < last; ++rank) {
-    const Splat& s = splats[rank];
+    if (rank + 8 < last) __builtin_prefetch(&order.splats[order.slots[rank + 8]]);
+    const Splat& s = order.splats[order.slots[rank]];
     const int x0 = tile_at(s.x - s.half_width, columns_), x1 = tile_at(s.x + s.half_width, columns_);
     const int y0 = tile_at(s.y - s.half_height, rows_), y1 = tile_at(s.y + s.half_height, rows_);
     const bool single = x0 == x1 && y0 == y1;
-    const size_t before = touched.size();
+    const size_t before = found, most = static_cast<size_t>(x1 - x0 + 1) * (y1 - y0 + 1);
+    if (touched.size() < found + most) touched.resize(2 * (found + most) + kChunk);
     for (int y = y0; y <= y1; ++y)
       for (int x = x0; x <= x1; ++x) {
-        if (!single && !touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile))) continue;
+        // Always written, counted only when touched: one branch less that the machine cannot foresee.
+        const bool is_touched = single || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
         const uint32_t tile = static_cast<uint32_t>(y * columns_ + x);
-        touched.push_back(tile);
-        ++counts[tile];
+        touched[found] = tile;
+        found += is_touched;
+        counts[tile] += is_touched;
       }
-    slot_begin_.data()[rank + 1] = static_cast<uint32_t>(touched.size() - before);  // a count for now
+    entry_counts_.data()[order.slots[rank]] = static_cast<uint32_t>(found - before);
   }
+  touched.resize(found);
 }
 
-void TileBinner::place_chunks() {
+void TileBinner::place_chunks(const DepthOrder& order) {
   uint64_t total = 0;
   for (int chunk = 0; chunk < chunks_; ++chunk) total += touched_[chunk].size();
   if (total > kMaxEntries) throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
-  entry_count_ = static_cast<uint32_t>(total);
+  total_ = static_cast<uint32_t>(total);
   const int tiles = columns_ * rows_;
   uint32_t* begin = begin_.reserve(tiles + 1);
   uint32_t sum = 0;
@@ -86,22 +93,29 @@ void TileBinner::place_chunks() {
     }
   }
   begin[tiles] = sum;
-  uint32_t* slots = slot_begin_.data();
-  slots[0] = 0;
-  for (uint32_t rank = 0; rank < splat_count_; ++rank) slots[rank + 1] += slots[rank];
+  uint32_t before = 0;
+  for (size_t block = 0; block + 1 < order.block_begin.size(); ++block) {
+    const uint32_t first = static_cast<uint32_t>(block) * kProjectionBlock;
+    const uint32_t last = first + order.block_begin[block + 1] - order.block_begin[block];
+    for (uint32_t slot = first; slot < last; ++slot) {
+      entry_begin_.data()[slot] = before;
+      before += entry_counts_.data()[slot];
+    }
+  }
 }
 
-void TileBinner::fill_lists(int chunk) {
+void TileBinner::fill_lists(const DepthOrder& order, int chunk) {
   uint32_t* cursors = cursors_.data() + static_cast<size_t>(chunk) * columns_ * rows_;
   const uint32_t* tile = touched_[chunk].data();
   const uint32_t first = chunk * kChunk, last = std::min(splat_count_, first + kChunk);
-  const uint32_t* slot_begin = slot_begin_.data();
-  for (uint32_t rank = first; rank < last; ++rank)
-    for (uint32_t slot = slot_begin[rank]; slot < slot_begin[rank + 1]; ++slot) {
-      const uint32_t place = cursors[*tile++]++;
-      splats_.data()[place] = rank;
-      slots_.data()[place] = slot;
+  for (uint32_t rank = first; rank < last; ++rank) {
+    const uint32_t slot = order.slots[rank], begin = entry_begin_.data()[slot], count = entry_counts_.data()[slot];
+    for (uint32_t place = begin; place < begin + count; ++place) {
+      const uint32_t entry = cursors[*tile++]++;
+      slots_.data()[entry] = slot;
+      places_.data()[entry] = place;
     }
+  }
 }
 
 }  // namespace aomgen

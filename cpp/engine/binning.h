@@ -8,26 +8,34 @@
 
 namespace aomgen {
 
+// Splats of a projection and their order.
+struct DepthOrder {
+  const Splat* splats;                       // by slot
+  const uint32_t* slots;                     // near to far
+  const std::vector<uint32_t>& block_begin;  // visible splats before each block of slots, and all of them
+};
+
 class TileBinner {
  public:
-  // Lists for splats that are sorted by depth. Throws std::length_error above kMaxEntries.
-  TileLists bin(const Splat* splats, uint32_t count, int width, int height, int threads);
-  // By rank: first slot of the splat's entries, (count + 1).
-  const uint32_t* slot_begin() const { return slot_begin_.data(); }
-  uint32_t entry_count() const { return entry_count_; }
+  // Throws std::length_error above kMaxEntries.
+  TileLists bin(const DepthOrder& order, int width, int height, int threads);
+  // By slot: where the entries of a splat lie when sorted by slot.
+  const uint32_t* entry_begin() const { return entry_begin_.data(); }
+  const uint32_t* entry_count() const { return entry_counts_.data(); }
+  uint32_t entry_count_of_all() const { return total_; }
 
   static constexpr uint64_t kMaxEntries = 400'000'000;
 
  private:
-  void find_tiles(const Splat* splats, int chunk);
-  void place_chunks();
-  void fill_lists(int chunk);
+  void find_tiles(const DepthOrder& order, int chunk);
+  void place_chunks(const DepthOrder& order);
+  void fill_lists(const DepthOrder& order, int chunk);
 
   int columns_ = 0, rows_ = 0, chunks_ = 0;
-  uint32_t splat_count_ = 0, entry_count_ = 0;
-  std::vector<std::vector<uint32_t>> touched_;  // by chunk: tiles of its splats, one splat after the other
+  uint32_t splat_count_ = 0, total_ = 0;
+  std::vector<std::vector<uint32_t>> touched_;  // by chunk of the order: tiles of its splats, one splat after the other
   Buffer<uint32_t> cursors_;                    // (chunks, tiles): counts, then places in the lists
-  Buffer<uint32_t> begin_, splats_, slots_, slot_begin_;
+  Buffer<uint32_t> begin_, slots_, places_, entry_begin_, entry_counts_;
 };
 
 }  // namespace aomgen

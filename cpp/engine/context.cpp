@@ -1,6 +1,7 @@
 #include "context.h"
 
 #include <algorithm>
+#include <numeric>
 
 #include "sort.h"
 #include "thread_pool.h"
@@ -32,108 +33,151 @@ void Context::project(const AomgenScene& scene, const AomgenView& view) {
   StageClock clock(times_[kProject]);
   const int blocks = block_count(scene.count);
   const size_t capacity = static_cast<size_t>(blocks) * kProjectionBlock;
+  PartPose* poses = poses_.reserve(view.part_count);
+  for (int part = 0; part < view.part_count; ++part) {
+    const float* V = view.cam_from_part + 12 * part;
+    std::copy_n(V, 12, poses[part].cam_from_part);
+    for (int k = 0; k < 3; ++k) poses[part].center[k] = -(V[k] * V[3] + V[4 + k] * V[7] + V[8 + k] * V[11]);
+    poses[part].unused = 0;
+  }
   Projection& p = projection_;
-  p.scene = scene;
-  p.view = view;
-  const float* V = view.world_to_cam;
-  for (int k = 0; k < 3; ++k) p.cam_center[k] = -(V[k] * V[3] + V[4 + k] * V[7] + V[8 + k] * V[11]);
-  p.splats = block_splats_.reserve(capacity);
-  p.gaussians = block_gaussians_.reserve(capacity);
-  p.depth_keys = block_keys_.reserve(capacity);
-  p.visible = visible_.reserve(blocks);
+  p = {scene, view, poses, splats_.reserve(capacity), gaussians_.reserve(capacity), depth_keys_.reserve(capacity), visible_.reserve(blocks)};
+  p.view.cam_from_part = nullptr;  // the caller's; not kept
   parallel(threads_, blocks, 1, [&](int64_t block, int) { kernels_->project(p, static_cast<int>(block)); });
   block_begin_.assign(blocks + 1, 0);
   for (int block = 0; block < blocks; ++block) block_begin_[block + 1] = block_begin_[block] + p.visible[block];
   visible_count_ = block_begin_[blocks];
 }
 
-// Gives every visible Gaussian its rank from near to far. Its place is its position among the visible
-// ones in the order of the scene.
-void Context::order() {
-  StageClock clock(times_[kSort]);
+// Sorts the visible splats from near to far, equal depths in the order of the scene, into lists by tile.
+void Context::order_and_bin() {
   const uint32_t count = visible_count_;
-  uint32_t* keys = keys_.reserve(count);
-  uint32_t* places = places_.reserve(count);
-  int32_t* gaussians = place_gaussians_.reserve(count);
-  for (size_t block = 0; block + 1 < block_begin_.size(); ++block) {
-    const uint32_t begin = block_begin_[block], size = block_begin_[block + 1] - begin;
-    std::copy_n(projection_.depth_keys + block * kProjectionBlock, size, keys + begin);
-    std::copy_n(projection_.gaussians + block * kProjectionBlock, size, gaussians + begin);
-    // Until the splats are in order, a place is remembered by its slot in the projection's result.
-    for (uint32_t i = 0; i < size; ++i) places[begin + i] = static_cast<uint32_t>(block * kProjectionBlock + i);
-  }
-  sort_by_key(keys, places, keys_scratch_.reserve(count), places_scratch_.reserve(count), count);
-  Splat* splats = splats_.reserve(count);
-  int32_t* by_rank = gaussians_.reserve(count);
-  uint32_t* ranks = ranks_.reserve(count);
-  constexpr uint32_t kGroup = 2048;
-  parallel(threads_, (count + kGroup - 1) / kGroup, 1, [&](int64_t group, int) {
-    const uint32_t first = static_cast<uint32_t>(group) * kGroup, last = std::min(count, first + kGroup);
-    for (uint32_t rank = first; rank < last; ++rank) {
-      const uint32_t slot = places[rank];
-      if (rank + 8 < last) __builtin_prefetch(&projection_.splats[places[rank + 8]]);
-      splats[rank] = projection_.splats[slot];
-      by_rank[rank] = projection_.gaussians[slot];
-      ranks[block_begin_[slot / kProjectionBlock] + slot % kProjectionBlock] = rank;
+  const SortArrays arrays = {keys_.reserve(count), ordered_.reserve(count), spare_keys_.reserve(count), spare_ordered_.reserve(count)};
+  uint32_t* slots = nullptr;
+  {
+    StageClock clock(times_[kSort]);
+    for (size_t block = 0; block + 1 < block_begin_.size(); ++block) {
+      const uint32_t begin = block_begin_[block], size = block_begin_[block + 1] - begin, first = static_cast<uint32_t>(block) * kProjectionBlock;
+      std::copy_n(projection_.depth_keys + first, size, arrays.keys + begin);
+      for (uint32_t i = 0; i < size; ++i) arrays.values[begin + i] = first + i;
     }
-  });
+    slots = sort_by_key(arrays, count);
+  }
+  StageClock clock(times_[kBin]);
+  tiles_ = binner_.bin({projection_.splats, slots, block_begin_}, projection_.view.width, projection_.view.height, threads_);
 }
 
-void Context::bin() {
-  StageClock clock(times_[kBin]);
-  tiles_ = binner_.bin(splats_.data(), visible_count_, projection_.view.width, projection_.view.height, threads_);
+void Context::draw(const AomgenImages& images) {
+  StageClock clock(times_[kBlend]);
+  const AomgenView& view = projection_.view;
+  const AomgenScene& scene = projection_.scene;
+  const int features = images.features ? scene.feature_count : 0;
+  Blend b{view, tiles_, projection_.splats, projection_.gaussians, features, scene.features, images, nullptr, nullptr};
+  b.transmittance = transmittance_.reserve(static_cast<size_t>(view.width) * view.height);
+  b.block_masks = block_masks_.reserve(intersections());
+  const size_t scratch = blend_scratch(features);
+  float* scratches = scratch_.reserve(scratch * threads_);
+  parallel(threads_, tile_count(), 4, [&](int64_t tile, int worker) {
+    kernels_->blend(b, static_cast<int>(tile), scratches + scratch * worker);
+  });
 }
 
 void Context::forward(const AomgenScene& scene, const AomgenView& view, const AomgenImages& images) {
   planar_forward_ = false;
   project(scene, view);
-  order();
-  bin();
-  StageClock clock(times_[kBlend]);
-  Blend b{view, tiles_, splats_.data(), gaussians_.data(), images, nullptr, nullptr};
-  b.transmittance = transmittance_.reserve(static_cast<size_t>(view.width) * view.height);
-  b.block_masks = block_masks_.reserve(binner_.entry_count());
-  const size_t scratch = blend_scratch(images.feature_count);
-  float* scratches = scratch_.reserve(scratch * threads_);
-  parallel(threads_, tile_count(), 4, [&](int64_t tile, int worker) {
-    kernels_->blend(b, static_cast<int>(tile), scratches + scratch * worker);
-  });
+  order_and_bin();
+  draw(images);
   planar_forward_ = !images.interleaved;
 }
 
 void Context::backward(const AomgenImageGradients& images, const AomgenSceneGradients& gradients) {
-  float* moments = moments_.reserve(16 * static_cast<size_t>(binner_.entry_count()));
+  const AomgenScene& scene = projection_.scene;
+  const int features = images.grad_features ? scene.feature_count : 0;
+  const size_t entries = intersections();
+  float* moments = moments_.reserve(16 * entries);
+  float* feature_moments = feature_moments_.reserve(features * entries);
   {
     StageClock clock(times_[kBlendBackward]);
-    const BlendBackward b{projection_.view, tiles_, splats_.data(), transmittance_.data(), block_masks_.data(), images, moments};
-    parallel(threads_, tile_count(), 4, [&](int64_t tile, int) { kernels_->blend_backward(b, static_cast<int>(tile)); });
+    const BlendBackward b{projection_.view, tiles_, projection_.splats, projection_.gaussians, features, scene.features,
+                          transmittance_.data(), block_masks_.data(), images, moments, feature_moments};
+    const size_t scratch = backward_scratch(features);
+    float* scratches = scratch_.reserve(scratch * threads_);
+    parallel(threads_, tile_count(), 4, [&](int64_t tile, int worker) {
+      kernels_->blend_backward(b, static_cast<int>(tile), scratches + scratch * worker);
+    });
   }
   StageClock clock(times_[kProjectBackward]);
-  const ProjectionBackward p{projection_, ranks_.data(), block_begin_.data(), place_gaussians_.data(),
-                             splats_.data(), binner_.slot_begin(), moments, gradients};
-  parallel(threads_, block_count(projection_.scene.count), 1,
-           [&](int64_t block, int) { kernels_->project_backward(p, static_cast<int>(block)); });
+  const int blocks = block_count(scene.count);
+  ProjectionBackward p{projection_, block_begin_.data(), binner_.entry_begin(), binner_.entry_count(), moments, feature_moments, gradients, nullptr};
+  if (!features) p.gradients.features = nullptr;
+  if (gradients.cam_from_part) p.pose_sums = pose_sums_.reserve(16 * static_cast<size_t>(blocks) * part_count());
+  parallel(threads_, blocks, 1, [&](int64_t block, int) { kernels_->project_backward(p, static_cast<int>(block)); });
+  if (gradients.cam_from_part) sum_pose_gradients(gradients.cam_from_part);
+  if (gradients.features && !features && !gradients.rows) std::fill_n(gradients.features, scene.count * scene.feature_count, 0.0f);
+}
+
+// The blocks' sums in order, with the gradient by the camera's centre c = -R^T t carried to R and t.
+void Context::sum_pose_gradients(float* cam_from_part) const {
+  const int blocks = block_count(projection_.scene.count), parts = part_count();
+  for (int part = 0; part < parts; ++part) {
+    double sums[15] = {};
+    for (int block = 0; block < blocks; ++block) {
+      const float* row = pose_sums_.data() + 16 * (static_cast<size_t>(block) * parts + part);
+      for (int k = 0; k < 15; ++k) sums[k] += row[k];
+    }
+    const float* V = projection_.poses[part].cam_from_part;
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) {
+        sums[4 * i + j] -= V[4 * i + 3] * sums[12 + j];
+        sums[4 * i + 3] -= V[4 * i + j] * sums[12 + j];
+      }
+    for (int k = 0; k < 12; ++k) cam_from_part[12 * part + k] = static_cast<float>(sums[k]);
+  }
 }
 
 void Context::contribution_weights(const AomgenScene& scene, const AomgenView& view, int mask_count, const float* masks, float* weights) {
   planar_forward_ = false;
   project(scene, view);
-  order();
-  bin();
+  order_and_bin();
   std::fill(weights, weights + static_cast<size_t>(scene.count) * mask_count, 0.0f);
-  float* sums = moments_.reserve(16 * static_cast<size_t>(binner_.entry_count()));
-  const uint32_t* slots = binner_.slot_begin();
+  float* sums = moments_.reserve(16 * static_cast<size_t>(intersections()));
   const size_t plane = static_cast<size_t>(view.width) * view.height;
   for (int first = 0; first < mask_count; first += 16) {
-    const int part = std::min(16, mask_count - first);
-    const Weights w{view, tiles_, splats_.data(), part, masks + plane * first, sums};
+    const int some = std::min(16, mask_count - first);
+    const Weights w{view, tiles_, projection_.splats, some, masks + plane * first, sums};
     parallel(threads_, tile_count(), 4, [&](int64_t tile, int) { kernels_->sum_weights(w, static_cast<int>(tile)); });
-    for (uint32_t rank = 0; rank < visible_count_; ++rank) {
-      float* out = weights + static_cast<size_t>(gaussians_.data()[rank]) * mask_count + first;
-      for (uint32_t slot = slots[rank]; slot < slots[rank + 1]; ++slot)
-        for (int m = 0; m < part; ++m) out[m] += sums[16 * static_cast<size_t>(slot) + m];
-    }
+    parallel(threads_, block_count(scene.count), 1, [&](int64_t block, int) {
+      const uint32_t begin = static_cast<uint32_t>(block) * kProjectionBlock;
+      for (uint32_t slot = begin; slot < begin + projection_.visible[block]; ++slot) {
+        float* out = weights + static_cast<size_t>(projection_.gaussians[slot]) * mask_count + first;
+        const float* row = sums + 16 * static_cast<size_t>(binner_.entry_begin()[slot]);
+        for (uint32_t left = binner_.entry_count()[slot]; left; --left, row += 16)
+          for (int m = 0; m < some; ++m) out[m] += row[m];
+      }
+    });
   }
+}
+
+void Context::count_pairs(int64_t& evaluated, int64_t& blended) {
+  std::vector<int64_t> counts(2 * static_cast<size_t>(tile_count()));
+  const PairCount c{projection_.view, tiles_, projection_.splats, counts.data(), counts.data() + tile_count()};
+  parallel(threads_, tile_count(), 4, [&](int64_t tile, int) { kernels_->count_pairs(c, static_cast<int>(tile)); });
+  evaluated = std::accumulate(c.evaluated, c.evaluated + tile_count(), int64_t{0});
+  blended = std::accumulate(c.blended, c.blended + tile_count(), int64_t{0});
+}
+
+double Context::vector_throughput() const {
+  constexpr int64_t kRounds = 1'000'000;
+  double best = 0;
+  for (int repeat = 0; repeat < 5; ++repeat) {
+    double milliseconds = 0, done = 0;
+    {
+      StageClock clock(milliseconds);
+      done = kernels_->multiply_adds(kRounds);
+    }
+    best = std::max(best, 1e3 * done / milliseconds);
+  }
+  return best;
 }
 
 double Context::image_loss(ImageLoss l, float* grad_gains) {

@@ -20,16 +20,21 @@ class Context {
   void contribution_weights(const AomgenScene& scene, const AomgenView& view, int mask_count, const float* masks, float* weights);
   double image_loss(ImageLoss loss, float* grad_gains);
   void adam_step(AdamStep step, const float* rates, int columns);
+  void count_pairs(int64_t& evaluated, int64_t& blended);
+  double vector_throughput() const;
 
   const std::array<double, 6>& stage_times() const { return times_; }
   uint32_t visible() const { return visible_count_; }
-  uint32_t intersections() const { return binner_.entry_count(); }
+  uint32_t intersections() const { return binner_.entry_count_of_all(); }
+  int part_count() const { return projection_.view.part_count; }
+  int feature_count() const { return projection_.scene.feature_count; }
 
  private:
   enum Stage { kProject, kSort, kBin, kBlend, kBlendBackward, kProjectBackward };
   void project(const AomgenScene& scene, const AomgenView& view);
-  void order();
-  void bin();
+  void order_and_bin();
+  void draw(const AomgenImages& images);
+  void sum_pose_gradients(float* cam_from_part) const;
   int tile_count() const { return tiles_.columns * tiles_.rows; }
 
   int threads_ = 1;
@@ -42,10 +47,12 @@ class Context {
   TileLists tiles_{};
   TileBinner binner_;
   std::vector<uint32_t> block_begin_;
-  Buffer<Splat> block_splats_, splats_;             // by block, by rank
-  Buffer<int32_t> block_gaussians_, place_gaussians_, gaussians_;  // by block, by place, by rank
-  Buffer<uint32_t> block_keys_, visible_, keys_, places_, keys_scratch_, places_scratch_, ranks_;
-  Buffer<float> transmittance_, moments_, scratch_, maps_;
+  Buffer<PartPose> poses_;
+  Buffer<Splat> splats_;                                          // by slot
+  Buffer<int32_t> gaussians_;                                     // by slot
+  Buffer<uint32_t> depth_keys_, visible_;                         // by slot, by block
+  Buffer<uint32_t> keys_, ordered_, spare_keys_, spare_ordered_;  // of the sort
+  Buffer<float> transmittance_, moments_, feature_moments_, pose_sums_, scratch_, maps_;
   Buffer<uint16_t> block_masks_;
   Buffer<double> row_sums_;
 };

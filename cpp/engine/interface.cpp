@@ -1,4 +1,5 @@
 // The C interface: checks every argument, then runs the context; no exception leaves this file.
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <new>
@@ -16,8 +17,8 @@ struct AomgenContext {
 
 namespace {
 
-constexpr int64_t kMaxGaussians = 1 << 24;  // ranks are kept as exact floats in one place
-constexpr int kMaxSide = 16384, kMaxFeatures = 4096, kMaxThreads = 256;
+constexpr int64_t kMaxGaussians = 1 << 24;  // slots are kept as exact floats in one place
+constexpr int kMaxSide = 16384, kMaxFeatures = 4096, kMaxThreads = 256, kMaxParts = 4096;
 
 thread_local std::string last_error;
 
@@ -49,7 +50,11 @@ void check(const AomgenScene* scene) {
   const int k = scene->sh_coefficients, degree = scene->sh_degree;
   require(k == 1 || k == 4 || k == 9 || k == 16, "SH coefficients per Gaussian must be 1, 4, 9 or 16");
   require(degree >= 0 && degree <= 3 && (degree + 1) * (degree + 1) <= k, "the SH degree is beyond the stored coefficients");
-  require(scene->count == 0 || (scene->means && scene->quats && scene->scales && scene->opacities && scene->sh), "an array of the scene is null");
+  require(scene->encoded == 0 || scene->encoded == 1, "encoded must be 0 or 1");
+  require(scene->feature_count >= 0 && scene->feature_count <= kMaxFeatures, "the number of features must be 0 to 4096");
+  if (scene->count == 0) return;
+  require(scene->means && scene->quats && scene->scales && scene->opacities && scene->sh, "an array of the scene is null");
+  require(scene->feature_count == 0 || scene->features, "the features are null");
 }
 
 void check(const AomgenView* view) {
@@ -57,17 +62,30 @@ void check(const AomgenView* view) {
   require(view->width >= 1 && view->width <= kMaxSide && view->height >= 1 && view->height <= kMaxSide, "the image must be 1 to 16384 pixels wide and high");
   const float numbers[] = {view->fx, view->fy, view->cx, view->cy, view->near_depth};
   for (float x : numbers) require(std::isfinite(x), "an intrinsic is not finite");
-  for (float x : view->world_to_cam) require(std::isfinite(x), "the camera pose is not finite");
   for (float x : view->background) require(std::isfinite(x), "the background is not finite");
   require(view->fx > 0 && view->fy > 0, "focal lengths must be positive");
   require(view->near_depth > 0, "the near depth must be positive");
+  require(view->antialiased == 0 || view->antialiased == 1, "antialiased must be 0 or 1");
+  require(view->part_count >= 1 && view->part_count <= kMaxParts, "the number of parts must be 1 to 4096");
+  require(view->cam_from_part, "cam_from_part is null");
+  for (int i = 0; i < 12 * view->part_count; ++i) require(std::isfinite(view->cam_from_part[i]), "a pose is not finite");
 }
 
-void check(const AomgenImages* images) {
+void check_parts(const AomgenScene& scene, const AomgenView& view) {
+  if (!scene.parts) return;
+  int32_t least = 0, most = 0;
+  for (int64_t i = 0; i < scene.count; ++i) {
+    least = std::min(least, scene.parts[i]);
+    most = std::max(most, scene.parts[i]);
+  }
+  require(least >= 0 && most < view.part_count, "a Gaussian's part has no pose");
+}
+
+void check(const AomgenImages* images, const AomgenScene& scene) {
   require(images && images->rgb && images->depth && images->alpha, "rgb, depth and alpha are required");
+  require(images->interleaved == 0 || images->interleaved == 1, "interleaved must be 0 or 1");
   require(!images->median_depth == !images->max_id, "median_depth and max_id come together");
-  require(images->feature_count >= 0 && images->feature_count <= kMaxFeatures, "the number of features must be 0 to 4096");
-  require(images->feature_count == 0 || (images->features && images->feature_image), "an array of the features is null");
+  require(!images->features || scene.feature_count > 0, "the scene has no features");
 }
 
 }  // namespace
@@ -105,7 +123,8 @@ int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const A
     require(context, "context is null");
     check(scene);
     check(view);
-    check(images);
+    check_parts(*scene, *view);
+    check(images, *scene);
     context->context.forward(*scene, *view, *images);
   });
 }
@@ -118,7 +137,10 @@ int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* imag
   return guarded([&] {
     require(context, "context is null");
     require(images && images->rgb && images->depth && images->grad_rgb, "rgb, depth and grad_rgb are required");
-    require(gradients && gradients->means && gradients->quats && gradients->scales && gradients->opacities && gradients->sh, "all gradients are required");
+    require(gradients && gradients->means && gradients->quats && gradients->scales && gradients->opacities && gradients->sh, "the gradients by means, quats, scales, opacities and sh are required");
+    const int features = context->context.feature_count();
+    require(!images->grad_features || (images->features && gradients->features && features > 0 && features <= aomgen::kMaxGradientFeatures),
+            "gradients of features need the drawn features, a place for the result, and at most 256 features");
     context->context.backward(*images, *gradients);
   });
 }
@@ -129,6 +151,7 @@ int32_t aomgen_contribution_weights(AomgenContext* context, const AomgenScene* s
     require(context, "context is null");
     check(scene);
     check(view);
+    check_parts(*scene, *view);
     require(mask_count >= 1 && mask_count <= kMaxFeatures && masks && weights, "1 to 4096 masks and an array for the weights are required");
     context->context.contribution_weights(*scene, *view, mask_count, masks, weights);
   });
@@ -184,6 +207,24 @@ int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6])
   return guarded([&] {
     require(context && milliseconds, "an argument is null");
     std::memcpy(milliseconds, context->context.stage_times().data(), 6 * sizeof(double));
+  });
+}
+
+int32_t aomgen_count_pairs(AomgenContext* context, int64_t* evaluated, int64_t* blended) {
+  if (context && !context->context.can_go_back()) {
+    last_error = "the context's last pass was not a planar forward pass";
+    return AOMGEN_NO_FORWARD;
+  }
+  return guarded([&] {
+    require(context && evaluated && blended, "an argument is null");
+    context->context.count_pairs(*evaluated, *blended);
+  });
+}
+
+int32_t aomgen_vector_throughput(AomgenContext* context, double* per_second) {
+  return guarded([&] {
+    require(context && per_second, "an argument is null");
+    *per_second = context->context.vector_throughput();
   });
 }
 

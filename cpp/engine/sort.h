@@ -5,8 +5,12 @@
 
 namespace aomgen {
 
-// Sorts `count` keys and their values ascending, equal keys in their old order. Four arrays of `count`
-// entries; the result is in keys and values, the other two are scratch.
-void sort_by_key(uint32_t* keys, uint32_t* values, uint32_t* keys_scratch, uint32_t* values_scratch, uint32_t count);
+struct SortArrays {  // of `count` entries each
+  uint32_t *keys, *values, *spare_keys, *spare_values;
+};
+
+// Sorts keys and their values ascending, equal keys in their old order. All four arrays are
+// overwritten; returns the one that holds the sorted values.
+uint32_t* sort_by_key(const SortArrays& arrays, uint32_t count);
 
 }  // namespace aomgen

@@ -10,8 +10,8 @@ void adam(const AdamStep& a, int block) {
   const F mean_decay = all(a.mean_decay), mean_share = all(a.mean_share);
   const F square_decay = all(a.square_decay), square_share = all(a.square_share);
   int phase = 0;  // blocks start at multiples of the period
-  for (int64_t i = first; i < last; i += 16) {
-    const int lanes = last - i < 16 ? static_cast<int>(last - i) : 16;
+  for (int64_t i = first; i < last; i += kLanes) {
+    const int lanes = last - i < kLanes ? static_cast<int>(last - i) : kLanes;
     F gradient = load_first(a.gradients + i, lanes);
     F mean = load_first(a.means + i, lanes), square = load_first(a.squares + i, lanes);
     mean = fma(mean_decay, mean, mean_share * gradient);
@@ -21,7 +21,7 @@ void adam(const AdamStep& a, int block) {
     store_first(a.values + i, load_first(a.values + i, lanes) - step, lanes);
     store_first(a.means + i, mean, lanes);
     store_first(a.squares + i, square, lanes);
-    phase = phase + 16 == a.period ? 0 : phase + 16;
+    phase = phase + kLanes == a.period ? 0 : phase + kLanes;
   }
 }
 

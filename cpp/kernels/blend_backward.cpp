@@ -8,6 +8,7 @@
 // A splat's log2 alpha is quadratic in the offset (dx, dy), so all its gradients follow from six
 // moments of g = alpha dL/dalpha over the tile's pixels, and four color and depth sums:
 //   0: g  1: g dx  2: g dy  3: g dx^2  4: g dx dy  5: g dy^2  6-8: w dL/drgb  9: w dL/ddepth
+// Features add one sum each, w dL/dfeature.
 #include "tile.h"
 
 namespace aomgen::AOMGEN_ISA {
@@ -32,78 +33,135 @@ void load_incoming(const BlendBackward& b, int left, int top, Incoming& in) {
   if (b.images.grad_depth) load_tile(b.images.grad_depth, left, top, b.view, in.depth);
   else memset(in.depth, 0, sizeof(in.depth));
   if (b.images.grad_alpha) load_tile(b.images.grad_alpha, left, top, b.view, alpha_gradient);
-  for (int block = 0; block < 16; ++block) {
-    F sum = load(drawn[0][block]) * load(in.red[block]) + load(drawn[1][block]) * load(in.green[block]) +
-            load(drawn[2][block]) * load(in.blue[block]) + load(drawn[3][block]) * load(in.depth[block]);
-    store(in.behind[block], sum - load(rest[block]) * load(alpha_gradient[block]));
-    store(in.transmittance[block], all(1.0f));
+  for (int i = 0; i < 256; i += kLanes) {
+    F sum = load(&drawn[0][0][i]) * load(&in.red[0][i]) + load(&drawn[1][0][i]) * load(&in.green[0][i]) +
+            load(&drawn[2][0][i]) * load(&in.blue[0][i]) + load(&drawn[3][0][i]) * load(&in.depth[0][i]);
+    store(&in.behind[0][i], sum - load(&rest[0][i]) * load(&alpha_gradient[0][i]));
+    store(&in.transmittance[0][i], all(1.0f));
   }
 }
 
-struct Parameters {
-  F x, y, qxx, qxy, qyy, log2_opacity, red, green, blue, depth;
-};
-
-Parameters spread(const Splat& s, float left, float top) {
-  return {all(s.x - left), all(s.y - top), all(s.qxx), all(s.qxy), all(s.qyy), all(s.log2_opacity),
-          all(s.red), all(s.green), all(s.blue), all(s.depth)};
+// Copies dL by the features into `gradients` (block, D, 16) and adds their part to in.behind.
+void load_features(const BlendBackward& b, int left, int top, float* gradients, Incoming& in) {
+  const size_t count = b.feature_count;
+  memset(gradients, 0, sizeof(float) * 256 * count);
+  for (int block = 0; block < 16; ++block)
+    for (int pixel = 0; pixel < 16; ++pixel) {
+      const int x = left + 4 * (block % 4) + pixel % 4, y = top + 4 * (block / 4) + pixel / 4;
+      if (x >= b.view.width || y >= b.view.height) continue;
+      const size_t at = (static_cast<size_t>(y) * b.view.width + x) * count;
+      float sum = 0;
+      for (size_t d = 0; d < count; ++d) {
+        gradients[(block * count + d) * 16 + pixel] = b.images.grad_features[at + d];
+        sum += b.images.grad_features[at + d] * b.images.features[at + d];
+      }
+      in.behind[block][pixel] += sum;
+    }
 }
 
-// Adds the block's part to the moments; returns whether the block still lets light through.
-AOMGEN_INLINE bool add_block(const Parameters& p, Incoming& in, int block, F moments[kMoments]) {
-  F dx = load(kTileGeometry.x[block]) - p.x, dy = load(kTileGeometry.y[block]) - p.y;
-  F e = log2_alpha(dx, dy, p.qxx, p.qxy, p.qyy, p.log2_opacity);
-  F before = load(in.transmittance[block]);
-  M drawn = (e > all(kMinLog2Alpha)) & (before > all(kMinTransmittance));
-  F unclamped = exp2(e);
-  F alpha = where(drawn, lesser(unclamped, all(kMaxAlpha)));
-  F weight = alpha * before, after = fnma(alpha, before, before);
-  store(in.transmittance[block], after);
-  F red = load(in.red[block]), green = load(in.green[block]), blue = load(in.blue[block]), depth = load(in.depth[block]);
-  F own = fma(p.red, red, fma(p.green, green, fma(p.blue, blue, p.depth * depth)));
-  F behind = fnma(weight, own, load(in.behind[block]));
-  store(in.behind[block], behind);
-  F by_alpha = before * own - behind * reciprocal(all(1.0f) - alpha);
-  F g = where(all(kMaxAlpha) > unclamped, alpha) * by_alpha;
-  F gx = g * dx, gy = g * dy;
+// A splat's features, dL by the features of one register of pixels, and the splat's sums.
+struct Features {
+  int count;
+  const float* values;
+  const float* gradients;  // (D, 16)
+  float* sums;             // (D, kLanes)
+};
+
+AOMGEN_INLINE F feature_share(const Features& f) {
+  F own = zeros();
+  for (int d = 0; d < f.count; ++d) own = fma(all(f.values[d]), load(f.gradients + 16 * d), own);
+  return own;
+}
+
+AOMGEN_INLINE void add_feature_sums(const Features& f, F weight) {
+  for (int d = 0; d < f.count; ++d)
+    store(f.sums + kLanes * d, fma(weight, load(f.gradients + 16 * d), load(f.sums + kLanes * d)));
+}
+
+// Adds one register's part to the moments.
+template <bool WithDepth, bool WithFeatures>
+AOMGEN_INLINE void add_pixels(const Splat& s, Incoming& in, int at, F moments[kMoments], const Features& features) {
+  const F before = load(&in.transmittance[0][at]);
+  const Touch t = touch(s, load(&kTileGeometry.x[0][at]), load(&kTileGeometry.y[0][at]), before);
+  const F weight = t.alpha * before, after = fnma(t.alpha, before, before);
+  store(&in.transmittance[0][at], after);
+  const F red = load(&in.red[0][at]), green = load(&in.green[0][at]), blue = load(&in.blue[0][at]);
+  F own = fma(all(s.red), red, fma(all(s.green), green, s.blue * blue));
+  if (WithDepth) own = fma(all(s.depth), load(&in.depth[0][at]), own);
+  if (WithFeatures) own = own + feature_share(features);
+  const F behind = fnma(weight, own, load(&in.behind[0][at]));
+  store(&in.behind[0][at], behind);
+  const F by_alpha = fnma(behind, reciprocal(1.0f - t.alpha), before * own);
+  const F g = where(above(all(kMaxAlpha), t.unclamped), t.alpha) * by_alpha;
+  const F gx = g * t.dx, gy = g * t.dy;
   moments[0] = moments[0] + g;
   moments[1] = moments[1] + gx;
   moments[2] = moments[2] + gy;
-  moments[3] = fma(gx, dx, moments[3]);
-  moments[4] = fma(gx, dy, moments[4]);
-  moments[5] = fma(gy, dy, moments[5]);
+  moments[3] = fma(gx, t.dx, moments[3]);
+  moments[4] = fma(gx, t.dy, moments[4]);
+  moments[5] = fma(gy, t.dy, moments[5]);
   moments[6] = fma(weight, red, moments[6]);
   moments[7] = fma(weight, green, moments[7]);
   moments[8] = fma(weight, blue, moments[8]);
-  moments[9] = fma(weight, depth, moments[9]);
-  return any(after > all(kMinTransmittance));
+  if (WithDepth) moments[9] = fma(weight, load(&in.depth[0][at]), moments[9]);
+  if (WithFeatures) add_feature_sums(features, weight);
+}
+
+void store_feature_moments(const Features& f, float* out) {
+  for (int d = 0; d < f.count; ++d) {
+    float total = 0;
+    for (int lane = 0; lane < kLanes; ++lane) total += f.sums[kLanes * d + lane];
+    out[d] = total;
+  }
+}
+
+template <bool WithDepth, bool WithFeatures>
+void backward_tile(const BlendBackward& b, int tile, float* scratch) {
+  const int left = tile % b.tiles.columns * kTile, top = tile / b.tiles.columns * kTile;
+  const size_t count = WithFeatures ? b.feature_count : 0;
+  Incoming in;
+  load_incoming(b, left, top, in);
+  if (WithFeatures) load_features(b, left, top, scratch, in);
+  Features features = {static_cast<int>(count), nullptr, nullptr, scratch + 256 * count};
+  const uint32_t end = b.tiles.begin[tile + 1];
+  for (uint32_t k = b.tiles.begin[tile]; k < end; ++k) {
+    const size_t place = b.tiles.places[k];
+    uint32_t blocks = b.block_masks[k];
+    if (!blocks) {
+      memset(b.moments + 16 * place, 0, 16 * sizeof(float));
+      if (WithFeatures) memset(b.feature_moments + count * place, 0, count * sizeof(float));
+      continue;
+    }
+    if (k + 8 < end) __builtin_prefetch(&b.splats[b.tiles.slots[k + 8]]);
+    Splat s = b.splats[b.tiles.slots[k]];
+    s.x -= static_cast<float>(left);
+    s.y -= static_cast<float>(top);
+    F moments[kMoments];
+    for (F& moment : moments) moment = zeros();
+    if (WithFeatures) {
+      features.values = b.features + count * b.gaussians[b.tiles.slots[k]];
+      memset(features.sums, 0, sizeof(float) * kLanes * count);
+    }
+    for (; blocks; blocks &= blocks - 1) {
+      const int block = __builtin_ctz(blocks);
+      for (int part = 0; part < kParts; ++part) {
+        features.gradients = scratch + 16 * block * count + part * kLanes;
+        add_pixels<WithDepth, WithFeatures>(s, in, 16 * block + part * kLanes, moments, features);
+      }
+    }
+    lane_sums(moments, b.moments + 16 * place);
+    if (WithFeatures) store_feature_moments(features, b.feature_moments + count * place);
+  }
 }
 
 }  // namespace
 
-void blend_backward(const BlendBackward& b, int tile) {
-  const int left = tile % b.tiles.columns * kTile, top = tile / b.tiles.columns * kTile;
-  Incoming in;
-  load_incoming(b, left, top, in);
-  uint32_t alive = blocks_on_image(left, top, b.view);
-  const uint32_t end = b.tiles.begin[tile + 1];
-  for (uint32_t k = b.tiles.begin[tile]; k < end; ++k) {
-    float* out = b.moments + 16 * static_cast<size_t>(b.tiles.slots[k]);
-    uint32_t touched = alive ? b.block_masks[k] & alive : 0;
-    if (!touched) {
-      store(out, zeros());
-      continue;
-    }
-    if (k + 8 < end) __builtin_prefetch(&b.splats[b.tiles.splats[k + 8]]);
-    const Parameters p = spread(b.splats[b.tiles.splats[k]], static_cast<float>(left), static_cast<float>(top));
-    F moments[kMoments];
-    for (int m = 0; m < kMoments; ++m) moments[m] = zeros();
-    for (; touched; touched &= touched - 1) {
-      const int block = __builtin_ctz(touched);
-      if (!add_block(p, in, block, moments)) alive &= ~(1u << block);
-    }
-    store(out, lane_sums(moments));
-  }
+void blend_backward(const BlendBackward& b, int tile, float* scratch) {
+  const bool depth = b.images.grad_depth, features = b.feature_count > 0;
+  if (depth && features) return backward_tile<true, true>(b, tile, scratch);
+  if (depth) return backward_tile<true, false>(b, tile, scratch);
+  if (features) return backward_tile<false, true>(b, tile, scratch);
+  backward_tile<false, false>(b, tile, scratch);
 }
 
 }  // namespace aomgen::AOMGEN_ISA

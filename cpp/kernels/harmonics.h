@@ -54,19 +54,4 @@ AOMGEN_INLINE void harmonics_gradient(int degree, F x, F y, F z, const F w[16], 
        8 * kC3c * (xz * w[13]) + kC3e * ((xx - yy) * w[14]);
 }
 
-// Coefficient j of sixteen Gaussians becomes coefficients[j]; rows of unseen Gaussians are zero.
-// A Gaussian's `count` floats (3 per basis function, color channels innermost) lie at
-// sh + index * stride.
-AOMGEN_INLINE void load_coefficients(const float* sh, size_t stride, int count, const int32_t index[16],
-                                     uint32_t wanted, F coefficients[48]) {
-  for (int part = 0; part < count; part += 16) {
-    int width = count - part < 16 ? count - part : 16;
-    for (int lane = 0; lane < 16; ++lane) {
-      const float* row = sh + stride * static_cast<size_t>(index[lane]) + part;
-      coefficients[part + lane] = wanted >> lane & 1 ? load_first(row, width) : zeros();
-    }
-    transpose(coefficients + part);
-  }
-}
-
 }  // namespace aomgen::AOMGEN_ISA

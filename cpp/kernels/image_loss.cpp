@@ -30,7 +30,7 @@ Rows make_rows(float* scratch, int width) {
   return rows;
 }
 
-AOMGEN_INLINE F load_at(const float* p, int left) { return left >= 16 ? load(p) : load_first(p, left); }
+AOMGEN_INLINE F load_at(const float* p, int left) { return left >= kLanes ? load(p) : load_first(p, left); }
 
 AOMGEN_INLINE F blur_at(const float* row) {
   F sum = all(kWindow[0]) * load(row - kReach);
@@ -41,7 +41,7 @@ AOMGEN_INLINE F blur_at(const float* row) {
 // Vertical blur of x, y, x^2, y^2 and x y into the scratch rows.
 void blur_columns(const float* x, const float* y, float gain, int at, int height, int width, Rows& rows) {
   const int first = at - kReach > 0 ? at - kReach : 0, last = at + kReach < height - 1 ? at + kReach : height - 1;
-  for (int column = 0; column < width; column += 16) {
+  for (int column = 0; column < width; column += kLanes) {
     F sums[5] = {zeros(), zeros(), zeros(), zeros(), zeros()};
     for (int v = first; v <= last; ++v) {
       const size_t offset = static_cast<size_t>(v) * width + column;
@@ -53,12 +53,12 @@ void blur_columns(const float* x, const float* y, float gain, int at, int height
       sums[3] = fma(wb, b, sums[3]);
       sums[4] = fma(wa, b, sums[4]);
     }
-    for (int i = 0; i < 5; ++i) store_first(rows.row[i] + column, sums[i], width - column < 16 ? width - column : 16);
+    for (int i = 0; i < 5; ++i) store_first(rows.row[i] + column, sums[i], width - column < kLanes ? width - column : kLanes);
   }
 }
 
 AOMGEN_INLINE double total(F sum) {
-  float lanes[16];
+  float lanes[kLanes];
   store(lanes, sum);
   double result = 0;
   for (float lane : lanes) result += lane;
@@ -76,7 +76,7 @@ void ssim_row(const ImageLoss& l, int channel, int at, float* scratch) {
   float* by_square = l.maps + (l.channels + channel) * plane + row;
   float* by_product = l.maps + (2 * l.channels + channel) * plane + row;
   F sum = zeros();
-  for (int column = 0; column < l.width; column += 16) {
+  for (int column = 0; column < l.width; column += kLanes) {
     F u = blur_at(rows.row[0] + column), v = blur_at(rows.row[1] + column);
     F uu = u * u, vv = v * v, uv = u * v;
     F means = uu + vv + all(kC1), twice_mean = 2.0f * uv + all(kC1);
@@ -85,11 +85,11 @@ void ssim_row(const ImageLoss& l, int channel, int at, float* scratch) {
     F inverse_means = all(1.0f) / means, inverse_variances = all(1.0f) / variances, both = inverse_means * inverse_variances;
     F ssim = twice_mean * covariance * both;
     F mean_slope = 2.0f * (v * both * (covariance - twice_mean) + u * ssim * (inverse_variances - inverse_means));
-    const int width = l.width - column < 16 ? l.width - column : 16;
+    const int width = l.width - column < kLanes ? l.width - column : kLanes;
     store_first(by_mean + column, mean_slope, width);
     store_first(by_square + column, -(ssim * inverse_variances), width);
     store_first(by_product + column, 2.0f * (twice_mean * both), width);
-    float lanes[16] = {};
+    float lanes[kLanes] = {};
     store_first(lanes, ssim, width);
     sum = sum + load(lanes);
   }
@@ -100,8 +100,8 @@ void loss_gradient_row(const ImageLoss& l, int channel, int at, float* scratch) 
   const size_t plane = static_cast<size_t>(l.height) * l.width, row = static_cast<size_t>(at) * l.width;
   Rows rows = make_rows(scratch, l.width);
   const int first = at - kReach > 0 ? at - kReach : 0, last = at + kReach < l.height - 1 ? at + kReach : l.height - 1;
-  for (int column = 0; column < l.width; column += 16) {
-    const int width = l.width - column < 16 ? l.width - column : 16;
+  for (int column = 0; column < l.width; column += kLanes) {
+    const int width = l.width - column < kLanes ? l.width - column : kLanes;
     for (int i = 0; i < 3; ++i) {
       const float* map = l.maps + (static_cast<size_t>(i) * l.channels + channel) * plane + column;
       F sum = zeros();
@@ -117,11 +117,11 @@ void loss_gradient_row(const ImageLoss& l, int channel, int at, float* scratch) 
   const float* y = l.target + channel * plane + row;
   float* out = l.grad_rendered + channel * plane + row;
   F l1 = zeros(), by_gain = zeros();
-  for (int column = 0; column < l.width; column += 16) {
-    const int width = l.width - column < 16 ? l.width - column : 16;
+  for (int column = 0; column < l.width; column += kLanes) {
+    const int width = l.width - column < kLanes ? l.width - column : kLanes;
     F drawn = load_at(x + column, width), a = gain * drawn, b = load_at(y + column, width), difference = a - b;
     F slope = blur_at(rows.row[0] + column) + 2.0f * (a * blur_at(rows.row[1] + column)) + b * blur_at(rows.row[2] + column);
-    F sign = where(difference > zeros(), by_l1) - where(zeros() > difference, by_l1);
+    F sign = where(above(difference, zeros()), by_l1) - where(above(zeros(), difference), by_l1);
     F gradient = fma(by_ssim, slope, sign);
     store_first(out + column, gain * gradient, width);
     l1 = l1 + absolute(difference);

@@ -11,6 +11,7 @@ namespace aomgen {
 constexpr int kTile = 16;                // tile side [px]; a tile is 16 blocks of 4x4 pixels
 constexpr int kProjectionBlock = 1024;   // Gaussians that one projection task handles, multiple of 16
 constexpr int kMoments = 10;             // gradient sums of one (Gaussian, tile) pair, see blend_backward.cpp
+constexpr int kMaxGradientFeatures = 256;
 constexpr float kMinLog2Alpha = -7.99435344f;  // log2(1/255): fainter contributions are not drawn
 constexpr float kMaxAlpha = 0.99f;
 constexpr float kMinTransmittance = 1e-4f;     // a pixel is finished once less than this shines through
@@ -25,57 +26,71 @@ struct alignas(64) Splat {
   float red, green, blue, depth;
   float best_dy_per_dx, best_dx_per_dy;  // where the exponent is largest on a vertical, horizontal line
   float half_width, half_height;         // of the box in which alpha can reach 1/255
-  float opacity, unused;
+  float unused[2];
 };
 static_assert(sizeof(Splat) == 64, "one cache line, sixteen floats");
 
+// A part's transform: upper three rows of cam_from_part, then the camera's centre in the part's frame.
+struct alignas(64) PartPose {
+  float cam_from_part[12];
+  float center[3];
+  float unused;
+};
+
+// A slot is a Gaussian's place in the projection's results: kProjectionBlock slots a block of the
+// scene, of which the first visible[block] are filled, in the order of the scene.
 struct Projection {
   AomgenScene scene;
   AomgenView view;
-  float cam_center[3];
-  // Results, kProjectionBlock entries a block, of which the first visible[block] are filled.
-  Splat* splats;
-  int32_t* gaussians;   // index into the scene
-  uint32_t* depth_keys; // float bits of the depth
-  uint32_t* visible;
+  const PartPose* poses;  // (P,)
+  Splat* splats;          // by slot
+  int32_t* gaussians;     // by slot: index into the scene
+  uint32_t* depth_keys;   // by slot: float bits of the depth
+  uint32_t* visible;      // by block
 };
 
 struct TileLists {
   int columns, rows;
   const uint32_t* begin;   // (tiles + 1) into entries
-  const uint32_t* splats;  // rank of the splat, near to far inside every tile
-  const uint32_t* slots;   // place of the entry when sorted by splat
+  const uint32_t* slots;   // by entry: slot of the splat, near to far inside every tile
+  const uint32_t* places;  // by entry: its row among the gradient sums, which lie in the order of slots
 };
 
 struct Blend {
   AomgenView view;
   TileLists tiles;
-  const Splat* splats;       // by rank
-  const int32_t* gaussians;  // by rank
+  const Splat* splats;       // by slot
+  const int32_t* gaussians;  // by slot
+  int feature_count;
+  const float* features;     // (N, D)
   AomgenImages images;
   float* transmittance;      // (H, W) left after all splats
-  uint16_t* block_masks;     // per entry: blocks of the tile the splat may touch
+  uint16_t* block_masks;     // by entry: blocks of the tile in which the splat is drawn
 };
 
 struct BlendBackward {
   AomgenView view;
   TileLists tiles;
-  const Splat* splats;
+  const Splat* splats;       // by slot
+  const int32_t* gaussians;  // by slot
+  int feature_count;         // 0 without gradient by features
+  const float* features;     // (N, D)
   const float* transmittance;
   const uint16_t* block_masks;
   AomgenImageGradients images;
-  float* moments;            // (entries by slot, 16)
+  float* moments;            // (entries by place, 16)
+  float* feature_moments;    // (entries by place, D)
 };
 
 struct ProjectionBackward {
   Projection forward;
-  const uint32_t* ranks;     // by place in the projection's result: rank of the splat
-  const uint32_t* block_begin;  // first place of every projection block
-  const int32_t* gaussians;  // by place
-  const Splat* splats;       // by rank
-  const uint32_t* slot_begin;  // by rank: first slot, (visible + 1)
+  const uint32_t* block_begin;  // by block: number of visible Gaussians before it
+  const uint32_t* entry_begin;  // by slot: first place of its entries
+  const uint32_t* entry_count;  // by slot
   const float* moments;
+  const float* feature_moments;
   AomgenSceneGradients gradients;
+  float* pose_sums;             // (blocks, P, 16) or null: by cam_from_part (12) and centre (3)
 };
 
 struct Weights {
@@ -84,7 +99,15 @@ struct Weights {
   const Splat* splats;
   int mask_count;            // <= 16 of them in one pass
   const float* masks;        // (mask_count, H, W)
-  float* sums;               // (entries by slot, 16)
+  float* sums;               // (entries by place, 16)
+};
+
+struct PairCount {
+  AomgenView view;
+  TileLists tiles;
+  const Splat* splats;
+  int64_t* evaluated;        // by tile
+  int64_t* blended;          // by tile
 };
 
 struct ImageLoss {
@@ -114,16 +137,19 @@ struct Kernels {
   const char* name;
   void (*project)(const Projection&, int block);
   void (*blend)(const Blend&, int tile, float* scratch);
-  void (*blend_backward)(const BlendBackward&, int tile);
+  void (*blend_backward)(const BlendBackward&, int tile, float* scratch);
   void (*project_backward)(const ProjectionBackward&, int block);
   void (*sum_weights)(const Weights&, int tile);
+  void (*count_pairs)(const PairCount&, int tile);
   void (*ssim_row)(const ImageLoss&, int channel, int y, float* scratch);
   void (*loss_gradient_row)(const ImageLoss&, int channel, int y, float* scratch);
   void (*adam)(const AdamStep&, int block);
+  double (*multiply_adds)(int64_t rounds);  // how many were done, see throughput.cpp
 };
 
 // Scratch floats that a task of the named kernel needs.
 static inline size_t blend_scratch(int feature_count) { return static_cast<size_t>(256) * feature_count; }
+static inline size_t backward_scratch(int feature_count) { return static_cast<size_t>(256 + 16) * feature_count; }
 static inline size_t loss_scratch(int width) { return 5 * static_cast<size_t>(width + 64); }
 
 }  // namespace aomgen

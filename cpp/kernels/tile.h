@@ -28,16 +28,20 @@ alignas(64) constexpr TileGeometry kTileGeometry = make_tile_geometry();
 // Blocks of the tile in which the splat's alpha can reach 1/255; exact for the blocks' rectangles
 // of pixel centres. x, y: the splat's centre relative to the tile's corner.
 AOMGEN_INLINE uint32_t touched_blocks(const Splat& s, float x, float y) {
-  F left = load(kTileGeometry.block_x) - all(x), top = load(kTileGeometry.block_y) - all(y);
-  F right = left + all(3.0f), bottom = top + all(3.0f);
-  // The exponent is largest on one of the two edges nearest to the centre (or at the centre).
-  F near_x = lesser(greater(zeros(), left), right), near_y = lesser(greater(zeros(), top), bottom);
-  F on_x = clamp(near_x * all(s.best_dy_per_dx), top, bottom);
-  F on_y = clamp(near_y * all(s.best_dx_per_dy), left, right);
-  F qxx = all(s.qxx), qxy = all(s.qxy), qyy = all(s.qyy);
-  F vertical = fma(near_x, fma(qxx, near_x, qxy * on_x), qyy * on_x * on_x);
-  F horizontal = fma(on_y, fma(qxx, on_y, qxy * near_y), qyy * near_y * near_y);
-  return bits(all(s.log2_opacity - kMinLog2Alpha) > lesser(vertical, horizontal));
+  const F qxx = all(s.qxx), qxy = all(s.qxy), qyy = all(s.qyy), limit = all(s.log2_opacity - kMinLog2Alpha);
+  uint32_t touched = 0;
+  for (int part = 0; part < kParts; ++part) {
+    F left = load(kTileGeometry.block_x + part * kLanes) - x, top = load(kTileGeometry.block_y + part * kLanes) - y;
+    F right = left + 3.0f, bottom = top + 3.0f;
+    // The exponent is largest on one of the two edges nearest to the centre (or at the centre).
+    F near_x = minimum(maximum(zeros(), left), right), near_y = minimum(maximum(zeros(), top), bottom);
+    F on_x = clamp(near_x * s.best_dy_per_dx, top, bottom);
+    F on_y = clamp(near_y * s.best_dx_per_dy, left, right);
+    F vertical = fma(near_x, fma(qxx, near_x, qxy * on_x), qyy * on_x * on_x);
+    F horizontal = fma(on_y, fma(qxx, on_y, qxy * near_y), qyy * near_y * near_y);
+    touched |= bits(above(limit, minimum(vertical, horizontal))) << (part * kLanes);
+  }
+  return touched;
 }
 
 // Blocks of a tile that lie at least partly on the image.
@@ -48,11 +52,23 @@ AOMGEN_INLINE uint32_t blocks_on_image(int left, int top, const AomgenView& view
   return mask;
 }
 
-// log2 of a splat's alpha at offsets (dx, dy). One function with explicit fused operations, so that
-// forward and backward decide alike which pixels a splat touches.
-AOMGEN_INLINE F log2_alpha(F dx, F dy, F qxx, F qxy, F qyy, F log2_opacity) {
-  F e = fnma(dx, fma(qxx, dx, qxy * dy), log2_opacity);
-  return fnma(qyy * dy, dy, e);
+// A splat at the pixels of one register: its offset, its alpha before the limit, and where it is drawn.
+// One function with explicit fused operations, so that every pass decides alike which pixels it touches.
+struct Touch {
+  F dx, dy, unclamped, alpha;
+  M drawn;
+};
+
+AOMGEN_INLINE Touch touch(const Splat& s, F x, F y, F transmittance) {
+  Touch t;
+  t.dx = x - s.x;
+  t.dy = y - s.y;
+  F e = fnma(t.dx, fma(all(s.qxx), t.dx, s.qxy * t.dy), all(s.log2_opacity));
+  e = fnma(s.qyy * t.dy, t.dy, e);
+  t.drawn = above(e, all(kMinLog2Alpha)) & above(transmittance, all(kMinTransmittance));
+  t.unclamped = exp2_inside(e);
+  t.alpha = where(t.drawn, minimum(t.unclamped, all(kMaxAlpha)));
+  return t;
 }
 
 // Copies the tile's part of an image plane (H, W) into blocks; zero outside the image.

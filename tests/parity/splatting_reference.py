@@ -46,11 +46,18 @@ def rotation_matrices(quats: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, -1) for row in rows], -2)
 
 
-def splats(parameters: dict[str, Tensor], camera: Camera, degree: int) -> dict[str, Tensor]:
-    """Centres, covariances, colors, opacities and depths on the image."""
-    V = torch.tensor(camera.T_cam_world)
-    R, t = V[:3, :3], V[:3, 3]
-    cam = parameters["means"] @ R.T + t
+def splats(
+    parameters: dict[str, Tensor],
+    camera: Camera,
+    degree: int,
+    Ts_cam_part: Tensor | None = None,
+    antialiased: bool = False,
+) -> dict[str, Tensor]:
+    """Centres, covariances, colors, opacities and depths on the image; a pose (4, 4) for each Gaussian."""
+    if Ts_cam_part is None:
+        Ts_cam_part = torch.tensor(camera.T_cam_world).expand(len(parameters["means"]), 4, 4)
+    R, t = Ts_cam_part[:, :3, :3], Ts_cam_part[:, :3, 3]
+    cam = torch.einsum("nij,nj->ni", R, parameters["means"]) + t
     x, y, z = cam.unbind(-1)
     M = rotation_matrices(parameters["quats"]) * parameters["log_scales"].exp()[:, None]
     limit = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
@@ -65,25 +72,33 @@ def splats(parameters: dict[str, Tensor], camera: Camera, degree: int) -> dict[s
         -2,
     )
     A = J @ R @ M
-    covariance = A @ A.transpose(1, 2) + DILATION * torch.eye(2, dtype=torch.float64)
-    directions = torch.nn.functional.normalize(parameters["means"] - torch.tensor(camera.center), dim=-1)
+    sharp = A @ A.transpose(1, 2)
+    covariance = sharp + DILATION * torch.eye(2, dtype=torch.float64)
+    center = -torch.einsum("nji,nj->ni", R, t)
+    directions = torch.nn.functional.normalize(parameters["means"] - center, dim=-1)
     basis = sh_basis(directions, degree)
     color = 0.5 + torch.einsum("nk,nkc->nc", basis, parameters["sh"][:, : basis.shape[1]])
-    center = torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
+    opacity = parameters["logit_opacities"].sigmoid()
+    if antialiased:
+        opacity = opacity * (torch.linalg.det(sharp) / torch.linalg.det(covariance)).clamp_min(0).sqrt()
     return {
-        "center": center,
+        "center": torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1),
         "precision": torch.linalg.inv(covariance),
         "color": color.clamp_min(0),
-        "opacity": parameters["logit_opacities"].sigmoid(),
+        "opacity": opacity,
         "depth": z,
     }
 
 
 def blend_weights(
-    parameters: dict[str, Tensor], camera: Camera, degree: int
+    parameters: dict[str, Tensor],
+    camera: Camera,
+    degree: int,
+    Ts_cam_part: Tensor | None = None,
+    antialiased: bool = False,
 ) -> tuple[list[int], Tensor, Tensor, dict]:
     """Indices near to far, their weights (n, H, W), the light left (H, W), and the splats."""
-    s = splats(parameters, camera, degree)
+    s = splats(parameters, camera, degree, Ts_cam_part, antialiased)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     pixels = torch.tensor(np.stack([columns, rows], -1))
     left = torch.ones(camera.height, camera.width, dtype=torch.float64)
@@ -101,13 +116,21 @@ def blend_weights(
 
 
 def render(
-    parameters: dict[str, Tensor], camera: Camera, degree: int, background: tuple[float, float, float]
-) -> tuple[Tensor, Tensor, Tensor]:
-    """rgb (3, H, W), depth (H, W) not divided by alpha, alpha (H, W)."""
-    order, weights, left, s = blend_weights(parameters, camera, degree)
+    parameters: dict[str, Tensor],
+    camera: Camera,
+    degree: int,
+    background: tuple[float, float, float],
+    Ts_cam_part: Tensor | None = None,
+    antialiased: bool = False,
+) -> tuple[Tensor, ...]:
+    """rgb (3, H, W), depth (H, W) not divided by alpha, alpha (H, W), and features (H, W, D) if there are."""
+    order, weights, left, s = blend_weights(parameters, camera, degree, Ts_cam_part, antialiased)
     rgb = torch.einsum("nhw,nc->chw", weights, s["color"][order])
     rgb = rgb + left * torch.tensor(background, dtype=torch.float64)[:, None, None]
-    return rgb, torch.einsum("nhw,n->hw", weights, s["depth"][order]), 1 - left
+    images = rgb, torch.einsum("nhw,n->hw", weights, s["depth"][order]), 1 - left
+    if "features" in parameters:
+        images += (torch.einsum("nhw,nd->hwd", weights, parameters["features"][order]),)
+    return images
 
 
 def image_loss(rendered: Tensor, target: Tensor, gains: Tensor, dssim_weight: float) -> Tensor:

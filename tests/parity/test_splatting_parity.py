@@ -10,7 +10,7 @@ import torch
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
-from aomgen.splatting.differentiable import render_tensors
+from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
 from aomgen.splatting.loss import image_loss
 from aomgen.splatting.rasterizer import contribution_weights, render
 
@@ -85,13 +85,8 @@ def expected(request: pytest.FixtureRequest) -> dict:
 def test_images_and_gradients_match_float64(expected: dict, isa: str) -> None:
     context = native.Context(instruction_set=isa)
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in expected["parameters"].items()}
-    drawn = render_tensors(
-        *(leaves[name] for name in NAMES),
-        expected["camera"],
-        sh_degree=expected["degree"],
-        background=BACKGROUND,
-        context=context,
-    )
+    options = RasterOptions(sh_degree=expected["degree"], background=BACKGROUND)
+    drawn = CpuRasterizer(context)(GaussianTensors(**leaves), expected["camera"], options)
     images = (drawn.rgb, drawn.depth, drawn.alpha)
     for have, want in zip(images, expected["images"], strict=True):
         np.testing.assert_allclose(have.detach().numpy(), want, atol=2e-5)
@@ -103,12 +98,80 @@ def test_images_and_gradients_match_float64(expected: dict, isa: str) -> None:
         np.testing.assert_allclose(have, want, atol=5e-5 * np.abs(want).max(), err_msg=name)
 
 
+def rotation_about(axis: torch.Tensor) -> torch.Tensor:
+    """Rotation matrix (3, 3) of a rotation vector (3,)."""
+    zero = torch.zeros_like(axis[0])
+    rows = [[zero, -axis[2], axis[1]], [axis[2], zero, -axis[0]], [-axis[1], axis[0], zero]]
+    return torch.matrix_exp(torch.stack([torch.stack(row) for row in rows]))
+
+
+def rigid(motion: torch.Tensor) -> torch.Tensor:
+    """Transform (4, 4) of a rotation vector and a translation (6,)."""
+    upper = torch.cat([rotation_about(motion[:3]), motion[3:, None]], 1)
+    return torch.cat([upper, torch.tensor([[0, 0, 0, 1]], dtype=motion.dtype)])
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["classic", "antialiased"])
+def moving(request: pytest.FixtureRequest) -> dict:
+    """Parts with poses, a differentiable camera and features: the reference's images and gradients."""
+    camera, degree, rng = make_camera(), 3, np.random.default_rng(8)
+    parameters = make_parameters(150, degree, seed=21)
+    if request.param:  # smaller than a pixel, where compensation matters
+        parameters["log_scales"] -= 1.5
+    parameters["features"] = torch.tensor(rng.normal(size=(150, 7)).astype(np.float32))
+    parts = torch.tensor(rng.integers(0, 4, 150).astype(np.int32))
+    motions = torch.tensor(rng.normal(size=(5, 6)) * 0.3)
+    exact = double(parameters)
+    exact["motions"] = motions.clone().requires_grad_()
+    Ts_part = torch.stack([rigid(motion) for motion in exact["motions"][:4]])
+    T_cam_world = rigid(exact["motions"][4] * 0.1) @ torch.tensor(camera.T_cam_world)
+    Ts_cam_part = (T_cam_world @ Ts_part)[parts.long()]
+    images = reference.render(exact, camera, degree, BACKGROUND, Ts_cam_part, request.param)
+    weights = [torch.tensor(rng.normal(size=image.shape) / 1000) for image in images]
+    sum((image * weight).sum() for image, weight in zip(images, weights, strict=True)).backward()
+    return {
+        "antialiased": request.param,
+        "camera": camera,
+        "parameters": parameters,
+        "parts": parts,
+        "motions": motions,
+        "images": [image.detach().numpy() for image in images],
+        "weights": [weight.float() for weight in weights],
+        "gradients": {name: tensor.grad.numpy() for name, tensor in exact.items()},
+    }
+
+
+@pytest.mark.parametrize("isa", native.instruction_sets())
+def test_features_poses_and_parts_match_float64(moving: dict, isa: str) -> None:
+    leaves = {name: tensor.clone().requires_grad_() for name, tensor in moving["parameters"].items()}
+    leaves["motions"] = moving["motions"].clone().requires_grad_()
+    Ts_part = torch.stack([rigid(motion) for motion in leaves["motions"][:4]]).float()
+    T_cam_world = rigid(leaves["motions"][4] * 0.1) @ torch.tensor(moving["camera"].T_cam_world)
+    gaussians = GaussianTensors(**{name: leaves[name] for name in (*NAMES, "features")})
+    drawn = CpuRasterizer(native.Context(instruction_set=isa))(
+        gaussians,
+        moving["camera"],
+        RasterOptions(sh_degree=3, background=BACKGROUND, antialiased=moving["antialiased"]),
+        T_cam_world=T_cam_world.float(),
+        parts=PartTensors(indices=moving["parts"], Ts_world_part=Ts_part),
+    )
+    images = (drawn.rgb, drawn.depth, drawn.alpha, drawn.features)
+    for have, want in zip(images, moving["images"], strict=True):
+        np.testing.assert_allclose(have.detach().numpy(), want, atol=5e-5)
+    sum((image * w).sum() for image, w in zip(images, moving["weights"], strict=True)).backward()
+    for name, want in moving["gradients"].items():
+        assert np.abs(want).max() > 0
+        have = leaves[name].grad.numpy()
+        np.testing.assert_allclose(have, want, atol=1e-4 * np.abs(want).max(), err_msg=name)
+
+
 def test_a_lower_degree_ignores_the_rest() -> None:
     parameters, camera = make_parameters(60, 3, seed=5), make_camera()
     low = dict(parameters, sh=parameters["sh"][:, :4].contiguous())
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in parameters.items()}
-    drawn = render_tensors(*(leaves[name] for name in NAMES), camera, sh_degree=1)
-    want = render_tensors(*(low[name] for name in NAMES), camera, sh_degree=1)
+    options = RasterOptions(sh_degree=1)
+    drawn = CpuRasterizer()(GaussianTensors(**leaves), camera, options)
+    want = CpuRasterizer()(GaussianTensors(**low), camera, options)
     assert torch.equal(drawn.rgb, want.rgb)
     drawn.rgb.sum().backward()
     assert leaves["sh"].grad[:, 4:].abs().max() == 0
@@ -118,9 +181,9 @@ def test_a_lower_degree_ignores_the_rest() -> None:
 def test_a_context_used_again_refuses_the_old_backward() -> None:
     parameters, camera = make_parameters(20, 0, seed=1), make_camera()
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in parameters.items()}
-    context = native.Context()
-    first = render_tensors(*(leaves[name] for name in NAMES), camera, sh_degree=0, context=context)
-    render_tensors(*(leaves[name] for name in NAMES), camera, sh_degree=0, context=context)
+    rasterizer, options = CpuRasterizer(), RasterOptions(sh_degree=0)
+    first = rasterizer(GaussianTensors(**leaves), camera, options)
+    rasterizer(GaussianTensors(**leaves), camera, options)
     with pytest.raises(native.BackendError, match="overwritten"):
         first.rgb.sum().backward()
 

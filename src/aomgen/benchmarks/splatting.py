@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.splatting import native
-from aomgen.splatting.differentiable import render_tensors
+from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
 from aomgen.splatting.loss import image_loss
 from aomgen.splatting.rasterizer import render
 
@@ -122,11 +122,11 @@ def _measure_case(case: SpeedCase) -> dict:
         )
     ]
 
+    rasterizer, options = CpuRasterizer(context), RasterOptions(sh_degree=case.sh_degree)
+    names = ("means", "quats", "log_scales", "logit_opacities", "sh")
+
     def forward() -> torch.Tensor:
-        means, quats, log_scales, logits, sh = leaves
-        drawn = render_tensors(
-            means, quats, log_scales, logits, sh, camera, sh_degree=case.sh_degree, context=context
-        )
+        drawn = rasterizer(GaussianTensors(**dict(zip(names, leaves, strict=True))), camera, options)
         return drawn.rgb
 
     target = forward().detach() * 0.9

@@ -1,126 +1,281 @@
-"""The rasterizer as a differentiable torch function, in the optimizer's parameters."""
+"""Gaussians as torch tensors, and the engine as a differentiable function of them.
 
-from collections.abc import Sequence
+`Rasterizer` is what training asks for; `CpuRasterizer` is the engine on the processor.
+"""
+
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from aomgen.core.camera import Camera
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import native_view
+from aomgen.splatting.rasterizer import NEAR_DEPTH
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GaussianTensors:
+    """N Gaussians as the optimizer sees them, float32.
+
+    Attributes:
+        means: (N, 3), [m].
+        quats: (N, 4), wxyz, normalised inside.
+        log_scales: (N, 3), logarithms of standard deviations.
+        logit_opacities: (N,).
+        sh: (N, K, 3), K = 1, 4, 9 or 16.
+        features: (N, D), blended like colors, or None. With gradients D is at most 256.
+    """
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    logit_opacities: Tensor
+    sh: Tensor
+    features: Tensor | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartTensors:
+    """Gaussians that move in rigid groups: each is given in the frame of its part.
+
+    Attributes:
+        indices: Part of every Gaussian (N,) int32, 0..P-1.
+        Ts_world_part: Rigid poses of the parts (P, 4, 4) float32, differentiable.
+    """
+
+    indices: Tensor
+    Ts_world_part: Tensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RasterOptions:
+    """How to draw.
+
+    Attributes:
+        sh_degree: Degree that is evaluated, at most that of the coefficients.
+        background: sRGB color 0..1 behind everything.
+        antialiased: Lower the opacity of Gaussians smaller than a pixel.
+        with_ids: Also give median depth and the most contributing Gaussian.
+        near_depth: Gaussians at or before this depth are not drawn, [m].
+    """
+
+    sh_degree: int
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    antialiased: bool = False
+    with_ids: bool = False
+    near_depth: float = NEAR_DEPTH
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TensorRendering:
-    """Planar float32 images.
+    """Images on the device of the Gaussians; rgb, depth, alpha and features carry gradients.
 
     Attributes:
-        rgb: (3, H, W), not clipped above.
+        rgb: (3, H, W) float32, not clipped above.
         depth: (H, W), sum of weight times depth (not divided by alpha), [m].
         alpha: (H, W).
+        features: (H, W, D), sum of weight times feature; None without features.
+        median_depth: (H, W), depth at which less than half of the light is left, 0 where half is
+            never reached, [m]; None unless asked for.
+        max_id: (H, W) int32, Gaussian with the largest weight, -1 for none; None unless asked for.
     """
 
     rgb: Tensor
     depth: Tensor
     alpha: Tensor
+    features: Tensor | None = None
+    median_depth: Tensor | None = None
+    max_id: Tensor | None = None
 
 
-def render_tensors(
-    means: Tensor,
-    quats: Tensor,
-    log_scales: Tensor,
-    logit_opacities: Tensor,
-    sh: Tensor,
-    camera: Camera,
-    *,
-    sh_degree: int,
-    background: Sequence[float] = (0.0, 0.0, 0.0),
-    context: native.Context | None = None,
-) -> TensorRendering:
-    """Draw Gaussians and record what the gradients need.
+class Rasterizer(Protocol):
+    """Draws Gaussians and differentiates the images."""
+
+    def __call__(
+        self,
+        gaussians: GaussianTensors,
+        camera: Camera,
+        options: RasterOptions,
+        *,
+        T_cam_world: Tensor | None = None,
+        parts: PartTensors | None = None,
+    ) -> TensorRendering:
+        """Draw.
+
+        Args:
+            gaussians: In the world frame, or in the frames of `parts`.
+            camera: Intrinsics, size and pose.
+            options: How to draw.
+            T_cam_world: Pose (4, 4) float32 to use instead of the camera's, differentiable; rigid.
+            parts: Where the parts are.
+
+        Raises:
+            BackendError: The backend is missing or refuses the scene.
+        """
+        ...
+
+
+class CpuRasterizer:
+    """The engine on the processor.
 
     Args:
-        means: (N, 3) float32.
-        quats: (N, 4) float32, wxyz, normalised inside.
-        log_scales: (N, 3) float32, logarithms of standard deviations.
-        logit_opacities: (N,) float32.
-        sh: (N, K, 3) float32.
-        camera: View in the frame of the means.
-        sh_degree: Degree that is evaluated, at most that of K.
-        background: sRGB color 0..1.
-        context: Engine memory to use; the backward pass must come before its next use. A new
-            one by default, which is slow in a loop.
-
-    Raises:
-        BackendError: The engine is missing or refuses the scene, or `context` was used again
-            before the backward pass.
+        context: Engine memory to use. The backward pass of an image must come before the next
+            image of the same context.
     """
-    context = context or native.Context()
-    view = native_view(camera, background)
-    rgb, depth, alpha = _Rasterize.apply(
-        means, quats, log_scales, logit_opacities, sh, view, sh_degree, context
-    )  # type: ignore[misc]
-    return TensorRendering(rgb=rgb, depth=depth, alpha=alpha)
+
+    def __init__(self, context: native.Context | None = None) -> None:
+        self.context = context or native.Context()
+
+    def __call__(
+        self,
+        gaussians: GaussianTensors,
+        camera: Camera,
+        options: RasterOptions,
+        *,
+        T_cam_world: Tensor | None = None,
+        parts: PartTensors | None = None,
+    ) -> TensorRendering:
+        """See `Rasterizer`."""
+        if T_cam_world is None:
+            T_cam_world = torch.tensor(camera.T_cam_world, dtype=torch.float32)
+        Ts = T_cam_world[None] if parts is None else T_cam_world @ parts.Ts_world_part
+        call = _Call(
+            camera=camera,
+            options=options,
+            context=self.context,
+            parts=None if parts is None else parts.indices.to(torch.int32).contiguous(),
+        )
+        g = gaussians
+        images = _Rasterize.apply(
+            g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, g.features, Ts[:, :3], call
+        )
+        rgb, depth, alpha, features, median, max_id = images  # type: ignore[misc]
+        return TensorRendering(
+            rgb=rgb, depth=depth, alpha=alpha, features=features, median_depth=median, max_id=max_id
+        )
+
+
+_NAMES = ("means", "quats", "scales", "opacities", "sh")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Call:
+    """What has no gradient."""
+
+    camera: Camera
+    options: RasterOptions
+    context: native.Context
+    parts: Tensor | None
+
+    def view(self, cam_from_part: Tensor) -> native.View:
+        camera, options = self.camera, self.options
+        return native.View(
+            width=camera.width,
+            height=camera.height,
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
+            near_depth=options.near_depth,
+            antialiased=options.antialiased,
+            background=tuple(options.background),
+            part_count=len(cam_from_part),
+            cam_from_part=cam_from_part.data_ptr(),
+        )
+
+    def scene(self, inputs: list[Tensor], features: Tensor | None) -> native.Scene:
+        return native.Scene(
+            count=len(inputs[0]),
+            sh_coefficients=inputs[4].shape[1],
+            sh_degree=self.options.sh_degree,
+            encoded=1,
+            feature_count=0 if features is None else features.shape[1],
+            features=_address(features),
+            parts=_address(self.parts),
+            **{name: tensor.data_ptr() for name, tensor in zip(_NAMES, inputs, strict=True)},
+        )
 
 
 class _Rasterize(torch.autograd.Function):
-    """Logs and logits become real values here; the engine differentiates by real values."""
-
     @staticmethod
-    def forward(  # type: ignore[override]
-        ctx: Any,
-        means: Tensor,
-        quats: Tensor,
-        log_scales: Tensor,
-        logit_opacities: Tensor,
-        sh: Tensor,
-        view: native.View,
-        sh_degree: int,
-        context: native.Context,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        means, quats, sh = (_plain(tensor) for tensor in (means, quats, sh))
-        scales, opacities = _plain(log_scales).exp(), _plain(logit_opacities).sigmoid()
-        scene = native.Scene(
-            count=len(means),
-            sh_coefficients=sh.shape[1],
-            sh_degree=sh_degree,
-            means=means.data_ptr(),
-            quats=quats.data_ptr(),
-            scales=scales.data_ptr(),
-            opacities=opacities.data_ptr(),
-            sh=sh.data_ptr(),
+    def forward(ctx: Any, *arguments: Any) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        call: _Call = arguments[7]
+        *inputs, poses = (_plain(tensor) for tensor in (*arguments[:5], arguments[6]))
+        features = None if arguments[5] is None else _plain(arguments[5])
+        _check(inputs, features, poses, call)
+        height, width = call.camera.height, call.camera.width
+        rgb = torch.empty((3, height, width))
+        depth, alpha = torch.empty((height, width)), torch.empty((height, width))
+        drawn = None if features is None else torch.empty((height, width, features.shape[1]))
+        median = torch.empty((height, width)) if call.options.with_ids else None
+        max_id = torch.empty((height, width), dtype=torch.int32) if call.options.with_ids else None
+        images = native.Images(
+            rgb=rgb.data_ptr(),
+            depth=depth.data_ptr(),
+            alpha=alpha.data_ptr(),
+            median_depth=_address(median),
+            max_id=_address(max_id),
+            features=_address(drawn),
         )
-        rgb = torch.empty((3, view.height, view.width))
-        depth, alpha = torch.empty(rgb.shape[1:]), torch.empty(rgb.shape[1:])
-        images = native.Images(rgb=rgb.data_ptr(), depth=depth.data_ptr(), alpha=alpha.data_ptr())
-        context.forward(scene, view, images)
-        ctx.context, ctx.forward_number = context, context.forward_number
-        ctx.save_for_backward(means, quats, scales, opacities, sh, rgb, depth)
-        return rgb, depth, alpha
+        call.context.forward(call.scene(inputs, features), call.view(poses), images)
+        ctx.call, ctx.forward_number = call, call.context.forward_number
+        ctx.set_materialize_grads(False)
+        ctx.mark_non_differentiable(*(image for image in (median, max_id) if image is not None))
+        ctx.save_for_backward(*inputs, poses, features, rgb, depth, drawn)
+        return rgb, depth, alpha, drawn, median, max_id
 
     @staticmethod
-    def backward(ctx: Any, grad_rgb: Tensor, grad_depth: Tensor, grad_alpha: Tensor) -> tuple:  # type: ignore[override]
-        means, quats, scales, opacities, sh, rgb, depth = ctx.saved_tensors
-        grads = [torch.empty_like(tensor) for tensor in (means, quats, scales, opacities, sh)]
-        grad_images = [tensor.contiguous() for tensor in (grad_rgb, grad_depth, grad_alpha)]
+    def backward(ctx: Any, *grads: Tensor | None) -> tuple:  # type: ignore[override]
+        *inputs, poses, features, rgb, depth, drawn = ctx.saved_tensors
+        by_rgb, by_depth, by_alpha, by_features = (
+            None if grad is None else grad.contiguous() for grad in grads[:4]
+        )
+        if by_rgb is None:
+            by_rgb = torch.zeros_like(rgb)
+        results = [torch.empty_like(tensor) for tensor in inputs]
+        by_poses = torch.empty_like(poses) if ctx.needs_input_grad[6] else None
+        # Features that are constants still tell where the Gaussians should be.
+        result_features = None if features is None else torch.empty_like(features)
         images = native.ImageGradients(
             rgb=rgb.data_ptr(),
             depth=depth.data_ptr(),
-            grad_rgb=grad_images[0].data_ptr(),
-            grad_depth=grad_images[1].data_ptr(),
-            grad_alpha=grad_images[2].data_ptr(),
+            features=_address(drawn),
+            grad_rgb=by_rgb.data_ptr(),
+            grad_depth=_address(by_depth),
+            grad_alpha=_address(by_alpha),
+            grad_features=_address(by_features),
         )
-        names = ("means", "quats", "scales", "opacities", "sh")
-        addresses = {name: grad.data_ptr() for name, grad in zip(names, grads, strict=True)}
-        ctx.context.backward(images, native.SceneGradients(**addresses), ctx.forward_number)
-        by_log_scales = grads[2].mul_(scales)
-        by_logits = grads[3].mul_(opacities * (1 - opacities))
-        return grads[0], grads[1], by_log_scales, by_logits, grads[4], None, None, None
+        gradients = native.SceneGradients(
+            features=_address(result_features),
+            cam_from_part=_address(by_poses),
+            **{name: result.data_ptr() for name, result in zip(_NAMES, results, strict=True)},
+        )
+        ctx.call.context.backward(images, gradients, ctx.forward_number)
+        return *results, result_features, by_poses, None
+
+
+def _check(inputs: list[Tensor], features: Tensor | None, poses: Tensor, call: _Call) -> None:
+    """The engine reads by address, so shapes are settled here."""
+    count = len(inputs[0])
+    shapes = [tuple(tensor.shape) for tensor in inputs]
+    coefficients = shapes[4][1] if len(shapes[4]) == 3 else -1
+    want = [(count, 3), (count, 4), (count, 3), (count,), (count, coefficients, 3)]
+    if shapes != want:
+        raise ValueError(f"means, quats, log_scales, logit_opacities, sh have shapes {shapes}, want {want}")
+    if features is not None and (features.ndim != 2 or len(features) != count):
+        raise ValueError(f"features have shape {tuple(features.shape)}, want ({count}, D)")
+    if poses.ndim != 3 or poses.shape[1:] != (3, 4):
+        raise ValueError(f"poses have shape {tuple(poses.shape)}, want (P, 3, 4)")
+    if call.parts is not None and tuple(call.parts.shape) != (count,):
+        raise ValueError(f"part indices have shape {tuple(call.parts.shape)}, want ({count},)")
 
 
 def _plain(tensor: Tensor) -> Tensor:
     if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
         raise TypeError(f"want float32 tensors on the CPU, got {tensor.dtype} on {tensor.device}")
     return tensor.detach().contiguous()
+
+
+def _address(tensor: Tensor | None) -> int | None:
+    return None if tensor is None or not tensor.numel() else tensor.data_ptr()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from aomgen.errors import BackendError
 
-ABI_VERSION = 1
+ABI_VERSION = 2
 LIBRARY_NAME = "libaomgen_splatting.so"
 _REMEDY = "reinstall aomgen, or build in place: cmake -S . -B build && cmake --build build"
 
@@ -21,16 +21,20 @@ class Scene(Structure):
         ("count", c_int64),
         ("sh_coefficients", c_int32),
         ("sh_degree", c_int32),
+        ("encoded", c_int32),
+        ("feature_count", c_int32),
         ("means", c_void_p),
         ("quats", c_void_p),
         ("scales", c_void_p),
         ("opacities", c_void_p),
         ("sh", c_void_p),
+        ("features", c_void_p),
+        ("parts", c_void_p),
     )
 
 
 class View(Structure):
-    """AomgenView: camera, near depth and background."""
+    """AomgenView: camera, near depth, background, and a pose for every part of the scene."""
 
     _fields_ = (
         ("width", c_int32),
@@ -40,8 +44,10 @@ class View(Structure):
         ("cx", c_float),
         ("cy", c_float),
         ("near_depth", c_float),
-        ("world_to_cam", c_float * 12),
+        ("antialiased", c_int32),
         ("background", c_float * 3),
+        ("part_count", c_int32),
+        ("cam_from_part", c_void_p),
     )
 
 
@@ -55,22 +61,26 @@ class Images(Structure):
         ("alpha", c_void_p),
         ("median_depth", c_void_p),
         ("max_id", c_void_p),
-        ("feature_count", c_int32),
         ("features", c_void_p),
-        ("feature_image", c_void_p),
     )
 
 
 class ImageGradients(Structure):
     """AomgenImageGradients: what was drawn, and the loss's gradient by it."""
 
-    _fields_ = tuple((name, c_void_p) for name in ("rgb", "depth", "grad_rgb", "grad_depth", "grad_alpha"))
+    _fields_ = tuple(
+        (name, c_void_p)
+        for name in ("rgb", "depth", "features", "grad_rgb", "grad_depth", "grad_alpha", "grad_features")
+    )
 
 
 class SceneGradients(Structure):
-    """AomgenSceneGradients: where a backward pass writes."""
+    """AomgenSceneGradients: where a backward pass writes; packed rows if `rows` is given."""
 
-    _fields_ = tuple((name, c_void_p) for name in ("means", "quats", "scales", "opacities", "sh"))
+    _fields_ = tuple(
+        (name, c_void_p)
+        for name in ("rows", "means", "quats", "scales", "opacities", "sh", "features", "cam_from_part")
+    )
 
 
 _SIGNATURES = {
@@ -94,6 +104,8 @@ _SIGNATURES = {
     ),
     "aomgen_adam_step": (c_int32, (c_void_p, c_int64, c_int32, *(c_void_p,) * 5, c_int64)),
     "aomgen_stage_times": (c_int32, (c_void_p, POINTER(c_double))),
+    "aomgen_count_pairs": (c_int32, (c_void_p, POINTER(c_int64), POINTER(c_int64))),
+    "aomgen_vector_throughput": (c_int32, (c_void_p, POINTER(c_double))),
     "aomgen_counts": (c_int32, (c_void_p, POINTER(c_int64), POINTER(c_int64))),
 }
 
@@ -205,6 +217,18 @@ class Context:
         visible, intersections = c_int64(), c_int64()
         self._check(self._library.aomgen_counts(self._handle, visible, intersections))
         return visible.value, intersections.value
+
+    def count_pairs(self) -> tuple[int, int]:
+        """(Gaussian, pixel) pairs that the last planar forward pass computed, and those it drew; slow."""
+        evaluated, blended = c_int64(), c_int64()
+        self._check(self._library.aomgen_count_pairs(self._handle, evaluated, blended))
+        return evaluated.value, blended.value
+
+    def vector_throughput(self) -> float:
+        """Fused multiply-adds per second of one thread in this instruction set, measured."""
+        result = c_double()
+        self._check(self._library.aomgen_vector_throughput(self._handle, result))
+        return result.value
 
     def _check(self, status: int) -> None:
         if status:

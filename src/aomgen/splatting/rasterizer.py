@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.values import Array, freeze
 from aomgen.splatting import native
 
 # Accumulated alpha below which a pixel has no depth.
@@ -38,12 +39,31 @@ class Rendering:
     features: NDArray[np.float32] | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """Gaussians that move in rigid groups: each is given in the frame of its part.
+
+    Attributes:
+        indices: Part of every Gaussian (N,) int32, 0..P-1.
+        Ts_world_part: Rigid poses of the parts (P, 4, 4).
+    """
+
+    indices: NDArray[np.int32]
+    Ts_world_part: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "indices", self.indices, (None,), np.int32)
+        freeze(self, "Ts_world_part", self.Ts_world_part, (None, 4, 4))
+
+
 def render(
     gaussians: Gaussians,
     camera: Camera,
     *,
     background: Sequence[float] = (0.0, 0.0, 0.0),
     features: NDArray[np.float32] | None = None,
+    parts: Parts | None = None,
+    antialiased: bool = False,
     with_ids: bool = False,
     threads: int | None = None,
 ) -> Rendering:
@@ -52,10 +72,12 @@ def render(
     Gaussians with NaN or infinite values are left out.
 
     Args:
-        gaussians: In the frame that `camera.T_world_cam` maps to.
+        gaussians: In the frame that `camera.T_world_cam` maps to, or in the frames of `parts`.
         camera: Where to look from.
         background: sRGB color 0..1 behind everything.
         features: (N, D) values to blend like colors.
+        parts: Where the parts of the scene are; their view-dependent colors turn along.
+        antialiased: Lower the opacity of Gaussians smaller than a pixel, as Mip-Splatting does.
         with_ids: Also give median depth and the most contributing Gaussian.
         threads: None for all processors of the process.
 
@@ -67,14 +89,12 @@ def render(
     alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
     median = np.empty(shape, np.float32) if with_ids else None
     max_id = np.empty(shape, np.int32) if with_ids else None
-    width = 0
     feature_image = None
     if features is not None:
         features = np.ascontiguousarray(features, np.float32)
         if features.ndim != 2 or len(features) != len(gaussians):
             raise ValueError(f"features have shape {features.shape}, want ({len(gaussians)}, D)")
-        width = features.shape[1]
-        feature_image = np.empty((*shape, width), np.float32)
+        feature_image = np.empty((*shape, features.shape[1]), np.float32)
     images = native.Images(
         rgb=rgb.ctypes.data,
         interleaved=1,
@@ -82,13 +102,13 @@ def render(
         alpha=alpha.ctypes.data,
         median_depth=_address(median),
         max_id=_address(max_id),
-        feature_count=width,
-        features=_address(features),
-        feature_image=_address(feature_image),
+        features=_address(feature_image) if features is not None and features.size else None,
     )
+    poses = cam_from_parts(camera, parts)
+    view = native_view(camera, poses, background=background, antialiased=antialiased)
     context = native.scratch_context()
     context.configure(threads)
-    context.forward(native_scene(gaussians), native_view(camera, background), images)
+    context.forward(native_scene(gaussians, features, parts), view, images)
     np.minimum(rgb, 1, out=rgb)
     np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
     depth[~(alpha > MIN_ALPHA)] = 0
@@ -116,28 +136,48 @@ def contribution_weights(
     weights = np.zeros((len(gaussians), len(masks)), np.float32)
     context = native.scratch_context()
     context.configure()
-    scene, view = native_scene(gaussians), native_view(camera)
+    poses = cam_from_parts(camera)
+    scene, view = native_scene(gaussians), native_view(camera, poses)
     context.contribution_weights(scene, view, len(masks), masks.ctypes.data, weights.ctypes.data)
     return weights
 
 
-def native_scene(gaussians: Gaussians) -> native.Scene:
-    """The engine's view of Gaussians, which must stay alive while it is used."""
+def native_scene(
+    gaussians: Gaussians, features: NDArray[np.float32] | None = None, parts: Parts | None = None
+) -> native.Scene:
+    """The engine's view of arrays, which must stay alive while it is used."""
+    if parts is not None and len(parts.indices) != len(gaussians):
+        raise ValueError(f"{len(parts.indices)} part indices for {len(gaussians)} Gaussians")
     return native.Scene(
         count=len(gaussians),
         sh_coefficients=gaussians.sh.shape[1],
         sh_degree=gaussians.sh_degree,
+        feature_count=0 if features is None else features.shape[1],
         means=gaussians.means.ctypes.data,
         quats=gaussians.quats.ctypes.data,
         scales=gaussians.scales.ctypes.data,
         opacities=gaussians.opacities.ctypes.data,
         sh=gaussians.sh.ctypes.data,
+        features=_address(features),
+        parts=None if parts is None else parts.indices.ctypes.data,
     )
 
 
-def native_view(camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -> native.View:
-    """The engine's view of a camera."""
-    rows = camera.T_cam_world[:3].astype(np.float32).ravel()
+def cam_from_parts(camera: Camera, parts: Parts | None = None) -> NDArray[np.float32]:
+    """Upper rows (P, 3, 4) of the transforms from each part, or from the world, to the camera."""
+    Ts = camera.T_cam_world[None] if parts is None else camera.T_cam_world @ parts.Ts_world_part
+    return np.ascontiguousarray(Ts[:, :3], np.float32)
+
+
+def native_view(
+    camera: Camera,
+    poses: NDArray[np.float32],
+    *,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool = False,
+    near_depth: float = NEAR_DEPTH,
+) -> native.View:
+    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used."""
     return native.View(
         width=camera.width,
         height=camera.height,
@@ -145,9 +185,11 @@ def native_view(camera: Camera, background: Sequence[float] = (0.0, 0.0, 0.0)) -
         fy=camera.fy,
         cx=camera.cx,
         cy=camera.cy,
-        near_depth=NEAR_DEPTH,
-        world_to_cam=tuple(rows.tolist()),
+        near_depth=near_depth,
+        antialiased=antialiased,
         background=tuple(float(value) for value in background),
+        part_count=len(poses),
+        cam_from_part=poses.ctypes.data,
     )
 
 

@@ -14,7 +14,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.splatting import native
 from aomgen.splatting.density import error_shares, relocate_and_grow
-from aomgen.splatting.differentiable import render_tensors
+from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
 from aomgen.splatting.loss import image_loss
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.photographs import Exposure, View, reduced
@@ -160,18 +160,9 @@ def _learn(
 ) -> float:
     """One iteration; returns the loss."""
     leaves = parameters.leaves()
-    background = params.background or tuple(rng.random(3))
-    drawn = render_tensors(
-        leaves["means"],
-        leaves["quats"],
-        leaves["log_scales"],
-        leaves["logit_opacities"],
-        leaves["sh"],
-        view.camera,
-        sh_degree=_sh_degree(params, share),
-        background=background,
-        context=context,
-    )
+    background = params.background or tuple(rng.random(3).tolist())
+    options = RasterOptions(sh_degree=_sh_degree(params, share), background=background)
+    drawn = CpuRasterizer(context)(GaussianTensors(**leaves), view.camera, options)
     log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
     gains = None if log_gains is None else log_gains.exp()
     loss = image_loss(
