@@ -1,0 +1,206 @@
+"""Gaussians drawn by gsplat on an NVIDIA GPU, behind the interface of the CPU rasterizer.
+
+The conventions are those of `rasterizers.Rasterizer`. Two constants of gsplat's kernels differ from the
+engine's and stay as they are, because neither changes what a scene looks like: a Gaussian takes at most
+0.999 of the light (engine: 0.99), and the one that would leave less than 1e-4 is not drawn (engine: drawn).
+"""
+
+from dataclasses import replace
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+from aomgen.core.camera import Camera
+from aomgen.splatting.differentiable import GaussianTensors, PartTensors, RasterOptions, TensorRendering
+from aomgen.splatting.gsplat_inputs import check_parts, check_scene, finite_only
+from aomgen.splatting.gsplat_loading import load_gsplat
+from aomgen.splatting.pixel_lists import median_depth_and_max_id
+from aomgen.splatting.placement import placed_in_world, view_directions
+
+MAX_ALPHA = 0.999
+_DILATION = 0.3  # [px^2]
+
+
+class GsplatRasterizer:
+    """Draws Gaussians whose tensors are on a CUDA device; differentiable by all of them.
+
+    Args:
+        gsplat: The module to draw with; None loads and checks the installed one.
+
+    Raises:
+        BackendError: gsplat or CUDA is missing, or gsplat's kernels do not build.
+    """
+
+    def __init__(self, gsplat: ModuleType | None = None) -> None:
+        self._gsplat = load_gsplat() if gsplat is None else gsplat
+
+    def __call__(
+        self,
+        gaussians: GaussianTensors,
+        camera: Camera,
+        options: RasterOptions,
+        *,
+        T_cam_world: Tensor | None = None,
+        parts: PartTensors | None = None,
+    ) -> TensorRendering:
+        """Draw Gaussians; those with NaN or infinite values are left out.
+
+        Args:
+            gaussians: float32 tensors on one device.
+            camera: Optics and, without `T_cam_world`, the pose.
+            options: What to draw.
+            T_cam_world: (4, 4) rigid pose, replaces the camera's; differentiable.
+            parts: Gaussians are in the frames of these parts; differentiable by the transforms.
+
+        Raises:
+            BackendError: The scene or the camera cannot be drawn.
+        """
+        check_scene(gaussians, camera, options.sh_degree)
+        if parts is not None:
+            check_parts(gaussians, parts)
+        if T_cam_world is None:
+            T_cam_world = _viewmat(camera, gaussians)
+        background = gaussians.means.new_tensor(options.background)
+        if not len(gaussians.means):
+            return _nothing(gaussians, camera, background, options.with_ids)
+        gaussians = finite_only(gaussians)
+        directions = view_directions(gaussians.means, T_cam_world, parts)
+        coefficients = gaussians.sh[:, : (options.sh_degree + 1) ** 2]
+        colors = self._gsplat.spherical_harmonics(options.sh_degree, directions, coefficients)
+        channels = (colors + 0.5).clamp_min(0)
+        if gaussians.features is not None:
+            channels = torch.cat([channels, gaussians.features], -1)
+            background = torch.cat([background, background.new_zeros(gaussians.features.shape[1])])
+        images, alphas, lists = self._rasterize(
+            gaussians, (camera, T_cam_world, parts), options, (channels, background[None], "RGB+D")
+        )
+        median_depth, max_id = self._read_lists(lists) if options.with_ids else (None, None)
+        return TensorRendering(
+            rgb=images[0, :, :, :3].permute(2, 0, 1),
+            depth=images[0, :, :, -1],
+            alpha=alphas[0, :, :, 0],
+            features=None if gaussians.features is None else images[0, :, :, 3:-1],
+            median_depth=median_depth,
+            max_id=max_id,
+        )
+
+    def contribution_weights(
+        self,
+        gaussians: GaussianTensors,
+        camera: Camera,
+        masks: Tensor,
+        options: RasterOptions,
+        *,
+        parts: PartTensors | None = None,
+    ) -> Tensor:
+        """How much of every mask each Gaussian paints: sums (N, M) of blended weight times mask value.
+
+        A feature's image is the sum of weights times the feature, so the gradient by the features of the
+        image's product with the masks is the answer.
+
+        Args:
+            gaussians: N Gaussians.
+            camera: View of the masks.
+            masks: (M, H, W) float32 on the same device, any real values, 1 <= M.
+            options: Near depth and antialiasing of the view.
+            parts: Gaussians are in the frames of these parts.
+
+        Raises:
+            BackendError: The scene or the camera cannot be drawn.
+        """
+        check_scene(gaussians, camera, 0)
+        if parts is not None:
+            check_parts(gaussians, parts)
+        if masks.ndim != 3 or not len(masks) or masks.shape[1:] != (camera.height, camera.width):
+            raise ValueError(
+                f"masks have shape {tuple(masks.shape)}, want (M, {camera.height}, {camera.width})"
+            )
+        count = len(gaussians.means)
+        channels = masks.new_zeros((count, len(masks)))
+        if not count:
+            return channels
+        gaussians = finite_only(replace(gaussians, features=None))
+        view = (camera, _viewmat(camera, gaussians), parts)
+        with torch.enable_grad():
+            channels.requires_grad_()
+            images, _, _ = self._rasterize(gaussians, view, options, (channels, None, "RGB"))
+            (weights,) = torch.autograd.grad(images, channels, masks.permute(1, 2, 0)[None])
+        return weights
+
+    def _rasterize(
+        self,
+        gaussians: GaussianTensors,
+        view: tuple[Camera, Tensor, PartTensors | None],
+        options: RasterOptions,
+        painting: tuple[Tensor, Tensor | None, str],
+    ) -> tuple[Tensor, Tensor, dict]:
+        """Images (1, H, W, D), alphas (1, H, W, 1) and tile lists of channels, background and mode."""
+        (camera, T_cam_world, parts), (channels, background, mode) = view, painting
+        means, quats = gaussians.means, gaussians.quats
+        if parts is not None:
+            means, quats = placed_in_world(means, quats, parts)
+        return self._gsplat.rasterization(
+            means=means,
+            quats=quats,
+            scales=gaussians.log_scales.exp(),
+            opacities=gaussians.logit_opacities.sigmoid(),
+            colors=channels,
+            viewmats=T_cam_world[None],
+            Ks=means.new_tensor(camera.K)[None],
+            width=camera.width,
+            height=camera.height,
+            near_plane=options.near_depth,
+            eps2d=_DILATION,
+            radius_clip=0.0,
+            backgrounds=background,
+            render_mode=mode,
+            packed=False,  # rows of the lists are then rows of the Gaussians
+            rasterize_mode="antialiased" if options.antialiased else "classic",
+        )
+
+    @torch.no_grad()
+    def _read_lists(self, lists: dict) -> tuple[Tensor, Tensor]:
+        """Median depth and largest contribution (H, W), from every pixel's list of Gaussians."""
+        centers, conics, opacities = lists["means2d"], lists["conics"], lists["opacities"]
+        height, width = lists["height"], lists["width"]
+        gaussians, pixels, _ = self._gsplat.rasterize_to_indices_in_range(
+            0,
+            2**31 - 1,  # all, at once: a pixel that is full must not go on in a second range
+            centers.new_ones((1, height, width)),
+            centers,
+            conics,
+            opacities,
+            width,
+            height,
+            lists["tile_size"],
+            lists["isect_offsets"],
+            lists["flatten_ids"],
+        )
+        dx = pixels % width + 0.5 - centers[0, gaussians, 0]
+        dy = pixels // width + 0.5 - centers[0, gaussians, 1]
+        a, b, c = conics[0, gaussians].unbind(-1)
+        exponents = -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy
+        alphas = (opacities[0, gaussians] * exponents.exp()).clamp_max(MAX_ALPHA)
+        return median_depth_and_max_id(pixels, gaussians, alphas, lists["depths"][0], (height, width))
+
+
+def _viewmat(camera: Camera, gaussians: GaussianTensors) -> Tensor:
+    return gaussians.means.new_tensor(camera.T_cam_world)
+
+
+def _nothing(
+    gaussians: GaussianTensors, camera: Camera, background: Tensor, with_ids: bool
+) -> TensorRendering:
+    """What is seen of no Gaussians, with gradients of no rows; gsplat divides by their number."""
+    shape, features = (camera.height, camera.width), gaussians.features
+    arrays = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
+    zeros = background.new_zeros(shape) + sum(array.sum() for array in arrays)
+    return TensorRendering(
+        rgb=background[:, None, None] + zeros,
+        depth=zeros,
+        alpha=zeros,
+        features=None if features is None else zeros[:, :, None].expand(*shape, features.shape[1]),
+        median_depth=torch.zeros_like(zeros) if with_ids else None,
+        max_id=torch.full_like(zeros, -1, dtype=torch.int32) if with_ids else None,
+    )
