@@ -9,7 +9,7 @@ from aomgen.core.values import Array
 
 
 def gaussians_from_points(
-    points: ArrayLike, colors_srgb: NDArray[np.uint8], *, opacity: float = 0.6, size: float = 1.0
+    points: ArrayLike, colors_srgb: NDArray[np.uint8], *, opacity: float = 0.3, size: float = 0.7
 ) -> Gaussians:
     """One round Gaussian a point, as wide as the distance to its neighbours.
 

@@ -55,7 +55,8 @@ def test_drawn_in_their_color() -> None:
     """A dense carpet of one color fills the picture with that color."""
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform(-1, 1, (4000, 2)), np.zeros((4000, 1))], 1)
-    gaussians = gaussians_from_points(points, np.tile(np.array([200, 30, 90], np.uint8), (4000, 1)))
+    colors = np.tile(np.array([200, 30, 90], np.uint8), (4000, 1))
+    gaussians = gaussians_from_points(points, colors, opacity=0.6, size=1.0)
     pose = look_at((0, 0, 1), (0, 0, 0), (0, 1, 0))
     drawn = render(gaussians, Camera(fx=60, fy=60, cx=20, cy=20, width=40, height=40, T_world_cam=pose))
     assert drawn.alpha.mean() > 0.9
