@@ -235,10 +235,16 @@ def bench_accuracy(
 def bench_splatting(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
 ) -> None:
-    """Time the rasterizer, forward and backward, on a table-top scene."""
-    from aomgen.benchmarks.splatting import measure
+    """Time the rasterizer, forward and backward, on a table-top scene, and compare it with float64."""
+    from aomgen.benchmarks.splatting import Effort, default_cases, measure
+    from aomgen.benchmarks.table import as_table
+    from aomgen.io.atomic import write_json
 
-    _show({"cases": measure()}, json_file)
+    figures = measure(default_cases(), Effort())
+    for name, rows in figures.items():
+        print(f"\n{name}\n{as_table(rows) if isinstance(rows, list) else json.dumps(rows, indent=1)}")
+    if json_file:
+        write_json(json_file, figures)
 
 
 def run_project(project, *, until: str = ""):

@@ -1,18 +1,21 @@
-"""Speed of the splatting engine on a table-top scene, on this machine."""
+"""Speed and accuracy of the splatting engine on a table-top scene, on this machine."""
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
-from aomgen.core.camera import Camera, look_at
-from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.transforms import quat_from_matrix
+from aomgen.benchmarks.agreement import Oracle, draw
+from aomgen.benchmarks.projection import parameters_of
+from aomgen.benchmarks.scenes import table_camera, table_top
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
-from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
-from aomgen.splatting.loss import image_loss
-from aomgen.splatting.rasterizer import render
+from aomgen.splatting.rasterizer import native_scene, native_view
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,144 +26,167 @@ class SpeedCase:
         gaussians: Number of Gaussians in the scene; a good half of them is in view.
         width, height: Image size, [px].
         sh_degree: 0..3.
-        threads: Worker threads, None for all processors.
-        instruction_set: One of `native.instruction_sets()`, None for the best.
-        repeats: Timed runs, of which the median counts.
+        threads: Worker threads.
+        isa: One of `native.instruction_sets()`.
     """
 
     gaussians: int = 100_000
     width: int = 640
     height: int = 480
     sh_degree: int = 3
-    threads: int | None = None
-    instruction_set: str | None = None
+    threads: int
+    isa: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """How long to measure.
+
+    Attributes:
+        repeats: Timed runs of every function, taken in turn; the median counts.
+        tiles: Tiles of the image that are compared with float64.
+    """
+
     repeats: int = 15
+    tiles: int = 80
 
 
-DEFAULT_CASES = (
-    SpeedCase(),
-    SpeedCase(gaussians=20_000),
-    SpeedCase(gaussians=300_000),
-    SpeedCase(sh_degree=0),
-    SpeedCase(threads=1),
-)
+def default_cases() -> tuple[SpeedCase, ...]:
+    """Three scene sizes at two image sizes; then the other instruction sets, and one thread."""
+    best, *others = native.instruction_sets()
+    threads = native.library().aomgen_processor_count()
+    sizes = [(640, 480), (320, 240)]
+    counts = [20_000, 100_000, 300_000]
+    cases = [
+        SpeedCase(gaussians=count, width=width, height=height, threads=threads, isa=best)
+        for width, height in sizes
+        for count in counts
+    ]
+    cases += [SpeedCase(threads=threads, isa=isa) for isa in others]
+    return (*cases, SpeedCase(threads=1, isa=best))
 
 
-def measure(cases: tuple[SpeedCase, ...] = DEFAULT_CASES) -> list[dict]:
-    """Median wall times of every case, [ms].
+def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
+    """Median wall times, errors and work of every case; the last one also on every instruction set.
 
     Returns:
-        For each case a dict with the case's fields and: render_ms (numpy interface), forward_ms
-        (torch), train_step_ms (forward, loss, backward), loss_ms, stages_ms, visible, pairs.
+        `cases`: for each a dict with the case's fields, forward_ms and forward_backward_ms (into
+        tensors, gradients by all parameters from a given gradient by the picture), and the
+        fields of `Agreement`.
+        `stages`: for each case the medians of the engine's stages, [ms].
+        `instruction_sets`: see `compare_instruction_sets`.
     """
-    return [_measure_case(case) for case in cases]
+    results, stages = [], []
+    for case in cases:
+        gaussians = table_top(case.gaussians, case.sh_degree)
+        camera = table_camera(case.width, case.height)
+        context = native.Context(case.threads, case.isa)
+        times, case_stages = _times(gaussians, camera, context, case.threads, effort.repeats)
+        errors = asdict(Oracle(gaussians, camera, effort.tiles).compare(context))
+        results.append(asdict(case) | times | errors)
+        stages.append(case_stages)
+    return {
+        "cases": results,
+        "stages": stages,
+        "instruction_sets": compare_instruction_sets(cases[-1], effort.repeats),
+    }
 
 
-def table_top(count: int, sh_degree: int, seed: int = 0) -> Gaussians:
-    """Flattened Gaussians on a table, a floor, two walls and 24 round objects."""
-    rng = np.random.default_rng(seed)
-    centers = rng.uniform([-0.8, -0.5, 0.05], [0.8, 0.5, 0.45], (24, 3))
-    radii = rng.uniform(0.03, 0.12, (24, 3))
-    planes = np.array(  # origin, two sides
-        [
-            [[-1, -0.7, 0], [2, 0, 0], [0, 1.4, 0]],
-            [[-2.5, -2.5, -0.8], [5, 0, 0], [0, 5, 0]],
-            [[-2.5, 2.5, -0.8], [5, 0, 0], [0, 0, 3]],
-            [[-2.5, -2.5, -0.8], [0, 5, 0], [0, 0, 3]],
-        ],
-        np.float64,
-    )
-    plane_areas = np.linalg.norm(np.cross(planes[:, 1], planes[:, 2]), axis=1)
-    areas = np.concatenate([plane_areas, 4 * np.pi * radii.prod(1) ** (2 / 3)])
-    shares = areas * ([4, 1, 1, 1] + [12] * 24)
-    part = rng.choice(28, count, p=shares / shares.sum())
-    spacing = np.sqrt(areas / np.maximum(np.bincount(part, minlength=28), 1))[part]
-    on_plane, ball = part < 4, np.maximum(part - 4, 0)
-    plane = planes[np.minimum(part, 3)]
-    across = np.cross(plane[:, 1], plane[:, 2])
-    direction = rng.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    normal = np.where(on_plane[:, None], across / np.linalg.norm(across, axis=1, keepdims=True), direction)
-    flat = plane[:, 0] + rng.random((count, 1)) * plane[:, 1] + rng.random((count, 1)) * plane[:, 2]
-    means = np.where(on_plane[:, None], flat, centers[ball] + direction * radii[ball])
-    means += 0.1 * spacing[:, None] * rng.normal(size=(count, 3))
-    log_scales = np.log(0.6 * spacing)[:, None] + 0.5 * rng.normal(size=(count, 3)) - [0, 0, 1.5]
-    sh = 0.05 * rng.normal(size=(count, (sh_degree + 1) ** 2, 3))
-    color = rng.random((28, 3))[part] + 0.15 * np.sin(means @ (12 * rng.normal(size=(3, 3))))
-    sh[:, 0] = (np.clip(color, 0.02, 0.98) - 0.5) / SH_C0
-    return Gaussians(
-        means=means.astype(np.float32),
-        quats=_quats_along(normal, rng.uniform(0, 2 * np.pi, count)).astype(np.float32),
-        scales=np.exp(log_scales).astype(np.float32),
-        opacities=(1 / (1 + np.exp(-rng.normal(1, 2, count)))).astype(np.float32),
-        sh=sh.astype(np.float32),
-    )
+def compare_instruction_sets(case: SpeedCase, rounds: int) -> dict[str, Any]:
+    """Time every instruction set on one thread in turn, round by round, in processor time.
 
-
-def table_camera(width: int, height: int, share: float = 0.5) -> Camera:
-    """A view of the table from an arc in front of it; share 0..1 along the arc."""
-    angle = -np.pi / 2 + (share - 0.5) * 1.6
-    pose = look_at([1.5 * np.cos(angle), 1.5 * np.sin(angle), 0.9], [0, 0, 0.1])
-    focal = 0.5 * width / np.tan(np.radians(30))
-    return Camera(
-        fx=focal, fy=focal, cx=width / 2, cy=height / 2, width=width, height=height, T_world_cam=pose
-    )
-
-
-def _measure_case(case: SpeedCase) -> dict:
+    Returns:
+        By instruction set: medians forward_ms and forward_backward_ms, and the medians over the
+        rounds of their ratios to the best instruction set.
+    """
     gaussians = table_top(case.gaussians, case.sh_degree)
     camera = table_camera(case.width, case.height)
-    context = native.Context(case.threads, case.instruction_set)
-    leaves = [
-        torch.tensor(array).requires_grad_()
-        for array in (
-            gaussians.means,
-            gaussians.quats,
-            np.log(gaussians.scales),
-            np.log(gaussians.opacities / (1 - gaussians.opacities)).clip(-15, 15),
-            gaussians.sh,
-        )
-    ]
+    names = native.instruction_sets()
+    functions: dict[str, Callable[[], None]] = {}
+    for name in names:
+        context = native.Context(1, name)
+        functions[f"{name} forward"] = forward_pass(gaussians, camera, context)
+        functions[f"{name} forward_backward"] = training_pass(gaussians, camera, context)
+    with torch_threads(1):
+        times = interleaved_ms(functions, rounds, time.process_time)
+    figures: dict[str, Any] = {"gaussians": case.gaussians, "threads": 1, "rounds": rounds}
+    for name in names:
+        figures[name] = {}
+        for pass_name in ("forward", "forward_backward"):
+            own, best = times[f"{name} {pass_name}"], times[f"{names[0]} {pass_name}"]
+            figures[name][f"{pass_name}_ms"] = float(np.median(own))
+            figures[name][f"{pass_name}_ratio"] = float(np.median(own / best))
+    return figures
 
-    rasterizer, options = CpuRasterizer(context), RasterOptions(sh_degree=case.sh_degree)
-    names = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
-    def forward() -> torch.Tensor:
-        drawn = rasterizer(GaussianTensors(**dict(zip(names, leaves, strict=True))), camera, options)
-        return drawn.rgb
+def forward_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
+    """A function that draws one frame: color, depth and alpha."""
+    planes = np.empty((5, camera.height, camera.width), np.float32)
 
-    target = forward().detach() * 0.9
-    rendered = target.clone().requires_grad_()
-    times = {
-        "forward_ms": _median_ms(forward, case.repeats),
-        "train_step_ms": _median_ms(
-            lambda: image_loss(forward(), target, context=context).backward(), case.repeats
-        ),
-        "stages_ms": context.stage_times_ms(),
-        "loss_ms": _median_ms(lambda: image_loss(rendered, target, context=context), case.repeats),
+    def draw_once() -> None:
+        rgb, depth, alpha = (planes[index].ctypes.data for index in (0, 3, 4))
+        images = native.Images(rgb=rgb, depth=depth, alpha=alpha)
+        context.forward(native_scene(gaussians), native_view(camera), images)
+
+    return draw_once
+
+
+def training_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
+    """A function that draws one frame and takes gradients by all parameters."""
+    leaves = {name: tensor.requires_grad_() for name, tensor in parameters_of(gaussians).items()}
+    noise = np.random.default_rng(0).normal(size=(3, camera.height, camera.width))
+    grad_rgb = torch.tensor(noise, dtype=torch.float32)
+
+    def draw_and_differentiate() -> None:
+        for leaf in leaves.values():
+            leaf.grad = None
+        draw(leaves, camera, gaussians.sh_degree, context).rgb.backward(grad_rgb)
+
+    return draw_and_differentiate
+
+
+def interleaved_ms(
+    functions: dict[str, Callable[[], None]],
+    rounds: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> dict[str, np.ndarray]:
+    """Times (rounds,) of every function, [ms]; all of them once a round, after one round to warm up."""
+    times: dict[str, list[float]] = {name: [] for name in functions}
+    for _ in range(rounds + 1):
+        for name, function in functions.items():
+            start = clock()
+            function()
+            times[name].append(1e3 * (clock() - start))
+    return {name: np.array(values[1:]) for name, values in times.items()}
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Torch's own operations on `count` threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _times(
+    gaussians: Gaussians, camera: Camera, context: native.Context, threads: int, repeats: int
+) -> tuple[dict[str, float], dict[str, float]]:
+    stages: list[dict[str, float]] = []
+    train = training_pass(gaussians, camera, context)
+
+    def train_and_note() -> None:
+        train()
+        stages.append(context.stage_times_ms())
+
+    functions = {
+        "forward_ms": forward_pass(gaussians, camera, context),
+        "forward_backward_ms": train_and_note,
     }
-    if case.instruction_set is None:
-        times["render_ms"] = _median_ms(lambda: render(gaussians, camera, threads=case.threads), case.repeats)
-    visible, pairs = context.counts()
-    fields = {name: getattr(case, name) for name in case.__slots__}
-    return fields | times | {"visible": visible, "pairs": pairs}
-
-
-def _median_ms(function, repeats: int) -> float:
-    function()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(1e3 * (time.perf_counter() - start))
-    return float(np.median(times))
-
-
-def _quats_along(normals: np.ndarray, spins: np.ndarray) -> np.ndarray:
-    """Rotations (N, 4) wxyz whose z axis is the normal, turned about it."""
-    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    x = np.cross(helper, normals)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    y = np.cross(normals, x)
-    c, s = np.cos(spins)[:, None], np.sin(spins)[:, None]
-    return quat_from_matrix(np.stack([x * c + y * s, y * c - x * s, normals], 2))
+    with torch_threads(threads):
+        times = interleaved_ms(functions, repeats)
+    medians = {name: float(np.median(values)) for name, values in times.items()}
+    names = stages[0]
+    return medians, {name: float(np.median([stage[name] for stage in stages[1:]])) for name in names}

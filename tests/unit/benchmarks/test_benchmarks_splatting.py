@@ -1,0 +1,116 @@
+"""What `aomgen bench splatting` writes, on a tiny case."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from aomgen.benchmarks import agreement
+from aomgen.benchmarks.scenes import table_camera, table_top
+from aomgen.benchmarks.splatting import (
+    Effort,
+    SpeedCase,
+    default_cases,
+    interleaved_ms,
+    measure,
+    torch_threads,
+)
+from aomgen.benchmarks.table import as_table
+from aomgen.splatting import native
+
+FRACTIONS = {
+    "forward_ms",
+    "forward_backward_ms",
+    "max_forward_error",
+    "forward_error_p999",
+    "forward_error_decided",
+    "max_gradient_error",
+    "gradient_error_decided",
+    "decided_share",
+}
+KEYS = {"gaussians": int, "width": int, "height": int, "sh_degree": int, "threads": int, "isa": str} | {
+    name: float for name in FRACTIONS
+}
+
+
+@pytest.fixture(scope="module")
+def figures():
+    isa = native.instruction_sets()[-1]
+    case = SpeedCase(gaussians=400, width=64, height=48, threads=1, isa=isa)
+    return measure((case,), Effort(repeats=2, tiles=4))
+
+
+def test_every_case_has_every_key(figures):
+    (case,) = figures["cases"]
+    assert {name: type(value) for name, value in case.items()} == KEYS
+    assert all(np.isfinite(case[name]) and case[name] > 0 for name in FRACTIONS)
+
+
+def test_the_engine_agrees_with_float64(figures):
+    (case,) = figures["cases"]
+    assert case["forward_error_decided"] < 2e-5
+    assert case["gradient_error_decided"] < 1e-4
+    assert case["decided_share"] > 0.9
+
+
+def test_instruction_sets_are_compared_with_the_best(figures):
+    comparison = figures["instruction_sets"]
+    for name in native.instruction_sets():
+        assert comparison[name]["forward_ms"] > 0
+        assert comparison[name]["forward_backward_ms"] > comparison[name]["forward_ms"]
+    assert comparison[native.instruction_sets()[0]]["forward_ratio"] == 1
+
+
+def test_the_default_cases_are_the_promised_ones():
+    cases = default_cases()
+    assert len(cases) == 6 + len(native.instruction_sets())
+    assert {(case.gaussians, case.width, case.height) for case in cases[:6]} == {
+        (count, *size) for count in (20_000, 100_000, 300_000) for size in ((640, 480), (320, 240))
+    }
+    assert {case.isa for case in cases} == set(native.instruction_sets())
+    assert cases[-1].threads == 1
+    assert all(case.sh_degree == 3 and case.threads >= 1 for case in cases)
+
+
+@pytest.mark.parametrize("damage", ["picture", "gradient"])
+def test_a_wrong_engine_shows_in_the_errors(monkeypatch, damage):
+    """Either the picture gets brighter by 0.01, or gradients by 1 % larger, where nothing is at a limit."""
+    oracle = agreement.Oracle(table_top(400, 1), table_camera(64, 48), tiles=4)
+    right = agreement.draw
+
+    def wrong(*arguments):
+        drawn = right(*arguments)
+        if damage == "picture":
+            return replace(drawn, rgb=drawn.rgb + 0.01)
+        return replace(drawn, rgb=drawn.rgb * 1.01 - 0.01 * drawn.rgb.detach())
+
+    monkeypatch.setattr(agreement, "draw", wrong)
+    errors = oracle.compare(native.Context(1))
+    if damage == "picture":
+        assert errors.forward_error_decided == pytest.approx(0.01, abs=1e-4)
+        assert errors.max_forward_error >= errors.forward_error_decided
+    else:
+        assert errors.forward_error_decided < 1e-4
+        assert errors.gradient_error_decided > 1e-3
+        assert errors.max_gradient_error > 1e-3
+
+
+def test_functions_take_turns():
+    calls = []
+    times = interleaved_ms({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 3)
+    assert calls == list("abababab")
+    assert {name: len(values) for name, values in times.items()} == {"a": 3, "b": 3}
+
+
+def test_torch_gets_its_threads_back():
+    before = torch.get_num_threads()
+    with pytest.raises(KeyError), torch_threads(before + 1):
+        raise KeyError
+    assert torch.get_num_threads() == before
+
+
+def test_table():
+    text = as_table([{"name": "avx2", "ms": 12.3456, "error": 3e-6}, {"name": "x", "ms": None, "error": 0.0}])
+    assert text.splitlines() == ["name     ms    error", "avx2  12.35  3.0e-06", "   x      -        0"]
+    assert as_table([]) == ""
