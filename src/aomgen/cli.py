@@ -242,7 +242,8 @@ def bench_splatting(
 
     figures = measure(default_cases(), Effort())
     for name, rows in figures.items():
-        print(f"\n{name}\n{as_table(rows) if isinstance(rows, list) else json.dumps(rows, indent=1)}")
+        shown = as_table(rows) if isinstance(rows, list) else json.dumps(rows, indent=1)
+        print(f"\n{name}\n{shown}")
     if json_file:
         write_json(json_file, figures)
 

@@ -11,7 +11,7 @@ from aomgen.benchmarks.tiles_float64 import TileReference, choose_tiles, tile_ma
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
-from aomgen.splatting.differentiable import TensorRendering, render_tensors
+from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions, TensorRendering
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,16 +97,8 @@ def draw(
     parameters: dict[str, Tensor], camera: Camera, degree: int, context: native.Context
 ) -> TensorRendering:
     """The engine's picture over black of float32 tensors by the names in `PARAMETERS`."""
-    return render_tensors(
-        parameters["means"],
-        parameters["quats"],
-        parameters["log_scales"],
-        parameters["logit_opacities"],
-        parameters["sh"],
-        camera,
-        sh_degree=degree,
-        context=context,
-    )
+    rasterizer, options = CpuRasterizer(context), RasterOptions(sh_degree=degree)
+    return rasterizer(GaussianTensors(**parameters), camera, options)
 
 
 def _relative_error(have: Tensor, want: Tensor) -> float:

@@ -15,7 +15,17 @@ from aomgen.benchmarks.scenes import table_camera, table_top
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import native_scene, native_view
+from aomgen.splatting.rasterizer import cam_from_parts, native_scene, native_view
+
+# Vector operations that blending one splat into sixteen pixels takes, counted in the inner loop.
+OPERATIONS_PER_PAIR = 28
+BOUND = (
+    f"share_of_bound = bound / ns_per_pair; bound: {OPERATIONS_PER_PAIR} vector operations for every pair of "
+    "a splat and a pixel that is evaluated, at the rate at which one thread was measured to do fused "
+    "multiply-adds in the same instruction set. Finding the pairs (which blocks of a tile a splat "
+    "touches) counts as blending time, not as work. A machine that does other operations beside "
+    "multiply-adds could stay below the bound."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,10 +81,11 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
 
     Returns:
         `cases`: for each a dict with the case's fields, forward_ms and forward_backward_ms (into
-        tensors, gradients by all parameters from a given gradient by the picture), and the
-        fields of `Agreement`.
+        tensors, gradients by all parameters from a given gradient by the picture), the work as
+        `_work` tells, and the fields of `Agreement`.
         `stages`: for each case the medians of the engine's stages, [ms].
         `instruction_sets`: see `compare_instruction_sets`.
+        `bound`: what share_of_bound means.
     """
     results, stages = [], []
     for case in cases:
@@ -82,13 +93,15 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
         camera = table_camera(case.width, case.height)
         context = native.Context(case.threads, case.isa)
         times, case_stages = _times(gaussians, camera, context, case.threads, effort.repeats)
+        work = _work(context, case_stages["blend"] * case.threads)
         errors = asdict(Oracle(gaussians, camera, effort.tiles).compare(context))
-        results.append(asdict(case) | times | errors)
+        results.append(asdict(case) | times | work | errors)
         stages.append(case_stages)
     return {
         "cases": results,
         "stages": stages,
         "instruction_sets": compare_instruction_sets(cases[-1], effort.repeats),
+        "bound": BOUND,
     }
 
 
@@ -126,7 +139,8 @@ def forward_pass(gaussians: Gaussians, camera: Camera, context: native.Context) 
     def draw_once() -> None:
         rgb, depth, alpha = (planes[index].ctypes.data for index in (0, 3, 4))
         images = native.Images(rgb=rgb, depth=depth, alpha=alpha)
-        context.forward(native_scene(gaussians), native_view(camera), images)
+        poses = cam_from_parts(camera)
+        context.forward(native_scene(gaussians), native_view(camera, poses), images)
 
     return draw_once
 
@@ -174,19 +188,47 @@ def torch_threads(count: int) -> Iterator[None]:
 def _times(
     gaussians: Gaussians, camera: Camera, context: native.Context, threads: int, repeats: int
 ) -> tuple[dict[str, float], dict[str, float]]:
-    stages: list[dict[str, float]] = []
-    train = training_pass(gaussians, camera, context)
+    """Medians of whole passes, and of the engine's stages: the backward ones of the training pass."""
+    notes: dict[str, list[dict[str, float]]] = {"forward_ms": [], "forward_backward_ms": []}
 
-    def train_and_note() -> None:
-        train()
-        stages.append(context.stage_times_ms())
+    def noted(name: str, function: Callable[[], None]) -> Callable[[], None]:
+        def run() -> None:
+            function()
+            notes[name].append(context.stage_times_ms())
 
-    functions = {
+        return run
+
+    passes = {
         "forward_ms": forward_pass(gaussians, camera, context),
-        "forward_backward_ms": train_and_note,
+        "forward_backward_ms": training_pass(gaussians, camera, context),
     }
     with torch_threads(threads):
-        times = interleaved_ms(functions, repeats)
+        times = interleaved_ms({name: noted(name, function) for name, function in passes.items()}, repeats)
     medians = {name: float(np.median(values)) for name, values in times.items()}
-    names = stages[0]
-    return medians, {name: float(np.median([stage[name] for stage in stages[1:]])) for name in names}
+    stages = {}
+    for stage in notes["forward_ms"][0]:
+        source = notes["forward_backward_ms" if stage.endswith("backward") else "forward_ms"]
+        stages[stage] = float(np.median([note[stage] for note in source[1:]]))
+    return medians, stages
+
+
+def _work(context: native.Context, blend_thread_ms: float) -> dict[str, float]:
+    """Work of the context's last pass, in pairs of a splat and a pixel.
+
+    Args:
+        context: After a pass.
+        blend_thread_ms: Blending time of that pass times threads, [ms].
+
+    Returns:
+        evaluated_pairs (computed), blended_pairs (drawn), ns_per_pair (blending time of one
+        thread per evaluated pair) and share_of_bound, see `BOUND`.
+    """
+    evaluated, blended = context.count_pairs()
+    ns_per_pair = 1e6 * blend_thread_ms / evaluated
+    bound_ns = 1e9 * OPERATIONS_PER_PAIR / context.vector_throughput()
+    return {
+        "evaluated_pairs": evaluated,
+        "blended_pairs": blended,
+        "ns_per_pair": ns_per_pair,
+        "share_of_bound": bound_ns / ns_per_pair,
+    }

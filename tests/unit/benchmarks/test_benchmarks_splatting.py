@@ -7,8 +7,10 @@ import pytest
 import torch
 
 from aomgen.benchmarks import agreement
+from aomgen.benchmarks.projection import parameters_of
 from aomgen.benchmarks.scenes import table_camera, table_top
 from aomgen.benchmarks.splatting import (
+    OPERATIONS_PER_PAIR,
     Effort,
     SpeedCase,
     default_cases,
@@ -17,6 +19,7 @@ from aomgen.benchmarks.splatting import (
     torch_threads,
 )
 from aomgen.benchmarks.table import as_table
+from aomgen.benchmarks.tiles_float64 import TileReference, choose_tiles
 from aomgen.splatting import native
 
 FRACTIONS = {
@@ -28,10 +31,19 @@ FRACTIONS = {
     "max_gradient_error",
     "gradient_error_decided",
     "decided_share",
+    "ns_per_pair",
+    "share_of_bound",
 }
-KEYS = {"gaussians": int, "width": int, "height": int, "sh_degree": int, "threads": int, "isa": str} | {
-    name: float for name in FRACTIONS
-}
+KEYS = {
+    "gaussians": int,
+    "width": int,
+    "height": int,
+    "sh_degree": int,
+    "threads": int,
+    "isa": str,
+    "evaluated_pairs": int,
+    "blended_pairs": int,
+} | {name: float for name in FRACTIONS}
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +57,24 @@ def test_every_case_has_every_key(figures):
     (case,) = figures["cases"]
     assert {name: type(value) for name, value in case.items()} == KEYS
     assert all(np.isfinite(case[name]) and case[name] > 0 for name in FRACTIONS)
+
+
+def test_work_is_what_float64_counts(figures):
+    """All tiles of the picture are compared, so that every blended pair is counted there too."""
+    (case,) = figures["cases"]
+    camera, parameters = table_camera(64, 48), parameters_of(table_top(400, 3))
+    blended = TileReference(parameters, camera, 3, choose_tiles(camera, 12, seed=0)).images().blended
+    assert case["blended_pairs"] == pytest.approx(blended, rel=1e-3)
+    assert case["evaluated_pairs"] >= case["blended_pairs"]
+
+
+def test_the_share_of_the_bound_follows_its_definition(figures):
+    (case,) = figures["cases"]
+    assert case["ns_per_pair"] == pytest.approx(1e6 * figures["stages"][0]["blend"] / case["evaluated_pairs"])
+    throughput = native.Context(1, case["isa"]).vector_throughput()
+    share = 1e9 * OPERATIONS_PER_PAIR / throughput / case["ns_per_pair"]
+    assert case["share_of_bound"] == pytest.approx(share, rel=0.5)  # measured twice on a busy machine
+    assert str(OPERATIONS_PER_PAIR) in figures["bound"]
 
 
 def test_the_engine_agrees_with_float64(figures):

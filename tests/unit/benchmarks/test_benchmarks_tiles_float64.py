@@ -10,17 +10,10 @@ import torch
 
 from aomgen.benchmarks.projection import PARAMETERS, parameters_of, sh_basis
 from aomgen.benchmarks.scenes import table_camera, table_top
-from aomgen.benchmarks.splatting import torch_threads
 from aomgen.benchmarks.tiles_float64 import TileReference, choose_tiles, tile_mask
 from aomgen.core import sh
 
 PARITY = Path(__file__).parents[2] / "parity"
-
-
-@pytest.fixture(autouse=True)
-def _one_thread():
-    with torch_threads(1):
-        yield
 
 
 @pytest.fixture

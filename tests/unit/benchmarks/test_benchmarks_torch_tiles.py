@@ -9,7 +9,6 @@ import torch
 
 from aomgen.benchmarks.projection import PARAMETERS, parameters_of
 from aomgen.benchmarks.scenes import table_camera, table_top
-from aomgen.benchmarks.splatting import torch_threads
 from aomgen.benchmarks.tiles_float64 import TileReference, choose_tiles
 
 SOURCE = Path(__file__).parents[3] / "benchmarks" / "torch_tiles.py"
@@ -31,12 +30,11 @@ def test_it_agrees_with_float64(torch_tiles, tile_px):
     reference = TileReference(parameters, camera, 3, choose_tiles(camera, 100, seed=0))
     images = reference.images()
     leaves = {name: tensor.clone().requires_grad_() for name, tensor in parameters.items()}
-    with torch_threads(1):
-        planes = torch_tiles.render(leaves, camera, 3, tile_px=tile_px)
-        noise = np.random.default_rng(0).normal(size=planes.shape)
-        grad_planes = torch.tensor(noise) * images.decided
-        planes.backward(grad_planes.float())
-        want = reference.gradients(grad_planes)
+    planes = torch_tiles.render(leaves, camera, 3, tile_px=tile_px)
+    noise = np.random.default_rng(0).normal(size=planes.shape)
+    grad_planes = torch.tensor(noise) * images.decided
+    planes.backward(grad_planes.float())
+    want = reference.gradients(grad_planes)
     assert images.decided.double().mean() > 0.9
     assert (planes.detach() - images.planes)[:, images.decided].abs().max() < 5e-5
     for name in PARAMETERS:
