@@ -41,7 +41,8 @@ class Stage:
         version: Raised when the same inputs may give other bytes.
         weight: Expected share of the total time, for the remaining time shown.
         function: Does the work.
-        incremental: Works in its final folder, committing item by item, and continues there.
+        incremental: Works in its final folder, committing item by item or leaving checkpoints,
+            and continues there after a kill.
     """
 
     name: str

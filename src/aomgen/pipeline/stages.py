@@ -47,9 +47,10 @@ STAGES: tuple[Stage, ...] = (
         title="training Gaussians",
         needs=("capture", "structure"),
         settings=("iterations", "gaussians"),
-        version=1,
+        version=2,
         weight=110,
         function=lazily("recovery", "gaussians"),
+        incremental=True,
     ),
     Stage(
         name="alignment",

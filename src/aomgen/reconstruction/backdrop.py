@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from aomgen.core.values import Array
-from aomgen.reconstruction.fusion import DepthMap, Samples, joined
+from aomgen.reconstruction.fusion import DepthMap, Samples, contrast_detail, joined, thin
 
 MAX_PLANES = 5
 # Mean color difference between views that still is the same color, 0..255.
@@ -24,6 +24,11 @@ STRIDE = 2
 # Radius of the far sphere over the cameras' reach: a step aside moves it by less than a pixel.
 SHELL_DISTANCE = 500.0
 COARSE_DIRECTIONS = 3000
+# Weights of pixels that neighbours explain, and of those that only this view vouches for: the shell
+# behind everything may take them, but never against an explanation.
+EXPLAINED_WEIGHT, OPEN_WEIGHT = 1.5, 0.01
+# Of all views together, at least.
+RAYS_A_POINT = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +88,8 @@ def explain(
         planes: Explanations besides infinity.
 
     Returns:
-        Samples on planes; samples whose points are unit directions instead, seen at infinity.
+        Samples on planes; samples whose points are unit directions instead: seen at infinity, or
+        explained by nothing, which weighs next to nothing.
     """
     blurred = [ndimage.uniform_filter(m.image_srgb.astype(np.float32), (3, 3, 1)) for m in maps]  # pyright: ignore[reportArgumentType]
     trees = [cKDTree(plane.support) for plane in planes]
@@ -109,11 +115,19 @@ def explain(
         depths.append(np.full(len(rays), np.inf))
         table = np.stack([_smooth(cost.reshape(shape)).reshape(-1) for cost in costs])
         best = table.argmin(0)
-        chosen = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
-        chosen &= votes[index][rows, columns] < 2
+        undecided = votes[index][rows, columns] < 2
+        explained = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
         depth = np.stack(depths)[best, np.arange(len(best))]
-        for target, which in ((on_planes, chosen & np.isfinite(depth)), (far, chosen & ~np.isfinite(depth))):
-            finite = np.where(np.isfinite(depth[which]), depth[which], 1.0)
+        detail = contrast_detail(depth_map.image_srgb)[rows, columns]
+        at_infinity = explained & ~np.isfinite(depth)
+        # What nothing explains is taken for far when the nearest pixel with a depth is.
+        known = np.where(undecided & ~explained, 0, np.where(undecided & at_infinity, 2, 1)).reshape(shape)
+        nearest = np.asarray(
+            ndimage.distance_transform_edt(known == 0, return_distances=False, return_indices=True)
+        )
+        beyond = undecided & (known[nearest[0], nearest[1]].reshape(-1) == 2)
+        for target, which in ((on_planes, undecided & explained & np.isfinite(depth)), (far, beyond)):
+            finite = depth[which] if target is on_planes else np.ones(int(which.sum()))
             normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best[which]]
             facing = (normals * rays[which]).sum(1, keepdims=True) > 0
             unit = rays[which] / np.linalg.norm(rays[which], axis=1, keepdims=True)
@@ -124,8 +138,8 @@ def explain(
                     normals_recon=np.where(facing, -normals, normals),
                     colors_srgb=depth_map.image_srgb[rows[which], columns[which]],
                     footprints=STRIDE * finite / depth_map.camera.fx,
-                    detail=np.full(int(which.sum()), 0.6),
-                    weights=np.full(int(which.sum()), 1.5),
+                    detail=np.full(int(which.sum()), 0.6) if target is on_planes else detail[which],
+                    weights=np.where(explained[which], EXPLAINED_WEIGHT, OPEN_WEIGHT),
                 )
             )
     return joined(on_planes), joined(far)
@@ -180,26 +194,19 @@ def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) ->
     """Points on a far sphere: fine where views saw infinity, coarse in all other directions.
 
     Args:
-        rays: Samples whose points are unit directions.
+        rays: Samples whose points are unit directions and whose footprints are angles.
         points_recon: The scene's points (P, 3); the sphere is far outside of them.
         centers: Camera centres (V, 3).
-        limit: Number of directions the whole sphere is divided into where it was seen.
+        limit: At most about this many fine points, more where the images have detail.
 
     The coarse directions take the color of the nearest fine one, so that no view looks into a hole.
     """
     center = np.median(points_recon, axis=0)
     radius = SHELL_DISTANCE * float(np.linalg.norm(centers - center, axis=1).max())
-    edge = np.sqrt(4 * np.pi / limit)
-    keys = np.floor(rays.points_recon / edge).astype(np.int64)
-    cells = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
-    totals = np.maximum(np.bincount(cells), 1)[:, None]
-
-    def mean(values: Array) -> Array:
-        return np.stack([np.bincount(cells, values[:, k]) for k in range(3)], 1) / totals
-
-    fine = mean(rays.points_recon).reshape(-1, 3)
-    fine /= np.maximum(np.linalg.norm(fine, axis=1, keepdims=True), 1e-12)
-    colors = mean(rays.colors_srgb.astype(np.float64)).reshape(-1, 3)
+    wanted = min(limit, len(rays.weights) // RAYS_A_POINT)
+    seen = thin(rays, wanted, min_weight=OPEN_WEIGHT) if wanted else rays
+    fine = seen.points_recon / np.maximum(np.linalg.norm(seen.points_recon, axis=1, keepdims=True), 1e-12)
+    colors = seen.colors_srgb.astype(np.float64)
     coarse, coarse_edge = _sphere(COARSE_DIRECTIONS), np.sqrt(4 * np.pi / COARSE_DIRECTIONS)
     if len(fine):
         distances, nearest = cKDTree(fine).query(coarse)
@@ -207,7 +214,7 @@ def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) ->
     else:
         coarse_colors = np.full((len(coarse), 3), 128.0)
     unit = np.concatenate([fine, coarse])
-    sizes = np.concatenate([np.full(len(fine), edge), np.full(len(coarse), coarse_edge)])
+    sizes = np.concatenate([seen.footprints, np.full(len(coarse), coarse_edge)])
     return Samples(
         points_recon=center + radius * unit,
         normals_recon=-unit,

@@ -25,16 +25,16 @@ class DensifyParams:
         width: Width the images are reduced to, [px].
         planes: Depth hypotheses a pixel, evenly spaced in inverse depth from infinity on.
         sources: Neighbours a view is matched with.
-        shell_points: Directions the far sphere around the scene is divided into.
+        shell_points: At most this many on the far sphere, where it was seen.
         sweep: Matching parameters.
         threads: Views worked on at once.
     """
 
-    target_points: int = 90_000
+    target_points: int = 78_000
     width: int = 320
     planes: int = 128
     sources: int = 4
-    shell_points: int = 50_000
+    shell_points: int = 12_000
     sweep: SweepParams = field(default_factory=SweepParams)
     threads: int = 2
 

@@ -16,6 +16,8 @@ MIN_CONFIRMATIONS = 2
 MIN_SCORE = 0.25
 # Pixels that must agree on a cell for it to hold a point.
 MIN_WEIGHT = 5.0
+# Bins that cells are counted in.
+BIN_BITS = 22
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,25 +112,30 @@ def normals_recon(depth_map: DepthMap) -> Array:
     return np.where(facing > 0, -normals, normals)
 
 
-def thin(samples: Samples, target: int) -> Samples:
+def thin(samples: Samples, target: int, *, min_weight: float = MIN_WEIGHT) -> Samples:
     """About `target` samples: one for each cell, cells as large as the points' footprints ask.
 
     A cell's point and color are the means of its samples, which also averages depth noise. A
-    surface leaves many samples in a cell, a wrong match few: cells with less than `MIN_WEIGHT`
+    surface leaves many samples in a cell, a wrong match few: cells with less than `min_weight`
     are dropped. The footprints of the result are the cells' edges.
     """
     wanted = samples.footprints / samples.detail
     low, high = 0.5, 30.0
     for _ in range(10):
         factor = np.sqrt(low * high)
-        totals = np.bincount(_cells(samples.points_recon, wanted * factor), samples.weights)
-        if (totals >= MIN_WEIGHT).sum() > target:
+        # Counting needs no exact cells: a few that share a bin do not matter.
+        bins = (_cell_keys(samples.points_recon, wanted * factor) >> np.uint64(64 - BIN_BITS)).astype(
+            np.int64
+        )
+        totals = np.bincount(bins, samples.weights, 1 << BIN_BITS)
+        if (totals >= min_weight).sum() > target:
             low = factor
         else:
             high = factor
-    cells = _cells(samples.points_recon, wanted * high)
+    keys = _cell_keys(samples.points_recon, wanted * high)
+    cells = np.unique(keys, return_inverse=True)[1].reshape(-1)
     totals = np.bincount(cells, samples.weights)
-    keep = totals >= MIN_WEIGHT
+    keep = totals >= min_weight
 
     def mean(values: Array) -> Array:
         sums = [np.bincount(cells, values[:, k] * samples.weights) for k in range(values.shape[1])]
@@ -146,6 +153,13 @@ def thin(samples: Samples, target: int) -> Samples:
     )
 
 
+def contrast_detail(image_srgb: NDArray[np.uint8]) -> Array:
+    """How finely each pixel (H, W) wants to be drawn, 0.45..1.8: about the root of the local contrast."""
+    gray = image_srgb.mean(-1)
+    contrast = ndimage.gaussian_filter(ndimage.gaussian_gradient_magnitude(gray, 0.8), 1.5)
+    return np.clip(np.sqrt(contrast / 6.0), 0.45, 1.8)
+
+
 def _points(depth_map: DepthMap) -> Array:
     inverse = np.maximum(depth_map.inverse_depth, 0.25 * depth_map.step)
     rays_cam = depth_map.camera.moved(np.eye(4)).directions()
@@ -154,9 +168,7 @@ def _points(depth_map: DepthMap) -> Array:
 
 def _samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
     keep = (votes >= MIN_CONFIRMATIONS) & (depth_map.score >= MIN_SCORE)
-    gray = depth_map.image_srgb.mean(-1)
-    contrast = ndimage.gaussian_filter(ndimage.gaussian_gradient_magnitude(gray, 0.8), 1.5)
-    detail = np.clip(np.sqrt(contrast / 6.0), 0.45, 1.8)
+    detail = contrast_detail(depth_map.image_srgb)
     return Samples(
         points_recon=_points(depth_map)[keep],
         normals_recon=normals_recon(depth_map)[keep],
@@ -167,8 +179,8 @@ def _samples(depth_map: DepthMap, votes: NDArray[np.int32]) -> Samples:
     )
 
 
-def _cells(points: Array, sizes: Array) -> NDArray[np.int64]:
-    """Cell index (P,), counted from 0, in nested cubic grids; each point uses the grid nearest its size."""
+def _cell_keys(points: Array, sizes: Array) -> NDArray[np.uint64]:
+    """Key (P,) of each point's cell in nested cubic grids; each point uses the grid nearest its size."""
     level = np.round(np.log2(np.maximum(sizes, 1e-12)) * 2).astype(np.int64)
     edge = 2.0 ** (level / 2)
     keys = np.concatenate([level[:, None], np.floor(points / edge[:, None]).astype(np.int64)], 1)
@@ -177,4 +189,4 @@ def _cells(points: Array, sizes: Array) -> NDArray[np.int64]:
     for column in range(4):
         mixed = (mixed ^ keys[:, column].astype(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
         mixed ^= mixed >> np.uint64(29)
-    return np.unique(mixed, return_inverse=True)[1].reshape(-1)
+    return mixed

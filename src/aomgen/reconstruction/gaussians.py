@@ -1,6 +1,7 @@
 """The scene as Gaussians: started from dense points, trained, cleaned and judged on held-out images."""
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,10 @@ from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.errors import ReconstructionError
+from aomgen.errors import CorruptArtifactError, ReconstructionError
 from aomgen.reconstruction.densify import DensePoints, DensifyParams, densify
 from aomgen.reconstruction.structure import Structure
+from aomgen.splatting.checkpoint import Checkpoint
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.training import TrainingParams, train
@@ -82,6 +84,8 @@ def train_scene(
     images_srgb: dict[str, NDArray[np.uint8]],
     params: GaussiansParams,
     progress: Progress,
+    *,
+    checkpoint: Checkpoint | None = None,
 ) -> TrainedScene:
     """Train Gaussians on a scan and judge them on images they never saw.
 
@@ -90,6 +94,8 @@ def train_scene(
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
         params: Effort and limits.
         progress: Share done and a few words.
+        checkpoint: Where training continues after a kill. One that cannot be used (damaged, or
+            of other inputs) is left out: it is only saved time, and progress says so.
 
     Raises:
         ReconstructionError: The held-out images are not reproduced at all.
@@ -102,14 +108,17 @@ def train_scene(
     dense = densify(structure, learned, params.densify, part(progress, 0.0, 0.25))
     initial = initial_gaussians(dense)
     cameras = [structure.cameras_recon[name] for name in learned]
-    trained = train(
-        initial,
-        cameras,
-        list(learned.values()),
-        params.training,
-        part(progress, 0.25, 0.95),
-        np.random.default_rng(params.seed),
+    training = partial(
+        train, initial, cameras, list(learned.values()), params.training, part(progress, 0.25, 0.95)
     )
+    try:
+        trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
+    except CorruptArtifactError as error:
+        if checkpoint is None:
+            raise
+        progress(0.25, f"training starts over: {error.where} {error.problem}")
+        checkpoint.path.unlink()
+        trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
     trained = without_floaters(trained, cameras, dense, params.near_share)
     judged = {
         name: judge(trained, structure.cameras_recon[name], images_srgb[name])
@@ -207,6 +216,6 @@ def coarse(params: GaussiansParams) -> GaussiansParams:
     """The same with a fraction of the effort, for previews and tests."""
     return replace(
         params,
-        densify=replace(params.densify, target_points=15_000, planes=64),
+        densify=replace(params.densify, target_points=15_000, shell_points=2_000, planes=64),
         training=replace(params.training, iterations=200, sh_degree=0, max_gaussians=20_000),
     )

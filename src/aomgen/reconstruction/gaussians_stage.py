@@ -12,10 +12,12 @@ from aomgen.io.jsonfile import read_json
 from aomgen.io.ply import read_gaussians, write_gaussians
 from aomgen.reconstruction.gaussians import GaussiansParams, HeldOut, TrainedScene, train_scene
 from aomgen.reconstruction.structure import Structure
+from aomgen.splatting.checkpoint import Checkpoint
 
 GAUSSIANS_FILE = "gaussians.ply"
 METRICS_FILE = "metrics.json"
 STRIP_FILE = "heldout.png"
+CHECKPOINT_FILE = "training.checkpoint"
 
 
 def run_gaussians(
@@ -25,13 +27,18 @@ def run_gaussians(
     progress: Progress,
     params: GaussiansParams | None = None,
 ) -> TrainedScene:
-    """Train (see `train_scene`) and write `gaussians.ply`, `metrics.json` and `heldout.png`."""
+    """Train (see `train_scene`) and write `gaussians.ply`, `metrics.json` and `heldout.png`.
+
+    `training.checkpoint` lies in the folder while this works: a killed run continues there.
+    """
     images_srgb = {name: read_image(path) for name, path in sorted(images.items())}
-    scene = train_scene(structure, images_srgb, params or GaussiansParams(), progress)
+    checkpoint = Checkpoint(path=folder / CHECKPOINT_FILE)
+    scene = train_scene(structure, images_srgb, params or GaussiansParams(), progress, checkpoint=checkpoint)
     write_gaussians(folder / GAUSSIANS_FILE, scene.gaussians_recon)
     write_json(folder / METRICS_FILE, scene.figures)
     if scene.heldout:
         write_image(folder / STRIP_FILE, _strip(scene.heldout, images_srgb))
+    checkpoint.path.unlink()
     progress(1.0, "Gaussians written")
     return scene
 

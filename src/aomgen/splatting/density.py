@@ -55,17 +55,16 @@ def relocate_and_grow(
     weights = np.where(alive, shares, 0.0)
     wanted = min(count - int(alive.sum()), int((weights > 0).sum()))
     if wanted <= 0:
-        return parameters.rebuilt(
-            torch.tensor(np.flatnonzero(alive)), _rows(parameters, np.zeros(0, np.int64))
-        )
-    parents = rng.choice(len(parameters), wanted, replace=False, p=weights / weights.sum())
-    kept = alive.copy()
-    kept[parents] = False
-    return parameters.rebuilt(torch.tensor(np.flatnonzero(kept)), _halves(_rows(parameters, parents)))
+        nothing = torch.zeros(0, dtype=torch.int64)
+        return parameters.rebuilt(torch.tensor(np.flatnonzero(alive)), nothing, _rows(parameters, nothing))
+    drawn = rng.choice(len(parameters), wanted, replace=False, p=weights / weights.sum())
+    alive[drawn] = False
+    parents = torch.tensor(drawn)
+    halves = _halves(_rows(parameters, parents))
+    return parameters.rebuilt(torch.tensor(np.flatnonzero(alive)), parents.repeat(2), halves)
 
 
-def _rows(parameters: Parameters, index: np.ndarray) -> dict[str, Tensor]:
-    rows = torch.tensor(index)
+def _rows(parameters: Parameters, rows: Tensor) -> dict[str, Tensor]:
     return {name: parameters.values[name][rows] for name in NAMES}
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from aomgen.core.gaussians import Gaussians
@@ -23,12 +24,15 @@ class Parameters:
             (N,), sh (N, K, 3), all float32.
         averages: First moments of the gradients, same shapes.
         squares: Second moments.
+        reach: (N,) factor on the steps of the means: a step moves far Gaussians as far in an
+            image as near ones.
         steps: Optimizer steps taken.
     """
 
     values: dict[str, Tensor]
     averages: dict[str, Tensor]
     squares: dict[str, Tensor]
+    reach: Tensor
     steps: int = 0
 
     def __len__(self) -> int:
@@ -45,6 +49,7 @@ class Parameters:
     def step(self, gradients: dict[str, Tensor], rates: dict[str, Tensor], context: native.Context) -> None:
         """Adam in place; `rates` has one learning rate for every column of a parameter."""
         self.steps += 1
+        means = self.values["means"].clone()
         for name in NAMES:
             value, gradient = self.values[name], gradients[name].contiguous()
             columns = value[0].numel() if len(self) else 1
@@ -56,20 +61,36 @@ class Parameters:
                 rates[name].data_ptr(),
             )
             context.adam_step((len(self), columns), addresses, self.steps)
+        torch.lerp(means, self.values["means"], self.reach[:, None], out=self.values["means"])
 
-    def rebuilt(self, kept: Tensor, added: dict[str, Tensor]) -> "Parameters":
-        """The rows `kept` (indices) followed by new rows, whose gradient averages start at zero."""
+    def rebuilt(self, kept: Tensor, parents: Tensor, added: dict[str, Tensor]) -> "Parameters":
+        """The rows `kept` (indices) followed by new rows, whose gradient averages start at zero.
+
+        Args:
+            kept: Indices of rows that stay.
+            parents: Index of the row that each new row came from.
+            added: New rows.
+        """
         rest = {name: torch.zeros_like(value) for name, value in added.items()}
         return Parameters(
             values={name: torch.cat([self.values[name][kept], added[name]]) for name in NAMES},
             averages={name: torch.cat([self.averages[name][kept], rest[name]]) for name in NAMES},
             squares={name: torch.cat([self.squares[name][kept], rest[name]]) for name in NAMES},
+            reach=self.reach[torch.cat([kept, parents])],
             steps=self.steps,
         )
 
 
-def parameters_of(gaussians: Gaussians, sh_degree: int) -> Parameters:
-    """Parameters that start at the given Gaussians, with room for SH up to a degree."""
+def parameters_of(
+    gaussians: Gaussians, sh_degree: int, reach: NDArray[np.float64] | None = None
+) -> Parameters:
+    """Parameters that start at the given Gaussians, with room for SH up to a degree.
+
+    Args:
+        gaussians: N Gaussians.
+        sh_degree: 0..3.
+        reach: See `Parameters`; ones by default.
+    """
     padded = gaussians.with_sh_degree(sh_degree)
     opacities = np.clip(padded.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     arrays = {
@@ -84,6 +105,7 @@ def parameters_of(gaussians: Gaussians, sh_degree: int) -> Parameters:
         values=values,
         averages={name: torch.zeros_like(value) for name, value in values.items()},
         squares={name: torch.zeros_like(value) for name, value in values.items()},
+        reach=torch.ones(len(gaussians)) if reach is None else torch.tensor(reach, dtype=torch.float32),
     )
 
 

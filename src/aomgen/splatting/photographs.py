@@ -25,20 +25,24 @@ class View:
 
 @dataclass(slots=True, kw_only=True)
 class Exposure:
-    """Gains of every image (M, 3) in logarithms, with their optimizer state."""
+    """Gains of every image (M, 3) in logarithms, with their optimizer state; steps (M,) int64."""
 
     enabled: bool
     log_gains: Tensor
     averages: Tensor
     squares: Tensor
-    steps: list[int]
+    steps: Tensor
 
     @staticmethod
     def neutral(count: int, enabled: bool) -> "Exposure":
         """Gains of one."""
-        zeros = (torch.zeros(count, 3), torch.zeros(count, 3), torch.zeros(count, 3))
+        zeros = [torch.zeros(count, 3) for _ in range(3)]
         return Exposure(
-            enabled=enabled, log_gains=zeros[0], averages=zeros[1], squares=zeros[2], steps=[0] * count
+            enabled=enabled,
+            log_gains=zeros[0],
+            averages=zeros[1],
+            squares=zeros[2],
+            steps=torch.zeros(count, dtype=torch.int64),
         )
 
     def step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
@@ -53,7 +57,7 @@ class Exposure:
             rates,
         )
         first, second, third, fourth, fifth = (row.data_ptr() for row in rows)
-        context.adam_step((1, 3), (first, second, third, fourth, fifth), self.steps[index])
+        context.adam_step((1, 3), (first, second, third, fourth, fifth), int(self.steps[index]))
         self.log_gains -= self.log_gains.mean(0)
 
 

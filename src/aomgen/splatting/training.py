@@ -13,11 +13,13 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.splatting import native
+from aomgen.splatting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, training_digest
 from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
 from aomgen.splatting.loss import image_loss
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.photographs import Exposure, View, reduced
+from aomgen.splatting.state import TrainingState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +80,8 @@ def train(
     params: TrainingParams,
     progress: Progress,
     rng: np.random.Generator,
+    *,
+    checkpoint: Checkpoint | None = None,
 ) -> Gaussians:
     """Fit Gaussians to images; the same inputs and generator give the same result on one machine.
 
@@ -89,44 +93,87 @@ def train(
         params: Length, rates, growth.
         progress: Told about every tenth iteration.
         rng: Order of the images, background colors and choice of Gaussians to split.
+        checkpoint: Where the state is kept. When the file is there the training continues from
+            it, to the same result bit by bit; it is left behind when the training is done.
 
     Raises:
         BackendError: The splatting engine is missing or refuses the scene.
+        CorruptArtifactError: The checkpoint is damaged or belongs to another training.
+        StorageError: The disk refuses the checkpoint.
         ValueError: No images, or images that do not fit their cameras.
     """
     _check(initial, cameras, images)
-    with _one_torch_thread():
-        return _train(initial, cameras, images, params, progress, rng)
+    digest = training_digest(initial, cameras, images, params, rng) if checkpoint else ""
+    if checkpoint and checkpoint.path.exists():
+        state = load_checkpoint(checkpoint.path, digest, rng)
+    else:
+        state = started(initial, cameras, params, rng)
+    extent = scene_extent(initial, cameras)
+    for loss in learning(state, cameras, images, params, extent):
+        done = state.iteration
+        if checkpoint and (done % checkpoint.every == 0 or done == params.iterations):
+            save_checkpoint(checkpoint.path, state, digest)
+        if done % 10 == 0:
+            text = f"{len(state.parameters)} Gaussians, loss {loss:.4f}"
+            progress(done / params.iterations, text)
+    return finished(state, params)
 
 
-def _train(
-    initial: Gaussians,
+def started(
+    initial: Gaussians, cameras: list[Camera], params: TrainingParams, rng: np.random.Generator
+) -> TrainingState:
+    """The state before the first iteration."""
+    extent = scene_extent(initial, cameras)
+    middle = np.median(initial.means, axis=0)
+    reach = np.maximum(np.linalg.norm(initial.means - middle, axis=1) / extent, 1.0)
+    return TrainingState(
+        parameters=parameters_of(initial, params.sh_degree, reach),
+        exposure=Exposure.neutral(len(cameras), params.exposure),
+        order=np.zeros(0, np.int64),
+        rng=rng,
+    )
+
+
+def learning(
+    state: TrainingState,
     cameras: list[Camera],
     images: list[NDArray[np.uint8]],
     params: TrainingParams,
-    progress: Progress,
-    rng: np.random.Generator,
-) -> Gaussians:
-    extent = scene_extent(initial, cameras)
-    parameters = parameters_of(initial, params.sh_degree)
-    exposure = Exposure.neutral(len(images), params.exposure)
+    extent: float,
+) -> Iterator[float]:
+    """Advance a state, iteration by iteration, until the last; gives the loss of each.
+
+    Between two iterations the state is whole: it may be looked at and saved.
+
+    Args:
+        state: Changed in place.
+        cameras, images, params: See `train`.
+        extent: Length that steps are measured in, `scene_extent` of the start.
+    """
     context = native.Context()
     views: list[View] = []
-    factor, order = 0, np.zeros(0, np.int64)
-    for iteration in range(params.iterations):
-        share = iteration / params.iterations
-        if factor != _factor(params, share):
-            factor = _factor(params, share)
-            views = [reduced(camera, image, factor) for camera, image in zip(cameras, images, strict=True)]
-        if not len(order):
-            order = rng.permutation(len(views))
-        index, order = int(order[0]), order[1:]
-        loss = _learn(parameters, exposure, views[index], index, share, extent, params, context, rng)
-        if _grows(params, iteration):
-            parameters = _grow(parameters, exposure, views, share, params, rng)
-        if iteration % 10 == 9:
-            progress((iteration + 1) / params.iterations, f"{len(parameters)} Gaussians, loss {loss:.4f}")
-    trained = gaussians_of(parameters)
+    factor = 0
+    with _one_torch_thread():
+        while state.iteration < params.iterations:
+            share = state.iteration / params.iterations
+            if factor != _factor(params, share):
+                factor = _factor(params, share)
+                views = [
+                    reduced(camera, image, factor) for camera, image in zip(cameras, images, strict=True)
+                ]
+            if not len(state.order):
+                state.order = state.rng.permutation(len(views))
+            index, state.order = int(state.order[0]), state.order[1:]
+            loss = _learn(state, views[index], index, params, extent, context)
+            if _grows(params, state.iteration):
+                state.parameters = _grow(state, views, params)
+            state.iteration += 1
+            yield loss
+
+
+def finished(state: TrainingState, params: TrainingParams) -> Gaussians:
+    """The Gaussians of a state without those that are hardly there."""
+    trained = gaussians_of(state.parameters)
     return trained.select(np.isfinite(trained.means).all(1) & (trained.opacities >= params.min_opacity))
 
 
@@ -148,19 +195,18 @@ def scene_extent(gaussians: Gaussians, cameras: list[Camera]) -> float:
 
 
 def _learn(
-    parameters: Parameters,
-    exposure: Exposure,
+    state: TrainingState,
     view: View,
     index: int,
-    share: float,
-    extent: float,
     params: TrainingParams,
+    extent: float,
     context: native.Context,
-    rng: np.random.Generator,
 ) -> float:
     """One iteration; returns the loss."""
+    parameters, exposure = state.parameters, state.exposure
+    share = state.iteration / params.iterations
     leaves = parameters.leaves()
-    background = params.background or tuple(rng.random(3).tolist())
+    background = params.background or tuple(state.rng.random(3).tolist())
     options = RasterOptions(sh_degree=_sh_degree(params, share), background=background)
     drawn = CpuRasterizer(context)(GaussianTensors(**leaves), view.camera, options)
     log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
@@ -181,15 +227,10 @@ def _learn(
     return float(loss.detach())
 
 
-def _grow(
-    parameters: Parameters,
-    exposure: Exposure,
-    views: list[View],
-    share: float,
-    params: TrainingParams,
-    rng: np.random.Generator,
-) -> Parameters:
+def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Parameters:
     """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
+    parameters, exposure, rng = state.parameters, state.exposure, state.rng
+    share = state.iteration / params.iterations
     chosen = rng.choice(len(views), min(params.error_views, len(views)), replace=False)
     targets = [(views[i].target() / exposure.log_gains[i].exp()[:, None, None]).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))

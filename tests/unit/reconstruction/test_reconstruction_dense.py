@@ -1,5 +1,7 @@
 """Dense depth, its confirmation, thinning, planes and the initial Gaussians."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -7,7 +9,13 @@ from scipy import ndimage
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.errors import BackendError
-from aomgen.reconstruction.backdrop import dominant_planes
+from aomgen.reconstruction.backdrop import (
+    EXPLAINED_WEIGHT,
+    OPEN_WEIGHT,
+    dominant_planes,
+    explain,
+    far_shell,
+)
 from aomgen.reconstruction.densify import DensePoints
 from aomgen.reconstruction.fusion import DepthMap, Samples, confirmations, thin
 from aomgen.reconstruction.gaussians import held_out, initial_gaussians
@@ -110,6 +118,56 @@ def test_dominant_planes_are_found_in_clutter():
     assert abs(planes[0].offset) < 0.005
     assert abs(planes[1].normal[1]) > 0.9999
     assert dominant_planes(rng.normal(size=(2000, 3)), min_share=0.2) == []
+
+
+def _rays(columns: np.ndarray, rows: np.ndarray, grey: np.ndarray, weight: float) -> Samples:
+    """Directions on a grid of 1/300 around +z."""
+    unit = np.stack([columns / 300.0, rows / 300.0, np.ones(len(rows))], 1)
+    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+    count = len(unit)
+    return Samples(
+        points_recon=unit,
+        normals_recon=np.zeros((count, 3)),
+        colors_srgb=np.repeat(grey[:, None], 3, 1).astype(np.uint8),
+        footprints=np.full(count, 1 / 300),
+        detail=np.ones(count),
+        weights=np.full(count, weight),
+    )
+
+
+def test_the_shell_takes_open_rays_but_never_against_explained_ones():
+    rows, columns = (grid.ravel() for grid in np.mgrid[-40:40, -60:60])
+    explained = columns < 0
+    white, black = np.full(len(rows), 250), np.zeros(len(rows))
+    rays = _rays(columns[explained], rows[explained], white[explained], EXPLAINED_WEIGHT).with_points(
+        _rays(columns, rows, black, OPEN_WEIGHT)
+    )
+    shell = far_shell(rays, np.random.default_rng(0).normal(size=(50, 3)), np.eye(3), 5000)
+    unit = shell.points_recon / np.linalg.norm(shell.points_recon, axis=1, keepdims=True)
+    fine = (unit[:, 2] > 0.9) & (np.abs(unit[:, 0]) < 0.19) & (np.abs(unit[:, 1]) < 0.12)
+    left, right = fine & (unit[:, 0] < -0.02), fine & (unit[:, 0] > 0.02)
+    assert left.sum() > 200
+    assert right.sum() > 200  # nothing explains them, but somebody saw them
+    assert shell.colors_srgb[left].min() > 240
+    assert shell.colors_srgb[right].max() == 0
+
+
+def test_a_sharp_edge_at_infinity_leaves_no_hole():
+    """Neighbours a pixel off disagree at an edge; the edge is far all the same."""
+    cameras = [_camera(x) for x in (0.0, 0.1, -0.1)]
+    maps, votes = [], []
+    for index, camera in enumerate(cameras):
+        image = np.full((96, 128, 3), 90, np.uint8)
+        image[:, 40 + 2 * index : 80 + 2 * index] = 250  # registered two pixels off
+        image[60:] = 120
+        inverse_depth = np.where(np.arange(96)[:, None] < 60, 0.0, 0.5) * np.ones((96, 128))
+        one = _map(camera, inverse_depth, tuple(i for i in range(3) if i != index))
+        maps.append(replace(one, image_srgb=image))
+        votes.append(np.where(inverse_depth > 0, 2, 0).astype(np.int32))
+    _, rays = explain(maps, votes, [])
+    # Every second pixel above the settled rows, but for a few beside them.
+    assert 0.98 * 3 * 30 * 64 < len(rays.weights) <= 3 * 30 * 64
+    assert 0.01 < (rays.weights == OPEN_WEIGHT).mean() < 0.5
 
 
 def test_initial_gaussians_lie_flat_on_the_surface():

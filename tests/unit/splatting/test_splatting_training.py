@@ -176,6 +176,22 @@ def test_the_optimizer_is_adam() -> None:
         np.testing.assert_allclose(value.numpy(), want[name], atol=2e-5, err_msg=name)
 
 
+def test_far_gaussians_move_as_far_in_the_image() -> None:
+    """A step of the optimizer is a length times the reach; halves of a split keep it."""
+    scene = checkered(40, 0)
+    reach = np.where(np.arange(40) < 20, 1.0, 500.0)
+    parameters = parameters_of(scene, 0, reach)
+    rates = {name: torch.full((math.prod(v.shape[1:]),), 0.01) for name, v in parameters.values.items()}
+    gradients = {name: torch.ones_like(value) for name, value in parameters.values.items()}
+    before = parameters.values["means"].clone()
+    parameters.step(gradients, rates, native.Context())
+    moved = (before - parameters.values["means"]).numpy()
+    np.testing.assert_allclose(moved[:20], 0.01, rtol=1e-4)
+    np.testing.assert_allclose(moved[20:], 5.0, rtol=1e-4)
+    grown = relocate_and_grow(parameters, np.where(reach > 1, 1.0, 0.0), 45, 0.01, np.random.default_rng(0))
+    assert (grown.reach == 500).sum() == 25
+
+
 def test_growth_splits_where_the_error_is_and_drops_the_faint() -> None:
     scene = checkered(200, 0)
     opacities = np.full(200, 0.9, np.float32)
