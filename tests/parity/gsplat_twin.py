@@ -23,9 +23,7 @@ def install(gsplat: ModuleType, patch: pytest.MonkeyPatch) -> None:
     functions: dict[str, Callable] = {
         "projection_ewa_3dgs_fused_fwd": lambda *a: _project(_torch_impl, *a),
         "projection_ewa_3dgs_fused_bwd": lambda *a: _project_backward(_torch_impl, *a),
-        "spherical_harmonics_fwd": lambda degree, dirs, sh, masks: _torch_impl._spherical_harmonics(
-            degree, dirs, sh
-        ),
+        "spherical_harmonics_fwd": lambda *a: _harmonics(_torch_impl, *a),
         "spherical_harmonics_bwd": lambda *a: _harmonics_backward(_torch_impl, *a),
         "intersect_tile": lambda centers, radii, depths, images, ids, count, *a: _torch_impl._isect_tiles(
             centers, radii, depths.nan_to_num(), *a[:3]
@@ -52,6 +50,7 @@ def _checked(function: Callable) -> Callable:
 def _project(impl: ModuleType, *arguments: Any) -> tuple:
     means, covars, quats, scales, opacities, viewmats, Ks = arguments[:7]
     width, height, dilation, near, far, radius_clip, antialiased, model = arguments[7:]
+    assert len(means) > 0  # the compiled function divides by the number of Gaussians
     assert covars is None
     assert radius_clip == 0
     assert model == "pinhole"
@@ -87,6 +86,11 @@ def _project_backward(impl: ModuleType, *arguments: Any) -> tuple:
     for tensor, gradient in zip(dense, found, strict=False):
         tensor[seen] = gradient
     return dense[0], None, dense[1], dense[2], found[3]
+
+
+def _harmonics(impl: ModuleType, degree: int, dirs: Tensor, sh: Tensor, masks: None) -> Tensor:
+    assert bool((dirs != 0).any(-1).all())  # the compiled function divides by the length
+    return impl._spherical_harmonics(degree, dirs, sh)
 
 
 def _harmonics_backward(impl: ModuleType, *arguments: Any) -> tuple:
