@@ -4,8 +4,8 @@
 >>> gaussians = read_gaussians(Path("scene.ply"))
 >>> image = render(gaussians, framing_camera(gaussians, (640, 480))).rgb
 
-Names are imported when they are first used: drawing needs numpy alone, only `train` and
-`TrainingParams` import torch. Conventions and file formats are in `docs/splatting.md`.
+Names are imported when they are first used: drawing needs numpy alone; tensors, rasterizers with
+gradients and training need torch. Conventions and file formats are in `docs/splatting.md`.
 """
 
 from importlib import import_module
@@ -18,13 +18,20 @@ if TYPE_CHECKING:
     from aomgen.io.colmap import read_colmap as read_colmap
     from aomgen.io.gaussian_files import read_gaussians as read_gaussians
     from aomgen.io.gaussian_files import write_gaussians as write_gaussians
+    from aomgen.splatting.differentiable import CpuRasterizer as CpuRasterizer
+    from aomgen.splatting.differentiable import GaussianTensors as GaussianTensors
+    from aomgen.splatting.differentiable import PartTensors as PartTensors
+    from aomgen.splatting.differentiable import RasterOptions as RasterOptions
+    from aomgen.splatting.differentiable import TensorRendering as TensorRendering
     from aomgen.splatting.framing import framing_camera as framing_camera
     from aomgen.splatting.initialization import gaussians_from_points as gaussians_from_points
     from aomgen.splatting.metrics import psnr as psnr
     from aomgen.splatting.metrics import ssim as ssim
+    from aomgen.splatting.rasterizer import Parts as Parts
     from aomgen.splatting.rasterizer import Rendering as Rendering
     from aomgen.splatting.rasterizer import contribution_weights as contribution_weights
     from aomgen.splatting.rasterizer import render as render
+    from aomgen.splatting.rasterizers import make_rasterizer as make_rasterizer
     from aomgen.splatting.training import TrainingParams as TrainingParams
     from aomgen.splatting.training import train as train
 
@@ -35,13 +42,20 @@ _HOMES = {
     "read_colmap": "aomgen.io.colmap",
     "read_gaussians": "aomgen.io.gaussian_files",
     "write_gaussians": "aomgen.io.gaussian_files",
+    "CpuRasterizer": "aomgen.splatting.differentiable",
+    "GaussianTensors": "aomgen.splatting.differentiable",
+    "PartTensors": "aomgen.splatting.differentiable",
+    "RasterOptions": "aomgen.splatting.differentiable",
+    "TensorRendering": "aomgen.splatting.differentiable",
     "framing_camera": "aomgen.splatting.framing",
     "gaussians_from_points": "aomgen.splatting.initialization",
     "psnr": "aomgen.splatting.metrics",
     "ssim": "aomgen.splatting.metrics",
+    "Parts": "aomgen.splatting.rasterizer",
     "Rendering": "aomgen.splatting.rasterizer",
     "contribution_weights": "aomgen.splatting.rasterizer",
     "render": "aomgen.splatting.rasterizer",
+    "make_rasterizer": "aomgen.splatting.rasterizers",
     "TrainingParams": "aomgen.splatting.training",
     "train": "aomgen.splatting.training",
 }

@@ -104,3 +104,13 @@ def test_train_colmap(tmp_path: Path) -> None:
     psnr_db = float(said.split("held-out PSNR ")[1].split()[0])
     assert psnr_db > 12
     assert len(read_gaussians(tmp_path / "a.ply")) > 500
+
+
+def test_fit_pose(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    spotted = ball().with_sh(rng.normal(0, 1, (800, 1, 3)))
+    write_gaussians(tmp_path / "a.ply", spotted)
+    said = run("fit_pose.py", tmp_path / "a.ply", "--size", 64, 48, "--off-deg", 3)
+    last = said.strip().splitlines()[-1]
+    assert float(last.split("rotation ")[1].split()[0]) < 0.2
+    assert float(last.split("position ")[1].split("%")[0]) < 0.4

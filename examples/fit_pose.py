@@ -1,0 +1,79 @@
+"""Find a camera by gradients: python examples/fit_pose.py scene.ply
+
+Draws a 3DGS file from a camera, forgets it, starts from a pose a few degrees and percent away, and
+descends the picture's error through the rasterizer back to the pose. With a photograph in place of
+the first picture the same loop localizes a real camera in a scene.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aomgen.core.transforms import invert, matrix_from_rotvec, rotvec_from_matrix, transform
+from aomgen.io.gaussian_files import read_gaussians
+from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
+from aomgen.splatting.framing import content, framing_camera
+
+RATES = ((60, 1e-2), (60, 3e-3), (60, 1e-3))  # (steps, learning rate)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--size", type=int, nargs=2, default=(160, 120), metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--off-deg", type=float, default=4.0, help="how wrong the start is")
+    options = parser.parse_args()
+
+    gaussians = read_gaussians(options.file)
+    camera = framing_camera(gaussians, tuple(options.size))
+    center, _ = content(gaussians)
+    distance = float(np.linalg.norm(camera.center - center))
+    scene = GaussianTensors(
+        means=torch.tensor(gaussians.means),
+        quats=torch.tensor(gaussians.quats),
+        log_scales=torch.tensor(gaussians.scales).clamp_min(1e-12).log(),
+        logit_opacities=torch.tensor(gaussians.opacities).clamp(1e-6, 1 - 1e-6).logit(),
+        sh=torch.tensor(gaussians.sh),
+    )
+    draw, how = CpuRasterizer(), RasterOptions(sh_degree=gaussians.sh_degree)
+    target = draw(scene, camera, how).rgb
+
+    turn = matrix_from_rotvec(np.radians(options.off_deg) * np.array([0.6, -0.64, 0.48]))
+    start = transform(turn, 0.03 * distance * np.array([1, -1, 1])) @ camera.T_cam_world
+    T_start = torch.tensor(start, dtype=torch.float32)
+    twist = torch.zeros(6, requires_grad=True)  # [rad], and shares of the distance
+    optimizer = torch.optim.Adam([twist])
+    for steps, rate in RATES:
+        optimizer.param_groups[0]["lr"] = rate
+        for _ in range(steps):
+            optimizer.zero_grad()
+            drawn = draw(scene, camera, how, T_cam_world=motion(twist, distance) @ T_start)
+            loss = (drawn.rgb - target).abs().mean()
+            loss.backward()
+            optimizer.step()
+        found = motion(twist.detach(), distance).double().numpy() @ start
+        off = found @ invert(camera.T_cam_world)
+        off_deg = np.degrees(np.linalg.norm(rotvec_from_matrix(off[:3, :3])))
+        moved = np.linalg.norm(invert(found)[:3, 3] - camera.center) / distance
+        print(
+            f"picture error {loss.item():.5f}, rotation {off_deg:.3f} deg, position {moved:.3%} of the distance"
+        )
+
+
+def motion(twist: Tensor, distance: float) -> Tensor:
+    """Rigid transform (4, 4) of a twist: three rotations [rad], three translations over `distance`."""
+    x, y, z = twist[:3]
+    zero = torch.zeros(())
+    rows = [(zero, -z, y), (z, zero, -x), (-y, x, zero), (zero, zero, zero)]
+    generator = torch.stack([torch.stack(row) for row in rows])
+    translation = torch.cat([distance * twist[3:], torch.zeros(1)])
+    return torch.linalg.matrix_exp(torch.cat([generator, translation[:, None]], dim=1))
+
+
+if __name__ == "__main__":
+    main()
