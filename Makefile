@@ -8,7 +8,7 @@ CONSTRAINTS := constraints/cpu-py311.txt
 LEROBOT_VENV := .venv-lerobot
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test check install weights native lerobot-test clean
+.PHONY: demo test check install weights native sanitize neon lerobot-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -31,6 +31,29 @@ lerobot-test: $(LEROBOT_VENV)/installed.stamp
 native:
 	cmake -S . -B build/native -DCMAKE_BUILD_TYPE=Release
 	cmake --build build/native -j 2
+
+# The C interface's own tests under the address and undefined-behaviour sanitizers (or SANITIZE=thread).
+SANITIZE ?= address,undefined
+sanitize:
+	cmake -S . -B build/sanitize -DAOMGEN_TESTS=ON -DAOMGEN_SANITIZE=$(SANITIZE)
+	cmake --build build/sanitize -j 2
+	build/sanitize/aomgen_tests
+
+# The same tests on 64-bit ARM under emulation, and its pictures against this machine's.
+NEON_RUN := qemu-aarch64 -L /usr/aarch64-linux-gnu build/neon/aomgen_tests
+neon:
+	@if ! command -v aarch64-linux-gnu-g++ qemu-aarch64 >/dev/null; then \
+	  echo "skipped: needs apt-get install g++-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user"; \
+	else set -e; set -x; \
+	  cmake -S . -B build/tests -DAOMGEN_TESTS=ON; \
+	  cmake --build build/tests -j 2; \
+	  cmake -S . -B build/neon -DAOMGEN_TESTS=ON -DCMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake; \
+	  cmake --build build/neon -j 2; \
+	  $(NEON_RUN); \
+	  $(NEON_RUN) --images build/neon/images.bin; \
+	  build/tests/aomgen_tests --images build/tests/images.bin; \
+	  build/tests/aomgen_tests --compare build/tests/images.bin build/neon/images.bin; \
+	fi
 
 $(VENV)/pip.stamp:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' \

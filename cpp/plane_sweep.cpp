@@ -8,8 +8,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <exception>
 #include <functional>
-#include <new>
 #include <vector>
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
@@ -147,10 +147,14 @@ void aggregate(const AomgenSweep& sweep, const std::vector<uint8_t>& cost, std::
   }
 }
 
+constexpr int kMaxSide = 16384;
+
 bool valid(const AomgenSweep& s) {
-  return s.width > 1 && s.height > 1 && s.source_count >= 1 && s.source_count <= 16 && s.plane_count >= 2 &&
-         s.plane_count <= 256 && s.inverse_depth_step > 0 && s.window_radius >= 1 && s.window_radius <= 8 &&
-         s.best_sources >= 1 && s.best_sources <= s.source_count && s.noise > 0 && s.small_jump_penalty >= 0 &&
+  return s.width > 1 && s.width <= kMaxSide && s.height > 1 && s.height <= kMaxSide && s.source_count >= 1 &&
+         s.source_count <= 16 && s.plane_count >= 2 && s.plane_count <= 256 && s.reference && s.sources &&
+         s.rotations && s.translations && std::isfinite(s.first_inverse_depth) && s.inverse_depth_step > 0 &&
+         std::isfinite(s.inverse_depth_step) && s.window_radius >= 1 && s.window_radius <= 8 && s.best_sources >= 1 &&
+         s.best_sources <= s.source_count && s.noise > 0 && s.noise <= 1 && s.small_jump_penalty >= 0 &&
          s.small_jump_penalty <= 1000 && s.large_jump_penalty >= 0 && s.large_jump_penalty <= 1000;
 }
 
@@ -214,7 +218,7 @@ extern "C" int32_t aomgen_plane_sweep(const AomgenSweep* sweep, float* inverse_d
       inverse_depth[i] = sweep->first_inverse_depth + (best + offset) * sweep->inverse_depth_step;
       score[i] = 1.0f - cost[static_cast<size_t>(i) * planes + best] / 127.5f;
     }
-  } catch (const std::bad_alloc&) {
+  } catch (const std::exception&) {  // std::bad_alloc, or std::length_error where sizes have few bits
     return 2;
   }
   return 0;

@@ -8,7 +8,7 @@ extern "C" {
 #endif
 
 typedef struct {
-  int32_t width, height;
+  int32_t width, height;       // 2..16384
   int32_t source_count;        // S, 1..16
   int32_t plane_count;         // D, 2..256
   const float* reference;      // (H, W) gray, 0..1
