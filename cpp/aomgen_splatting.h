@@ -4,7 +4,7 @@
 // the calling thread. Pointers are borrowed for the length of a call, except that the arrays of
 // a scene must stay unchanged between `aomgen_forward` and the `aomgen_backward` that follows.
 // Arrays are C-contiguous float32 unless said otherwise; cameras look along +z with y down and
-// pixel centres at +0.5; quaternions are wxyz and need not be normalised.
+// pixel centres at +0.5; quaternions are wxyz and need not be normalised. Arrays of no Gaussians may be null.
 #pragma once
 
 #include <stdint.h>

@@ -10,7 +10,9 @@ namespace aomgen {
 
 namespace {
 
-constexpr uint32_t kChunk = 4096;  // splats of one task
+constexpr uint32_t kChunk = 4096;         // splats of one task, more on gigantic images
+constexpr uint64_t kMaxCursors = 1 << 27;  // (chunk, tile) pairs
+constexpr size_t kReport = 1 << 16;        // entries after which a task looks at the sum of all
 
 // Smallest exponent of the splat over the tile's rectangle of pixel centres, against the faintest drawn.
 bool touches(const Splat& s, float left, float top) {
@@ -33,7 +35,10 @@ TileLists TileBinner::bin(const DepthOrder& order, int width, int height, int th
   columns_ = (width + kTile - 1) / kTile;
   rows_ = (height + kTile - 1) / kTile;
   splat_count_ = order.block_begin.back();
-  chunks_ = static_cast<int>((splat_count_ + kChunk - 1) / kChunk);
+  chunk_size_ = kChunk;
+  while ((splat_count_ / chunk_size_ + 1) * static_cast<uint64_t>(columns_) * rows_ > kMaxCursors) chunk_size_ *= 2;
+  chunks_ = static_cast<int>((splat_count_ + chunk_size_ - 1) / chunk_size_);
+  found_ = 0;
   if (touched_.size() < static_cast<size_t>(chunks_)) touched_.resize(chunks_);
   cursors_.reserve(static_cast<size_t>(chunks_) * columns_ * rows_);
   const size_t slots = (order.block_begin.size() - 1) * kProjectionBlock;
@@ -51,8 +56,8 @@ void TileBinner::find_tiles(const DepthOrder& order, int chunk) {
   uint32_t* counts = cursors_.data() + static_cast<size_t>(chunk) * columns_ * rows_;
   std::fill(counts, counts + static_cast<size_t>(columns_) * rows_, 0u);
   std::vector<uint32_t>& touched = touched_[chunk];
-  const uint32_t first = chunk * kChunk, last = std::min(splat_count_, first + kChunk);
-  size_t found = 0;
+  const uint32_t first = chunk * chunk_size_, last = std::min(splat_count_, first + chunk_size_);
+  size_t found = 0, reported = 0;
   for (uint32_t rank = first; rank < last; ++rank) {
     if (rank + 8 < last) __builtin_prefetch(&order.splats[order.slots[rank + 8]]);
     const Splat& s = order.splats[order.slots[rank]];
@@ -71,15 +76,21 @@ void TileBinner::find_tiles(const DepthOrder& order, int chunk) {
         counts[tile] += is_touched;
       }
     entry_counts_.data()[order.slots[rank]] = static_cast<uint32_t>(found - before);
+    if (found - reported < kReport) continue;
+    if ((found_ += found - reported) > kMaxEntries) return;  // place_chunks will refuse
+    reported = found;
   }
+  found_ += found - reported;
   touched.resize(found);
 }
 
 void TileBinner::place_chunks(const DepthOrder& order) {
-  uint64_t total = 0;
-  for (int chunk = 0; chunk < chunks_; ++chunk) total += touched_[chunk].size();
-  if (total > kMaxEntries) throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
-  total_ = static_cast<uint32_t>(total);
+  total_ = 0;
+  if (found_ > kMaxEntries) {
+    touched_.clear();  // a failed pass keeps no memory
+    throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
+  }
+  total_ = static_cast<uint32_t>(found_);
   const int tiles = columns_ * rows_;
   uint32_t* begin = begin_.reserve(tiles + 1);
   uint32_t sum = 0;
@@ -107,7 +118,7 @@ void TileBinner::place_chunks(const DepthOrder& order) {
 void TileBinner::fill_lists(const DepthOrder& order, int chunk) {
   uint32_t* cursors = cursors_.data() + static_cast<size_t>(chunk) * columns_ * rows_;
   const uint32_t* tile = touched_[chunk].data();
-  const uint32_t first = chunk * kChunk, last = std::min(splat_count_, first + kChunk);
+  const uint32_t first = chunk * chunk_size_, last = std::min(splat_count_, first + chunk_size_);
   for (uint32_t rank = first; rank < last; ++rank) {
     const uint32_t slot = order.slots[rank], begin = entry_begin_.data()[slot], count = entry_counts_.data()[slot];
     for (uint32_t place = begin; place < begin + count; ++place) {

@@ -1,6 +1,7 @@
 // Which splats touch which tile, near to far.
 #pragma once
 
+#include <atomic>
 #include <vector>
 
 #include "../kernels/kernels.h"
@@ -24,7 +25,7 @@ class TileBinner {
   const uint32_t* entry_count() const { return entry_counts_.data(); }
   uint32_t entry_count_of_all() const { return total_; }
 
-  static constexpr uint64_t kMaxEntries = 400'000'000;
+  static constexpr uint64_t kMaxEntries = 1 << 27;  // about 2 GB of lists, 9 GB in the backward pass
 
  private:
   void find_tiles(const DepthOrder& order, int chunk);
@@ -32,7 +33,8 @@ class TileBinner {
   void fill_lists(const DepthOrder& order, int chunk);
 
   int columns_ = 0, rows_ = 0, chunks_ = 0;
-  uint32_t splat_count_ = 0, total_ = 0;
+  uint32_t splat_count_ = 0, chunk_size_ = 0, total_ = 0;
+  std::atomic<uint64_t> found_{0};              // entries of all chunks so far
   std::vector<std::vector<uint32_t>> touched_;  // by chunk of the order: tiles of its splats, one splat after the other
   Buffer<uint32_t> cursors_;                    // (chunks, tiles): counts, then places in the lists
   Buffer<uint32_t> begin_, slots_, places_, entry_begin_, entry_counts_;

@@ -27,6 +27,7 @@ class Context {
   uint32_t visible() const { return visible_count_; }
   uint32_t intersections() const { return binner_.entry_count_of_all(); }
   int part_count() const { return projection_.view.part_count; }
+  bool is_empty() const { return projection_.scene.count == 0; }
   int feature_count() const { return projection_.scene.feature_count; }
 
  private:

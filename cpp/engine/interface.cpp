@@ -137,9 +137,10 @@ int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* imag
   return guarded([&] {
     require(context, "context is null");
     require(images && images->rgb && images->depth && images->grad_rgb, "rgb, depth and grad_rgb are required");
-    require(gradients && gradients->means && gradients->quats && gradients->scales && gradients->opacities && gradients->sh, "the gradients by means, quats, scales, opacities and sh are required");
+    require(gradients, "the gradients are required");
+    require(context->context.is_empty() || (gradients->means && gradients->quats && gradients->scales && gradients->opacities && gradients->sh), "the gradients by means, quats, scales, opacities and sh are required");
     const int features = context->context.feature_count();
-    require(!images->grad_features || (images->features && gradients->features && features > 0 && features <= aomgen::kMaxGradientFeatures),
+    require(!images->grad_features || (images->features && (gradients->features || context->context.is_empty()) && features > 0 && features <= aomgen::kMaxGradientFeatures),
             "gradients of features need the drawn features, a place for the result, and at most 256 features");
     context->context.backward(*images, *gradients);
   });
@@ -152,7 +153,7 @@ int32_t aomgen_contribution_weights(AomgenContext* context, const AomgenScene* s
     check(scene);
     check(view);
     check_parts(*scene, *view);
-    require(mask_count >= 1 && mask_count <= kMaxFeatures && masks && weights, "1 to 4096 masks and an array for the weights are required");
+    require(mask_count >= 1 && mask_count <= kMaxFeatures && masks && (weights || scene->count == 0), "1 to 4096 masks and an array for the weights are required");
     context->context.contribution_weights(*scene, *view, mask_count, masks, weights);
   });
 }

@@ -2,7 +2,9 @@
 
 #include <atomic>
 #include <condition_variable>
+#include <exception>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -32,8 +34,20 @@ struct Job {
   void* context;
   int64_t count, grain;
   std::atomic<int64_t> next{0};
+  std::mutex failing{};
+  std::exception_ptr failure{};  // the first; the items left are given up then
 
   void run(int worker) {
+    try {
+      run_items(worker);
+    } catch (...) {  // kept for the caller: other threads may still be at work on its behalf
+      next = count;
+      std::lock_guard<std::mutex> lock(failing);
+      if (!failure) failure = std::current_exception();
+    }
+  }
+
+  void run_items(int worker) {
     for (;;) {
       const int64_t first = next.fetch_add(grain, std::memory_order_relaxed);
       if (first >= count) return;
@@ -48,12 +62,7 @@ class Pool {
   bool try_run(int threads, Job& job) {
     std::unique_lock<std::mutex> one_caller(caller_, std::try_to_lock);
     if (!one_caller.owns_lock()) return false;
-    const int helpers = threads - 1;
-    while (static_cast<int>(threads_.size()) < helpers) {
-      const int worker = static_cast<int>(threads_.size()) + 1;
-      threads_.emplace_back([this, worker] { serve(worker); });
-      threads_.back().detach();
-    }
+    const int helpers = hire(threads - 1);
     {
       std::lock_guard<std::mutex> lock(state_);
       job_ = &job;
@@ -70,6 +79,20 @@ class Pool {
   }
 
  private:
+  // As many helpers as wanted, or as the system allows.
+  int hire(int wanted) {
+    try {
+      while (static_cast<int>(threads_.size()) < wanted) {
+        const int worker = static_cast<int>(threads_.size()) + 1;
+        threads_.emplace_back([this, worker] { serve(worker); });
+        threads_.back().detach();
+      }
+    } catch (const std::system_error&) {
+      return static_cast<int>(threads_.size());
+    }
+    return wanted;
+  }
+
   void serve(int worker) {
     uint64_t seen = 0;
     for (;;) {
@@ -112,10 +135,11 @@ Pool& pool_of_this_process() {
 }  // namespace
 
 void parallel_for(int threads, int64_t count, int64_t grain, Task task, void* context) {
-  Job job{task, context, count, grain, {0}};
+  Job job{task, context, count, grain};
   const int64_t groups = (count + grain - 1) / grain;
   if (threads > groups) threads = static_cast<int>(groups);
   if (threads <= 1 || !pool_of_this_process().try_run(threads, job)) job.run(0);
+  if (job.failure) std::rethrow_exception(job.failure);
 }
 
 }  // namespace aomgen

@@ -24,7 +24,7 @@ AOMGEN_INLINE void walk(const AomgenView& view, const TileLists& tiles, const Sp
       for (int part = 0; part < kParts; ++part) {
         const int at = 16 * block + part * kLanes;
         const F before = load(transmittance + at);
-        const Touch t = touch(s, load(&kTileGeometry.x[0][at]), load(&kTileGeometry.y[0][at]), before);
+        const Touch t = touch(s, load(kTileGeometry.x[block] + part * kLanes), load(kTileGeometry.y[block] + part * kLanes), before);
         const F after = fnma(t.alpha, before, before);
         store(transmittance + at, after);
         visit(block, part, t.alpha * before, t.drawn);

@@ -75,9 +75,7 @@ bool write_images(const char* path) {
     good = good && write(file, prefix + " rgb", canvas.rgb) && write(file, prefix + " depth", canvas.depth) && write(file, prefix + " alpha", canvas.alpha) &&
            write(file, prefix + " features", canvas.features) && write(file, prefix + "d means", gradients.means) && write(file, prefix + "d quats", gradients.quats) &&
            write(file, prefix + "d scales", gradients.scales) && write(file, prefix + "d opacities", gradients.opacities) && write(file, prefix + "d sh", gradients.sh);
-#if AOMGEN_ABI_VERSION >= 2
     good = good && write(file, prefix + "d features", gradients.features) && write(file, prefix + "d pose", gradients.cam_from_part);
-#endif
   }
   return good;
 }

@@ -25,10 +25,8 @@ struct Call {
     image_gradients.grad_depth = pull.depth.data();
     image_gradients.grad_alpha = pull.alpha.data();
     scene_gradients = gradients.pointers();
-#if AOMGEN_ABI_VERSION >= 2
     image_gradients.features = canvas.features.data();
     image_gradients.grad_features = pull.features.data();
-#endif
   }
   World world;
   Canvas canvas;
@@ -72,17 +70,15 @@ const std::vector<Damage>& forward_damages() {
       [](Call& c, Random&) { c.images.alpha = nullptr; },
       [](Call& c, Random&) { c.images.max_id = nullptr; },
       [](Call& c, Random&) { c.images.median_depth = nullptr; },
-#if AOMGEN_ABI_VERSION >= 2
       [](Call& c, Random& r) { c.scene.feature_count = pick<int32_t>(r, {kLeast, -1, 4097, kMost}); },
       [](Call& c, Random&) { c.scene.features = nullptr; },
-      [](Call& c, Random&) { c.images.features = nullptr; },
-      [](Call& c, Random& r) { c.view.part_count = pick<int32_t>(r, {kLeast, -1, 0}); },
+      [](Call& c, Random& r) { c.scene.encoded = pick<int32_t>(r, {kLeast, -1, 2, kMost}); },
+      [](Call& c, Random& r) { c.view.antialiased = pick<int32_t>(r, {kLeast, -1, 2, kMost}); },
+      [](Call& c, Random& r) { c.images.interleaved = pick<int32_t>(r, {kLeast, -1, 2, kMost}); },
+      [](Call& c, Random& r) { c.view.part_count = pick<int32_t>(r, {kLeast, -1, 0, 1, 4097, kMost}); },
       [](Call& c, Random&) { c.view.cam_from_part = nullptr; },
       [](Call& c, Random& r) { c.world.cam_from_part[static_cast<size_t>(r.below(24))] = pick(r, {kNan, kInf}); },
       [](Call& c, Random& r) { c.world.parts[static_cast<size_t>(r.below(40))] = pick<int32_t>(r, {kLeast, -1, 2, 1 << 30, kMost}); },
-#else
-      [](Call& c, Random& r) { c.view.world_to_cam[r.below(12)] = pick(r, {kNan, kInf}); },
-#endif
   };
   return all;
 }
@@ -97,10 +93,8 @@ const std::vector<Damage>& backward_damages() {
       [](Call& c, Random&) { c.scene_gradients.scales = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.opacities = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.sh = nullptr; },
-#if AOMGEN_ABI_VERSION >= 2
       [](Call& c, Random&) { c.image_gradients.features = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.features = nullptr; },
-#endif
   };
   return all;
 }
@@ -167,9 +161,32 @@ TEST(a_backward_pass_needs_its_forward_pass) {
   const Array<float> first = call.gradients.means;
   CHECK(backward(engine, call) == AOMGEN_OK);  // twice is allowed
   CHECK(call.gradients.means == first);
+  Call without_features(world);
+  without_features.image_gradients.features = without_features.image_gradients.grad_features = nullptr;
+  without_features.scene_gradients.features = without_features.scene_gradients.cam_from_part = nullptr;
+  without_features.image_gradients.grad_depth = without_features.image_gradients.grad_alpha = nullptr;
+  without_features.image_gradients.rgb = call.canvas.rgb.data();
+  without_features.image_gradients.depth = call.canvas.depth.data();
+  CHECK(backward(engine, without_features) == AOMGEN_OK);
+  CHECK(without_features.gradients.guards_are_whole());
   Array<float> weights(40);
   CHECK(aomgen_contribution_weights(engine.context(), &call.scene, &call.view, 1, call.canvas.alpha.data(), weights.data()) == AOMGEN_OK);
   CHECK(backward(engine, call) == AOMGEN_NO_FORWARD);
+}
+
+TEST(arrays_of_no_gaussians_may_be_null) {
+  Engine engine;
+  Call call(random_world(32, {0, 1, 2, 24, 18, 2}));
+  call.scene.means = call.scene.quats = call.scene.scales = call.scene.opacities = call.scene.sh = call.scene.features = nullptr;
+  call.scene.parts = nullptr;
+  CHECK(forward(engine, call) == AOMGEN_OK);
+  AomgenSceneGradients nothing{};
+  nothing.cam_from_part = call.gradients.cam_from_part.data();
+  CHECK(aomgen_backward(engine.context(), &call.image_gradients, &nothing) == AOMGEN_OK);
+  bool is_zero = true;
+  for (size_t i = 0; i < call.gradients.cam_from_part.size(); ++i) is_zero &= call.gradients.cam_from_part[i] == 0;
+  CHECK(is_zero);
+  CHECK(aomgen_contribution_weights(engine.context(), &call.scene, &call.view, 1, call.canvas.alpha.data(), nullptr) == AOMGEN_OK);
 }
 
 TEST(changing_the_settings_between_the_passes_is_safe) {
@@ -215,7 +232,6 @@ TEST(null_contexts_and_results_are_refused) {
   Engine fresh;
   CHECK(aomgen_counts(fresh.context(), &a, &b) == AOMGEN_OK && a == 0 && b == 0);
   CHECK(aomgen_stage_times(fresh.context(), times) == AOMGEN_OK);
-#if AOMGEN_ABI_VERSION >= 2
   CHECK(aomgen_count_pairs(nullptr, &a, &b) == AOMGEN_INVALID_ARGUMENT);
   CHECK(aomgen_count_pairs(engine.context(), nullptr, &b) == AOMGEN_INVALID_ARGUMENT);
   CHECK(aomgen_count_pairs(engine.context(), &a, nullptr) == AOMGEN_INVALID_ARGUMENT);
@@ -223,7 +239,6 @@ TEST(null_contexts_and_results_are_refused) {
   aomgen_count_pairs(fresh.context(), &a, &b);
   CHECK(aomgen_vector_throughput(nullptr, times) == AOMGEN_INVALID_ARGUMENT);
   CHECK(aomgen_vector_throughput(engine.context(), nullptr) == AOMGEN_INVALID_ARGUMENT);
-#endif
 }
 
 TEST(damaged_arguments_of_the_weights_are_refused) {

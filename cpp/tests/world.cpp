@@ -22,12 +22,10 @@ AomgenScene World::scene() const {
   s.scales = scales.data();
   s.opacities = opacities.data();
   s.sh = sh.data();
-#if AOMGEN_ABI_VERSION >= 2
   s.encoded = encoded;
   s.feature_count = features;
   s.features = features ? feature_values.data() : nullptr;
   s.parts = parts.empty() ? nullptr : parts.data();
-#endif
   return s;
 }
 
@@ -41,13 +39,9 @@ AomgenView World::view() const {
   v.cy = cy;
   v.near_depth = near_depth;
   std::memcpy(v.background, background, sizeof(background));
-#if AOMGEN_ABI_VERSION >= 2
   v.antialiased = antialiased;
   v.part_count = part_count;
   v.cam_from_part = cam_from_part.data();
-#else
-  std::memcpy(v.world_to_cam, cam_from_part.data(), sizeof(v.world_to_cam));
-#endif
   return v;
 }
 
@@ -110,9 +104,7 @@ AomgenImages Canvas::images() {
   images.alpha = alpha.data();
   images.median_depth = median_depth.data();
   images.max_id = max_id.data();
-#if AOMGEN_ABI_VERSION >= 2
   images.features = features.size() ? features.data() : nullptr;
-#endif
   return images;
 }
 
@@ -145,15 +137,14 @@ Gradients::Gradients(const World& world)
 
 AomgenSceneGradients Gradients::pointers() {
   AomgenSceneGradients g{};
+  g.rows = rows;
   g.means = means.data();
   g.quats = quats.data();
   g.scales = scales.data();
   g.opacities = opacities.data();
   g.sh = sh.data();
-#if AOMGEN_ABI_VERSION >= 2
   g.features = features.size() ? features.data() : nullptr;
   g.cam_from_part = cam_from_part.data();
-#endif
   return g;
 }
 
@@ -183,11 +174,6 @@ int32_t Engine::draw(const World& world, Canvas& canvas) {
   const AomgenScene scene = world.scene();
   const AomgenView view = world.view();
   AomgenImages images = canvas.images();
-#if AOMGEN_ABI_VERSION < 2
-  images.feature_count = world.features;
-  images.features = world.feature_values.data();
-  images.feature_image = canvas.features.data();
-#endif
   return aomgen_forward(context_, &scene, &view, &images);
 }
 
@@ -198,12 +184,10 @@ int32_t Engine::go_back(const World&, const Canvas& canvas, const Pull& pull, Gr
   images.grad_rgb = pull.rgb.data();
   images.grad_depth = pull.depth.data();
   images.grad_alpha = pull.alpha.data();
-#if AOMGEN_ABI_VERSION >= 2
   if (!pull.features.empty()) {
     images.features = canvas.features.data();
     images.grad_features = pull.features.data();
   }
-#endif
   const AomgenSceneGradients pointers = gradients.pointers();
   return aomgen_backward(context_, &images, &pointers);
 }

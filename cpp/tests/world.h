@@ -125,6 +125,7 @@ struct Gradients {
   bool are_finite() const;
 
   Array<float> means, quats, scales, opacities, sh, features, cam_from_part;
+  int32_t* rows = nullptr;  // set to get packed gradients
 };
 
 // A context with its settings.
