@@ -27,6 +27,7 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
 
     Raises:
         ConfigError: Another suffix.
+        NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: The disk refuses.
     """
     _choose(path, _WRITERS, "written")(path, gaussians)

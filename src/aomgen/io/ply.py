@@ -94,8 +94,10 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     moved by 1e-7 (1e-12 m).
 
     Raises:
+        NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: The disk refuses.
     """
+    check_readable(path, gaussians)
     rest = 3 * (gaussians.sh.shape[1] - 1)
     names = _names(rest)
     opacities = np.clip(gaussians.opacities.astype(np.float64), 1e-7, 1 - 1e-7)
@@ -109,6 +111,21 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(gaussians)}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     write_bytes(path, b"".join(["\n".join(header).encode(), table.tobytes()]))
+
+
+def check_readable(path: Path, gaussians: Gaussians) -> None:
+    """Refuse to write what no reader takes: Gaussians that are not finite or have no rotation.
+
+    Raises:
+        NonFiniteError: Names the first of them.
+    """
+    good = np.abs(gaussians.quats).max(1, initial=0) > 1e-12
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        values = getattr(gaussians, name)
+        good &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    if not good.all():
+        problem = f"Gaussian {int(good.argmin())} is not finite or has a rotation of length zero"
+        raise NonFiniteError(path, problem, "leave it out")
 
 
 def _names(rest: int) -> list[str]:

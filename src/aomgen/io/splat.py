@@ -12,7 +12,7 @@ import numpy as np
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, NonFiniteError
 from aomgen.io.atomic import write_bytes
-from aomgen.io.ply import MAX_GAUSSIANS
+from aomgen.io.ply import MAX_GAUSSIANS, check_readable
 
 RECORD = np.dtype(
     [("means", "<f4", 3), ("scales", "<f4", 3), ("color", "u1", 3), ("opacity", "u1"), ("quats", "u1", 4)]
@@ -71,14 +71,16 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     degree), colors are cut to 0..1, and spherical harmonics above degree 0 are dropped.
 
     Raises:
+        NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: The disk refuses.
     """
+    check_readable(path, gaussians)
     table = np.empty(len(gaussians), RECORD)
     norms = np.linalg.norm(gaussians.quats, axis=1, keepdims=True)
     table["means"], table["scales"] = gaussians.means, gaussians.scales
     table["color"] = _bytes((0.5 + SH_C0 * gaussians.sh[:, 0]) * 255)
     table["opacity"] = _bytes(gaussians.opacities * 255)
-    table["quats"] = _bytes(gaussians.quats / np.maximum(norms, 1e-12) * 128 + 128)
+    table["quats"] = _bytes(gaussians.quats / norms * 128 + 128)
     write_bytes(path, table.tobytes())
 
 

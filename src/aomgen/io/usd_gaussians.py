@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from aomgen.conventions import xyzw_from_wxyz
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import matrix_from_quat
+from aomgen.io.ply import check_readable
 from aomgen.io.usd_stage import export_stage, new_stage
 
 PRIM: Final = "/Gaussians"
@@ -36,10 +37,12 @@ def write_gaussians(
 
     Raises:
         ConfigError: Another suffix or axis.
+        NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
         StorageError: The disk refuses.
     """
     from pxr import UsdVol, Vt
 
+    check_readable(path, gaussians)
     stage = new_stage(path, up_axis=up_axis, meters_per_unit=meters_per_unit)
     field = UsdVol.ParticleField3DGaussianSplat.Define(stage, PRIM)
     stage.SetDefaultPrim(field.GetPrim())

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.errors import (
@@ -15,7 +17,7 @@ from aomgen.errors import (
     MissingFileError,
     NonFiniteError,
 )
-from aomgen.io import gaussian_files
+from aomgen.io import gaussian_files, usd_gaussians
 from aomgen.io.splat import read_gaussians, write_gaussians
 
 
@@ -107,8 +109,49 @@ def test_the_suffix_chooses(tmp_path: Path, name: str) -> None:
         gaussian_files.read_gaussians(tmp_path / name, max_gaussians=49)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("means", np.nan), ("sh", np.inf), ("quats", 0), ("scales", np.nan)]
+)
+@pytest.mark.parametrize("file", ["a.ply", "a.splat", "a.usdc"])
+def test_writers_refuse_what_readers_would(tmp_path: Path, file: str, name: str, value: float) -> None:
+    arrays = {key: getattr(make_gaussians(), key).copy() for key in Gaussians.__dataclass_fields__}
+    arrays[name][7] = value
+    broken = gaussians_of(**arrays)
+    write = usd_gaussians.write_gaussians if file == "a.usdc" else gaussian_files.write_gaussians
+    with pytest.raises(NonFiniteError, match="Gaussian 7"):
+        write(tmp_path / file, broken)
+    assert not list(tmp_path.iterdir())
+
+
 def test_unknown_suffix(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"'\.spz', \.ply, \.splat can be read"):
         gaussian_files.read_gaussians(tmp_path / "a.spz")
     with pytest.raises(ConfigError, match="written"):
         gaussian_files.write_gaussians(tmp_path / "a.spz", make_gaussians())
+
+
+@settings(
+    derandomize=True,
+    database=None,
+    deadline=None,
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(data=st.binary(max_size=200), changes=st.lists(st.tuples(st.integers(0, 95), st.integers(0, 255))))
+def test_any_bytes(tmp_path: Path, data: bytes, changes: list[tuple[int, int]]) -> None:
+    """Refused with one of our errors, or Gaussians that can be drawn and written again."""
+    damaged = bytearray(record() * 3)
+    for at, value in changes:
+        damaged[at] = value
+    for content in (data, bytes(damaged)):
+        (tmp_path / "a.splat").write_bytes(content)
+        try:
+            g = read_gaussians(tmp_path / "a.splat")
+        except InputError:
+            continue
+        assert len(g) == len(content) // 32
+        np.testing.assert_allclose(np.linalg.norm(g.quats, axis=1), 1, atol=1e-6)
+        assert np.isfinite(g.means).all()
+        assert (g.scales >= 0).all()
+        write_gaussians(tmp_path / "b.splat", g)
+        np.testing.assert_array_equal(read_gaussians(tmp_path / "b.splat").means, g.means)
