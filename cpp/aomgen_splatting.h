@@ -53,6 +53,7 @@ typedef struct {
 typedef struct {
   float* rgb;                // required; planar (3, H, W), or (H, W, 3) when interleaved
   int32_t interleaved;
+  int32_t differentiable;    // 1: keep what `aomgen_backward` and `aomgen_count_pairs` need
   float* depth;              // required (H, W): sum of weight * depth, not divided by alpha
   float* alpha;              // required (H, W)
   float* median_depth;       // optional (H, W), needs max_id
@@ -61,13 +62,11 @@ typedef struct {
 } AomgenImages;
 
 typedef struct {
-  const float* rgb;          // (3, H, W) as drawn by the forward pass, planar
-  const float* depth;        // (H, W) as drawn
-  const float* features;     // (H, W, D) as drawn, or null without grad_features
-  const float* grad_rgb;     // (3, H, W)
-  const float* grad_depth;   // (H, W) or null
-  const float* grad_alpha;   // (H, W) or null
-  const float* grad_features;  // (H, W, D) or null; D <= 256
+  const float* rgb;          // (3, H, W), planar
+  const float* depth;        // (H, W) or null
+  const float* alpha;        // (H, W) or null
+  const float* features;     // (H, W, D) or null; D <= 256
+  const float* drawn_features;  // (H, W, D) as drawn, where `features` is given
 } AomgenImageGradients;
 
 // Gradients by the scene's arrays as they were given (logarithms and logits if encoded). Dense arrays
@@ -101,7 +100,7 @@ AOMGEN_API int32_t aomgen_context_configure(AomgenContext* context, int32_t thre
 AOMGEN_API int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const AomgenView* view,
                        const AomgenImages* images);
 
-// Gradients of the last `aomgen_forward` of this context, which must have been planar.
+// Gradients of the last `aomgen_forward` of this context, which must have been differentiable.
 AOMGEN_API int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* image_gradients,
                         const AomgenSceneGradients* scene_gradients);
 

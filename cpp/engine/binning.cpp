@@ -47,9 +47,9 @@ TileLists TileBinner::bin(const DepthOrder& order, int width, int height, int th
   parallel(threads, chunks_, 1, [&](int64_t chunk, int) { find_tiles(order, static_cast<int>(chunk)); });
   place_chunks(order);
   slots_.reserve(total_);
-  places_.reserve(total_);
+  entries_.reserve(total_);
   parallel(threads, chunks_, 1, [&](int64_t chunk, int) { fill_lists(order, static_cast<int>(chunk)); });
-  return {columns_, rows_, begin_.data(), slots_.data(), places_.data()};
+  return {columns_, rows_, begin_.data(), slots_.data()};
 }
 
 void TileBinner::find_tiles(const DepthOrder& order, int chunk) {
@@ -124,7 +124,7 @@ void TileBinner::fill_lists(const DepthOrder& order, int chunk) {
     for (uint32_t place = begin; place < begin + count; ++place) {
       const uint32_t entry = cursors[*tile++]++;
       slots_.data()[entry] = slot;
-      places_.data()[entry] = place;
+      entries_.data()[place] = entry;
     }
   }
 }

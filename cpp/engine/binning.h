@@ -20,10 +20,8 @@ class TileBinner {
  public:
   // Throws std::length_error above kMaxEntries.
   TileLists bin(const DepthOrder& order, int width, int height, int threads);
-  // By slot: where the entries of a splat lie when sorted by slot.
-  const uint32_t* entry_begin() const { return entry_begin_.data(); }
-  const uint32_t* entry_count() const { return entry_counts_.data(); }
-  uint32_t entry_count_of_all() const { return total_; }
+  SplatEntries by_splat() const { return {entry_begin_.data(), entry_counts_.data(), entries_.data()}; }
+  uint32_t entry_count() const { return total_; }
 
   static constexpr uint64_t kMaxEntries = 1 << 27;  // about 2 GB of lists, 9 GB in the backward pass
 
@@ -37,7 +35,7 @@ class TileBinner {
   std::atomic<uint64_t> found_{0};              // entries of all chunks so far
   std::vector<std::vector<uint32_t>> touched_;  // by chunk of the order: tiles of its splats, one splat after the other
   Buffer<uint32_t> cursors_;                    // (chunks, tiles): counts, then places in the lists
-  Buffer<uint32_t> begin_, slots_, places_, entry_begin_, entry_counts_;
+  Buffer<uint32_t> begin_, slots_, entries_, entry_begin_, entry_counts_;
 };
 
 }  // namespace aomgen

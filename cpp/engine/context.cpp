@@ -73,8 +73,10 @@ void Context::draw(const AomgenImages& images) {
   const AomgenScene& scene = projection_.scene;
   const int features = images.features ? scene.feature_count : 0;
   Blend b{view, tiles_, projection_.splats, projection_.gaussians, features, scene.features, images, nullptr, nullptr};
-  b.transmittance = transmittance_.reserve(static_cast<size_t>(view.width) * view.height);
-  b.block_masks = block_masks_.reserve(intersections());
+  if (images.differentiable) {
+    b.sums = tile_sums_.reserve(tile_count());
+    b.block_masks = block_masks_.reserve(intersections());
+  }
   const size_t scratch = blend_scratch(features);
   float* scratches = scratch_.reserve(scratch * threads_);
   parallel(threads_, tile_count(), 4, [&](int64_t tile, int worker) {
@@ -83,23 +85,23 @@ void Context::draw(const AomgenImages& images) {
 }
 
 void Context::forward(const AomgenScene& scene, const AomgenView& view, const AomgenImages& images) {
-  planar_forward_ = false;
+  differentiable_ = false;
   project(scene, view);
   order_and_bin();
   draw(images);
-  planar_forward_ = !images.interleaved;
+  differentiable_ = images.differentiable;
 }
 
 void Context::backward(const AomgenImageGradients& images, const AomgenSceneGradients& gradients) {
   const AomgenScene& scene = projection_.scene;
-  const int features = images.grad_features ? scene.feature_count : 0;
+  const int features = images.features ? scene.feature_count : 0;
   const size_t entries = intersections();
   float* moments = moments_.reserve(16 * entries);
   float* feature_moments = feature_moments_.reserve(features * entries);
   {
     StageClock clock(times_[kBlendBackward]);
     const BlendBackward b{projection_.view, tiles_, projection_.splats, projection_.gaussians, features, scene.features,
-                          transmittance_.data(), block_masks_.data(), images, moments, feature_moments};
+                          tile_sums_.data(), block_masks_.data(), images, moments, feature_moments};
     const size_t scratch = backward_scratch(features);
     float* scratches = scratch_.reserve(scratch * threads_);
     parallel(threads_, tile_count(), 4, [&](int64_t tile, int worker) {
@@ -108,7 +110,7 @@ void Context::backward(const AomgenImageGradients& images, const AomgenSceneGrad
   }
   StageClock clock(times_[kProjectBackward]);
   const int blocks = block_count(scene.count);
-  ProjectionBackward p{projection_, block_begin_.data(), binner_.entry_begin(), binner_.entry_count(), moments, feature_moments, gradients, nullptr};
+  ProjectionBackward p{projection_, block_begin_.data(), binner_.by_splat(), moments, feature_moments, gradients, nullptr};
   if (!features) p.gradients.features = nullptr;
   if (gradients.cam_from_part) p.pose_sums = pose_sums_.reserve(16 * static_cast<size_t>(blocks) * part_count());
   parallel(threads_, blocks, 1, [&](int64_t block, int) { kernels_->project_backward(p, static_cast<int>(block)); });
@@ -136,7 +138,7 @@ void Context::sum_pose_gradients(float* cam_from_part) const {
 }
 
 void Context::contribution_weights(const AomgenScene& scene, const AomgenView& view, int mask_count, const float* masks, float* weights) {
-  planar_forward_ = false;
+  differentiable_ = false;
   project(scene, view);
   order_and_bin();
   std::fill(weights, weights + static_cast<size_t>(scene.count) * mask_count, 0.0f);
@@ -146,13 +148,14 @@ void Context::contribution_weights(const AomgenScene& scene, const AomgenView& v
     const int some = std::min(16, mask_count - first);
     const Weights w{view, tiles_, projection_.splats, some, masks + plane * first, sums};
     parallel(threads_, tile_count(), 4, [&](int64_t tile, int) { kernels_->sum_weights(w, static_cast<int>(tile)); });
+    const SplatEntries of_splat = binner_.by_splat();
     parallel(threads_, block_count(scene.count), 1, [&](int64_t block, int) {
       const uint32_t begin = static_cast<uint32_t>(block) * kProjectionBlock;
       for (uint32_t slot = begin; slot < begin + projection_.visible[block]; ++slot) {
         float* out = weights + static_cast<size_t>(projection_.gaussians[slot]) * mask_count + first;
-        const float* row = sums + 16 * static_cast<size_t>(binner_.entry_begin()[slot]);
-        for (uint32_t left = binner_.entry_count()[slot]; left; --left, row += 16)
-          for (int m = 0; m < some; ++m) out[m] += row[m];
+        const uint32_t* entry = of_splat.entries + of_splat.begin[slot];
+        for (uint32_t left = of_splat.count[slot]; left; --left, ++entry)
+          for (int m = 0; m < some; ++m) out[m] += sums[16 * static_cast<size_t>(*entry) + m];
       }
     });
   }

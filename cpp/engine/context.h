@@ -15,7 +15,7 @@ class Context {
  public:
   void configure(int threads, const Kernels* kernels);
   void forward(const AomgenScene& scene, const AomgenView& view, const AomgenImages& images);
-  bool can_go_back() const { return planar_forward_; }
+  bool can_go_back() const { return differentiable_; }
   void backward(const AomgenImageGradients& images, const AomgenSceneGradients& gradients);
   void contribution_weights(const AomgenScene& scene, const AomgenView& view, int mask_count, const float* masks, float* weights);
   double image_loss(ImageLoss loss, float* grad_gains);
@@ -25,7 +25,7 @@ class Context {
 
   const std::array<double, 6>& stage_times() const { return times_; }
   uint32_t visible() const { return visible_count_; }
-  uint32_t intersections() const { return binner_.entry_count_of_all(); }
+  uint32_t intersections() const { return binner_.entry_count(); }
   int part_count() const { return projection_.view.part_count; }
   bool is_empty() const { return projection_.scene.count == 0; }
   int feature_count() const { return projection_.scene.feature_count; }
@@ -40,7 +40,7 @@ class Context {
 
   int threads_ = 1;
   const Kernels* kernels_ = nullptr;
-  bool planar_forward_ = false;
+  bool differentiable_ = false;
   uint32_t visible_count_ = 0;
   std::array<double, 6> times_{};
 
@@ -53,7 +53,8 @@ class Context {
   Buffer<int32_t> gaussians_;                                     // by slot
   Buffer<uint32_t> depth_keys_, visible_;                         // by slot, by block
   Buffer<uint32_t> keys_, ordered_, spare_keys_, spare_ordered_;  // of the sort
-  Buffer<float> transmittance_, moments_, feature_moments_, pose_sums_, scratch_, maps_;
+  Buffer<TileSums> tile_sums_;
+  Buffer<float> moments_, feature_moments_, pose_sums_, scratch_, maps_;
   Buffer<uint16_t> block_masks_;
   Buffer<double> row_sums_;
 };

@@ -84,6 +84,7 @@ void check_parts(const AomgenScene& scene, const AomgenView& view) {
 void check(const AomgenImages* images, const AomgenScene& scene) {
   require(images && images->rgb && images->depth && images->alpha, "rgb, depth and alpha are required");
   require(images->interleaved == 0 || images->interleaved == 1, "interleaved must be 0 or 1");
+  require(images->differentiable == 0 || images->differentiable == 1, "differentiable must be 0 or 1");
   require(!images->median_depth == !images->max_id, "median_depth and max_id come together");
   require(!images->features || scene.feature_count > 0, "the scene has no features");
 }
@@ -131,16 +132,16 @@ int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const A
 
 int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* images, const AomgenSceneGradients* gradients) {
   if (context && !context->context.can_go_back()) {
-    last_error = "the context's last pass was not a planar forward pass";
+    last_error = "the context's last pass was not a differentiable forward pass";
     return AOMGEN_NO_FORWARD;
   }
   return guarded([&] {
     require(context, "context is null");
-    require(images && images->rgb && images->depth && images->grad_rgb, "rgb, depth and grad_rgb are required");
+    require(images && images->rgb, "the gradient by rgb is required");
     require(gradients, "the gradients are required");
     require(context->context.is_empty() || (gradients->means && gradients->quats && gradients->scales && gradients->opacities && gradients->sh), "the gradients by means, quats, scales, opacities and sh are required");
     const int features = context->context.feature_count();
-    require(!images->grad_features || (images->features && (gradients->features || context->context.is_empty()) && features > 0 && features <= aomgen::kMaxGradientFeatures),
+    require(!images->features || (images->drawn_features && (gradients->features || context->context.is_empty()) && features > 0 && features <= aomgen::kMaxGradientFeatures),
             "gradients of features need the drawn features, a place for the result, and at most 256 features");
     context->context.backward(*images, *gradients);
   });
@@ -213,7 +214,7 @@ int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6])
 
 int32_t aomgen_count_pairs(AomgenContext* context, int64_t* evaluated, int64_t* blended) {
   if (context && !context->context.can_go_back()) {
-    last_error = "the context's last pass was not a planar forward pass";
+    last_error = "the context's last pass was not a differentiable forward pass";
     return AOMGEN_NO_FORWARD;
   }
   return guarded([&] {

@@ -81,7 +81,14 @@ void finish(const Blend& b, int left, int top, Canvas& canvas) {
   store_colors(b, left, top, canvas);
   store_tile(b.images.depth, left, top, b.view, canvas.depth);
   store_tile(b.images.alpha, left, top, b.view, alpha);
-  store_tile(b.transmittance, left, top, b.view, canvas.transmittance);
+}
+
+void prefetch_images(const Blend& b, int left, int top) {
+  const size_t plane = static_cast<size_t>(b.view.width) * b.view.height;
+  if (!b.images.interleaved)
+    for (int channel = 0; channel < 3; ++channel) prefetch_tile<true>(b.images.rgb + channel * plane, left, top, b.view);
+  prefetch_tile<true>(b.images.depth, left, top, b.view);
+  prefetch_tile<true>(b.images.alpha, left, top, b.view);
 }
 
 template <bool WithIds, bool WithFeatures>
@@ -90,6 +97,7 @@ void blend_tile(const Blend& b, int tile, float* feature_sums) {
   Canvas canvas;
   Batch batch;
   clear(canvas, WithIds);
+  prefetch_images(b, left, top);
   if (WithFeatures) memset(feature_sums, 0, sizeof(float) * blend_scratch(b.feature_count));
   uint32_t alive = blocks_on_image(left, top, b.view);
   const uint32_t end = b.tiles.begin[tile + 1];
@@ -99,10 +107,11 @@ void blend_tile(const Blend& b, int tile, float* feature_sums) {
     fill_batch(b, k, count, end, static_cast<float>(left), static_cast<float>(top), alive, batch);
     if constexpr (WithFeatures) alive = draw_batch<WithIds>(batch, canvas, alive, FeaturePainter{b, batch, feature_sums});
     else alive = draw_batch<WithIds>(batch, canvas, alive, Plain{});
-    for (int i = 0; i < count; ++i) b.block_masks[k + i] = static_cast<uint16_t>(batch.drawn[i]);
+    for (int i = 0; b.block_masks && i < count; ++i) b.block_masks[k + i] = static_cast<uint16_t>(batch.drawn[i]);
   }
-  for (; k < end; ++k) b.block_masks[k] = 0;
+  if (b.block_masks && k < end) memset(b.block_masks + k, 0, (end - k) * sizeof(uint16_t));
   finish(b, left, top, canvas);
+  if (b.sums) b.sums[tile] = canvas;
   if (WithIds) store_ids(b, left, top, canvas);
   if (WithFeatures) store_features(b, left, top, feature_sums);
 }

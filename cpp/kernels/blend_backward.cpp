@@ -15,34 +15,41 @@ namespace aomgen::AOMGEN_ISA {
 
 namespace {
 
-struct alignas(64) Incoming {
-  float red[16][16], green[16][16], blue[16][16], depth[16][16];  // dL by the pixel's sums
-  float behind[16][16];         // dL-weighted sum of everything not drawn yet
-  float transmittance[16][16];
+// One block of pixels. Its fields lie together, so that they never collide in the lowest address bits.
+struct alignas(64) Block {
+  float x[16], y[16];                             // pixel centres relative to the tile's corner
+  float red[16], green[16], blue[16], depth[16];  // dL by the pixel's sums
+  float behind[16];                               // dL-weighted sum of everything not drawn yet
+  float transmittance[16];
 };
 
-void load_incoming(const BlendBackward& b, int left, int top, Incoming& in) {
+void load_blocks(const BlendBackward& b, int tile, int left, int top, Block blocks[16]) {
   const size_t plane = static_cast<size_t>(b.view.width) * b.view.height;
-  alignas(64) float drawn[4][16][16], alpha_gradient[16][16] = {}, rest[16][16];
-  load_tile(b.images.grad_rgb, left, top, b.view, in.red);
-  load_tile(b.images.grad_rgb + plane, left, top, b.view, in.green);
-  load_tile(b.images.grad_rgb + 2 * plane, left, top, b.view, in.blue);
-  for (int channel = 0; channel < 3; ++channel) load_tile(b.images.rgb + channel * plane, left, top, b.view, drawn[channel]);
-  load_tile(b.images.depth, left, top, b.view, drawn[3]);
-  load_tile(b.transmittance, left, top, b.view, rest);
-  if (b.images.grad_depth) load_tile(b.images.grad_depth, left, top, b.view, in.depth);
-  else memset(in.depth, 0, sizeof(in.depth));
-  if (b.images.grad_alpha) load_tile(b.images.grad_alpha, left, top, b.view, alpha_gradient);
-  for (int i = 0; i < 256; i += kLanes) {
-    F sum = load(&drawn[0][0][i]) * load(&in.red[0][i]) + load(&drawn[1][0][i]) * load(&in.green[0][i]) +
-            load(&drawn[2][0][i]) * load(&in.blue[0][i]) + load(&drawn[3][0][i]) * load(&in.depth[0][i]);
-    store(&in.behind[0][i], sum - load(&rest[0][i]) * load(&alpha_gradient[0][i]));
-    store(&in.transmittance[0][i], all(1.0f));
-  }
+  const TileSums& drawn = b.sums[tile];
+  alignas(64) float red[16][16], green[16][16], blue[16][16], depth[16][16] = {}, alpha[16][16] = {};
+  load_tile(b.images.rgb, left, top, b.view, red);
+  load_tile(b.images.rgb + plane, left, top, b.view, green);
+  load_tile(b.images.rgb + 2 * plane, left, top, b.view, blue);
+  if (b.images.depth) load_tile(b.images.depth, left, top, b.view, depth);
+  if (b.images.alpha) load_tile(b.images.alpha, left, top, b.view, alpha);
+  for (int block = 0; block < 16; ++block)
+    for (int i = 0; i < 16; i += kLanes) {
+      Block& to = blocks[block];
+      F r = load(&red[block][i]), g = load(&green[block][i]), b = load(&blue[block][i]), d = load(&depth[block][i]);
+      store(to.x + i, load(&kTileGeometry.x[block][i]));
+      store(to.y + i, load(&kTileGeometry.y[block][i]));
+      store(to.red + i, r);
+      store(to.green + i, g);
+      store(to.blue + i, b);
+      store(to.depth + i, d);
+      F behind = load(&drawn.red[block][i]) * r + load(&drawn.green[block][i]) * g + load(&drawn.blue[block][i]) * b + load(&drawn.depth[block][i]) * d;
+      store(to.behind + i, behind - load(&drawn.transmittance[block][i]) * load(&alpha[block][i]));
+      store(to.transmittance + i, all(1.0f));
+    }
 }
 
-// Copies dL by the features into `gradients` (block, D, 16) and adds their part to in.behind.
-void load_features(const BlendBackward& b, int left, int top, float* gradients, Incoming& in) {
+// Copies dL by the features into `gradients` (block, D, 16) and adds their part to `behind`.
+void load_features(const BlendBackward& b, int left, int top, float* gradients, Block blocks[16]) {
   const size_t count = b.feature_count;
   memset(gradients, 0, sizeof(float) * 256 * count);
   for (int block = 0; block < 16; ++block)
@@ -52,10 +59,10 @@ void load_features(const BlendBackward& b, int left, int top, float* gradients, 
       const size_t at = (static_cast<size_t>(y) * b.view.width + x) * count;
       float sum = 0;
       for (size_t d = 0; d < count; ++d) {
-        gradients[(block * count + d) * 16 + pixel] = b.images.grad_features[at + d];
-        sum += b.images.grad_features[at + d] * b.images.features[at + d];
+        gradients[(block * count + d) * 16 + pixel] = b.images.features[at + d];
+        sum += b.images.features[at + d] * b.images.drawn_features[at + d];
       }
-      in.behind[block][pixel] += sum;
+      blocks[block].behind[pixel] += sum;
     }
 }
 
@@ -78,19 +85,19 @@ AOMGEN_INLINE void add_feature_sums(const Features& f, F weight) {
     store(f.sums + kLanes * d, fma(weight, load(f.gradients + 16 * d), load(f.sums + kLanes * d)));
 }
 
-// Adds one register's part to the moments.
+// Adds the part of one register of a block, pixels `at` and following, to the moments.
 template <bool WithDepth, bool WithFeatures>
-AOMGEN_INLINE void add_pixels(const Splat& s, Incoming& in, int at, F moments[kMoments], const Features& features) {
-  const F before = load(&in.transmittance[0][at]);
-  const Touch t = touch(s, load(&kTileGeometry.x[0][at]), load(&kTileGeometry.y[0][at]), before);
-  const F weight = t.alpha * before, after = fnma(t.alpha, before, before);
-  store(&in.transmittance[0][at], after);
-  const F red = load(&in.red[0][at]), green = load(&in.green[0][at]), blue = load(&in.blue[0][at]);
+AOMGEN_INLINE void add_pixels(const Splat& s, Block& in, int at, F moments[kMoments], const Features& features) {
+  const F before = load(in.transmittance + at);
+  const Touch t = touch(s, load(in.x + at), load(in.y + at), before);
+  const F weight = t.alpha * before;
+  store(in.transmittance + at, fnma(t.alpha, before, before));
+  const F red = load(in.red + at), green = load(in.green + at), blue = load(in.blue + at);
   F own = fma(all(s.red), red, fma(all(s.green), green, s.blue * blue));
-  if (WithDepth) own = fma(all(s.depth), load(&in.depth[0][at]), own);
+  if (WithDepth) own = fma(all(s.depth), load(in.depth + at), own);
   if (WithFeatures) own = own + feature_share(features);
-  const F behind = fnma(weight, own, load(&in.behind[0][at]));
-  store(&in.behind[0][at], behind);
+  const F behind = fnma(weight, own, load(in.behind + at));
+  store(in.behind + at, behind);
   const F by_alpha = fnma(behind, reciprocal(1.0f - t.alpha), before * own);
   const F g = where(above(all(kMaxAlpha), t.unclamped), t.alpha) * by_alpha;
   const F gx = g * t.dx, gy = g * t.dy;
@@ -103,7 +110,7 @@ AOMGEN_INLINE void add_pixels(const Splat& s, Incoming& in, int at, F moments[kM
   moments[6] = fma(weight, red, moments[6]);
   moments[7] = fma(weight, green, moments[7]);
   moments[8] = fma(weight, blue, moments[8]);
-  if (WithDepth) moments[9] = fma(weight, load(&in.depth[0][at]), moments[9]);
+  if (WithDepth) moments[9] = fma(weight, load(in.depth + at), moments[9]);
   if (WithFeatures) add_feature_sums(features, weight);
 }
 
@@ -115,21 +122,29 @@ void store_feature_moments(const Features& f, float* out) {
   }
 }
 
+// The planes of the next tile, which is likely to be the next task of this thread.
+void prefetch_next(const BlendBackward& b, int tile) {
+  if (++tile >= b.tiles.columns * b.tiles.rows) return;
+  const int left = tile % b.tiles.columns * kTile, top = tile / b.tiles.columns * kTile;
+  const size_t plane = static_cast<size_t>(b.view.width) * b.view.height;
+  for (int channel = 0; channel < 3; ++channel) prefetch_tile<false>(b.images.rgb + channel * plane, left, top, b.view);
+}
+
 template <bool WithDepth, bool WithFeatures>
 void backward_tile(const BlendBackward& b, int tile, float* scratch) {
   const int left = tile % b.tiles.columns * kTile, top = tile / b.tiles.columns * kTile;
   const size_t count = WithFeatures ? b.feature_count : 0;
-  Incoming in;
-  load_incoming(b, left, top, in);
+  Block in[16];
+  load_blocks(b, tile, left, top, in);
+  prefetch_next(b, tile);
   if (WithFeatures) load_features(b, left, top, scratch, in);
   Features features = {static_cast<int>(count), nullptr, nullptr, scratch + 256 * count};
   const uint32_t end = b.tiles.begin[tile + 1];
   for (uint32_t k = b.tiles.begin[tile]; k < end; ++k) {
-    const size_t place = b.tiles.places[k];
     uint32_t blocks = b.block_masks[k];
     if (!blocks) {
-      memset(b.moments + 16 * place, 0, 16 * sizeof(float));
-      if (WithFeatures) memset(b.feature_moments + count * place, 0, count * sizeof(float));
+      memset(b.moments + 16 * static_cast<size_t>(k), 0, 16 * sizeof(float));
+      if (WithFeatures) memset(b.feature_moments + count * k, 0, count * sizeof(float));
       continue;
     }
     if (k + 8 < end) __builtin_prefetch(&b.splats[b.tiles.slots[k + 8]]);
@@ -144,20 +159,20 @@ void backward_tile(const BlendBackward& b, int tile, float* scratch) {
     }
     for (; blocks; blocks &= blocks - 1) {
       const int block = __builtin_ctz(blocks);
-      for (int part = 0; part < kParts; ++part) {
-        features.gradients = scratch + 16 * block * count + part * kLanes;
-        add_pixels<WithDepth, WithFeatures>(s, in, 16 * block + part * kLanes, moments, features);
+      for (int at = 0; at < 16; at += kLanes) {
+        features.gradients = scratch + 16 * block * count + at;
+        add_pixels<WithDepth, WithFeatures>(s, in[block], at, moments, features);
       }
     }
-    lane_sums(moments, b.moments + 16 * place);
-    if (WithFeatures) store_feature_moments(features, b.feature_moments + count * place);
+    lane_sums(moments, b.moments + 16 * static_cast<size_t>(k));
+    if (WithFeatures) store_feature_moments(features, b.feature_moments + count * k);
   }
 }
 
 }  // namespace
 
 void blend_backward(const BlendBackward& b, int tile, float* scratch) {
-  const bool depth = b.images.grad_depth, features = b.feature_count > 0;
+  const bool depth = b.images.depth, features = b.feature_count > 0;
   if (depth && features) return backward_tile<true, true>(b, tile, scratch);
   if (depth) return backward_tile<true, false>(b, tile, scratch);
   if (features) return backward_tile<false, true>(b, tile, scratch);

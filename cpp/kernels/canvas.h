@@ -7,8 +7,7 @@ namespace aomgen::AOMGEN_ISA {
 
 constexpr int kBatch = 32;  // splats tested against the blocks before any is blended
 
-struct alignas(64) Canvas {
-  float transmittance[16][16], red[16][16], green[16][16], blue[16][16], depth[16][16];
+struct alignas(64) Canvas : TileSums {
   float median[16][16], best_weight[16][16], best_id[16][16];
 };
 

@@ -53,7 +53,19 @@ struct TileLists {
   int columns, rows;
   const uint32_t* begin;   // (tiles + 1) into entries
   const uint32_t* slots;   // by entry: slot of the splat, near to far inside every tile
-  const uint32_t* places;  // by entry: its row among the gradient sums, which lie in the order of slots
+};
+
+// The entries of each splat, in the order of tiles.
+struct SplatEntries {
+  const uint32_t* begin;     // by slot: where its entries begin in the list
+  const uint32_t* count;     // by slot
+  const uint32_t* entries;
+};
+
+// What a tile's splats add up to, by block and pixel; the background is in the colors.
+struct alignas(64) TileSums {
+  float red[16][16], green[16][16], blue[16][16], depth[16][16];
+  float transmittance[16][16];  // left after all splats
 };
 
 struct Blend {
@@ -64,8 +76,8 @@ struct Blend {
   int feature_count;
   const float* features;     // (N, D)
   AomgenImages images;
-  float* transmittance;      // (H, W) left after all splats
-  uint16_t* block_masks;     // by entry: blocks of the tile in which the splat is drawn
+  TileSums* sums;            // by tile, or null
+  uint16_t* block_masks;     // by entry: blocks of the tile in which the splat is drawn; or null
 };
 
 struct BlendBackward {
@@ -75,18 +87,17 @@ struct BlendBackward {
   const int32_t* gaussians;  // by slot
   int feature_count;         // 0 without gradient by features
   const float* features;     // (N, D)
-  const float* transmittance;
+  const TileSums* sums;
   const uint16_t* block_masks;
   AomgenImageGradients images;
-  float* moments;            // (entries by place, 16)
-  float* feature_moments;    // (entries by place, D)
+  float* moments;            // (entries, 16)
+  float* feature_moments;    // (entries, D)
 };
 
 struct ProjectionBackward {
   Projection forward;
   const uint32_t* block_begin;  // by block: number of visible Gaussians before it
-  const uint32_t* entry_begin;  // by slot: first place of its entries
-  const uint32_t* entry_count;  // by slot
+  SplatEntries entries;
   const float* moments;
   const float* feature_moments;
   AomgenSceneGradients gradients;
@@ -99,7 +110,7 @@ struct Weights {
   const Splat* splats;
   int mask_count;            // <= 16 of them in one pass
   const float* masks;        // (mask_count, H, W)
-  float* sums;               // (entries by place, 16)
+  float* sums;               // (entries, 16)
 };
 
 struct PairCount {

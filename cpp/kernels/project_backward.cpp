@@ -19,13 +19,22 @@ void gather_moments(const ProjectionBackward& b, const Members& m, F moments[16]
   for (int lane = 0; lane < kLanes; ++lane) {
     F sums[kParts] = {};
     if (m.wanted >> lane & 1) {
-      const float* row = b.moments + 16 * static_cast<size_t>(b.entry_begin[m.slot[lane]]);
-      for (uint32_t left = b.entry_count[m.slot[lane]]; left; --left, row += 16)
-        for (int part = 0; part < kParts; ++part) sums[part] = sums[part] + load(row + part * kLanes);
+      const uint32_t* entry = b.entries.entries + b.entries.begin[m.slot[lane]];
+      for (uint32_t left = b.entries.count[m.slot[lane]]; left; --left, ++entry)
+        for (int part = 0; part < kParts; ++part)
+          sums[part] = sums[part] + load(b.moments + 16 * static_cast<size_t>(*entry) + part * kLanes);
     }
     for (int part = 0; part < kParts; ++part) moments[part * kLanes + lane] = sums[part];
   }
   for (int part = 0; part < kParts; ++part) transpose(moments + part * kLanes);
+}
+
+void prefetch_moments(const ProjectionBackward& b, uint32_t first_slot, uint32_t end_slot, uint32_t last_slot) {
+  for (uint32_t slot = first_slot; slot < end_slot && slot < last_slot; ++slot) {
+    const uint32_t* entry = b.entries.entries + b.entries.begin[slot];
+    for (uint32_t left = b.entries.count[slot] < 8 ? b.entries.count[slot] : 8; left; --left, ++entry)
+      __builtin_prefetch(b.moments + 16 * static_cast<size_t>(*entry));
+  }
 }
 
 struct ScreenGradient {
@@ -207,9 +216,9 @@ void store_feature_gradients(const ProjectionBackward& b, const Members& m) {
     const int lane = __builtin_ctz(rest);
     float* to = b.gradients.features + count * m.row[lane];
     memset(to, 0, count * sizeof(float));
-    const float* from = b.feature_moments + count * b.entry_begin[m.slot[lane]];
-    for (uint32_t left = b.entry_count[m.slot[lane]]; left; --left, from += count)
-      for (size_t d = 0; d < count; ++d) to[d] += from[d];
+    const uint32_t* entry = b.entries.entries + b.entries.begin[m.slot[lane]];
+    for (uint32_t left = b.entries.count[m.slot[lane]]; left; --left, ++entry)
+      for (size_t d = 0; d < count; ++d) to[d] += b.feature_moments[count * *entry + d];
   }
 }
 
@@ -252,6 +261,7 @@ void project_backward(const ProjectionBackward& b, int block) {
   const uint32_t count = b.forward.visible[block];
   for (uint32_t start = 0; start < count; start += kLanes) {
     const Members m = members_of(b, block, start, count);
+    prefetch_moments(b, m.slot[0] + kLanes, m.slot[0] + 2 * kLanes, static_cast<uint32_t>(block) * kProjectionBlock + count);
     float drawn[3][kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       const Splat& s = b.forward.splats[m.slot[lane]];

@@ -51,7 +51,7 @@ void sum_weights(const Weights& w, int tile) {
         for (int m = 0; m < w.mask_count; ++m) sums[m] = fma(weight, load(&masks[m][block][part * kLanes]), sums[m]);
       },
       [&](uint32_t entry) {
-        lane_sums(sums, w.sums + 16 * static_cast<size_t>(w.tiles.places[entry]));
+        lane_sums(sums, w.sums + 16 * static_cast<size_t>(entry));
         for (F& sum : sums) sum = zeros();
       });
 }

@@ -212,6 +212,7 @@ class _Rasterize(torch.autograd.Function):
         max_id = torch.empty((height, width), dtype=torch.int32) if call.options.with_ids else None
         images = native.Images(
             rgb=rgb.data_ptr(),
+            differentiable=1,
             depth=depth.data_ptr(),
             alpha=alpha.data_ptr(),
             median_depth=_address(median),
@@ -222,29 +223,27 @@ class _Rasterize(torch.autograd.Function):
         ctx.call, ctx.forward_number = call, call.context.forward_number
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(*(image for image in (median, max_id) if image is not None))
-        ctx.save_for_backward(*inputs, poses, features, rgb, depth, drawn)
+        ctx.save_for_backward(*inputs, poses, features, drawn)
         return rgb, depth, alpha, drawn, median, max_id
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor | None) -> tuple:  # type: ignore[override]
-        *inputs, poses, features, rgb, depth, drawn = ctx.saved_tensors
+        *inputs, poses, features, drawn = ctx.saved_tensors
         by_rgb, by_depth, by_alpha, by_features = (
             None if grad is None else grad.contiguous() for grad in grads[:4]
         )
         if by_rgb is None:
-            by_rgb = torch.zeros_like(rgb)
+            by_rgb = torch.zeros((3, ctx.call.camera.height, ctx.call.camera.width))
         results = [torch.empty_like(tensor) for tensor in inputs]
         by_poses = torch.empty_like(poses) if ctx.needs_input_grad[6] else None
         # Features that are constants still tell where the Gaussians should be.
         result_features = None if features is None else torch.empty_like(features)
         images = native.ImageGradients(
-            rgb=rgb.data_ptr(),
-            depth=depth.data_ptr(),
-            features=_address(drawn),
-            grad_rgb=by_rgb.data_ptr(),
-            grad_depth=_address(by_depth),
-            grad_alpha=_address(by_alpha),
-            grad_features=_address(by_features),
+            rgb=by_rgb.data_ptr(),
+            depth=_address(by_depth),
+            alpha=_address(by_alpha),
+            features=_address(by_features),
+            drawn_features=_address(drawn),
         )
         gradients = native.SceneGradients(
             features=_address(result_features),

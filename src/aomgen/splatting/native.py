@@ -57,6 +57,7 @@ class Images(Structure):
     _fields_ = (
         ("rgb", c_void_p),
         ("interleaved", c_int32),
+        ("differentiable", c_int32),
         ("depth", c_void_p),
         ("alpha", c_void_p),
         ("median_depth", c_void_p),
@@ -66,12 +67,9 @@ class Images(Structure):
 
 
 class ImageGradients(Structure):
-    """AomgenImageGradients: what was drawn, and the loss's gradient by it."""
+    """AomgenImageGradients: the loss's gradients by the images, and the features as drawn."""
 
-    _fields_ = tuple(
-        (name, c_void_p)
-        for name in ("rgb", "depth", "features", "grad_rgb", "grad_depth", "grad_alpha", "grad_features")
-    )
+    _fields_ = tuple((name, c_void_p) for name in ("rgb", "depth", "alpha", "features", "drawn_features"))
 
 
 class SceneGradients(Structure):
@@ -172,7 +170,7 @@ class Context:
         self._check(self._library.aomgen_forward(self._handle, scene, view, images))
 
     def backward(self, images: ImageGradients, gradients: SceneGradients, forward_number: int) -> None:
-        """Gradients of the last planar forward pass of this context, which must be the numbered one."""
+        """Gradients of the last differentiable forward pass of this context, which must be the numbered one."""
         if forward_number != self.forward_number:
             raise BackendError(
                 "splatting engine",
@@ -219,7 +217,7 @@ class Context:
         return visible.value, intersections.value
 
     def count_pairs(self) -> tuple[int, int]:
-        """(Gaussian, pixel) pairs that the last planar forward pass computed, and those it drew; slow."""
+        """(Gaussian, pixel) pairs that the last differentiable forward pass computed, and those it drew; slow."""
         evaluated, blended = c_int64(), c_int64()
         self._check(self._library.aomgen_count_pairs(self._handle, evaluated, blended))
         return evaluated.value, blended.value
