@@ -19,14 +19,12 @@ struct Call {
     scene = this->world.scene();
     view = this->world.view();
     images = canvas.images();
-    image_gradients.rgb = canvas.rgb.data();
-    image_gradients.depth = canvas.depth.data();
-    image_gradients.grad_rgb = pull.rgb.data();
-    image_gradients.grad_depth = pull.depth.data();
-    image_gradients.grad_alpha = pull.alpha.data();
+    image_gradients.rgb = pull.rgb.data();
+    image_gradients.depth = pull.depth.data();
+    image_gradients.alpha = pull.alpha.data();
     scene_gradients = gradients.pointers();
-    image_gradients.features = canvas.features.data();
-    image_gradients.grad_features = pull.features.data();
+    image_gradients.features = pull.features.data();
+    image_gradients.drawn_features = canvas.features.data();
   }
   World world;
   Canvas canvas;
@@ -87,7 +85,7 @@ const std::vector<Damage>& backward_damages() {
   static const std::vector<Damage> all = {
       [](Call& c, Random&) { c.image_gradients.rgb = nullptr; },
       [](Call& c, Random&) { c.image_gradients.depth = nullptr; },
-      [](Call& c, Random&) { c.image_gradients.grad_rgb = nullptr; },
+      [](Call& c, Random&) { c.image_gradients.rgb = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.means = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.quats = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.scales = nullptr; },
@@ -162,11 +160,9 @@ TEST(a_backward_pass_needs_its_forward_pass) {
   CHECK(backward(engine, call) == AOMGEN_OK);  // twice is allowed
   CHECK(call.gradients.means == first);
   Call without_features(world);
-  without_features.image_gradients.features = without_features.image_gradients.grad_features = nullptr;
+  without_features.image_gradients.features = without_features.image_gradients.drawn_features = nullptr;
   without_features.scene_gradients.features = without_features.scene_gradients.cam_from_part = nullptr;
-  without_features.image_gradients.grad_depth = without_features.image_gradients.grad_alpha = nullptr;
-  without_features.image_gradients.rgb = call.canvas.rgb.data();
-  without_features.image_gradients.depth = call.canvas.depth.data();
+  without_features.image_gradients.depth = without_features.image_gradients.alpha = nullptr;
   CHECK(backward(engine, without_features) == AOMGEN_OK);
   CHECK(without_features.gradients.guards_are_whole());
   Array<float> weights(40);

@@ -100,6 +100,7 @@ AomgenImages Canvas::images() {
   AomgenImages images{};
   images.rgb = rgb.data();
   images.interleaved = interleaved;
+  images.differentiable = !interleaved;
   images.depth = depth.data();
   images.alpha = alpha.data();
   images.median_depth = median_depth.data();
@@ -179,14 +180,12 @@ int32_t Engine::draw(const World& world, Canvas& canvas) {
 
 int32_t Engine::go_back(const World&, const Canvas& canvas, const Pull& pull, Gradients& gradients) {
   AomgenImageGradients images{};
-  images.rgb = canvas.rgb.data();
-  images.depth = canvas.depth.data();
-  images.grad_rgb = pull.rgb.data();
-  images.grad_depth = pull.depth.data();
-  images.grad_alpha = pull.alpha.data();
+  images.rgb = pull.rgb.data();
+  images.depth = pull.depth.data();
+  images.alpha = pull.alpha.data();
   if (!pull.features.empty()) {
-    images.features = canvas.features.data();
-    images.grad_features = pull.features.data();
+    images.features = pull.features.data();
+    images.drawn_features = canvas.features.data();
   }
   const AomgenSceneGradients pointers = gradients.pointers();
   return aomgen_backward(context_, &images, &pointers);
