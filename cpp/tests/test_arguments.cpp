@@ -84,14 +84,12 @@ const std::vector<Damage>& forward_damages() {
 const std::vector<Damage>& backward_damages() {
   static const std::vector<Damage> all = {
       [](Call& c, Random&) { c.image_gradients.rgb = nullptr; },
-      [](Call& c, Random&) { c.image_gradients.depth = nullptr; },
-      [](Call& c, Random&) { c.image_gradients.rgb = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.means = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.quats = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.scales = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.opacities = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.sh = nullptr; },
-      [](Call& c, Random&) { c.image_gradients.features = nullptr; },
+      [](Call& c, Random&) { c.image_gradients.drawn_features = nullptr; },
       [](Call& c, Random&) { c.scene_gradients.features = nullptr; },
   };
   return all;
