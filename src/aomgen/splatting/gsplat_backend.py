@@ -50,7 +50,7 @@ class GsplatRasterizer:
             gaussians: float32 tensors on one device.
             camera: Optics and, without `T_cam_world`, the pose.
             options: What to draw.
-            T_cam_world: (4, 4) rigid pose, replaces the camera's; differentiable.
+            T_cam_world: (4, 4) rigid pose on any device, replaces the camera's; differentiable.
             parts: Gaussians are in the frames of these parts; differentiable by the transforms.
 
         Raises:
@@ -59,8 +59,7 @@ class GsplatRasterizer:
         check_scene(gaussians, camera, options.sh_degree)
         if parts is not None:
             check_parts(gaussians, parts)
-        if T_cam_world is None:
-            T_cam_world = _viewmat(camera, gaussians)
+        T_cam_world = _viewmat(camera, gaussians) if T_cam_world is None else T_cam_world.to(gaussians.means)
         background = gaussians.means.new_tensor(options.background)
         if not len(gaussians.means):
             return _nothing(gaussians, camera, background, options.with_ids)
