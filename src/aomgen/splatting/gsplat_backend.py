@@ -65,8 +65,7 @@ class GsplatRasterizer:
             return _nothing(gaussians, camera, background, options.with_ids)
         gaussians = finite_only(gaussians)
         directions = view_directions(gaussians.means, T_cam_world, parts)
-        coefficients = gaussians.sh[:, : (options.sh_degree + 1) ** 2]
-        colors = self._gsplat.spherical_harmonics(options.sh_degree, directions, coefficients)
+        colors = self._gsplat.spherical_harmonics(options.sh_degree, directions, gaussians.sh)
         channels = (colors + 0.5).clamp_min(0)
         if gaussians.features is not None:
             channels = torch.cat([channels, gaussians.features], -1)
