@@ -231,6 +231,19 @@ def bench_accuracy(
     _show(run_accuracy(capture, out, run_project), json_file)
 
 
+@bench_app.command("training")
+def bench_training(
+    capture: Annotated[Path, typer.Argument(help="A capture; truth/ is not needed.")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
+    iterations: Annotated[int, typer.Option(help="Training steps; 0 for the project's own number.")] = 0,
+) -> None:
+    """Train a capture's scene and print PSNR of the held-out views over the seconds of training."""
+    from aomgen.benchmarks.training import run_training
+
+    _show(run_training(capture, out, run_project, iterations=iterations), json_file)
+
+
 @bench_app.command("splatting")
 def bench_splatting(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,

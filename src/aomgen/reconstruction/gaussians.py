@@ -79,6 +79,49 @@ def held_out(names: list[str]) -> list[str]:
     return [name for i, name in enumerate(sorted(names)) if i % HELD_OUT_EVERY == HELD_OUT_PHASE]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lesson:
+    """What a training starts from and learns.
+
+    Attributes:
+        dense: Points of the scene.
+        initial: A Gaussian for each.
+        cameras: Of the images to learn, recon frame.
+        images_srgb: (H, W, 3) uint8 each.
+        test: Names of the images that are held out and have a camera.
+    """
+
+    dense: DensePoints
+    initial: Gaussians
+    cameras: list[Camera]
+    images_srgb: list[NDArray[np.uint8]]
+    test: list[str]
+
+
+def lesson_of(
+    structure: Structure, images_srgb: dict[str, NDArray[np.uint8]], params: DensifyParams, progress: Progress
+) -> Lesson:
+    """Divide a scan into images to learn and to hold out, and find where Gaussians start.
+
+    Args:
+        structure: Cameras and sparse points.
+        images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
+        params: Of the dense points, which come from images to learn alone.
+        progress: Share done and a few words.
+    """
+    test = held_out(list(images_srgb))
+    known = [name for name in structure.cameras_recon if name in images_srgb]
+    learned = {name: images_srgb[name] for name in known if name not in test}
+    dense = densify(structure, learned, params, progress)
+    return Lesson(
+        dense=dense,
+        initial=initial_gaussians(dense),
+        cameras=[structure.cameras_recon[name] for name in learned],
+        images_srgb=list(learned.values()),
+        test=[name for name in test if name in structure.cameras_recon],
+    )
+
+
 def train_scene(
     structure: Structure,
     images_srgb: dict[str, NDArray[np.uint8]],
@@ -102,14 +145,9 @@ def train_scene(
 
     Source: Kerbl et al., "3D Gaussian splatting", 2023; AOMGen, sec. 4.1.
     """
-    test = held_out(list(images_srgb))
-    known = [name for name in structure.cameras_recon if name in images_srgb]
-    learned = {name: images_srgb[name] for name in known if name not in test}
-    dense = densify(structure, learned, params.densify, part(progress, 0.0, 0.25))
-    initial = initial_gaussians(dense)
-    cameras = [structure.cameras_recon[name] for name in learned]
+    lesson = lesson_of(structure, images_srgb, params.densify, part(progress, 0.0, 0.25))
     training = partial(
-        train, initial, cameras, list(learned.values()), params.training, part(progress, 0.25, 0.95)
+        train, lesson.initial, lesson.cameras, lesson.images_srgb, params.training, part(progress, 0.25, 0.95)
     )
     try:
         trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
@@ -119,12 +157,8 @@ def train_scene(
         progress(0.25, f"training starts over: {error.where} {error.problem}")
         checkpoint.path.unlink()
         trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
-    trained = without_floaters(trained, cameras, dense, params.near_share)
-    judged = {
-        name: judge(trained, structure.cameras_recon[name], images_srgb[name])
-        for name in test
-        if name in structure.cameras_recon
-    }
+    trained = without_floaters(trained, lesson.cameras, lesson.dense, params.near_share)
+    judged = {name: judge(trained, structure.cameras_recon[name], images_srgb[name]) for name in lesson.test}
     mean = float(np.mean([view.psnr_db for view in judged.values()])) if judged else float("nan")
     if judged and not mean >= params.min_psnr_db:
         raise ReconstructionError(
@@ -136,8 +170,8 @@ def train_scene(
         "heldout_psnr": mean if judged else None,
         "heldout_ssim": float(np.mean([view.ssim for view in judged.values()])) if judged else None,
         "gaussians": len(trained),
-        "initial_points": len(initial),
-        "shell_points": int(dense.shell.sum()),
+        "initial_points": len(lesson.initial),
+        "shell_points": int(lesson.dense.shell.sum()),
         "heldout": {name: {"psnr": view.psnr_db, "ssim": view.ssim} for name, view in judged.items()},
     }
     return TrainedScene(gaussians_recon=trained, heldout=judged, figures=figures)

@@ -11,9 +11,11 @@ from torch import Tensor
 
 from aomgen.splatting.optimizer import NAMES, Parameters
 from aomgen.splatting.photographs import Exposure
+from aomgen.splatting.poses import PoseIncrements
 
 MOMENTS = ("values", "averages", "squares")
 EXPOSURE = ("log_gains", "averages", "squares", "steps")
+POSES = ("twists", "averages", "squares", "steps", "gauge", "to_middle")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -23,6 +25,7 @@ class TrainingState:
     Attributes:
         parameters: Gaussians with their optimizer state.
         exposure: Gains of the images with their optimizer state.
+        poses: Corrections of the cameras with their optimizer state.
         order: Indices of the images still to be drawn before the next shuffle.
         iteration: Iterations done.
         rng: Source of everything random.
@@ -30,6 +33,7 @@ class TrainingState:
 
     parameters: Parameters
     exposure: Exposure
+    poses: PoseIncrements
     rng: np.random.Generator
     order: NDArray[np.int64]
     iteration: int = 0
@@ -44,10 +48,12 @@ def state_arrays(state: TrainingState) -> dict[str, NDArray]:
     }
     arrays["reach"] = state.parameters.reach.numpy()
     arrays |= {f"exposure.{name}": getattr(state.exposure, name).numpy() for name in EXPOSURE}
+    arrays |= {f"poses.{name}": getattr(state.poses, name).numpy() for name in POSES}
     counters = {
         "iteration": state.iteration,
         "steps": state.parameters.steps,
         "exposure": state.exposure.enabled,
+        "poses": state.poses.enabled,
         "rng": state.rng.bit_generator.state,
     }
     text = json.dumps(counters, default=np.ndarray.tolist)
@@ -67,6 +73,9 @@ def state_of_arrays(arrays: Mapping[str, NDArray], rng: np.random.Generator) -> 
         parameters=Parameters(reach=_tensor(arrays["reach"]), steps=counters["steps"], **moments),
         exposure=Exposure(
             enabled=counters["exposure"], **{name: _tensor(arrays[f"exposure.{name}"]) for name in EXPOSURE}
+        ),
+        poses=PoseIncrements(
+            enabled=counters["poses"], **{name: _tensor(arrays[f"poses.{name}"]) for name in POSES}
         ),
         order=np.array(arrays["order"]),
         iteration=counters["iteration"],

@@ -19,6 +19,7 @@ from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, Rast
 from aomgen.splatting.loss import image_loss
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.photographs import Exposure, View, reduced
+from aomgen.splatting.poses import PoseIncrements
 from aomgen.splatting.state import TrainingState
 
 
@@ -44,7 +45,10 @@ class TrainingParams:
         rate_means: Learning rate at the start; it falls by rate_means_decay until the end.
         rate_quats, rate_log_scales, rate_logit_opacities, rate_color, rate_sh, rate_gain: Others;
             they fall by rate_decay until the end.
+        rate_poses: Of the poses' corrections, [rad] and extents; falls by rate_means_decay.
         exposure: Fit a gain for every color of every image (the product is kept at 1).
+        refine_poses: Correct the poses of the training cameras; see `poses`.
+        refine_from: Share of the iterations before which poses stay.
     """
 
     iterations: int = 1800
@@ -69,8 +73,11 @@ class TrainingParams:
     rate_color: float = 2e-2
     rate_sh: float = 2e-3
     rate_gain: float = 2e-3
+    rate_poses: float = 1e-3
     rate_decay: float = 0.3
     exposure: bool = True
+    refine_poses: bool = False
+    refine_from: float = 0.15
 
 
 def train(
@@ -129,6 +136,7 @@ def started(
     return TrainingState(
         parameters=parameters_of(initial, params.sh_degree, reach),
         exposure=Exposure.neutral(len(cameras), params.exposure),
+        poses=PoseIncrements.neutral(cameras, middle, extent, params.refine_poses),
         order=np.zeros(0, np.int64),
         rng=rng,
     )
@@ -208,7 +216,9 @@ def _learn(
     leaves = parameters.leaves()
     background = params.background or tuple(state.rng.random(3).tolist())
     options = RasterOptions(sh_degree=_sh_degree(params, share), background=background)
-    drawn = CpuRasterizer(context)(GaussianTensors(**leaves), view.camera, options)
+    twist = state.poses.twists[index].clone().requires_grad_() if state.poses.enabled else None
+    T_cam_world = None if twist is None else state.poses.T_cam_world(view.camera, twist)
+    drawn = CpuRasterizer(context)(GaussianTensors(**leaves), view.camera, options, T_cam_world=T_cam_world)
     log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
     gains = None if log_gains is None else log_gains.exp()
     loss = image_loss(
@@ -224,6 +234,8 @@ def _learn(
     parameters.step(gradients, _rates(params, share, extent), context)
     if log_gains is not None and log_gains.grad is not None:
         exposure.step(index, log_gains.grad, params.rate_gain, context)
+    if twist is not None and twist.grad is not None and share >= params.refine_from:
+        state.poses.step(index, twist.grad, params.rate_poses * params.rate_means_decay**share, context)
     return float(loss.detach())
 
 
@@ -234,7 +246,8 @@ def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Pa
     chosen = rng.choice(len(views), min(params.error_views, len(views)), replace=False)
     targets = [(views[i].target() / exposure.log_gains[i].exp()[:, None, None]).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
-    shares = error_shares(gaussians, [views[i].camera for i in chosen], targets)
+    cameras = [state.poses.corrected(i, views[i].camera) for i in chosen]
+    shares = error_shares(gaussians, cameras, targets)
     left = max(1.0, (params.grow_window[1] - share) * params.iterations / params.grow_every)
     count = max(
         len(parameters), round(len(parameters) * (params.max_gaussians / len(parameters)) ** (1 / left))

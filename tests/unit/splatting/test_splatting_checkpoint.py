@@ -24,6 +24,7 @@ PARAMS = TrainingParams(
     grow_every=8,
     downsampling=((0.0, 2), (0.4, 1)),
     error_views=2,
+    refine_poses=True,
 )
 
 
@@ -186,7 +187,7 @@ def test_every_part_of_the_state_is_stored() -> None:
     """Whoever adds a field to the state must store it: the bytes differ when a field does."""
     state = started(scene(), cameras(), PARAMS, np.random.default_rng(0))
     stored = state_arrays(state)
-    named = {"values", "averages", "squares", "reach", "exposure", "order", "counters"}
+    named = {"values", "averages", "squares", "reach", "exposure", "poses", "order", "counters"}
     assert {name.split(".")[0] for name in stored} == named
-    assert set(type(state).__slots__) == {"parameters", "exposure", "order", "iteration", "rng"}
+    assert set(type(state).__slots__) == {"parameters", "exposure", "poses", "order", "iteration", "rng"}
     assert set(type(state.parameters).__slots__) == {"values", "averages", "squares", "reach", "steps"}
