@@ -184,6 +184,18 @@ TEST(degenerate_shapes) {
   }
 }
 
+// Thin and long ones lose all digits of their exponent far from their centre.
+TEST(needles) {
+  Random random(5);
+  for (int round = 0; round < 150; ++round) {
+    progress().subject = "round " + std::to_string(round);
+    World world = random_world(300 + static_cast<uint64_t>(round), {40, 0, 1, 40, 35, 1});
+    for (float& scale : world.scales) scale = std::ldexp(1.0f, random.below(2) ? random.below(25) : -random.below(25));
+    for (float& mean : world.means) mean *= std::ldexp(1.0f, random.below(14));
+    check_all_passes(world);
+  }
+}
+
 TEST(a_camera_inside_the_scene) {
   for (float near_depth : {1e-30f, 1e-6f, 0.01f, 0.5f, 1e30f}) {
     World world = random_world(9, {400, 3, 1, 40, 30, 1});
