@@ -24,6 +24,7 @@ enum AomgenStatus {
 };
 
 typedef struct AomgenContext AomgenContext;  // scratch memory and tile lists, one caller at a time
+typedef struct AomgenSession AomgenSession;  // a camera's view of what never moves; for any number of callers
 
 typedef struct {
   int64_t count;             // N
@@ -83,6 +84,23 @@ typedef struct {
   float* cam_from_part;      // (P, 12) or null
 } AomgenSceneGradients;
 
+// One frame of a session. Arrays that are not wanted are null; the same arrays may be given again for a
+// later frame together with their `tiles`, then only tiles that have changed are written.
+typedef struct {
+  const AomgenSession* session;
+  const float* cam_from_part;  // (P, 12): poses of the moving Gaussians' parts, as in AomgenView
+  const float* colors;       // (M, 3) sRGB of the last M moving Gaussians instead of their harmonics, or null
+  const float* shade;        // (H, W) factor on the color of what never moves, background included, or null
+  uint8_t* tiles;            // required; one for each 16x16 pixels, row by row: 0 where the arrays below show what
+                             // never moves and nothing else, and 1 elsewhere or where they are not yet filled
+  uint8_t* rgb8;             // (H, W, 3): 255 times the color, limited to 0..1, rounded
+  float* rgb;                // (H, W, 3)
+  float* depth;              // (H, W) as in AomgenImages
+  float* alpha;              // (H, W)
+  float* median_depth;       // (H, W), needs max_id
+  int32_t* max_id;           // (H, W) int32; moving Gaussians follow those that never move; needs median_depth
+} AomgenFrame;
+
 AOMGEN_API int32_t aomgen_abi_version(void);
 AOMGEN_API const char* aomgen_last_error(void);
 
@@ -107,6 +125,17 @@ AOMGEN_API int32_t aomgen_backward(AomgenContext* context, const AomgenImageGrad
 // weights (N, M): sum over pixels of blended weight * mask, for masks (M, H, W).
 AOMGEN_API int32_t aomgen_contribution_weights(AomgenContext* context, const AomgenScene* scene, const AomgenView* view,
                                     int32_t mask_count, const float* masks, float* weights);
+
+// Prepares drawing moving Gaussians into a scene that never moves, from a camera that never moves.
+// The scene's arrays are not used later; its features are not drawn.
+AOMGEN_API int32_t aomgen_session_open(AomgenContext* context, const AomgenScene* scene, const AomgenView* view,
+                            AomgenSession** session);
+AOMGEN_API void aomgen_session_free(AomgenSession* session);
+
+// Draws frames of the same moving Gaussians (their features are not drawn), each as `aomgen_forward`
+// draws all Gaussians together. One frame is drawn by all threads, several frames by one thread each.
+AOMGEN_API int32_t aomgen_session_draw(AomgenContext* context, const AomgenScene* moving, int32_t part_count,
+                            int64_t colored_count, int32_t frame_count, const AomgenFrame* frames);
 
 // (1 - dssim_weight) * mean|g x - y| + dssim_weight * (1 - SSIM(g x, y)) of planar images
 // (channels, H, W) with one gain g per channel, and its gradients. SSIM: 11x11 window of sigma

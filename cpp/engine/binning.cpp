@@ -1,10 +1,10 @@
 #include "binning.h"
 
 #include <algorithm>
-#include <cmath>
 #include <stdexcept>
 
 #include "thread_pool.h"
+#include "tile_cover.h"
 
 namespace aomgen {
 
@@ -13,21 +13,6 @@ namespace {
 constexpr uint32_t kChunk = 4096;         // splats of one task, more on gigantic images
 constexpr uint64_t kMaxCursors = 1 << 27;  // (chunk, tile) pairs
 constexpr size_t kReport = 1 << 16;        // entries after which a task looks at the sum of all
-
-// Smallest exponent of the splat over the tile's rectangle of pixel centres, against the faintest drawn.
-bool touches(const Splat& s, float left, float top) {
-  const float x0 = left + 0.5f - s.x, x1 = x0 + (kTile - 1), y0 = top + 0.5f - s.y, y1 = y0 + (kTile - 1);
-  const float near_x = std::min(std::max(0.0f, x0), x1), near_y = std::min(std::max(0.0f, y0), y1);
-  const float on_x = std::min(std::max(near_x * s.best_dy_per_dx, y0), y1);
-  const float on_y = std::min(std::max(near_y * s.best_dx_per_dy, x0), x1);
-  const float vertical = near_x * (s.qxx * near_x + s.qxy * on_x) + s.qyy * on_x * on_x;
-  const float horizontal = on_y * (s.qxx * on_y + s.qxy * near_y) + s.qyy * near_y * near_y;
-  return std::min(vertical, horizontal) < s.log2_opacity - kMinLog2Alpha;
-}
-
-int tile_at(float position, int tiles) {  // clamped before the conversion, which must not overflow
-  return static_cast<int>(std::min(std::max(std::floor(position * (1.0f / kTile)), 0.0f), static_cast<float>(tiles - 1)));
-}
 
 }  // namespace
 
@@ -61,13 +46,12 @@ void TileBinner::find_tiles(const DepthOrder& order, int chunk) {
   for (uint32_t rank = first; rank < last; ++rank) {
     if (rank + 8 < last) __builtin_prefetch(&order.splats[order.slots[rank + 8]]);
     const Splat& s = order.splats[order.slots[rank]];
-    const int x0 = tile_at(s.x - s.half_width, columns_), x1 = tile_at(s.x + s.half_width, columns_);
-    const int y0 = tile_at(s.y - s.half_height, rows_), y1 = tile_at(s.y + s.half_height, rows_);
-    const bool single = x0 == x1 && y0 == y1;
-    const size_t before = found, most = static_cast<size_t>(x1 - x0 + 1) * (y1 - y0 + 1);
+    const TileBox box = tile_box(s, columns_, rows_);
+    const bool single = box.single();
+    const size_t before = found, most = box.count();
     if (touched.size() < found + most) touched.resize(2 * (found + most) + kChunk);
-    for (int y = y0; y <= y1; ++y)
-      for (int x = x0; x <= x1; ++x) {
+    for (int y = box.y0; y <= box.y1; ++y)
+      for (int x = box.x0; x <= box.x1; ++x) {
         // Always written, counted only when touched: one branch less that the machine cannot foresee.
         const bool is_touched = single || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
         const uint32_t tile = static_cast<uint32_t>(y * columns_ + x);

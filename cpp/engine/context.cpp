@@ -20,9 +20,16 @@ class StageClock {
   std::chrono::steady_clock::time_point start_;
 };
 
-int block_count(int64_t gaussians) { return static_cast<int>((gaussians + kProjectionBlock - 1) / kProjectionBlock); }
-
 }  // namespace
+
+void fill_part_poses(const float* cam_from_part, int part_count, PartPose* poses) {
+  for (int part = 0; part < part_count; ++part) {
+    const float* V = cam_from_part + 12 * part;
+    std::copy_n(V, 12, poses[part].cam_from_part);
+    for (int k = 0; k < 3; ++k) poses[part].center[k] = -(V[k] * V[3] + V[4 + k] * V[7] + V[8 + k] * V[11]);
+    poses[part].unused = 0;
+  }
+}
 
 void Context::configure(int threads, const Kernels* kernels) {
   threads_ = threads > 0 ? threads : processor_count();
@@ -34,14 +41,9 @@ void Context::project(const AomgenScene& scene, const AomgenView& view) {
   const int blocks = block_count(scene.count);
   const size_t capacity = static_cast<size_t>(blocks) * kProjectionBlock;
   PartPose* poses = poses_.reserve(view.part_count);
-  for (int part = 0; part < view.part_count; ++part) {
-    const float* V = view.cam_from_part + 12 * part;
-    std::copy_n(V, 12, poses[part].cam_from_part);
-    for (int k = 0; k < 3; ++k) poses[part].center[k] = -(V[k] * V[3] + V[4 + k] * V[7] + V[8 + k] * V[11]);
-    poses[part].unused = 0;
-  }
+  fill_part_poses(view.cam_from_part, view.part_count, poses);
   Projection& p = projection_;
-  p = {scene, view, poses, splats_.reserve(capacity), gaussians_.reserve(capacity), depth_keys_.reserve(capacity), visible_.reserve(blocks)};
+  p = {scene, view, poses, nullptr, 0, splats_.reserve(capacity), gaussians_.reserve(capacity), depth_keys_.reserve(capacity), visible_.reserve(blocks)};
   p.view.cam_from_part = nullptr;  // the caller's; not kept
   parallel(threads_, blocks, 1, [&](int64_t block, int) { kernels_->project(p, static_cast<int>(block)); });
   block_begin_.assign(blocks + 1, 0);

@@ -11,6 +11,12 @@
 
 namespace aomgen {
 
+// Tasks of a projection.
+inline int block_count(int64_t gaussians) { return static_cast<int>((gaussians + kProjectionBlock - 1) / kProjectionBlock); }
+
+// From transforms (P, 12) to what the projection needs of each part.
+void fill_part_poses(const float* cam_from_part, int part_count, PartPose* poses);
+
 class Context {
  public:
   void configure(int threads, const Kernels* kernels);
@@ -22,6 +28,15 @@ class Context {
   void adam_step(AdamStep step, const float* rates, int columns);
   void count_pairs(int64_t& evaluated, int64_t& blended);
   double vector_throughput() const;
+
+  int threads() const { return threads_; }
+  const Kernels* kernels() const { return kernels_; }
+  // Of the last forward pass; masks and sums if it was differentiable.
+  const Projection& projection() const { return projection_; }
+  const TileLists& tiles() const { return tiles_; }
+  const uint16_t* block_masks() const { return block_masks_.data(); }
+  const TileSums* tile_sums() const { return tile_sums_.data(); }
+  void forget_forward() { differentiable_ = false; }
 
   const std::array<double, 6>& stage_times() const { return times_; }
   uint32_t visible() const { return visible_count_; }

@@ -2,84 +2,14 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <new>
-#include <stdexcept>
-#include <string>
 
-#include "../aomgen_splatting.h"
-#include "context.h"
+#include "checks.h"
 #include "dispatch.h"
 #include "thread_pool.h"
 
-struct AomgenContext {
-  aomgen::Context context;
-};
+using namespace aomgen;
 
 namespace {
-
-constexpr int64_t kMaxGaussians = 1 << 24;  // slots are kept as exact floats in one place
-constexpr int kMaxSide = 16384, kMaxFeatures = 4096, kMaxThreads = 256, kMaxParts = 4096;
-
-thread_local std::string last_error;
-
-struct Refused : std::invalid_argument {
-  using std::invalid_argument::invalid_argument;
-};
-
-void require(bool condition, const char* problem) {
-  if (!condition) throw Refused(problem);
-}
-
-template <class Function>
-int32_t guarded(Function&& function) {
-  try {
-    function();
-    return AOMGEN_OK;
-  } catch (const std::bad_alloc&) {
-    last_error = "not enough memory";
-    return AOMGEN_OUT_OF_MEMORY;
-  } catch (const std::exception& error) {
-    last_error = error.what();
-    return AOMGEN_INVALID_ARGUMENT;
-  }
-}
-
-void check(const AomgenScene* scene) {
-  require(scene, "scene is null");
-  require(scene->count >= 0 && scene->count <= kMaxGaussians, "the number of Gaussians must be 0 to 16777216");
-  const int k = scene->sh_coefficients, degree = scene->sh_degree;
-  require(k == 1 || k == 4 || k == 9 || k == 16, "SH coefficients per Gaussian must be 1, 4, 9 or 16");
-  require(degree >= 0 && degree <= 3 && (degree + 1) * (degree + 1) <= k, "the SH degree is beyond the stored coefficients");
-  require(scene->encoded == 0 || scene->encoded == 1, "encoded must be 0 or 1");
-  require(scene->feature_count >= 0 && scene->feature_count <= kMaxFeatures, "the number of features must be 0 to 4096");
-  if (scene->count == 0) return;
-  require(scene->means && scene->quats && scene->scales && scene->opacities && scene->sh, "an array of the scene is null");
-  require(scene->feature_count == 0 || scene->features, "the features are null");
-}
-
-void check(const AomgenView* view) {
-  require(view, "view is null");
-  require(view->width >= 1 && view->width <= kMaxSide && view->height >= 1 && view->height <= kMaxSide, "the image must be 1 to 16384 pixels wide and high");
-  const float numbers[] = {view->fx, view->fy, view->cx, view->cy, view->near_depth};
-  for (float x : numbers) require(std::isfinite(x), "an intrinsic is not finite");
-  for (float x : view->background) require(std::isfinite(x), "the background is not finite");
-  require(view->fx > 0 && view->fy > 0, "focal lengths must be positive");
-  require(view->near_depth > 0, "the near depth must be positive");
-  require(view->antialiased == 0 || view->antialiased == 1, "antialiased must be 0 or 1");
-  require(view->part_count >= 1 && view->part_count <= kMaxParts, "the number of parts must be 1 to 4096");
-  require(view->cam_from_part, "cam_from_part is null");
-  for (int i = 0; i < 12 * view->part_count; ++i) require(std::isfinite(view->cam_from_part[i]), "a pose is not finite");
-}
-
-void check_parts(const AomgenScene& scene, const AomgenView& view) {
-  if (!scene.parts) return;
-  int32_t least = 0, most = 0;
-  for (int64_t i = 0; i < scene.count; ++i) {
-    least = std::min(least, scene.parts[i]);
-    most = std::max(most, scene.parts[i]);
-  }
-  require(least >= 0 && most < view.part_count, "a Gaussian's part has no pose");
-}
 
 void check(const AomgenImages* images, const AomgenScene& scene) {
   require(images && images->rgb && images->depth && images->alpha, "rgb, depth and alpha are required");
@@ -95,7 +25,7 @@ extern "C" {
 
 int32_t aomgen_abi_version(void) { return AOMGEN_ABI_VERSION; }
 
-const char* aomgen_last_error(void) { return last_error.c_str(); }
+const char* aomgen_last_error(void) { return last_error().c_str(); }
 
 const char* aomgen_instruction_sets(void) { return aomgen::usable_instruction_sets(); }
 
@@ -124,7 +54,7 @@ int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const A
     require(context, "context is null");
     check(scene);
     check(view);
-    check_parts(*scene, *view);
+    check_parts(*scene, view->part_count);
     check(images, *scene);
     context->context.forward(*scene, *view, *images);
   });
@@ -132,7 +62,7 @@ int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const A
 
 int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* images, const AomgenSceneGradients* gradients) {
   if (context && !context->context.can_go_back()) {
-    last_error = "the context's last pass was not a differentiable forward pass";
+    last_error() = "the context's last pass was not a differentiable forward pass";
     return AOMGEN_NO_FORWARD;
   }
   return guarded([&] {
@@ -153,7 +83,7 @@ int32_t aomgen_contribution_weights(AomgenContext* context, const AomgenScene* s
     require(context, "context is null");
     check(scene);
     check(view);
-    check_parts(*scene, *view);
+    check_parts(*scene, view->part_count);
     require(mask_count >= 1 && mask_count <= kMaxFeatures && masks && (weights || scene->count == 0), "1 to 4096 masks and an array for the weights are required");
     context->context.contribution_weights(*scene, *view, mask_count, masks, weights);
   });
@@ -214,7 +144,7 @@ int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6])
 
 int32_t aomgen_count_pairs(AomgenContext* context, int64_t* evaluated, int64_t* blended) {
   if (context && !context->context.can_go_back()) {
-    last_error = "the context's last pass was not a differentiable forward pass";
+    last_error() = "the context's last pass was not a differentiable forward pass";
     return AOMGEN_NO_FORWARD;
   }
   return guarded([&] {

@@ -26,7 +26,8 @@ struct alignas(64) Splat {
   float red, green, blue, depth;
   float best_dy_per_dx, best_dx_per_dy;  // where the exponent is largest on a vertical, horizontal line
   float half_width, half_height;         // of the box in which alpha can reach 1/255
-  float unused[2];
+  float id;                              // Gaussian, only where it is said so
+  float unused;
 };
 static_assert(sizeof(Splat) == 64, "one cache line, sixteen floats");
 
@@ -43,6 +44,8 @@ struct Projection {
   AomgenScene scene;
   AomgenView view;
   const PartPose* poses;  // (P,)
+  const float* colors;    // (colored, 3) sRGB of the last Gaussians instead of their harmonics, or null
+  int64_t colored;
   Splat* splats;          // by slot
   int32_t* gaussians;     // by slot: index into the scene
   uint32_t* depth_keys;   // by slot: float bits of the depth
@@ -113,6 +116,34 @@ struct Weights {
   float* sums;               // (entries, 16)
 };
 
+// Images of a camera, planar rgb (3, H, W) and the rest (H, W).
+struct StillImages {
+  const float *rgb, *depth, *alpha, *median_depth;
+  const int32_t* max_id;
+  const uint8_t* rgb8;       // (H, W, 3)
+};
+
+// What never moves, as one camera sees it: per tile the splats that draw anything.
+struct StillTiles {
+  const uint32_t* begin;     // (tiles + 1) into entries
+  const uint32_t* rows;      // by entry: row of the splat, near to far inside every tile
+  const uint32_t* keys;      // by entry: depth key
+  const uint16_t* blocks;    // by entry: blocks of the tile in which the splat is drawn
+  const Splat* splats;       // by row; `id` is the Gaussian
+};
+
+// A frame of a session: what never moves and what does, blended together.
+struct SessionBlend {
+  AomgenView view;
+  StillImages still_images;
+  StillTiles still;
+  TileLists tiles;           // of the moving splats
+  const Splat* splats;       // by slot
+  const int32_t* gaussians;  // by slot
+  int32_t first_moving;      // index of the first moving Gaussian in max_id
+  AomgenFrame frame;
+};
+
 struct PairCount {
   AomgenView view;
   TileLists tiles;
@@ -152,6 +183,8 @@ struct Kernels {
   void (*project_backward)(const ProjectionBackward&, int block);
   void (*sum_weights)(const Weights&, int tile);
   void (*count_pairs)(const PairCount&, int tile);
+  void (*blend_session)(const SessionBlend&, int tile);
+  void (*show_still)(const SessionBlend&, int tile);
   void (*ssim_row)(const ImageLoss&, int channel, int y, float* scratch);
   void (*loss_gradient_row)(const ImageLoss&, int channel, int y, float* scratch);
   void (*adam)(const AdamStep&, int block);

@@ -107,6 +107,16 @@ void colors_of(const Projection& p, const Group& g, const Pose& pose, const int3
   }
 }
 
+// Puts given colors in the place of those of harmonics.
+void replace_colors(const Projection& p, const int32_t index[kLanes], F color[3]) {
+  const int64_t first = p.scene.count - p.colored;
+  float lanes[3][kLanes];
+  for (int channel = 0; channel < 3; ++channel) store(lanes[channel], color[channel]);
+  for (int lane = 0; lane < kLanes; ++lane)
+    for (int channel = 0; index[lane] >= first && channel < 3; ++channel) lanes[channel][lane] = p.colors[3 * (index[lane] - first) + channel];
+  for (int channel = 0; channel < 3; ++channel) color[channel] = load(lanes[channel]);
+}
+
 AOMGEN_INLINE void store_splats(F fields[16], uint32_t visible, const int32_t index[kLanes], Splat* splats, int32_t* gaussians, uint32_t* keys, uint32_t& found) {
   for (int part = 0; part < 16; part += kLanes) transpose(fields + part);
   for (; visible; visible &= visible - 1) {
@@ -135,8 +145,10 @@ void project(const Projection& p, int block) {
     const Ellipse e = ellipse_of(g, c, p.view);
     uint32_t visible = bits(e.in_view) & ((1u << lanes) - 1u);
     if (!visible) continue;
-    F color[3];
-    colors_of(p, g, pose, index, visible, color);
+    F color[3] = {};
+    // Candidates ascend: with the first, all have given colors.
+    if (!p.colors || index[0] < p.scene.count - p.colored) colors_of(p, g, pose, index, visible, color);
+    if (p.colors && index[lanes - 1] >= p.scene.count - p.colored) replace_colors(p, index, color);
     const F bright = all(1e4f);
     visible &= bits(above(bright, absolute(color[0])) & above(bright, absolute(color[1])) & above(bright, absolute(color[2])));
     F fields[16] = {e.x, e.y, e.qxx, e.qxy, e.qyy, e.log2_opacity,

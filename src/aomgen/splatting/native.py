@@ -81,6 +81,16 @@ class SceneGradients(Structure):
     )
 
 
+class Frame(Structure):
+    """AomgenFrame: poses of what moves in one frame of a session, and where it is drawn."""
+
+    _fields_ = tuple(
+        (name, c_void_p)
+        for name in ("session", "cam_from_part", "colors", "shade", "tiles")
+        + ("rgb8", "rgb", "depth", "alpha", "median_depth", "max_id")
+    )
+
+
 _SIGNATURES = {
     "aomgen_abi_version": (c_int32, ()),
     "aomgen_last_error": (c_char_p, ()),
@@ -95,6 +105,9 @@ _SIGNATURES = {
         c_int32,
         (c_void_p, POINTER(Scene), POINTER(View), c_int32, c_void_p, c_void_p),
     ),
+    "aomgen_session_open": (c_int32, (c_void_p, POINTER(Scene), POINTER(View), POINTER(c_void_p))),
+    "aomgen_session_free": (None, (c_void_p,)),
+    "aomgen_session_draw": (c_int32, (c_void_p, POINTER(Scene), c_int32, c_int64, c_int32, POINTER(Frame))),
     "aomgen_image_loss": (
         c_int32,
         (c_void_p, c_int32, c_int32, c_int32, c_void_p, c_void_p, c_void_p, c_float)
@@ -184,6 +197,19 @@ class Context:
         self.forward_number += 1
         call = self._library.aomgen_contribution_weights
         self._check(call(self._handle, scene, view, count, masks, weights))
+
+    def open_session(self, scene: Scene, view: View) -> int:
+        """Handle of a new session, for `library().aomgen_session_free`."""
+        self.forward_number += 1
+        handle = c_void_p()
+        self._check(self._library.aomgen_session_open(self._handle, scene, view, handle))
+        return handle.value or 0
+
+    def draw_session(self, moving: Scene, part_count: int, colored_count: int, frames: list[Frame]) -> None:
+        """Draw frames of sessions, whose arrays must stay alive."""
+        array = (Frame * len(frames))(*frames)
+        call = self._library.aomgen_session_draw
+        self._check(call(self._handle, moving, part_count, colored_count, len(frames), array))
 
     def image_loss(
         self,

@@ -1,0 +1,97 @@
+// Frames of moving Gaussians in a scene that never moves, from a camera that never moves.
+//
+// Exact: what is left out of the lists cannot be drawn. A splat that draws nothing while only the scene
+// that never moves is there draws nothing behind more splats either, because transmittance only falls
+// (in float arithmetic too: it is multiplied by factors of at most one).
+#pragma once
+
+#include <vector>
+
+#include "../kernels/kernels.h"
+#include "buffer.h"
+#include "context.h"
+
+namespace aomgen {
+
+// What never moves, as one camera sees it. Never changes after construction, so any number of threads
+// may draw with it.
+class Session {
+ public:
+  // Draws the scene with the context, whose last forward pass is lost.
+  Session(Context& context, const AomgenScene& scene, const AomgenView& view);
+
+  const Kernels& kernels() const { return kernels_; }
+  const AomgenView& view() const { return view_; }
+  int columns() const { return (view_.width + kTile - 1) / kTile; }
+  int rows() const { return (view_.height + kTile - 1) / kTile; }
+  int32_t gaussian_count() const { return gaussian_count_; }
+  StillTiles tiles() const { return {begin_.data(), splat_rows_.data(), keys_.data(), blocks_.data(), splats_.data()}; }
+  StillImages images() const;
+  // By tile: nothing at this depth key or behind it can be seen.
+  const uint32_t* stop_keys() const { return stop_keys_.data(); }
+
+ private:
+  void keep_lists(const Context& context);
+  bool is_finished(const Context& context, int tile) const;
+  void round_colors();
+
+  const Kernels& kernels_;
+  AomgenView view_;
+  int32_t gaussian_count_;
+  Buffer<float> planes_;  // rgb, depth, alpha, median depth
+  Buffer<int32_t> max_id_;
+  Buffer<uint8_t> rgb8_;
+  std::vector<uint32_t> begin_, splat_rows_, keys_, stop_keys_;
+  std::vector<uint16_t> blocks_;
+  Buffer<Splat> splats_;
+};
+
+}  // namespace aomgen
+
+struct AomgenSession {
+  aomgen::Session session;
+  AomgenSession(aomgen::Context& context, const AomgenScene& scene, const AomgenView& view) : session(context, scene, view) {}
+};
+
+namespace aomgen {
+
+// Moving Gaussians of several frames.
+struct MovingScene {
+  AomgenScene scene;
+  int part_count;
+  int64_t colored_count;
+};
+
+// Lists by tile of one frame's moving splats, and the memory for them.
+class FrameScratch {
+ public:
+  void draw(const MovingScene& moving, const AomgenFrame& frame, int threads);
+
+ private:
+  struct Cover {
+    uint32_t begin, count;  // in the tiles of the block
+  };
+  void project(const MovingScene& moving, const AomgenFrame& frame, int threads);
+  void find_tiles(const Session& session, int block);
+  void fill_lists(const Session& session);
+
+  Projection projection_{};
+  Buffer<PartPose> poses_;
+  Buffer<Splat> splats_;
+  Buffer<int32_t> gaussians_;
+  Buffer<uint32_t> depth_keys_, visible_;
+  Buffer<Cover> covers_;                        // by slot
+  std::vector<std::vector<uint32_t>> covered_;  // by block: tiles of its splats
+  Buffer<uint32_t> keys_, ordered_, spare_keys_, spare_ordered_;  // of the sort
+  Buffer<uint32_t> begin_, cursors_, slots_;
+};
+
+class SessionDrawer {
+ public:
+  void draw(const MovingScene& moving, const AomgenFrame* frames, int frame_count, int threads);
+
+ private:
+  std::vector<FrameScratch> scratches_;  // by worker
+};
+
+}  // namespace aomgen

@@ -1,0 +1,270 @@
+"""Many frames from a fixed camera: what never moves is drawn once, and only what changes is drawn again.
+
+Exact: a frame equals `render` of the static and the moving Gaussians together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.values import Array, freeze
+from aomgen.splatting import native
+from aomgen.splatting.rasterizer import (
+    MIN_ALPHA,
+    Parts,
+    Rendering,
+    cam_from_parts,
+    native_scene,
+    native_view,
+)
+
+TILE = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """What changes from frame to frame, T frames.
+
+    Attributes:
+        parts: Part of every moving Gaussian (N,) int32, 0..P-1; each is given in its part's frame.
+        Ts_world_part: Rigid poses of the parts (T, P, 4, 4).
+        colors: (T, M, 3) float32, sRGB of the last M moving Gaussians, in place of their harmonics;
+            None for none.
+    """
+
+    parts: NDArray[np.int32]
+    Ts_world_part: Array
+    colors: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "parts", self.parts, (None,), np.int32)
+        freeze(self, "Ts_world_part", self.Ts_world_part, (None, None, 4, 4))
+        if self.colors is not None:
+            freeze(self, "colors", self.colors, (len(self.Ts_world_part), None, 3), np.float32)
+
+    def __len__(self) -> int:
+        return len(self.Ts_world_part)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """An image of a session that can be drawn into again.
+
+    Attributes:
+        image_srgb: (H, W, 3) uint8.
+        changed: (H / 16, W / 16) uint8, rounded up: 1 for the tiles of 16 x 16 pixels that show
+            anything else than what never moves.
+    """
+
+    image_srgb: NDArray[np.uint8]
+    changed: NDArray[np.uint8]
+
+
+class RenderSession:
+    """A camera's view of what never moves; it does not change, and any number of threads may share it.
+
+    Args:
+        static: Gaussians that never move, world frame.
+        camera: Camera that never moves.
+        background: sRGB color 0..1 behind everything.
+        antialiased: As in `render`.
+        threads: For opening and drawing; None for all processors of the process.
+        instruction_set: One of `native.instruction_sets()`, None for the best.
+
+    Raises:
+        BackendError: The engine is missing, or refuses the scene or camera.
+    """
+
+    def __init__(
+        self,
+        static: Gaussians,
+        camera: Camera,
+        *,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        antialiased: bool = False,
+        threads: int | None = None,
+        instruction_set: str | None = None,
+    ) -> None:
+        self._library = native.library()
+        self.camera = camera
+        self.threads = threads
+        self._handle = 0
+        poses = cam_from_parts(camera)
+        view = native_view(camera, poses, background=background, antialiased=antialiased)
+        context = native.scratch_context()
+        context.configure(threads, instruction_set)
+        self._handle = context.open_session(native_scene(static), view)
+
+    def __del__(self) -> None:
+        if getattr(self, "_handle", 0):
+            self._library.aomgen_session_free(self._handle)
+
+    def draw(
+        self,
+        moving: Gaussians,
+        parts: Parts | None = None,
+        *,
+        shade: NDArray[np.float32] | None = None,
+        with_ids: bool = False,
+    ) -> Rendering:
+        """Draw one frame with all threads, as `render` draws static and moving Gaussians together.
+
+        Args:
+            moving: Gaussians in the world frame, or in the frames of `parts`.
+            parts: Where the parts are; their view-dependent colors turn along.
+            shade: Factor (H, W) on the sRGB colors of what never moves, for shadows.
+            with_ids: Also give median depth and the most contributing Gaussian; indices of
+                moving Gaussians follow those of static ones.
+
+        Raises:
+            BackendError: The engine refuses the Gaussians.
+        """
+        shape = (self.camera.height, self.camera.width)
+        rgb = np.empty((*shape, 3), np.float32)
+        alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        median = np.empty(shape, np.float32) if with_ids else None
+        max_id = np.empty(shape, np.int32) if with_ids else None
+        outputs = {"rgb": rgb, "alpha": alpha, "depth": depth, "median_depth": median, "max_id": max_id}
+        outputs["tiles"] = self._unknown_tiles(1)[0]
+        self._draw_one(moving, parts, shade, outputs)
+        np.minimum(rgb, 1, out=rgb)
+        np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
+        depth[~(alpha > MIN_ALPHA)] = 0
+        return Rendering(rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id)
+
+    def picture(
+        self,
+        moving: Gaussians,
+        parts: Parts | None = None,
+        *,
+        shade: NDArray[np.float32] | None = None,
+        into: Picture | None = None,
+    ) -> Picture:
+        """Draw one 8-bit image with all threads; arguments as in `draw`.
+
+        Args:
+            into: A picture of this session that is no longer wanted. It is drawn over, and only
+                where something has changed: the fastest way to one frame after the other.
+
+        Raises:
+            BackendError: The engine refuses the Gaussians.
+        """
+        shape = (self.camera.height, self.camera.width, 3)
+        if into is None:
+            into = Picture(image_srgb=np.empty(shape, np.uint8), changed=self._unknown_tiles(1)[0])
+        if into.image_srgb.shape != shape:
+            raise ValueError(f"the picture has shape {into.image_srgb.shape}, want {shape}")
+        self._draw_one(moving, parts, shade, {"rgb8": into.image_srgb, "tiles": into.changed})
+        return into
+
+    def draw_many(
+        self,
+        moving: Gaussians,
+        motion: Motion,
+        shades: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread.
+
+        Args:
+            moving: N Gaussians in the frames of their parts.
+            motion: Where the parts are in each frame.
+            shades: Factors (T, H, W) on the sRGB colors of what never moves, for shadows.
+
+        Raises:
+            BackendError: The engine refuses the Gaussians.
+        """
+        return draw_sessions([self], moving, motion, None if shades is None else [shades], self.threads)[0]
+
+    def _unknown_tiles(self, frames: int) -> NDArray[np.uint8]:
+        rows, columns = -(-self.camera.height // TILE), -(-self.camera.width // TILE)
+        return np.ones((frames, rows, columns), np.uint8)
+
+    def _draw_one(
+        self,
+        moving: Gaussians,
+        parts: Parts | None,
+        shade: ArrayLike | None,
+        outputs: dict[str, NDArray | None],
+    ) -> None:
+        poses = cam_from_parts(self.camera, parts)
+        shade = self._checked_shades(shade, ())
+        addresses = {name: array.ctypes.data for name, array in outputs.items() if array is not None}
+        frame = native.Frame(
+            session=self._handle,
+            cam_from_part=poses.ctypes.data,
+            shade=None if shade is None else shade.ctypes.data,
+            **addresses,
+        )
+        context = native.scratch_context()
+        context.configure(self.threads)
+        context.draw_session(native_scene(moving, parts=parts), len(poses), 0, [frame])
+
+    def _checked_shades(self, shades: ArrayLike | None, leading: tuple[int, ...]) -> NDArray | None:
+        if shades is None:
+            return None
+        shades = np.ascontiguousarray(shades, np.float32)
+        want = (*leading, self.camera.height, self.camera.width)
+        if shades.shape != want:
+            raise ValueError(f"shade has shape {shades.shape}, want {want}")
+        return shades
+
+    def _frames(
+        self, motion: Motion, shades: ArrayLike | None
+    ) -> tuple[NDArray[np.uint8], list[native.Frame], tuple]:
+        """Images to be drawn, what the engine draws them by, and arrays that must stay alive meanwhile."""
+        count = len(motion)
+        images = np.empty((count, self.camera.height, self.camera.width, 3), np.uint8)
+        Ts = self.camera.T_cam_world @ motion.Ts_world_part
+        poses = np.ascontiguousarray(Ts[:, :, :3], np.float32)
+        tiles = self._unknown_tiles(count)
+        shades = self._checked_shades(shades, (count,))
+        frames = [
+            native.Frame(
+                session=self._handle,
+                cam_from_part=poses[t].ctypes.data,
+                colors=None if motion.colors is None else motion.colors[t].ctypes.data,
+                shade=None if shades is None else shades[t].ctypes.data,
+                tiles=tiles[t].ctypes.data,
+                rgb8=images[t].ctypes.data,
+            )
+            for t in range(count)
+        ]
+        return images, frames, (poses, tiles, shades)
+
+
+def draw_sessions(
+    sessions: Sequence[RenderSession],
+    moving: Gaussians,
+    motion: Motion,
+    shades: Sequence[NDArray[np.float32] | None] | None = None,
+    threads: int | None = None,
+) -> list[NDArray[np.uint8]]:
+    """Frames (T, H, W, 3) uint8 of each session, all of them spread over threads.
+
+    Args:
+        sessions: Cameras; their static Gaussians need not be the same.
+        moving: N Gaussians in the frames of their parts.
+        motion: Where the parts are in each frame.
+        shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
+        threads: None for all processors of the process.
+
+    Raises:
+        BackendError: The engine refuses the Gaussians.
+    """
+    if len(motion.parts) != len(moving):
+        raise ValueError(f"{len(motion.parts)} part indices for {len(moving)} Gaussians")
+    colored = 0 if motion.colors is None else motion.colors.shape[1]
+    drawn = [
+        session._frames(motion, None if shades is None else shades[i]) for i, session in enumerate(sessions)
+    ]
+    scene = native_scene(moving)
+    scene.parts = motion.parts.ctypes.data
+    context = native.scratch_context()
+    context.configure(threads)
+    frames = [frame for _, frames, _ in drawn for frame in frames]
+    context.draw_session(scene, motion.Ts_world_part.shape[1], colored, frames)
+    return [images for images, _, _ in drawn]
