@@ -40,9 +40,9 @@ def main() -> None:
         logit_opacities=torch.tensor(gaussians.opacities).clamp(1e-6, 1 - 1e-6).logit(),
         sh=torch.tensor(gaussians.sh),
     )
+    torch.set_num_threads(1)  # the rasterizer has its own threads
     draw, how = CpuRasterizer(), RasterOptions(sh_degree=gaussians.sh_degree)
     target = draw(scene, camera, how).rgb
-
     turn = matrix_from_rotvec(np.radians(options.off_deg) * np.array([0.6, -0.64, 0.48]))
     start = transform(turn, 0.03 * distance * np.array([1, -1, 1])) @ camera.T_cam_world
     T_start = torch.tensor(start, dtype=torch.float32)
