@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from aomgen.splatting.rasterizer import contribution_weights as contribution_weights
     from aomgen.splatting.rasterizer import render as render
     from aomgen.splatting.rasterizers import make_rasterizer as make_rasterizer
+    from aomgen.splatting.session import Motion as Motion
+    from aomgen.splatting.session import RenderSession as RenderSession
     from aomgen.splatting.training import TrainingParams as TrainingParams
     from aomgen.splatting.training import train as train
 
@@ -56,6 +58,8 @@ _HOMES = {
     "contribution_weights": "aomgen.splatting.rasterizer",
     "render": "aomgen.splatting.rasterizer",
     "make_rasterizer": "aomgen.splatting.rasterizers",
+    "Motion": "aomgen.splatting.session",
+    "RenderSession": "aomgen.splatting.session",
     "TrainingParams": "aomgen.splatting.training",
     "train": "aomgen.splatting.training",
 }
