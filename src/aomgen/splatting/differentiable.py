@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aomgen.core.camera import Camera
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import NEAR_DEPTH
+from aomgen.splatting.rasterizer import NEAR_DEPTH, image_shape
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +204,7 @@ class _Rasterize(torch.autograd.Function):
         *inputs, poses = (_plain(tensor) for tensor in (*arguments[:5], arguments[6]))
         features = None if arguments[5] is None else _plain(arguments[5])
         _check(inputs, features, poses, call)
-        height, width = call.camera.height, call.camera.width
+        height, width = image_shape(call.camera)
         rgb = torch.empty((3, height, width))
         depth, alpha = torch.empty((height, width)), torch.empty((height, width))
         drawn = None if features is None else torch.empty((height, width, features.shape[1]))

@@ -29,7 +29,13 @@ def image_loss(
 
     Raises:
         BackendError: The engine is missing or refuses the arguments.
+        TypeError: A tensor is not float32 on the CPU; the engine reads by address.
     """
+    for tensor in (rendered, target) if gains is None else (rendered, target, gains):
+        if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
+            raise TypeError(f"want float32 tensors on the CPU, got {tensor.dtype} on {tensor.device}")
+    if gains is not None and gains.shape != rendered.shape[:1]:
+        raise ValueError(f"gains have shape {tuple(gains.shape)}, want ({len(rendered)},)")
     if rendered.shape != target.shape or rendered.ndim != 3:
         raise ValueError(f"images have shapes {tuple(rendered.shape)} and {tuple(target.shape)}")
     return _ImageLoss.apply(rendered, target, gains, dssim_weight, context or native.Context())  # type: ignore[return-value]

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array, freeze
+from aomgen.errors import BackendError
 from aomgen.splatting import native
 
 # Accumulated alpha below which a pixel has no depth.
 MIN_ALPHA = 1e-3
+MAX_SIDE = 16384
 NEAR_DEPTH = 0.01
 
 
@@ -84,7 +86,7 @@ def render(
     Raises:
         BackendError: The engine is missing, or refuses the scene or camera.
     """
-    shape = (camera.height, camera.width)
+    shape = image_shape(camera)
     rgb = np.empty((*shape, 3), np.float32)
     alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
     median = np.empty(shape, np.float32) if with_ids else None
@@ -140,6 +142,22 @@ def contribution_weights(
     scene, view = native_scene(gaussians), native_view(camera, poses)
     context.contribution_weights(scene, view, len(masks), masks.ctypes.data, weights.ctypes.data)
     return weights
+
+
+def image_shape(camera: Camera) -> tuple[int, int]:
+    """Height and width of a camera's images, checked before anyone allocates them.
+
+    Raises:
+        BackendError: A side is not 1 to `MAX_SIDE` pixels long.
+    """
+    shape = (camera.height, camera.width)
+    if not all(1 <= side <= MAX_SIDE for side in shape):
+        raise BackendError(
+            "splatting engine",
+            f"an image of {camera.width} x {camera.height} pixels cannot be drawn, limit 1 to {MAX_SIDE}",
+            "check the camera's width and height",
+        )
+    return shape
 
 
 def native_scene(
