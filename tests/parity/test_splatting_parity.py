@@ -165,6 +165,20 @@ def test_features_poses_and_parts_match_float64(moving: dict, isa: str) -> None:
         np.testing.assert_allclose(have, want, atol=1e-4 * np.abs(want).max(), err_msg=name)
 
 
+@pytest.mark.parametrize("isa", native.instruction_sets())
+def test_ids_are_those_of_the_numpy_images(isa: str) -> None:
+    parameters, camera = make_parameters(90, 1, seed=6), make_camera()
+    options = RasterOptions(sh_degree=1, with_ids=True)
+    rasterizer = CpuRasterizer(native.Context(instruction_set=isa))
+    drawn = rasterizer(GaussianTensors(**parameters), camera, options)
+    want = render(as_gaussians(parameters), camera, with_ids=True)
+    assert want.max_id is not None
+    assert (drawn.max_id.numpy() != want.max_id).mean() < 2e-3  # ties
+    np.testing.assert_allclose(
+        np.median(np.abs(drawn.median_depth.numpy() - want.median_depth)), 0, atol=1e-6
+    )
+
+
 def test_a_lower_degree_ignores_the_rest() -> None:
     parameters, camera = make_parameters(60, 3, seed=5), make_camera()
     low = dict(parameters, sh=parameters["sh"][:, :4].contiguous())
@@ -188,6 +202,24 @@ def test_a_context_used_again_refuses_the_old_backward() -> None:
         first.rgb.sum().backward()
 
 
+@pytest.fixture(params=native.instruction_sets())
+def any_isa(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Functions without a choice of instruction set run on each in turn."""
+    context = native.Context(instruction_set=request.param)
+
+    def fixed() -> native.Context:
+        monkeypatch.setattr(
+            context,
+            "configure",
+            lambda threads=None: native.Context.configure(context, threads, request.param),
+        )
+        return context
+
+    monkeypatch.setattr(native, "scratch_context", fixed)
+    return request.param
+
+
+@pytest.mark.usefixtures("any_isa")
 def test_numpy_images_match_float64() -> None:
     parameters, camera = make_parameters(150, 2, seed=11), make_camera()
     rng = np.random.default_rng(0)
@@ -213,6 +245,7 @@ def test_numpy_images_match_float64() -> None:
     np.testing.assert_allclose(drawn.median_depth[clear], median[clear], atol=1e-5)
 
 
+@pytest.mark.usefixtures("any_isa")
 @pytest.mark.parametrize("count", [1, 3, 19])
 def test_contribution_weights_match_float64(count: int) -> None:
     parameters, camera = make_parameters(120, 0, seed=3), make_camera()
