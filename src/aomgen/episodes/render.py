@@ -11,12 +11,15 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
-from aomgen.twin.layers import StaticLayer, over, static_layer
+from aomgen.splatting.session import draw_sessions
+from aomgen.twin.layers import StaticLayer, moving_layer, static_layer
 from aomgen.twin.shadow import cast_shadow
-from aomgen.twin.twin import OBJECT, PART, Twin, rig, trajectory_body_poses
+from aomgen.twin.twin import OBJECT, PART, Twin, trajectory_body_poses
 
 # Joint values for which the shadow is computed; between them it is interpolated.
 SHADOW_STATES: Final = 5
+# Frames that are drawn at once; bounds the memory of their colors and shades.
+BATCH: Final = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,21 +78,24 @@ def render_frames(
     Ts = trajectory_body_poses(
         twin, robot, trajectory.joints, trajectory.gripper, trajectory.thetas, trajectory.T_world_object
     )
-    moving = rig(twin.select(twin.moves))
+    moving = moving_layer(twin)
     shades = {}
     if T_world_plane is not None and twin.relit is not None:
         shades = _shades(twin, trajectory, layers, T_world_plane)
-    frames = {
-        name: np.empty((len(Ts), layer.camera.height, layer.camera.width, 3), np.uint8)
-        for name, layer in layers.items()
-    }
+    batches: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in layers}
     knots = _knots(trajectory.thetas)
-    for t, poses in enumerate(Ts):
-        gaussians = moving.pose(poses)
-        for name, layer in layers.items():
-            shade = _between(shades[name], knots, trajectory.thetas[t]) if name in shades else None
-            frames[name][t] = over(layer, gaussians, shade, threads)
-    return frames
+    for start in range(0, len(Ts), BATCH):
+        thetas = trajectory.thetas[start : start + BATCH]
+        darkened = [
+            np.stack([_between(shades[name], knots, theta) for theta in thetas]) if name in shades else None
+            for name in layers
+        ]
+        sessions = [layer.session for layer in layers.values()]
+        motion = moving.motion(Ts[start : start + BATCH])
+        drawn = draw_sessions(sessions, moving.gaussians, motion, darkened, threads)
+        for name, images in zip(layers, drawn, strict=True):
+            batches[name].append(images)
+    return {name: np.concatenate(images) for name, images in batches.items()}
 
 
 def _knots(thetas: Array) -> Array:
