@@ -16,12 +16,7 @@ from torch_tiles import render
 from aomgen.benchmarks.agreement import draw
 from aomgen.benchmarks.projection import parameters_of
 from aomgen.benchmarks.scenes import table_camera, table_top
-from aomgen.benchmarks.splatting import (
-    forward_pass,
-    interleaved_ms,
-    torch_threads,
-    training_pass,
-)
+from aomgen.benchmarks.timing import forward_pass, interleaved_ms, torch_threads, training_pass
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native

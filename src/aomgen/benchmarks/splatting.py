@@ -1,24 +1,24 @@
 """Speed and accuracy of the splatting engine on a table-top scene, on this machine."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import torch
 
-from aomgen.benchmarks.agreement import Oracle, draw
-from aomgen.benchmarks.projection import parameters_of
+from aomgen.benchmarks.agreement import Oracle
+from aomgen.benchmarks.moving_scenes import MovingScene, arm_scene, objects_scene
 from aomgen.benchmarks.scenes import table_camera, table_top
+from aomgen.benchmarks.sessions import measure_session
+from aomgen.benchmarks.timing import forward_pass, interleaved_ms, torch_threads, training_pass
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import cam_from_parts, native_scene, native_view
 
 # Vector operations that blending one splat into sixteen pixels takes, counted in the inner loop.
 OPERATIONS_PER_PAIR = 28
+SESSION_SHARE = 0.25
 BOUND = (
     f"share_of_bound = bound / ns_per_pair; bound: {OPERATIONS_PER_PAIR} vector operations for every pair of "
     "a splat and a pixel that is evaluated, at the rate at which one thread was measured to do fused "
@@ -55,10 +55,12 @@ class Effort:
     Attributes:
         repeats: Timed runs of every function, taken in turn; the median counts.
         tiles: Tiles of the image that are compared with float64.
+        arm: Static Gaussians, moving Gaussians and image side [px] of the scene with an arm.
     """
 
     repeats: int = 15
     tiles: int = 80
+    arm: tuple[int, int, int] = (80_000, 60_000, 256)
 
 
 def default_cases() -> tuple[SpeedCase, ...]:
@@ -81,25 +83,35 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
 
     Returns:
         `cases`: for each a dict with the case's fields, forward_ms and forward_backward_ms (into
-        tensors, gradients by all parameters from a given gradient by the picture), the work as
-        `_work` tells, and the fields of `Agreement`.
+        tensors, gradients by all parameters from a given gradient by the picture), session_ms
+        (a picture of a session: objects move that are seen in `SESSION_SHARE` of the tiles, and
+        session_tiles_share tells the share that was reached), the work as `_work` tells, and the fields of `Agreement`.
         `stages`: for each case the medians of the engine's stages, [ms].
+        `sessions`: for each case, and for a scene with an arm, the fields of `SessionSpeed`.
         `instruction_sets`: see `compare_instruction_sets`.
         `bound`: what share_of_bound means.
     """
-    results, stages = [], []
+    results, stages, sessions = [], [], []
     for case in cases:
         gaussians = table_top(case.gaussians, case.sh_degree)
         camera = table_camera(case.width, case.height)
         context = native.Context(case.threads, case.isa)
         times, case_stages = _times(gaussians, camera, context, case.threads, effort.repeats)
         work = _work(context, case_stages["blend"] * case.threads)
+        scene = objects_scene(case.gaussians, camera, SESSION_SHARE)
+        session = _session(scene, case.threads, case.isa, effort.repeats)
+        of_session = {"session_ms": session["picture_ms"], "session_tiles_share": session["tiles_share"]}
         errors = asdict(Oracle(gaussians, camera, effort.tiles).compare(context))
-        results.append(asdict(case) | times | work | errors)
+        results.append(asdict(case) | times | of_session | work | errors)
         stages.append(case_stages)
+        sessions.append(session)
+    static, moving, side = effort.arm
+    arm = arm_scene(static, moving, table_camera(side, side))
+    sessions.append(_session(arm, cases[0].threads, cases[0].isa, effort.repeats))
     return {
         "cases": results,
         "stages": stages,
+        "sessions": sessions,
         "instruction_sets": compare_instruction_sets(cases[-1], effort.repeats),
         "bound": BOUND,
     }
@@ -132,59 +144,6 @@ def compare_instruction_sets(case: SpeedCase, rounds: int) -> dict[str, Any]:
     return figures
 
 
-def forward_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
-    """A function that draws one frame: color, depth and alpha."""
-    planes = np.empty((5, camera.height, camera.width), np.float32)
-
-    def draw_once() -> None:
-        rgb, depth, alpha = (planes[index].ctypes.data for index in (0, 3, 4))
-        images = native.Images(rgb=rgb, depth=depth, alpha=alpha)
-        poses = cam_from_parts(camera)
-        context.forward(native_scene(gaussians), native_view(camera, poses), images)
-
-    return draw_once
-
-
-def training_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
-    """A function that draws one frame and takes gradients by all parameters."""
-    leaves = {name: tensor.requires_grad_() for name, tensor in parameters_of(gaussians).items()}
-    noise = np.random.default_rng(0).normal(size=(3, camera.height, camera.width))
-    grad_rgb = torch.tensor(noise, dtype=torch.float32)
-
-    def draw_and_differentiate() -> None:
-        for leaf in leaves.values():
-            leaf.grad = None
-        draw(leaves, camera, gaussians.sh_degree, context).rgb.backward(grad_rgb)
-
-    return draw_and_differentiate
-
-
-def interleaved_ms(
-    functions: dict[str, Callable[[], None]],
-    rounds: int,
-    clock: Callable[[], float] = time.perf_counter,
-) -> dict[str, np.ndarray]:
-    """Times (rounds,) of every function, [ms]; all of them once a round, after one round to warm up."""
-    times: dict[str, list[float]] = {name: [] for name in functions}
-    for _ in range(rounds + 1):
-        for name, function in functions.items():
-            start = clock()
-            function()
-            times[name].append(1e3 * (clock() - start))
-    return {name: np.array(values[1:]) for name, values in times.items()}
-
-
-@contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """Torch's own operations on `count` threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
 def _times(
     gaussians: Gaussians, camera: Camera, context: native.Context, threads: int, repeats: int
 ) -> tuple[dict[str, float], dict[str, float]]:
@@ -210,6 +169,18 @@ def _times(
         source = notes["forward_backward_ms" if stage.endswith("backward") else "forward_ms"]
         stages[stage] = float(np.median([note[stage] for note in source[1:]]))
     return medians, stages
+
+
+def _session(scene: MovingScene, threads: int, isa: str, repeats: int) -> dict[str, Any]:
+    fields = {
+        "static": len(scene.static),
+        "moving": len(scene.moving),
+        "width": scene.camera.width,
+        "height": scene.camera.height,
+        "threads": threads,
+        "isa": isa,
+    }
+    return fields | asdict(measure_session(scene, threads, isa, repeats))
 
 
 def _work(context: native.Context, blend_thread_ms: float) -> dict[str, float]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from aomgen.benchmarks.splatting import torch_threads
+from aomgen.benchmarks.timing import torch_threads
 
 
 @pytest.fixture(autouse=True, scope="package")

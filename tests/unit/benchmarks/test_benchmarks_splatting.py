@@ -14,17 +14,18 @@ from aomgen.benchmarks.splatting import (
     Effort,
     SpeedCase,
     default_cases,
-    interleaved_ms,
     measure,
-    torch_threads,
 )
 from aomgen.benchmarks.table import as_table
 from aomgen.benchmarks.tiles_float64 import TileReference, choose_tiles
+from aomgen.benchmarks.timing import interleaved_ms, torch_threads
 from aomgen.splatting import native
 
 FRACTIONS = {
     "forward_ms",
     "forward_backward_ms",
+    "session_ms",
+    "session_tiles_share",
     "max_forward_error",
     "forward_error_p999",
     "forward_error_decided",
@@ -50,7 +51,7 @@ KEYS = {
 def figures():
     isa = native.instruction_sets()[-1]
     case = SpeedCase(gaussians=400, width=64, height=48, threads=1, isa=isa)
-    return measure((case,), Effort(repeats=2, tiles=4))
+    return measure((case,), Effort(repeats=2, tiles=4, arm=(300, 200, 64)))
 
 
 def test_every_case_has_every_key(figures):
@@ -82,6 +83,17 @@ def test_the_engine_agrees_with_float64(figures):
     assert case["forward_error_decided"] < 2e-5
     assert case["gradient_error_decided"] < 1e-4
     assert case["decided_share"] > 0.9
+
+
+def test_sessions_draw_what_full_renders_draw(figures):
+    objects, arm = figures["sessions"]
+    assert objects["static"] + objects["moving"] == 400
+    assert (arm["static"], arm["moving"], arm["width"], arm["height"]) == (300, 200, 64, 64)
+    for session in figures["sessions"]:
+        assert session["max_difference"] < 1e-5
+        assert 0 < session["tiles_share"] <= 1
+        assert all(session[name] > 0 for name in ("picture_ms", "draw_ms", "full_ms", "frames_per_s"))
+    assert figures["cases"][0]["session_ms"] == objects["picture_ms"]
 
 
 def test_instruction_sets_are_compared_with_the_best(figures):

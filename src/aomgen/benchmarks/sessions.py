@@ -1,0 +1,115 @@
+"""Render sessions against full renders of the same frames: speed, and the same pictures."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from aomgen.benchmarks.moving_scenes import MovingScene, touched_share
+from aomgen.benchmarks.timing import draw_planes, interleaved_ms
+from aomgen.core.gaussians import concatenate
+from aomgen.splatting import native
+from aomgen.splatting.rasterizer import Parts, render
+from aomgen.splatting.session import Motion, RenderSession
+
+BATCH_FRAMES = 48
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionSpeed:
+    """Medians, [ms].
+
+    Attributes:
+        picture_ms: An 8-bit picture, drawn over that of the frame before.
+        draw_ms: Color, depth and alpha as floats, into new arrays.
+        full_ms: The same floats by a full render of static and moving Gaussians together.
+        frames_per_s: 8-bit pictures in a batch of `BATCH_FRAMES`, spread over the threads.
+        tiles_share: Tiles in which moving Gaussians are seen in a frame or in the one before.
+        max_difference: Largest difference of red, green, blue or alpha from a full render.
+    """
+
+    picture_ms: float
+    draw_ms: float
+    full_ms: float
+    frames_per_s: float
+    tiles_share: float
+    max_difference: float
+
+
+def measure_session(scene: MovingScene, threads: int, isa: str, repeats: int) -> SessionSpeed:
+    """Time frames of a session and full renders of the same frames in turn.
+
+    Args:
+        scene: What stands and what moves.
+        threads: Worker threads.
+        isa: One of `native.instruction_sets()`.
+        repeats: Frames of each kind, and batches.
+    """
+    session = RenderSession(scene.static, scene.camera, threads=threads, instruction_set=isa)
+    times = interleaved_ms(_passes(scene, session, native.Context(threads, isa)), repeats)
+    medians = {name: float(np.median(values)) for name, values in times.items()}
+    batch_ms = medians.pop("batch_ms")
+    return SessionSpeed(
+        **medians,
+        frames_per_s=1e3 * BATCH_FRAMES / batch_ms,
+        tiles_share=touched_share(scene, 1),
+        max_difference=_difference(scene, session),
+    )
+
+
+def _passes(
+    scene: MovingScene, session: RenderSession, context: native.Context
+) -> dict[str, Callable[[], None]]:
+    parts, motion = _frames(scene, scene.parts)
+    everything = concatenate([scene.static, scene.moving])
+    together, _ = _frames(scene, _parts_of_everything(scene), standing=True)
+    planes = np.empty((5, scene.camera.height, scene.camera.width), np.float32)
+    picture = session.picture(scene.moving, parts[0])
+    numbers = {name: count() for name in ("picture", "draw", "full")}
+
+    def next_frame(name: str) -> int:
+        return next(numbers[name]) % BATCH_FRAMES
+
+    return {
+        "picture_ms": lambda: _ignore(
+            session.picture(scene.moving, parts[next_frame("picture")], into=picture)
+        ),
+        "draw_ms": lambda: _ignore(session.draw(scene.moving, parts[next_frame("draw")])),
+        "full_ms": lambda: draw_planes(
+            everything, scene.camera, context, planes, together[next_frame("full")]
+        ),
+        "batch_ms": lambda: _ignore(session.draw_many(scene.moving, motion)),
+    }
+
+
+def _ignore(_: Any) -> None:
+    return None
+
+
+def _parts_of_everything(scene: MovingScene) -> np.ndarray:
+    """Part 0 stands; the parts of the scene follow."""
+    return np.concatenate([np.zeros(len(scene.static), np.int32), scene.parts + 1])
+
+
+def _frames(scene: MovingScene, indices: np.ndarray, *, standing: bool = False) -> tuple[list[Parts], Motion]:
+    Ts = np.stack([scene.Ts_world_part(frame) for frame in range(BATCH_FRAMES)])
+    if standing:
+        Ts = np.concatenate([np.broadcast_to(np.eye(4), (BATCH_FRAMES, 1, 4, 4)), Ts], 1)
+    parts = [Parts(indices=indices, Ts_world_part=frame) for frame in Ts]
+    return parts, Motion(parts=indices, Ts_world_part=Ts)
+
+
+def _difference(scene: MovingScene, session: RenderSession) -> float:
+    """Over a few frames, with everything cached by the frames before."""
+    everything = concatenate([scene.static, scene.moving])
+    parts, _ = _frames(scene, scene.parts)
+    together, _ = _frames(scene, _parts_of_everything(scene), standing=True)
+    worst = 0.0
+    for frame in (0, 1, 7):
+        have = session.draw(scene.moving, parts[frame])
+        want = render(everything, scene.camera, parts=together[frame])
+        for a, b in ((have.rgb, want.rgb), (have.alpha, want.alpha)):
+            worst = max(worst, float(np.abs(a - b).max()))
+    return worst
