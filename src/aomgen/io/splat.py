@@ -28,7 +28,7 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
         max_gaussians: Larger files are refused before anything is allocated.
 
     Raises:
-        MissingFileError: No such file.
+        MissingFileError: No such file, or it cannot be opened.
         LimitExceededError: Too many Gaussians.
         MalformedFileError: The length is no multiple of 32 bytes, or a scale is negative.
         NonFiniteError: A value is NaN or infinite, or a quaternion is zero.
@@ -41,7 +41,12 @@ def read_gaussians(path: Path, *, max_gaussians: int = MAX_GAUSSIANS) -> Gaussia
         raise MalformedFileError(path, f"has {size} bytes, no multiple of {RECORD.itemsize}", _REMEDY)
     if not count <= max_gaussians:
         raise LimitExceededError(path, f"holds {count} Gaussians, limit {max_gaussians}")
-    table = np.fromfile(path, RECORD)
+    try:
+        table = np.fromfile(path, RECORD, count)
+    except OSError as error:
+        raise MissingFileError(path, f"cannot be read ({error.strerror})", "check its permissions") from error
+    if len(table) != count:
+        raise MalformedFileError(path, "became shorter while it was read", "wait until it is written")
     for name in ("means", "scales"):
         if not np.isfinite(table[name]).all():
             row = int(np.argwhere(~np.isfinite(table[name]))[0, 0])
