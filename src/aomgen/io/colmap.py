@@ -53,13 +53,16 @@ class ColmapModel:
         views: Registered images by file name, in name order.
         points_recon: Points (P, 3).
         colors_srgb: Their colors (P, 3) uint8.
+        observations: Who sees what, (M, 2) int32: rows of (point, index into `views` in order).
     """
 
     views: dict[str, ColmapView]
     points_recon: Array
     colors_srgb: NDArray[np.uint8]
+    observations: NDArray[np.int32]
 
     def __post_init__(self) -> None:
+        freeze(self, "observations", self.observations, (None, 2), np.int32)
         freeze(self, "points_recon", self.points_recon, (None, 3))
         freeze(self, "colors_srgb", self.colors_srgb, (len(self.points_recon), 3), np.uint8)
 
@@ -88,13 +91,16 @@ def read_colmap(folder: Path, *, images: str = "images") -> ColmapModel:
     if not model.is_dir():
         model = folder / "sparse"
     optics = _read_cameras(model / "cameras.bin")
-    cameras = _read_images(model / "images.bin", optics)
-    points, colors = _read_points(model / "points3D.bin")
+    cameras, names = _read_images(model / "images.bin", optics)
     views = {}
     for name in sorted(cameras):
         path = resolve_inside(folder / images, name, named_by=model / "images.bin")
         views[name] = ColmapView(camera_recon=_fitted(cameras[name], path), path=path)
-    return ColmapModel(views=views, points_recon=points, colors_srgb=colors)
+    order = {name: index for index, name in enumerate(views)}
+    points, colors, observations = _read_points(
+        model / "points3D.bin", {key: order[name] for key, name in names.items()}
+    )
+    return ColmapModel(views=views, points_recon=points, colors_srgb=colors, observations=observations)
 
 
 def _fitted(camera: Camera, path: Path) -> Camera:
@@ -134,10 +140,11 @@ class _Cursor:
             raise MalformedFileError(self.path, f"promises {count} records and ends before them", _REMEDY)
         return count
 
-    def skip(self, size: int) -> None:
-        """Step over a counted list of records of so many bytes."""
-        count = self.count(size)
-        self.at += count * size
+    def records(self, size: int) -> memoryview:
+        """The bytes of a counted list of records of so many bytes."""
+        start, length = self.at + _COUNT.size, self.count(size) * size
+        self.at += length
+        return memoryview(self.data)[start : start + length]
 
     def text(self) -> str:
         end = self.data.find(b"\0", self.at, self.at + MAX_NAME_BYTES)
@@ -185,38 +192,48 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
     return cameras
 
 
-def _read_images(path: Path, optics: dict[int, Camera]) -> dict[str, Camera]:
-    """Posed cameras by image name."""
+def _read_images(path: Path, optics: dict[int, Camera]) -> tuple[dict[str, Camera], dict[int, str]]:
+    """Posed cameras by image name, and names by the number under which points know the image."""
     cursor = _Cursor(path)
-    cameras = {}
+    cameras, names = {}, {}
     for _ in range(cursor.count(_IMAGE.size)):
-        _, *pose, key = cursor.take(_IMAGE)
+        number, *pose, key = cursor.take(_IMAGE)
         name = cursor.text()
-        cursor.skip(24)  # where its points are seen: x, y, point
+        cursor.records(24)  # where its points are seen: x, y, point
         quat, t = np.array(pose[:4]), np.array(pose[4:])
         norm = np.linalg.norm(quat)
         if not (np.abs(pose).max() < 1e12 and norm > 1e-6):
             raise NonFiniteError(path, f"image {name!r} has the pose {pose}", _REMEDY)
-        if key not in optics or name in cameras or not name:
+        if key not in optics or name in cameras or number in names or not name:
             raise MalformedFileError(path, f"image {name!r} has an unknown camera, or stands twice", _REMEDY)
+        names[number] = name
         T_cam_recon = transform(matrix_from_quat(quat / norm), t)
         cameras[name] = optics[key].moved(invert(T_cam_recon))
     cursor.done()
     if not cameras:
         raise InputError(path, "has no registered image", "reconstruct with more overlap and texture")
-    return cameras
+    return cameras, names
 
 
-def _read_points(path: Path) -> tuple[Array, NDArray[np.uint8]]:
-    """Points (P, 3) and their sRGB colors (P, 3) in the file's order."""
+def _read_points(path: Path, views: dict[int, int]) -> tuple[Array, NDArray[np.uint8], NDArray[np.int32]]:
+    """Points (P, 3), sRGB colors (P, 3) and observations (M, 2) in the file's order; `views` by image number."""
     cursor = _Cursor(path)
     count = cursor.count(_POINT.size + _COUNT.size)
-    points, colors = np.empty((count, 3)), np.empty((count, 3), np.uint8)
+    points, colors, tracks = np.empty((count, 3)), np.empty((count, 3), np.uint8), []
     for row in range(count):
         _, x, y, z, red, green, blue, _ = cursor.take(_POINT)
         points[row], colors[row] = (x, y, z), (red, green, blue)
-        cursor.skip(8)  # who sees it: image, place
+        tracks.append(np.frombuffer(cursor.records(8), "<i4")[::2])  # image, place in it
     cursor.done()
     if not np.abs(points).max(initial=0) < 1e12:
         raise NonFiniteError(path, "has a point without finite coordinates", _REMEDY)
-    return points, colors
+    numbers = np.concatenate([*tracks, np.zeros(0, np.int32)])
+    known, inverse = np.unique(numbers, return_inverse=True)
+    strangers = [int(number) for number in known if int(number) not in views]
+    if strangers:
+        raise MalformedFileError(
+            path, f"has points that are seen by the unknown image {strangers[0]}", _REMEDY
+        )
+    seen_by = np.array([views[int(number)] for number in known], np.int32)[inverse]
+    seen = np.repeat(np.arange(count, dtype=np.int32), [len(track) for track in tracks])
+    return points, colors, np.stack([seen, seen_by], 1)

@@ -57,10 +57,13 @@ def write_colmap(folder: Path, gaussians: Gaussians, count: int = 10) -> None:
         image = np.round(255 * np.clip(render(gaussians, camera).rgb, 0, 1)).astype(np.uint8)
         write_image(folder / "images" / f"{index:02d}.png", image)
         named = pycolmap.Image(image_id=index + 1, camera_id=1, name=f"{index:02d}.png")
+        pixels, _ = camera.project(gaussians.means.astype(float))
+        named.points2D = pycolmap.Point2DList([pycolmap.Point2D(pixel) for pixel in pixels])
         model.add_image_with_trivial_frame(named, pycolmap.Rigid3d(camera.T_cam_world[:3]))
     colors = np.round(255 * (0.5 + SH_C0 * gaussians.sh[:, 0])).astype(np.uint8)
-    for point, color in zip(gaussians.means, colors, strict=True):
-        model.add_point3D(point.astype(float), pycolmap.Track(), color)
+    for row, (point, color) in enumerate(zip(gaussians.means, colors, strict=True)):
+        track = pycolmap.Track([pycolmap.TrackElement(index + 1, row) for index in range(count)])
+        model.add_point3D(point.astype(float), track, color)
     (folder / "sparse" / "0").mkdir(parents=True)
     model.write_binary(folder / "sparse" / "0")
 
@@ -95,12 +98,12 @@ def test_convert(tmp_path: Path) -> None:
     assert (tmp_path / "c.usdc").read_bytes()[:8] == b"PXR-USDC"
 
 
-def test_train_colmap(tmp_path: Path) -> None:
+@pytest.mark.parametrize("start", [[], ["--sparse"]], ids=["dense", "sparse"])
+def test_train_colmap(tmp_path: Path, start: list[str]) -> None:
     write_colmap(tmp_path, ball())
-    said = run(
-        "train_colmap.py", tmp_path, "--out", tmp_path / "a.ply", "--iterations", 60, "--max-gaussians", 900
-    )
-    assert "8 images to learn from, 2 held out, 800 points" in said
+    effort = ["--iterations", 60, "--max-gaussians", 900]
+    said = run("train_colmap.py", tmp_path, "--out", tmp_path / "a.ply", *effort, *start)
+    assert "9 images to learn from, 1 held out" in said
     psnr_db = float(said.split("held-out PSNR ")[1].split()[0])
     assert psnr_db > 12
     assert len(read_gaussians(tmp_path / "a.ply")) > 500

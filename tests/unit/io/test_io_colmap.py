@@ -58,8 +58,8 @@ def write_model(folder: Path, names=("b.png", "a.png", "sub/c.png"), model: int 
     (sparse / "images.bin").write_bytes(data)
     data = struct.pack("<Q", len(points()))
     for index, point in enumerate(points()):
-        data += struct.pack("<Q3d3BdQ", 5 * index, *point, index, 2, 3, 0.5, index % 3)
-        data += struct.pack("<ii", 1, 2) * (index % 3)
+        data += struct.pack("<Q3d3BdQ", 5 * index, *point, index, 2, 3, 0.5, min(index % 3, len(names)))
+        data += b"".join(struct.pack("<ii", 10 + seen, 2) for seen in range(min(index % 3, len(names))))
     (sparse / "points3D.bin").write_bytes(data)
     return folder
 
@@ -69,11 +69,22 @@ def test_read(tmp_path: Path) -> None:
     assert list(have.views) == ["a.png", "b.png", "sub/c.png"]
     np.testing.assert_array_equal(have.points_recon, points())
     np.testing.assert_array_equal(have.colors_srgb, [[i, 2, 3] for i in range(7)])
+    # Images 10 and 11 are b.png and a.png, which come second and first by name.
+    np.testing.assert_array_equal(have.observations, [[1, 1], [2, 1], [2, 0], [4, 1], [5, 1], [5, 0]])
     for index, name in enumerate(("b.png", "a.png", "sub/c.png")):
         view, want = have.views[name], camera(index)
         np.testing.assert_allclose(view.camera_recon.T_world_cam, want.T_world_cam, atol=1e-9)
         np.testing.assert_allclose(view.camera_recon.K, want.K)
         assert view.path == (tmp_path / "images" / name).resolve()
+
+
+def test_points_of_an_unknown_image_are_refused(tmp_path: Path) -> None:
+    file = write_model(tmp_path) / "sparse" / "0" / "points3D.bin"
+    data = file.read_bytes()
+    assert data.endswith(struct.pack("<Q", 0))  # the last point is seen by nobody
+    file.write_bytes(data[:-8] + struct.pack("<Qii", 1, 77, 0))
+    with pytest.raises(MalformedFileError, match="unknown image 77"):
+        read_colmap(tmp_path)
 
 
 def test_simple_pinhole_without_a_number(tmp_path: Path) -> None:
