@@ -14,6 +14,7 @@ namespace {
 
 constexpr uint32_t kNever = ~0u;
 constexpr uint64_t kMaxFrameEntries = 1 << 27;
+constexpr uint32_t kReport = 1 << 16;  // tiles after which a task looks at the sum of all
 
 uint32_t key_of(float depth) {
   uint32_t key;
@@ -118,11 +119,15 @@ void FrameScratch::project(const MovingScene& moving, const AomgenFrame& frame, 
        depth_keys_.reserve(capacity), visible_.reserve(blocks)};
   p.view.part_count = moving.part_count;
   covers_.reserve(capacity);
+  found_ = 0;
   if (covered_.size() < static_cast<size_t>(blocks)) covered_.resize(blocks);
   parallel(threads, blocks, 1, [&](int64_t block, int) {
     session.kernels().project(p, static_cast<int>(block));
     find_tiles(session, static_cast<int>(block));
   });
+  if (found_ <= kMaxFrameEntries) return;
+  covered_.clear();  // a failed frame keeps no memory
+  throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
 }
 
 // Tiles of the block's splats in which they are in front of everything that hides them.
@@ -130,14 +135,13 @@ void FrameScratch::find_tiles(const Session& session, int block) {
   const int columns = session.columns(), rows = session.rows();
   const uint32_t* stop_keys = session.stop_keys();
   std::vector<uint32_t>& covered = covered_[block];
-  uint32_t found = 0;
+  uint32_t found = 0, reported = 0;
   const uint32_t first = static_cast<uint32_t>(block) * kProjectionBlock;
   for (uint32_t slot = first; slot < first + projection_.visible[block]; ++slot) {
     const Splat& s = projection_.splats[slot];
     const uint32_t key = projection_.depth_keys[slot], begin = found;
     const TileBox box = tile_box(s, columns, rows);
     const bool single = box.single();
-    if (found + box.count() > kMaxFrameEntries) throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
     if (covered.size() < found + box.count()) covered.resize(2 * (found + box.count()) + kProjectionBlock);
     for (int y = box.y0; y <= box.y1; ++y)
       for (int x = box.x0; x <= box.x1; ++x) {
@@ -146,7 +150,11 @@ void FrameScratch::find_tiles(const Session& session, int block) {
         found += key < stop_keys[tile] && (single || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile)));
       }
     covers_.data()[slot] = {begin, found - begin};
+    if (found - reported < kReport) continue;
+    if ((found_ += found - reported) > kMaxFrameEntries) return;  // project will refuse
+    reported = found;
   }
+  found_ += found - reported;
 }
 
 // Lists of the splats by tile, near to far, equal depths in the order of the scene.
@@ -170,7 +178,6 @@ void FrameScratch::fill_lists(const Session& session) {
     for (uint32_t i = 0; i < size; ++i) ++cursors[covered_[block][i]];
     total += size;
   }
-  if (total > kMaxFrameEntries) throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
   uint32_t* begin = begin_.reserve(tiles + 1);
   uint32_t sum = 0;
   for (int tile = 0; tile <= tiles; ++tile) {

@@ -5,6 +5,7 @@
 // (in float arithmetic too: it is multiplied by factors of at most one).
 #pragma once
 
+#include <atomic>
 #include <vector>
 
 #include "../kernels/kernels.h"
@@ -82,6 +83,7 @@ class FrameScratch {
   Buffer<uint32_t> depth_keys_, visible_;
   Buffer<Cover> covers_;                        // by slot
   std::vector<std::vector<uint32_t>> covered_;  // by block: tiles of its splats
+  std::atomic<uint64_t> found_{0};              // tiles of all splats so far
   Buffer<uint32_t> keys_, ordered_, spare_keys_, spare_ordered_;  // of the sort
   Buffer<uint32_t> begin_, cursors_, slots_;
 };
