@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
+from aomgen.errors import ReconstructionError
 from aomgen.io.images import resize
 from aomgen.reconstruction.backdrop import dominant_planes, explain, far_shell
 from aomgen.reconstruction.fusion import DepthMap, Samples, confirmations, confirmed_samples, thin
@@ -167,12 +168,20 @@ def choose_neighbours(structure: Structure, names: list[str], count: int) -> lis
 
 
 def nearest_depth(structure: Structure, names: list[str]) -> Array:
-    """Depth (V,) at which each view's sweep begins: 70 % of its nearest sparse points'."""
+    """Depth (V,) at which each view's sweep begins: 70 % of its nearest sparse points'.
+
+    Raises:
+        ReconstructionError: A view sees no point.
+    """
     order = {name: index for index, name in enumerate(structure.cameras_recon)}
     result = np.empty(len(names))
     for row, name in enumerate(names):
         mine = structure.observations[structure.observations[:, 1] == order[name], 0]
         _, depths = structure.cameras_recon[name].project(structure.points_recon[mine])
+        if not (depths > 0).any():
+            raise ReconstructionError(
+                name, "sees no point of the sparse model", "take it out, or register it with more overlap"
+            )
         result[row] = 0.7 * np.percentile(depths[depths > 0], 1)
     return result
 

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_quat
-from aomgen.errors import BackendError
+from aomgen.errors import BackendError, ReconstructionError
 from aomgen.reconstruction.backdrop import (
     EXPLAINED_WEIGHT,
     OPEN_WEIGHT,
@@ -16,11 +16,12 @@ from aomgen.reconstruction.backdrop import (
     explain,
     far_shell,
 )
-from aomgen.reconstruction.densify import DensePoints
+from aomgen.reconstruction.densify import DensePoints, nearest_depth
 from aomgen.reconstruction.fusion import DepthMap, Samples, confirmations, thin
 from aomgen.reconstruction.gaussians import held_out, initial_gaussians
 from aomgen.reconstruction.mapping import choose_pairs
 from aomgen.reconstruction.plane_sweep import SweepParams, plane_sweep
+from aomgen.reconstruction.structure import Structure
 
 TEXTURE = ndimage.gaussian_filter(np.random.default_rng(0).random((512, 512)), 1.5, mode="wrap")
 TEXTURE = ((TEXTURE - TEXTURE.min()) / np.ptp(TEXTURE)).astype(np.float32)
@@ -198,3 +199,18 @@ def test_long_scans_are_not_matched_exhaustively():
     assert len(pairs) < 20_000
     chosen = set(pairs)
     assert all((i, i + 1) in chosen for i in range(399))
+
+
+def test_sweeps_begin_before_the_nearest_points_of_a_view():
+    structure = Structure(
+        cameras_recon={"a": _camera(0.0), "b": _camera(0.3)},
+        demo_cameras_recon={},
+        dropped={},
+        points_recon=np.array([[0.0, 0, 2], [0, 0, 3]]),
+        colors_srgb=np.zeros((2, 3), np.uint8),
+        observations=np.array([[0, 0], [1, 0]], np.int32),
+        reprojection_error_px=0.0,
+    )
+    assert nearest_depth(structure, ["a"])[0] == pytest.approx(0.7 * 2, rel=0.02)
+    with pytest.raises(ReconstructionError, match="b.*sees no point"):
+        nearest_depth(structure, ["a", "b"])
