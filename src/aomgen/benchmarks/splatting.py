@@ -99,7 +99,7 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
         times, case_stages = _times(gaussians, camera, context, case.threads, effort.repeats)
         work = _work(context, case_stages["blend"] * case.threads)
         scene = objects_scene(case.gaussians, camera, SESSION_SHARE)
-        session = _session(scene, case.threads, case.isa, effort.repeats)
+        session = {"scene": "objects"} | _session(scene, case.threads, case.isa, effort.repeats)
         of_session = {"session_ms": session["picture_ms"], "session_tiles_share": session["tiles_share"]}
         errors = asdict(Oracle(gaussians, camera, effort.tiles).compare(context))
         results.append(asdict(case) | times | of_session | work | errors)
@@ -107,7 +107,7 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
         sessions.append(session)
     static, moving, side = effort.arm
     arm = arm_scene(static, moving, table_camera(side, side))
-    sessions.append(_session(arm, cases[0].threads, cases[0].isa, effort.repeats))
+    sessions.append({"scene": "arm"} | _session(arm, cases[0].threads, cases[0].isa, effort.repeats))
     return {
         "cases": results,
         "stages": stages,

@@ -7,8 +7,10 @@ import pytest
 import torch
 
 from aomgen.benchmarks import agreement
+from aomgen.benchmarks.moving_scenes import arm_scene
 from aomgen.benchmarks.projection import parameters_of
 from aomgen.benchmarks.scenes import table_camera, table_top
+from aomgen.benchmarks.sessions import measure_session
 from aomgen.benchmarks.splatting import (
     OPERATIONS_PER_PAIR,
     Effort,
@@ -20,6 +22,7 @@ from aomgen.benchmarks.table import as_table
 from aomgen.benchmarks.tiles_float64 import TileReference, choose_tiles
 from aomgen.benchmarks.timing import interleaved_ms, torch_threads
 from aomgen.splatting import native
+from aomgen.splatting.session import RenderSession
 
 FRACTIONS = {
     "forward_ms",
@@ -45,6 +48,7 @@ KEYS = {
     "evaluated_pairs": int,
     "blended_pairs": int,
 } | {name: float for name in FRACTIONS}
+SESSION_FIGURES = ("picture_ms", "draw_ms", "full_ms", "speed_over_full", "frames_per_s")
 
 
 @pytest.fixture(scope="module")
@@ -87,13 +91,28 @@ def test_the_engine_agrees_with_float64(figures):
 
 def test_sessions_draw_what_full_renders_draw(figures):
     objects, arm = figures["sessions"]
+    assert [session["scene"] for session in figures["sessions"]] == ["objects", "arm"]
     assert objects["static"] + objects["moving"] == 400
     assert (arm["static"], arm["moving"], arm["width"], arm["height"]) == (300, 200, 64, 64)
     for session in figures["sessions"]:
         assert session["max_difference"] < 1e-5
         assert 0 < session["tiles_share"] <= 1
-        assert all(session[name] > 0 for name in ("picture_ms", "draw_ms", "full_ms", "frames_per_s"))
+        assert all(session[name] > 0 for name in SESSION_FIGURES)
     assert figures["cases"][0]["session_ms"] == objects["picture_ms"]
+
+
+def test_a_wrong_session_shows_in_its_difference(monkeypatch):
+    right = RenderSession.draw
+
+    def wrong(session, moving, parts):
+        """Moving Gaussians stay where they were at the first frame."""
+        wrong.parts = getattr(wrong, "parts", parts)
+        return right(session, moving, wrong.parts)
+
+    monkeypatch.setattr(RenderSession, "draw", wrong)
+    scene = arm_scene(300, 200, table_camera(64, 64))
+    speed = measure_session(scene, 1, native.instruction_sets()[0], repeats=1)
+    assert speed.max_difference > 1e-2
 
 
 def test_instruction_sets_are_compared_with_the_best(figures):
