@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <limits>
 #include <stdexcept>
 
 #include "sort.h"
@@ -63,6 +64,7 @@ void Session::keep_lists(const Context& context) {
   std::vector<uint32_t> row_of_slot(static_cast<size_t>(block_count(p.scene.count)) * kProjectionBlock, kNever), slots;
   begin_.assign(1, 0);
   stop_keys_.assign(count, kNever);
+  stop_depths_.assign(16 * static_cast<size_t>(count), std::numeric_limits<float>::infinity());
   for (int tile = 0; tile < count; ++tile) {
     for (uint32_t entry = tiles.begin[tile]; entry < tiles.begin[tile + 1]; ++entry) {
       const uint16_t blocks = context.block_masks()[entry];
@@ -78,7 +80,7 @@ void Session::keep_lists(const Context& context) {
       blocks_.push_back(blocks);
     }
     begin_.push_back(static_cast<uint32_t>(splat_rows_.size()));
-    if (begin_[tile] < begin_[tile + 1] && is_finished(context, tile)) stop_keys_[tile] = keys_.back();
+    find_stops(context, tile);
   }
   Splat* splats = splats_.reserve(slots.size());
   for (size_t row = 0; row < slots.size(); ++row) {
@@ -87,21 +89,35 @@ void Session::keep_lists(const Context& context) {
   }
 }
 
-// Whether no light is left in any pixel of a tile.
-bool Session::is_finished(const Context& context, int tile) const {
+// Where no light is left in a block, nothing can be seen behind the last splat drawn there.
+void Session::find_stops(const Context& context, int tile) {
   const int width = view_.width - tile % columns() * kTile, height = view_.height - tile / columns() * kTile;
-  for (int block = 0; block < 16; ++block)
+  const TileSums& sums = context.tile_sums()[tile];
+  uint32_t last_key = 0;
+  for (int block = 0; block < 16; ++block) {
+    bool on_image = false, finished = true;
     for (int pixel = 0; pixel < 16; ++pixel) {
-      const bool on_image = 4 * (block % 4) + pixel % 4 < width && 4 * (block / 4) + pixel / 4 < height;
-      if (on_image && context.tile_sums()[tile].transmittance[block][pixel] > kMinTransmittance) return false;
+      if (4 * (block % 4) + pixel % 4 >= width || 4 * (block / 4) + pixel / 4 >= height) continue;
+      on_image = true;
+      finished &= sums.transmittance[block][pixel] <= kMinTransmittance;
     }
-  return true;
+    if (!on_image) continue;
+    uint32_t key = kNever;
+    for (uint32_t entry = begin_[tile + 1]; finished && entry-- > begin_[tile];)
+      if (blocks_[entry] >> block & 1) {
+        key = keys_[entry];
+        std::memcpy(&stop_depths_[16 * static_cast<size_t>(tile) + block], &key, sizeof(key));
+        break;
+      }
+    last_key = std::max(last_key, key);
+  }
+  stop_keys_[tile] = last_key;
 }
 
 void Session::round_colors() {
   SessionBlend b{};
   b.view = view_;
-  b.tiles.columns = columns();
+  b.columns = columns();
   b.still_images = images();
   b.still_images.rgb8 = nullptr;
   b.frame.rgb8 = rgb8_.reserve(3 * static_cast<size_t>(view_.width) * view_.height);
@@ -187,6 +203,8 @@ void FrameScratch::fill_lists(const Session& session) {
   }
   const uint32_t* order = sort_by_key(arrays, count);
   uint32_t* slots = slots_.reserve(total);
+  slot_keys_.reserve(total);
+  slot_blocks_.reserve(total);
   for (uint32_t rank = 0; rank < count; ++rank) {
     const uint32_t slot = order[rank];
     const uint32_t* tile = covered_[slot / kProjectionBlock].data() + covers[slot].begin;
@@ -199,14 +217,13 @@ void FrameScratch::draw(const MovingScene& moving, const AomgenFrame& frame, int
   project(moving, frame, threads);
   fill_lists(session);
   const int columns = session.columns();
-  const SessionBlend b{session.view(), session.images(), session.tiles(), {columns, session.rows(), begin_.data(), slots_.data()},
+  const SessionBlend b{session.view(), session.images(), session.tiles(), columns, {begin_.data(), slots_.data(), slot_keys_.data(), slot_blocks_.data()},
                        projection_.splats, projection_.gaussians, session.gaussian_count(), frame};
   parallel(threads, static_cast<int64_t>(columns) * session.rows(), 4, [&](int64_t item, int) {
     const int tile = static_cast<int>(item);
-    const bool touched = begin_.data()[tile] < begin_.data()[tile + 1];
+    const bool touched = begin_.data()[tile] < begin_.data()[tile + 1] && session.kernels().blend_session(b, tile);
     const bool shaded = is_shaded(frame, session.view(), tile % columns * kTile, tile / columns * kTile);
-    if (touched) session.kernels().blend_session(b, tile);
-    else if (shaded || frame.tiles[tile]) session.kernels().show_still(b, tile);
+    if (!touched && (shaded || frame.tiles[tile])) session.kernels().show_still(b, tile);
     frame.tiles[tile] = touched || shaded;
   });
 }

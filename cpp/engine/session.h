@@ -26,14 +26,14 @@ class Session {
   int columns() const { return (view_.width + kTile - 1) / kTile; }
   int rows() const { return (view_.height + kTile - 1) / kTile; }
   int32_t gaussian_count() const { return gaussian_count_; }
-  StillTiles tiles() const { return {begin_.data(), splat_rows_.data(), keys_.data(), blocks_.data(), splats_.data()}; }
+  StillTiles tiles() const { return {begin_.data(), splat_rows_.data(), keys_.data(), blocks_.data(), splats_.data(), stop_depths_.data()}; }
   StillImages images() const;
   // By tile: nothing at this depth key or behind it can be seen.
   const uint32_t* stop_keys() const { return stop_keys_.data(); }
 
  private:
   void keep_lists(const Context& context);
-  bool is_finished(const Context& context, int tile) const;
+  void find_stops(const Context& context, int tile);
   void round_colors();
 
   const Kernels& kernels_;
@@ -44,6 +44,7 @@ class Session {
   Buffer<uint8_t> rgb8_;
   std::vector<uint32_t> begin_, splat_rows_, keys_, stop_keys_;
   std::vector<uint16_t> blocks_;
+  std::vector<float> stop_depths_;  // (tiles, 16)
   Buffer<Splat> splats_;
 };
 
@@ -85,7 +86,8 @@ class FrameScratch {
   std::vector<std::vector<uint32_t>> covered_;  // by block: tiles of its splats
   std::atomic<uint64_t> found_{0};              // tiles of all splats so far
   Buffer<uint32_t> keys_, ordered_, spare_keys_, spare_ordered_;  // of the sort
-  Buffer<uint32_t> begin_, cursors_, slots_;
+  Buffer<uint32_t> begin_, cursors_, slots_, slot_keys_;
+  Buffer<uint16_t> slot_blocks_;
 };
 
 class SessionDrawer {

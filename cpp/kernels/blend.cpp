@@ -105,8 +105,8 @@ void blend_tile(const Blend& b, int tile, float* feature_sums) {
   for (; k < end && alive; k += kBatch) {
     const int count = end - k < kBatch ? static_cast<int>(end - k) : kBatch;
     fill_batch(b, k, count, end, static_cast<float>(left), static_cast<float>(top), alive, batch);
-    if constexpr (WithFeatures) alive = draw_batch<WithIds>(batch, canvas, alive, FeaturePainter{b, batch, feature_sums});
-    else alive = draw_batch<WithIds>(batch, canvas, alive, Plain{});
+    if constexpr (WithFeatures) alive = draw_batch<WithIds, true>(batch, canvas, alive, FeaturePainter{b, batch, feature_sums});
+    else alive = draw_batch<WithIds, true>(batch, canvas, alive, Plain{});
     for (int i = 0; b.block_masks && i < count; ++i) b.block_masks[k + i] = static_cast<uint16_t>(batch.drawn[i]);
   }
   if (b.block_masks && k < end) memset(b.block_masks + k, 0, (end - k) * sizeof(uint16_t));

@@ -14,7 +14,7 @@ struct alignas(64) Canvas : TileSums {
 struct alignas(64) Batch {
   Splat splats[kBatch];  // centres relative to the tile's corner
   uint32_t ids[kBatch];     // what becomes of them in max_id
-  uint32_t drawn[kBatch];   // by splat: blocks in which it was drawn
+  uint32_t drawn[kBatch];   // by splat: blocks in which it was drawn, kept with masks
   uint32_t touching[16];    // by block: bit i for splat i of the batch
 };
 
@@ -104,7 +104,7 @@ struct Plain {
 };
 
 // Blends the batch's splats into one register of a block, pixels `at` and following; returns whether light is left.
-template <bool WithIds, class Painter>
+template <bool WithIds, bool WithMasks, class Painter>
 AOMGEN_INLINE bool draw(Batch& batch, Canvas& canvas, int block, int at, const Painter& painter) {
   const F x = load(kTileGeometry.x[block] + at), y = load(kTileGeometry.y[block] + at);
   Pixels p = load_pixels<WithIds>(canvas, block, at);
@@ -118,7 +118,7 @@ AOMGEN_INLINE bool draw(Batch& batch, Canvas& canvas, int block, int at, const P
     p.green = fma(color_weight, all(s.green), p.green);
     p.blue = fma(color_weight, all(s.blue), p.blue);
     p.depth = fma(weight, all(s.depth), p.depth);
-    batch.drawn[i] |= static_cast<uint32_t>(any(t.drawn)) << block;
+    if (WithMasks) batch.drawn[i] |= static_cast<uint32_t>(any(t.drawn)) << block;
     if (WithIds) update_ids(p, t.drawn, after, weight, s, batch.ids[i]);
     p.transmittance = after;
   }
@@ -127,13 +127,13 @@ AOMGEN_INLINE bool draw(Batch& batch, Canvas& canvas, int block, int at, const P
 }
 
 // Blends the batch into the blocks in which light is left before; returns those in which light is left after.
-template <bool WithIds, class Painter>
+template <bool WithIds, bool WithMasks, class Painter>
 AOMGEN_INLINE uint32_t draw_batch(Batch& batch, Canvas& canvas, uint32_t alive, const Painter& painter) {
   uint32_t left = 0;
   for (uint32_t rest = alive; rest; rest &= rest - 1) {
     const int block = __builtin_ctz(rest);
     bool light = false;
-    for (int at = 0; at < 16; at += kLanes) light |= draw<WithIds>(batch, canvas, block, at, painter);
+    for (int at = 0; at < 16; at += kLanes) light |= draw<WithIds, WithMasks>(batch, canvas, block, at, painter);
     left |= static_cast<uint32_t>(light) << block;
   }
   return left;

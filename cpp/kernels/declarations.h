@@ -12,7 +12,7 @@ void blend_backward(const BlendBackward&, int tile, float* scratch);
 void project_backward(const ProjectionBackward&, int block);
 void sum_weights(const Weights&, int tile);
 void count_pairs(const PairCount&, int tile);
-void blend_session(const SessionBlend&, int tile);
+bool blend_session(const SessionBlend&, int tile);
 void show_still(const SessionBlend&, int tile);
 void ssim_row(const ImageLoss&, int channel, int y, float* scratch);
 void loss_gradient_row(const ImageLoss&, int channel, int y, float* scratch);

@@ -130,6 +130,15 @@ struct StillTiles {
   const uint32_t* keys;      // by entry: depth key
   const uint16_t* blocks;    // by entry: blocks of the tile in which the splat is drawn
   const Splat* splats;       // by row; `id` is the Gaussian
+  const float* stop_depths;  // (tiles, 16): by block: nothing at this depth or behind it can be seen
+};
+
+// Moving splats by tile, near to far. The lists are shortened to what can be seen.
+struct MovingTiles {
+  const uint32_t* begin;     // (tiles + 1) into entries
+  uint32_t* slots;           // by entry
+  uint32_t* keys;            // by entry, scratch: depth key
+  uint16_t* blocks;          // by entry, scratch: blocks of the tile in which the splat may be seen
 };
 
 // A frame of a session: what never moves and what does, blended together.
@@ -137,7 +146,8 @@ struct SessionBlend {
   AomgenView view;
   StillImages still_images;
   StillTiles still;
-  TileLists tiles;           // of the moving splats
+  int columns;               // of tiles
+  MovingTiles moving;
   const Splat* splats;       // by slot
   const int32_t* gaussians;  // by slot
   int32_t first_moving;      // index of the first moving Gaussian in max_id
@@ -183,7 +193,7 @@ struct Kernels {
   void (*project_backward)(const ProjectionBackward&, int block);
   void (*sum_weights)(const Weights&, int tile);
   void (*count_pairs)(const PairCount&, int tile);
-  void (*blend_session)(const SessionBlend&, int tile);
+  bool (*blend_session)(const SessionBlend&, int tile);  // false when nothing that moves can be seen, then nothing is written
   void (*show_still)(const SessionBlend&, int tile);
   void (*ssim_row)(const ImageLoss&, int channel, int y, float* scratch);
   void (*loss_gradient_row)(const ImageLoss&, int channel, int y, float* scratch);

@@ -5,51 +5,88 @@ namespace aomgen::AOMGEN_ISA {
 
 namespace {
 
+constexpr uint32_t kNever = ~0u;  // behind every depth key
+
+// Entries of what never moves that reach a block of interest, sorted out before they are merged.
+struct Ready {
+  static constexpr uint32_t kCount = 64;
+  uint32_t keys[kCount + 1], rows[kCount + 1], blocks[kCount + 1];
+  uint32_t count = 0, next = 0;
+};
+
 // Where a tile's two lists have been read to.
 struct Cursors {
   uint32_t still, still_end, moving, moving_end;
+  Ready ready;
 };
 
-AOMGEN_INLINE uint32_t depth_key(const Splat& s) {
-  uint32_t key;
-  memcpy(&key, &s.depth, sizeof(key));
-  return key;
+// Shortens the tile's list of moving splats to those that may be seen; returns the blocks they reach.
+uint32_t find_seen(const SessionBlend& b, int tile, float left, float top, uint32_t on_image, uint32_t& end) {
+  const float* stops = b.still.stop_depths + 16 * static_cast<size_t>(tile);
+  const MovingTiles& m = b.moving;
+  uint32_t reached = 0, kept = m.begin[tile];
+  const uint32_t last = m.begin[tile + 1];
+  for (uint32_t k = kept; k < last; ++k) {
+    if (k + 16 < last) __builtin_prefetch(&b.splats[m.slots[k + 16]]);
+    const uint32_t slot = m.slots[k];
+    const Splat& s = b.splats[slot];
+    uint32_t in_front = 0;
+    for (int part = 0; part < kParts; ++part) in_front |= bits(above(load(stops + part * kLanes), all(s.depth))) << (part * kLanes);
+    const uint32_t blocks = touched_blocks(s, s.x - left, s.y - top) & on_image & in_front;
+    m.slots[kept] = slot;
+    memcpy(&m.keys[kept], &s.depth, sizeof(uint32_t));
+    m.blocks[kept] = static_cast<uint16_t>(blocks);
+    kept += blocks != 0;
+    reached |= blocks;
+  }
+  end = kept;
+  return reached;
 }
 
-AOMGEN_INLINE void put(Batch& batch, uint8_t masks[2][kBatch], int i, const Splat& s, float left, float top, uint32_t blocks) {
-  batch.splats[i] = s;
-  batch.splats[i].x = s.x - left;
-  batch.splats[i].y = s.y - top;
-  batch.drawn[i] = 0;
-  masks[0][i] = static_cast<uint8_t>(blocks);
-  masks[1][i] = static_cast<uint8_t>(blocks >> 8);
+void make_ready(const SessionBlend& b, Cursors& c, uint32_t alive) {
+  Ready& r = c.ready;
+  r.count = r.next = 0;
+  while (r.count == 0 && c.still < c.still_end) {
+    const uint32_t end = c.still_end - c.still < Ready::kCount ? c.still_end : c.still + Ready::kCount;
+    for (; c.still < end; ++c.still) {
+      r.keys[r.count] = b.still.keys[c.still];
+      r.rows[r.count] = b.still.rows[c.still];
+      r.blocks[r.count] = b.still.blocks[c.still] & alive;
+      r.count += r.blocks[r.count] != 0;
+    }
+  }
+  for (uint32_t i = 0; i < r.count; ++i) __builtin_prefetch(&b.still.splats[r.rows[i]]);
+  r.keys[r.count] = kNever;
 }
 
 // The next splats of both lists that reach a living block, near to far, what never moves first at equal
-// depth. Returns how many; `still` gets their bits.
+// depth. Returns how many; `still` gets the bits of those that never move. Without branches on which
+// list is next, which the machine could not foresee.
+template <bool WithIds>
 int fill_batch(const SessionBlend& b, Cursors& c, float left, float top, uint32_t alive, Batch& batch, uint32_t& still) {
   uint8_t masks[2][kBatch] = {};
   int count = 0;
   still = 0;
-  for (uint32_t k = c.moving + kBatch; k < c.moving + 2 * kBatch && k < c.moving_end; ++k) __builtin_prefetch(&b.splats[b.tiles.slots[k]]);
-  while (count < kBatch && (c.still < c.still_end || c.moving < c.moving_end)) {
-    const uint32_t slot = c.moving < c.moving_end ? b.tiles.slots[c.moving] : 0;
-    const uint32_t key = c.moving < c.moving_end ? depth_key(b.splats[slot]) : ~0u;
-    for (; c.still < c.still_end && count < kBatch && b.still.keys[c.still] <= key; ++c.still) {
-      const uint32_t blocks = b.still.blocks[c.still] & alive;
-      if (!blocks) continue;
-      const Splat& s = b.still.splats[b.still.rows[c.still]];
-      batch.ids[count] = static_cast<uint32_t>(s.id);
-      still |= 1u << count;
-      put(batch, masks, count++, s, left, top, blocks);
-    }
-    if (count == kBatch || c.moving == c.moving_end) continue;
-    ++c.moving;
-    const Splat& s = b.splats[slot];
-    const uint32_t blocks = touched_blocks(s, s.x - left, s.y - top) & alive;
-    if (!blocks) continue;
-    batch.ids[count] = static_cast<uint32_t>(b.first_moving + b.gaussians[slot]);
-    put(batch, masks, count++, s, left, top, blocks);
+  while (count < kBatch) {
+    Ready& r = c.ready;
+    if (r.next == r.count) make_ready(b, c, alive);
+    const uint32_t moving_key = c.moving < c.moving_end ? b.moving.keys[c.moving] : kNever;
+    const uint32_t still_key = r.keys[r.next];
+    if ((moving_key & still_key) == kNever) break;
+    const bool is_still = still_key <= moving_key;
+    const Splat* s = is_still ? b.still.splats + r.rows[r.next] : b.splats + b.moving.slots[c.moving];
+    const uint32_t blocks = (is_still ? r.blocks[r.next] : b.moving.blocks[c.moving]) & alive;
+    if (WithIds) batch.ids[count] = is_still ? static_cast<uint32_t>(s->id) : static_cast<uint32_t>(b.first_moving + b.gaussians[b.moving.slots[c.moving]]);
+    r.next += is_still;
+    c.moving += !is_still;
+    batch.splats[count] = *s;
+    batch.splats[count].x = s->x - left;
+    batch.splats[count].y = s->y - top;
+    masks[0][count] = static_cast<uint8_t>(blocks);
+    masks[1][count] = static_cast<uint8_t>(blocks >> 8);
+    const bool kept = blocks != 0;
+    still |= static_cast<uint32_t>(is_still & kept) << count;
+    count += kept;
   }
   transpose_masks(masks, batch.touching);
   return count;
@@ -90,7 +127,31 @@ void store_colors(const SessionBlend& b, int left, int top, const Canvas& canvas
   });
 }
 
-void finish(const SessionBlend& b, int left, int top, const float shade[16][16], Canvas& canvas) {
+// Puts what never moves into blocks outside `drawn`.
+void fill_up(const SessionBlend& b, int left, int top, const float shade[16][16], uint32_t drawn, Canvas& canvas, float alpha[16][16]) {
+  const size_t plane = static_cast<size_t>(b.view.width) * b.view.height;
+  const float* from[] = {b.still_images.rgb, b.still_images.rgb + plane, b.still_images.rgb + 2 * plane, b.still_images.depth, b.still_images.alpha, b.still_images.median_depth};
+  float(*to[])[16] = {canvas.red, canvas.green, canvas.blue, canvas.depth, alpha, canvas.median};
+  const bool wanted[] = {true, true, true, b.frame.depth != nullptr, b.frame.alpha != nullptr, b.frame.max_id != nullptr};
+  alignas(64) float pixels[16][16];
+  for (int image = 0; image < 6; ++image) {
+    if (!wanted[image]) continue;
+    load_tile(from[image], left, top, b.view, pixels);
+    for (uint32_t rest = ~drawn & 0xffffu; rest; rest &= rest - 1) {
+      const int block = __builtin_ctz(rest);
+      for (int i = 0; i < 16; i += kLanes) {
+        const F value = load(pixels[block] + i);
+        store(to[image][block] + i, shade && image < 3 ? value * load(shade[block] + i) : value);
+      }
+    }
+  }
+  if (!b.frame.max_id) return;
+  for_each_pixel(b.view, left, top, [&](size_t at, int block, int pixel) {
+    if (!(drawn >> block & 1u)) canvas.best_id[block][pixel] = static_cast<float>(b.still_images.max_id[at]);
+  });
+}
+
+void finish(const SessionBlend& b, int left, int top, const float shade[16][16], uint32_t drawn, Canvas& canvas) {
   alignas(64) float alpha[16][16];
   const float* background = b.view.background;
   for (int pixel = 0; pixel < 256; pixel += kLanes) {
@@ -102,6 +163,7 @@ void finish(const SessionBlend& b, int left, int top, const float shade[16][16],
     store(canvas.blue[block] + i, fma(lit, all(background[2]), load(canvas.blue[block] + i)));
     store(alpha[block] + i, 1.0f - rest);
   }
+  if (drawn != 0xffffu) fill_up(b, left, top, shade, drawn, canvas, alpha);
   store_colors(b, left, top, canvas);
   if (b.frame.depth) store_tile(b.frame.depth, left, top, b.view, canvas.depth);
   if (b.frame.alpha) store_tile(b.frame.alpha, left, top, b.view, alpha);
@@ -111,24 +173,31 @@ void finish(const SessionBlend& b, int left, int top, const float shade[16][16],
 }
 
 template <bool WithIds, bool WithShade>
-void blend_tile(const SessionBlend& b, int tile) {
-  const int left = tile % b.tiles.columns * kTile, top = tile / b.tiles.columns * kTile;
+bool blend_tile(const SessionBlend& b, int tile) {
+  const int left = tile % b.columns * kTile, top = tile / b.columns * kTile;
+  const float x = static_cast<float>(left), y = static_cast<float>(top);
+  Cursors c;
+  c.still = b.still.begin[tile];
+  c.still_end = b.still.begin[tile + 1];
+  c.moving = b.moving.begin[tile];
+  const uint32_t drawn = find_seen(b, tile, x, y, blocks_on_image(left, top, b.view), c.moving_end);
+  if (!drawn) return false;
   alignas(64) float shade[16][16];
   Canvas canvas;
   Batch batch;
   clear(canvas, WithIds);
   if (WithShade) load_tile(b.frame.shade, left, top, b.view, shade);
-  Cursors c = {b.still.begin[tile], b.still.begin[tile + 1], b.tiles.begin[tile], b.tiles.begin[tile + 1]};
-  uint32_t alive = blocks_on_image(left, top, b.view), still = 0;
-  while (alive && fill_batch(b, c, static_cast<float>(left), static_cast<float>(top), alive, batch, still)) {
+  uint32_t alive = drawn, still = 0;
+  while (alive && fill_batch<WithIds>(b, c, x, y, alive, batch, still)) {
     uint32_t touched = 0;
     for (int block = 0; block < 16; ++block) touched |= static_cast<uint32_t>(batch.touching[block] != 0) << block;
     uint32_t light;
-    if constexpr (WithShade) light = draw_batch<WithIds>(batch, canvas, touched, ShadePainter{shade, still});
-    else light = draw_batch<WithIds>(batch, canvas, touched, Plain{});
+    if constexpr (WithShade) light = draw_batch<WithIds, false>(batch, canvas, touched, ShadePainter{shade, still});
+    else light = draw_batch<WithIds, false>(batch, canvas, touched, Plain{});
     alive = (alive & ~touched) | light;
   }
-  finish(b, left, top, WithShade ? shade : nullptr, canvas);
+  finish(b, left, top, WithShade ? shade : nullptr, drawn, canvas);
+  return true;
 }
 
 // Copies the tile's part of an image (H, W, channels).
@@ -143,16 +212,16 @@ void copy_tile(const SessionBlend& b, int left, int top, int channels, const T* 
 
 }  // namespace
 
-void blend_session(const SessionBlend& b, int tile) {
+bool blend_session(const SessionBlend& b, int tile) {
   const bool ids = b.frame.max_id, shade = b.frame.shade;
   if (ids && shade) return blend_tile<true, true>(b, tile);
   if (ids) return blend_tile<true, false>(b, tile);
   if (shade) return blend_tile<false, true>(b, tile);
-  blend_tile<false, false>(b, tile);
+  return blend_tile<false, false>(b, tile);
 }
 
 void show_still(const SessionBlend& b, int tile) {
-  const int left = tile % b.tiles.columns * kTile, top = tile / b.tiles.columns * kTile;
+  const int left = tile % b.columns * kTile, top = tile / b.columns * kTile;
   const StillImages& still = b.still_images;
   if (b.frame.depth) copy_tile(b, left, top, 1, still.depth, b.frame.depth);
   if (b.frame.alpha) copy_tile(b, left, top, 1, still.alpha, b.frame.alpha);
