@@ -46,14 +46,13 @@ void TileBinner::find_tiles(const DepthOrder& order, int chunk) {
   for (uint32_t rank = first; rank < last; ++rank) {
     if (rank + 8 < last) __builtin_prefetch(&order.splats[order.slots[rank + 8]]);
     const Splat& s = order.splats[order.slots[rank]];
-    const TileBox box = tile_box(s, columns_, rows_);
-    const bool single = box.single();
-    const size_t before = found, most = box.count();
+    const size_t before = found, most = tiles_of_box(s);
     if (touched.size() < found + most) touched.resize(2 * (found + most) + kChunk);
-    for (int y = box.y0; y <= box.y1; ++y)
-      for (int x = box.x0; x <= box.x1; ++x) {
+    const bool surely = touches_its_box(s);
+    for (int y = s.first_row; y <= s.last_row; ++y)
+      for (int x = s.first_column; x <= s.last_column; ++x) {
         // Always written, counted only when touched: one branch less that the machine cannot foresee.
-        const bool is_touched = single || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
+        const bool is_touched = surely || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile));
         const uint32_t tile = static_cast<uint32_t>(y * columns_ + x);
         touched[found] = tile;
         found += is_touched;

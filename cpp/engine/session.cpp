@@ -83,9 +83,10 @@ void Session::keep_lists(const Context& context) {
     find_stops(context, tile);
   }
   Splat* splats = splats_.reserve(slots.size());
+  gaussians_.resize(slots.size());
   for (size_t row = 0; row < slots.size(); ++row) {
     splats[row] = p.splats[slots[row]];
-    splats[row].id = static_cast<float>(p.gaussians[slots[row]]);
+    gaussians_[row] = p.gaussians[slots[row]];
   }
 }
 
@@ -148,7 +149,7 @@ void FrameScratch::project(const MovingScene& moving, const AomgenFrame& frame, 
 
 // Tiles of the block's splats in which they are in front of everything that hides them.
 void FrameScratch::find_tiles(const Session& session, int block) {
-  const int columns = session.columns(), rows = session.rows();
+  const uint32_t columns = session.columns();
   const uint32_t* stop_keys = session.stop_keys();
   std::vector<uint32_t>& covered = covered_[block];
   uint32_t found = 0, reported = 0;
@@ -156,14 +157,13 @@ void FrameScratch::find_tiles(const Session& session, int block) {
   for (uint32_t slot = first; slot < first + projection_.visible[block]; ++slot) {
     const Splat& s = projection_.splats[slot];
     const uint32_t key = projection_.depth_keys[slot], begin = found;
-    const TileBox box = tile_box(s, columns, rows);
-    const bool single = box.single();
-    if (covered.size() < found + box.count()) covered.resize(2 * (found + box.count()) + kProjectionBlock);
-    for (int y = box.y0; y <= box.y1; ++y)
-      for (int x = box.x0; x <= box.x1; ++x) {
-        const uint32_t tile = static_cast<uint32_t>(y * columns + x);
+    if (covered.size() < found + tiles_of_box(s)) covered.resize(2 * (found + tiles_of_box(s)) + kProjectionBlock);
+    const bool surely = touches_its_box(s);
+    for (uint32_t y = s.first_row; y <= s.last_row; ++y)
+      for (uint32_t x = s.first_column; x <= s.last_column; ++x) {
+        const uint32_t tile = y * columns + x;
         covered[found] = tile;
-        found += key < stop_keys[tile] && (single || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile)));
+        found += key < stop_keys[tile] && (surely || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile)));
       }
     covers_.data()[slot] = {begin, found - begin};
     if (found - reported < kReport) continue;

@@ -26,7 +26,7 @@ class Session {
   int columns() const { return (view_.width + kTile - 1) / kTile; }
   int rows() const { return (view_.height + kTile - 1) / kTile; }
   int32_t gaussian_count() const { return gaussian_count_; }
-  StillTiles tiles() const { return {begin_.data(), splat_rows_.data(), keys_.data(), blocks_.data(), splats_.data(), stop_depths_.data()}; }
+  StillTiles tiles() const { return {begin_.data(), splat_rows_.data(), keys_.data(), blocks_.data(), splats_.data(), gaussians_.data(), stop_depths_.data()}; }
   StillImages images() const;
   // By tile: nothing at this depth key or behind it can be seen.
   const uint32_t* stop_keys() const { return stop_keys_.data(); }
@@ -46,6 +46,7 @@ class Session {
   std::vector<uint16_t> blocks_;
   std::vector<float> stop_depths_;  // (tiles, 16)
   Buffer<Splat> splats_;
+  std::vector<int32_t> gaussians_;
 };
 
 }  // namespace aomgen

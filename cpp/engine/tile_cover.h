@@ -2,7 +2,7 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
+#include <cstddef>
 
 #include "../kernels/kernels.h"
 
@@ -19,20 +19,12 @@ inline bool touches(const Splat& s, float left, float top) {
   return std::min(vertical, horizontal) < s.log2_opacity - kMinLog2Alpha;
 }
 
-inline int tile_at(float position, int tiles) {  // clamped before the conversion, which must not overflow
-  return static_cast<int>(std::min(std::max(std::floor(position * (1.0f / kTile)), 0.0f), static_cast<float>(tiles - 1)));
-}
+// Whether the splat touches all tiles of its box: it does when they lie in a line, because the box is
+// tight. (It may then still miss the pixel centres of a tile, and nothing is drawn.)
+inline bool touches_its_box(const Splat& s) { return s.first_column == s.last_column || s.first_row == s.last_row; }
 
-// Tiles x0..x1, y0..y1 of the box around a splat. In the only tile of a box it counts as touching.
-struct TileBox {
-  int x0, x1, y0, y1;
-  bool single() const { return x0 == x1 && y0 == y1; }
-  size_t count() const { return static_cast<size_t>(x1 - x0 + 1) * (y1 - y0 + 1); }
-};
-
-inline TileBox tile_box(const Splat& s, int columns, int rows) {
-  return {tile_at(s.x - s.half_width, columns), tile_at(s.x + s.half_width, columns),
-          tile_at(s.y - s.half_height, rows), tile_at(s.y + s.half_height, rows)};
+inline size_t tiles_of_box(const Splat& s) {
+  return static_cast<size_t>(s.last_column - s.first_column + 1) * static_cast<size_t>(s.last_row - s.first_row + 1);
 }
 
 }  // namespace aomgen

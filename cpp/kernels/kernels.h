@@ -26,10 +26,9 @@ struct alignas(64) Splat {
   float red, green, blue, depth;
   float best_dy_per_dx, best_dx_per_dy;  // where the exponent is largest on a vertical, horizontal line
   float half_width, half_height;         // of the box in which alpha can reach 1/255
-  float id;                              // Gaussian, only where it is said so
-  float unused;
+  uint16_t first_column, last_column, first_row, last_row;  // tiles of that box, on the image
 };
-static_assert(sizeof(Splat) == 64, "one cache line, sixteen floats");
+static_assert(sizeof(Splat) == 64, "one cache line, as large as sixteen floats");
 
 // A part's transform: upper three rows of cam_from_part, then the camera's centre in the part's frame.
 struct alignas(64) PartPose {
@@ -129,7 +128,8 @@ struct StillTiles {
   const uint32_t* rows;      // by entry: row of the splat, near to far inside every tile
   const uint32_t* keys;      // by entry: depth key
   const uint16_t* blocks;    // by entry: blocks of the tile in which the splat is drawn
-  const Splat* splats;       // by row; `id` is the Gaussian
+  const Splat* splats;       // by row
+  const int32_t* gaussians;  // by row
   const float* stop_depths;  // (tiles, 16): by block: nothing at this depth or behind it can be seen
 };
 

@@ -117,6 +117,15 @@ void replace_colors(const Projection& p, const int32_t index[kLanes], F color[3]
   for (int channel = 0; channel < 3; ++channel) color[channel] = load(lanes[channel]);
 }
 
+// First and last of the tiles along one side that an interval reaches, as two 16-bit numbers in each lane.
+AOMGEN_INLINE F tile_range(F low, F high, int size) {
+  const F last = all(static_cast<float>((size - 1) / kTile));
+  // Limited before the conversion, which must not overflow.
+  const I first_tile = __builtin_convertvector(clamp(low * (1.0f / kTile), zeros(), last), I);
+  const I last_tile = __builtin_convertvector(clamp(high * (1.0f / kTile), zeros(), last), I);
+  return (F)(first_tile | last_tile << 16);
+}
+
 AOMGEN_INLINE void store_splats(F fields[16], uint32_t visible, const int32_t index[kLanes], Splat* splats, int32_t* gaussians, uint32_t* keys, uint32_t& found) {
   for (int part = 0; part < 16; part += kLanes) transpose(fields + part);
   for (; visible; visible &= visible - 1) {
@@ -153,7 +162,9 @@ void project(const Projection& p, int block) {
     visible &= bits(above(bright, absolute(color[0])) & above(bright, absolute(color[1])) & above(bright, absolute(color[2])));
     F fields[16] = {e.x, e.y, e.qxx, e.qxy, e.qyy, e.log2_opacity,
                     maximum(color[0], zeros()), maximum(color[1], zeros()), maximum(color[2], zeros()), c.cam[2],
-                    -0.5f * e.qxy / e.qyy, -0.5f * e.qxy / e.qxx, e.half_width, e.half_height, zeros(), zeros()};
+                    -0.5f * e.qxy / e.qyy, -0.5f * e.qxy / e.qxx, e.half_width, e.half_height,
+                    tile_range(e.x - e.half_width, e.x + e.half_width, p.view.width),
+                    tile_range(e.y - e.half_height, e.y + e.half_height, p.view.height)};
     store_splats(fields, visible, index, p.splats + first, p.gaussians + first, p.depth_keys + first, found);
   }
   p.visible[block] = found;

@@ -76,7 +76,7 @@ int fill_batch(const SessionBlend& b, Cursors& c, float left, float top, uint32_
     const bool is_still = still_key <= moving_key;
     const Splat* s = is_still ? b.still.splats + r.rows[r.next] : b.splats + b.moving.slots[c.moving];
     const uint32_t blocks = (is_still ? r.blocks[r.next] : b.moving.blocks[c.moving]) & alive;
-    if (WithIds) batch.ids[count] = is_still ? static_cast<uint32_t>(s->id) : static_cast<uint32_t>(b.first_moving + b.gaussians[b.moving.slots[c.moving]]);
+    if (WithIds) batch.ids[count] = static_cast<uint32_t>(is_still ? b.still.gaussians[r.rows[r.next]] : b.first_moving + b.gaussians[b.moving.slots[c.moving]]);
     r.next += is_still;
     c.moving += !is_still;
     batch.splats[count] = *s;
