@@ -156,8 +156,11 @@ class RenderSession:
         shape = (self.camera.height, self.camera.width, 3)
         if into is None:
             into = Picture(image_srgb=np.empty(shape, np.uint8), changed=self._unknown_tiles(1)[0])
-        if into.image_srgb.shape != shape:
-            raise ValueError(f"the picture has shape {into.image_srgb.shape}, want {shape}")
+        for array, want in ((into.image_srgb, shape), (into.changed, self._unknown_tiles(1).shape[1:])):
+            if array.shape != want or array.dtype != np.uint8 or not array.flags.c_contiguous:
+                raise ValueError(
+                    f"the picture has shape {array.shape} of {array.dtype}, want {want} of uint8"
+                )
         self._draw_one(moving, parts, shade, {"rgb8": into.image_srgb, "tiles": into.changed})
         return into
 

@@ -175,6 +175,26 @@ def test_images_of_another_type_are_refused() -> None:
     run_in_child(_tensors_of_another_kind)
 
 
+def _pictures_of_another_kind() -> None:
+    from aomgen.splatting.session import Picture, RenderSession
+
+    session = RenderSession(scatter(5), CAMERA)
+    good = session.picture(scatter(5))
+    image, changed = good.image_srgb, good.changed
+    for bad in (
+        Picture(image_srgb=image[:, :-1], changed=changed),
+        Picture(image_srgb=np.repeat(image, 2, 1)[:, ::2], changed=changed),
+        Picture(image_srgb=image.astype(np.float32), changed=changed),
+        Picture(image_srgb=image, changed=changed[:1]),
+        Picture(image_srgb=image, changed=changed[:, ::-1]),
+    ):
+        expect(ValueError, lambda: session.picture(scatter(5), into=bad))  # noqa: B023
+
+
+def test_pictures_that_are_no_picture_of_the_session_are_refused() -> None:
+    run_in_child(_pictures_of_another_kind)
+
+
 def _little_memory(threads: int) -> None:
     """Far more pairs than memory, which some thread of the engine finds out."""
     from aomgen.splatting.rasterizer import render
@@ -198,11 +218,16 @@ def test_too_little_memory_is_an_error(threads: int) -> None:
 def _gigantic_splats() -> None:
     """More pairs than the engine takes on are refused, before they fill the memory."""
     from aomgen.splatting.rasterizer import render
+    from aomgen.splatting.session import RenderSession
 
     g = replace(scatter(30_000, degree=0), scales=np.full((30_000, 3), 1e3))
     camera = replace(CAMERA, width=2048, height=2048, fx=1000.0, fy=1000.0, cx=1024.0, cy=1024.0)
     with pytest.raises(AomgenError, match="too large on the image"):
         render(g, camera)
+    session = RenderSession(scatter(10), camera)
+    with pytest.raises(AomgenError, match="too large on the image"):
+        session.draw(g)
+    assert session.draw(scatter(10)).alpha.max() > 0
     peak_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
     assert peak_bytes < 2.5e9, f"{peak_bytes / 1e9:.2f} GB"
 
