@@ -71,14 +71,15 @@ AOMGEN_INLINE void load_triples(const float* p, F out[3], std::integer_sequence<
 // Column j of up to kLanes rows of `count` floats, `stride` apart, becomes columns[j]; zeros for
 // lanes that are not wanted. Writes columns up to the next multiple of kLanes.
 AOMGEN_INLINE void load_columns(const float* rows, size_t stride, int count, const int32_t index[kLanes], uint32_t wanted, F* columns) {
-  for (int part = 0; part < count; part += kLanes) {
-    const int width = count - part < kLanes ? count - part : kLanes;
-    for (int lane = 0; lane < kLanes; ++lane) {
-      const float* row = rows + stride * static_cast<size_t>(index[lane]) + part;
-      columns[part + lane] = !(wanted >> lane & 1) ? F{} : width == kLanes ? load(row) : load_first(row, width);
+  for (int lane = 0; lane < kLanes; ++lane) {  // one row after the other, as they lie in memory
+    const float* row = rows + stride * static_cast<size_t>(index[lane]);
+    const bool is_wanted = wanted >> lane & 1;
+    for (int part = 0; part < count; part += kLanes) {
+      const int width = count - part < kLanes ? count - part : kLanes;
+      columns[part + lane] = !is_wanted ? F{} : width == kLanes ? load(row + part) : load_first(row + part, width);
     }
-    transpose(columns + part);
   }
+  for (int part = 0; part < count; part += kLanes) transpose(columns + part);
 }
 
 }  // namespace aomgen::AOMGEN_ISA
