@@ -58,7 +58,7 @@ class TrainingParams:
     max_gaussians: int = 100_000
     grow_every: int = 100
     grow_window: tuple[float, float] = (0.1, 0.75)
-    error_views: int = 6
+    error_views: int = 8
     min_opacity: float = 0.01
     dssim_weight: float = 0.2
     opacity_weight: float = 0.002
@@ -241,9 +241,9 @@ def _learn(
 
 def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Parameters:
     """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
-    parameters, exposure, rng = state.parameters, state.exposure, state.rng
+    parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
-    chosen = rng.choice(len(views), min(params.error_views, len(views)), replace=False)
+    chosen = looked_at(len(views), params.error_views, state.iteration // params.grow_every)
     targets = [(views[i].target() / exposure.log_gains[i].exp()[:, None, None]).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
     cameras = [state.poses.corrected(i, views[i].camera) for i in chosen]
@@ -252,7 +252,15 @@ def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Pa
     count = max(
         len(parameters), round(len(parameters) * (params.max_gaussians / len(parameters)) ** (1 / left))
     )
-    return relocate_and_grow(parameters, shares, min(count, params.max_gaussians), params.min_opacity, rng)
+    return relocate_and_grow(
+        parameters, shares, min(count, params.max_gaussians), params.min_opacity, state.rng
+    )
+
+
+def looked_at(views: int, count: int, turn: int) -> NDArray[np.int64]:
+    """Views spread evenly over the scan; the next turn takes their neighbours, until all had one."""
+    count = min(count, views)
+    return np.unique((np.arange(count) * views // count + turn) % views)
 
 
 def _grows(params: TrainingParams, iteration: int) -> bool:

@@ -14,7 +14,7 @@ from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.optimizer import gaussians_of, parameters_of
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.training import TrainingParams, train
+from aomgen.splatting.training import TrainingParams, looked_at, train
 
 
 def held_out_psnr(trained: Gaussians, scene: Gaussians) -> float:
@@ -190,3 +190,11 @@ def test_metrics() -> None:
     assert noisy == sorted(noisy, reverse=True)
     with pytest.raises(ValueError, match="shapes"):
         ssim(image, image[:-1])
+
+
+def test_every_view_is_looked_at_before_any_twice() -> None:
+    for views, count in ((56, 8), (12, 4), (5, 8), (9, 2)):
+        turns = -(-views // min(count, views))
+        seen = np.concatenate([looked_at(views, count, turn) for turn in range(turns)])
+        assert set(seen) == set(range(views))
+        assert len(seen) == turns * min(count, views)
