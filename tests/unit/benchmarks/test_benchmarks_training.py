@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.benchmarks.training import Clock, training_curve
+from aomgen.benchmarks.training import Clock, gain_fitted_psnr, training_curve
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
@@ -58,6 +58,13 @@ def test_the_curve_ends_where_training_does() -> None:
     rng = np.random.default_rng(params.seed)
     trained = train(lesson.initial, lesson.cameras, lesson.images_srgb, training, silent, rng)
     assert curve[-1]["psnr"] == pytest.approx(judge(trained, *held_out[0]).psnr_db, abs=1e-6)
+
+
+def test_a_gain_is_fitted_for_every_channel() -> None:
+    image = np.random.default_rng(0).integers(50, 200, (20, 30, 3)).astype(np.uint8)
+    darker = np.round(image * [0.8, 0.9, 0.7]).astype(np.uint8)
+    assert gain_fitted_psnr(darker, image) > 50
+    assert gain_fitted_psnr(image[::-1], image) < 20
 
 
 def test_the_clock_stands_still_between_stop_and_start() -> None:

@@ -10,6 +10,10 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, silent
 from aomgen.io.images import write_image
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.runner import run_stages
+from aomgen.pipeline.stage import Run, Stage
+from aomgen.pipeline.stages import STAGES
 from aomgen.reconstruction import gaussians as module
 from aomgen.reconstruction.densify import DensePoints
 from aomgen.reconstruction.gaussians import GaussiansParams, coarse
@@ -119,6 +123,54 @@ def test_a_checkpoint_that_cannot_be_used_is_left_out_and_told(
     assert any("starts over" in text and CHECKPOINT_FILE in text for text in seen)
     run_gaussians(*scan, tmp_path / "whole", silent, PARAMS)
     assert (folder / "gaussians.ply").read_bytes() == (tmp_path / "whole" / "gaussians.ply").read_bytes()
+
+
+def test_the_runner_keeps_what_a_killed_stage_left(
+    tmp_path: Path, scan: tuple[Structure, dict[str, Path]]
+) -> None:
+    """The stage of the pipeline's own list, with the runner's rules for continuing."""
+    listed = next(stage for stage in STAGES if stage.name == "gaussians")
+
+    def work(run: Run, folder: Path, progress: Progress) -> dict[str, object]:
+        return {"gaussians": len(run_gaussians(*scan, folder, progress, PARAMS).gaussians_recon)}
+
+    def go(out: str, *, seed: int, stop: bool) -> list[str]:
+        stage = replace(listed, needs=("capture",), settings=("seed",), function=work)
+        display = Display(stop)
+        project = Project(capture=tmp_path, out=tmp_path / out, seed=seed)
+        run_stages(project, (stage,), display, capture_digest="c")
+        return display.losses
+
+    with pytest.raises(StoppedError):
+        go("out", seed=0, stop=True)
+    assert len(go("out", seed=0, stop=False)) == 3  # iterations 210, 220, 230
+    assert len(go("whole", seed=0, stop=False)) == 23
+    folders = [tmp_path / out / listed.folder for out in ("out", "whole")]
+    files = [{file.name: file.read_bytes() for file in folder.iterdir()} for folder in folders]
+    assert files[0] == files[1]
+
+    with pytest.raises(StoppedError):
+        go("other", seed=0, stop=True)
+    assert len(go("other", seed=1, stop=False)) == 23  # other settings, so nothing is continued
+
+
+class Display:
+    """Stops the run late in training, or keeps the lines that tell of a loss."""
+
+    def __init__(self, stop: bool) -> None:
+        self.stop, self.losses = stop, []
+
+    def begin(self, stage: Stage, *, fresh: bool) -> None:
+        pass
+
+    def progress(self, share: float, text: str) -> None:
+        if "loss" in text:
+            self.losses.append(text)
+            if self.stop and share > 0.25 + 0.7 * 205 / 230:
+                raise StoppedError
+
+    def end(self, stage: Stage, seconds: float, figures: dict[str, object]) -> None:
+        pass
 
 
 def recorder(seen: list[str]) -> Progress:
