@@ -10,6 +10,9 @@ from torch import Tensor
 from aomgen.core.camera import Camera
 from aomgen.splatting import native
 
+# A color value from which on a photograph only says "at least this bright".
+SATURATED = 250 / 255
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
@@ -59,6 +62,17 @@ class Exposure:
         first, second, third, fourth, fifth = (row.data_ptr() for row in rows)
         context.adam_step((1, 3), (first, second, third, fourth, fifth), int(self.steps[index]))
         self.log_gains -= self.log_gains.mean(0)
+
+
+def within_range(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tensor:
+    """The rendering (3, H, W), but no brighter than a saturated photograph could show.
+
+    A scene that a sensor clips is brighter than its picture. Without this, gains would be fitted
+    to clipped values, and clipped values to gains. Where the target is saturated, what the gains
+    (3,) lift above it equals it and has no gradient; elsewhere nothing changes.
+    """
+    shown = target if gains is None else target / gains[:, None, None]
+    return torch.where(target >= SATURATED, torch.minimum(rendered, shown), rendered)
 
 
 def reduced(camera: Camera, image: NDArray[np.uint8], factor: int) -> View:

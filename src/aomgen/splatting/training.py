@@ -18,7 +18,7 @@ from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
 from aomgen.splatting.loss import image_loss
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
-from aomgen.splatting.photographs import Exposure, View, reduced
+from aomgen.splatting.photographs import Exposure, View, reduced, within_range
 from aomgen.splatting.poses import PoseIncrements
 from aomgen.splatting.state import TrainingState
 
@@ -53,7 +53,7 @@ class TrainingParams:
 
     iterations: int = 1800
     sh_degree: int = 2
-    sh_starts: tuple[float, float, float] = (0.1, 0.3, 0.5)
+    sh_starts: tuple[float, float, float] = (0.0, 0.2, 0.4)
     downsampling: tuple[tuple[float, int], ...] = ((0.0, 4), (0.1, 2), (0.35, 1))
     max_gaussians: int = 100_000
     grow_every: int = 100
@@ -71,7 +71,7 @@ class TrainingParams:
     rate_log_scales: float = 2.5e-2
     rate_logit_opacities: float = 6e-2
     rate_color: float = 2e-2
-    rate_sh: float = 2e-3
+    rate_sh: float = 5e-3
     rate_gain: float = 2e-3
     rate_poses: float = 1e-3
     rate_decay: float = 0.3
@@ -221,9 +221,9 @@ def _learn(
     drawn = CpuRasterizer(context)(GaussianTensors(**leaves), view.camera, options, T_cam_world=T_cam_world)
     log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
     gains = None if log_gains is None else log_gains.exp()
-    loss = image_loss(
-        drawn.rgb, view.target(), gains=gains, dssim_weight=params.dssim_weight, context=context
-    )
+    target = view.target()
+    seen = within_range(drawn.rgb, target, gains)
+    loss = image_loss(seen, target, gains=gains, dssim_weight=params.dssim_weight, context=context)
     total = loss + params.opacity_weight * leaves["logit_opacities"].sigmoid().mean()
     if params.scale_weight:
         total = total + params.scale_weight / extent * leaves["log_scales"].exp().mean()
@@ -244,7 +244,8 @@ def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Pa
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
     chosen = looked_at(len(views), params.error_views, state.iteration // params.grow_every)
-    targets = [(views[i].target() / exposure.log_gains[i].exp()[:, None, None]).numpy() for i in chosen]
+    gains = exposure.log_gains.exp()[:, :, None, None]
+    targets = [(views[i].target() / gains[i]).clamp(max=1).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
     cameras = [state.poses.corrected(i, views[i].camera) for i in chosen]
     shares = error_shares(gaussians, cameras, targets)

@@ -1,6 +1,7 @@
 """Training finds a small scene again; the optimizer and the growth do what they say."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,17 @@ from aomgen.splatting import native
 from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.optimizer import gaussians_of, parameters_of
+from aomgen.splatting.photographs import within_range
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.training import TrainingParams, looked_at, train
+from aomgen.splatting.training import (
+    TrainingParams,
+    finished,
+    learning,
+    looked_at,
+    scene_extent,
+    started,
+    train,
+)
 
 
 def held_out_psnr(trained: Gaussians, scene: Gaussians) -> float:
@@ -100,6 +110,41 @@ def test_exposure_gains_take_up_brightness() -> None:
         )
         losses[exposure] = np.mean(seen[-4:])
     assert losses[True] < 0.8 * losses[False]
+
+
+def test_clipped_highlights_neither_bend_gains_nor_colors() -> None:
+    """Photographs with a gain clip the bright squares; their exposure is found from the others."""
+    scene, cameras = checkered(3000, 2), ring(10)
+    true_gains = np.where(np.arange(10) % 2, 1.25, 0.8)
+    images = [
+        np.clip(render(scene, camera).rgb * gain * 255, 0, 255).round().astype(np.uint8)
+        for camera, gain in zip(cameras, true_gains, strict=True)
+    ]
+    params = replace(PARAMS, iterations=400, sh_degree=0, rate_gain=0.02, downsampling=((0.0, 1),))
+    initial = start(scene, 1500)
+    state = started(initial, cameras, params, np.random.default_rng(0))
+    for _ in learning(state, cameras, images, params, scene_extent(initial, cameras)):
+        pass
+    red = state.exposure.log_gains[:, 0].numpy()
+    assert red[1::2].mean() - red[::2].mean() == pytest.approx(np.log(1.25 / 0.8), abs=0.015)
+    view = ring(1, height=0.9, shift=0.37)[0]
+    drawn, true = render(finished(state, params), view).rgb[..., 0], render(scene, view).rgb[..., 0]
+    assert abs((drawn - true)[true > 0.8].mean()) < 0.015  # 0.035 too dark without
+
+
+def test_saturated_pixels_ask_for_no_less_than_white() -> None:
+    target = torch.tensor([1.0, 1.0, 0.5, 0.5])[None, None].repeat(3, 1, 1)
+    rendered = torch.tensor([1.2, 0.7, 1.2, 0.2])[None, None].repeat(3, 1, 1).requires_grad_()
+    gains = torch.tensor([1.0, 1.1, 0.9], requires_grad=True)
+    seen = within_range(rendered, target, gains)
+    shown = seen * gains[:, None, None]
+    torch.testing.assert_close(shown[:, 0, 0], torch.ones(3))
+    torch.testing.assert_close(shown[:, 0, 1:], (rendered * gains[:, None, None])[:, 0, 1:])
+    shown[:, 0, 0].sum().backward()
+    assert rendered.grad is not None
+    assert not rendered.grad.any()
+    assert gains.grad is not None
+    assert gains.grad.abs().max() < 1e-6
 
 
 def test_inputs_that_do_not_fit_are_refused() -> None:
