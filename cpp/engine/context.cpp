@@ -117,7 +117,8 @@ void Context::backward(const AomgenImageGradients& images, const AomgenSceneGrad
   if (gradients.cam_from_part) p.pose_sums = pose_sums_.reserve(16 * static_cast<size_t>(blocks) * part_count());
   parallel(threads_, blocks, 1, [&](int64_t block, int) { kernels_->project_backward(p, static_cast<int>(block)); });
   if (gradients.cam_from_part) sum_pose_gradients(gradients.cam_from_part);
-  if (gradients.features && !features && !gradients.rows) std::fill_n(gradients.features, scene.count * scene.feature_count, 0.0f);
+  const int64_t rows = gradients.rows ? visible_count_ : scene.count;
+  if (gradients.features && !features) std::fill_n(gradients.features, rows * scene.feature_count, 0.0f);
 }
 
 // The blocks' sums in order, with the gradient by the camera's centre c = -R^T t carried to R and t.
@@ -215,6 +216,7 @@ double Context::image_loss(ImageLoss l, float* grad_gains) {
 }
 
 void Context::adam_step(AdamStep a, const float* rates, int columns) {
+  if (a.count == 0) return;
   a.period = 16 * columns;
   a.block_size = (16384 / a.period + 1) * static_cast<int64_t>(a.period);
   std::vector<float> repeated(a.period);

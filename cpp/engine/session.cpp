@@ -45,8 +45,8 @@ Session::Session(Context& context, const AomgenScene& scene, const AomgenView& v
   plain.feature_count = 0;
   plain.features = nullptr;
   context.forward(plain, view, {planes, 0, 1, planes + 3 * pixels, planes + 4 * pixels, planes + 5 * pixels, max_id_.reserve(pixels), nullptr});
-  keep_lists(context);
   context.forget_forward();
+  keep_lists(context);
   round_colors();
 }
 

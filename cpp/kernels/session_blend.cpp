@@ -229,6 +229,7 @@ void show_still(const SessionBlend& b, int tile) {
     copy_tile(b, left, top, 1, still.median_depth, b.frame.median_depth);
     copy_tile(b, left, top, 1, still.max_id, b.frame.max_id);
   }
+  if (!b.frame.rgb && !b.frame.rgb8) return;
   if (!b.frame.shade && !b.frame.rgb && still.rgb8) return copy_tile(b, left, top, 3, still.rgb8, b.frame.rgb8);
   const size_t plane = static_cast<size_t>(b.view.width) * b.view.height;
   Canvas canvas;

@@ -168,6 +168,24 @@ TEST(a_backward_pass_needs_its_forward_pass) {
   CHECK(backward(engine, call) == AOMGEN_NO_FORWARD);
 }
 
+TEST(gradients_by_features_that_draw_nothing_are_zero) {
+  const World world = small_world();
+  Engine engine;
+  for (bool packed : {false, true}) {
+    Call call(world);
+    Array<int32_t> rows(40);
+    call.scene_gradients.rows = packed ? rows.data() : nullptr;
+    call.image_gradients.features = nullptr;
+    CHECK(forward(engine, call) == AOMGEN_OK);
+    CHECK(backward(engine, call) == AOMGEN_OK);
+    int64_t visible = 0, intersections = 0;
+    CHECK(aomgen_counts(engine.context(), &visible, &intersections) == AOMGEN_OK && visible > 0 && visible < 40);
+    bool is_zero = true;
+    for (size_t i = 0; i < 2 * static_cast<size_t>(packed ? visible : 40); ++i) is_zero &= call.gradients.features[i] == 0;
+    CHECK(is_zero && call.gradients.guards_are_whole());
+  }
+}
+
 TEST(arrays_of_no_gaussians_may_be_null) {
   Engine engine;
   Call call(random_world(32, {0, 1, 2, 24, 18, 2}));
@@ -285,7 +303,7 @@ TEST(damaged_arguments_of_adam_are_refused) {
     CHECK(call(engine.context(), rows, 3, 1, 0) == AOMGEN_INVALID_ARGUMENT);
   for (int32_t columns : {kLeast, -1, 0, 1025, kMost}) CHECK(call(engine.context(), 4, columns, 1, 0) == AOMGEN_INVALID_ARGUMENT);
   for (int64_t step : {int64_t{0}, int64_t{-5}}) CHECK(call(engine.context(), 4, 3, step, 0) == AOMGEN_INVALID_ARGUMENT);
-  CHECK(call(engine.context(), 0, 3, 1, 1) == AOMGEN_OK);
+  for (int missing = 1; missing <= 5; ++missing) CHECK(call(engine.context(), 0, 3, 1, missing) == AOMGEN_OK);
 }
 
 }  // namespace aomgen::tests

@@ -145,6 +145,38 @@ TEST(session_frames_of_random_magnitudes) {
   }
 }
 
+TEST(each_image_of_a_session_may_be_wanted_alone) {
+  const Divided d(random_world(46, {60, 1, 0, 60, 50, 2}), 0.95);
+  const std::vector<float> shade = Random(4).numbers(60 * 50, 0.2f, 1.0f);
+  for (const std::string& isa : instruction_sets())
+    for (const float* factor : {static_cast<const float*>(nullptr), shade.data()}) {
+      Engine engine(isa.c_str());
+      const SessionPointer session = open_session(engine, d.still);
+      Film all(d.all);
+      AomgenFrame frame = all.frame(session.get(), d.all);
+      frame.shade = factor;
+      CHECK(draw(engine, d, {frame}) == AOMGEN_OK);
+      for (int wanted = 0; wanted < 5; ++wanted) {
+        progress().subject = isa + ", image " + std::to_string(wanted) + (factor ? ", shaded" : "");
+        Film one(d.all);
+        frame = one.frame(session.get(), d.all);
+        frame.shade = factor;
+        if (wanted != 0) frame.rgb8 = nullptr;
+        if (wanted != 1) frame.rgb = nullptr;
+        if (wanted != 2) frame.depth = nullptr;
+        if (wanted != 3) frame.alpha = nullptr;
+        if (wanted != 4) frame.median_depth = nullptr, frame.max_id = nullptr;
+        CHECK(draw(engine, d, {frame}) == AOMGEN_OK);
+        if (wanted == 0) CHECK(one.rgb8 == all.rgb8);
+        if (wanted == 1) CHECK(one.canvas.rgb == all.canvas.rgb);
+        if (wanted == 2) CHECK(one.canvas.depth == all.canvas.depth);
+        if (wanted == 3) CHECK(one.canvas.alpha == all.canvas.alpha);
+        if (wanted == 4) CHECK(one.canvas.median_depth == all.canvas.median_depth && one.canvas.max_id == all.canvas.max_id);
+        CHECK(one.guards_are_whole());
+      }
+    }
+}
+
 TEST(several_frames_at_once_equal_one_after_the_other) {
   Divided d(random_world(42, {900, 1, 0, 80, 60, 3}));
   Engine engine(nullptr, 4);
