@@ -59,6 +59,8 @@ struct Job {
 
 class Pool {
  public:
+  const pid_t process = getpid();
+
   bool try_run(int threads, Job& job) {
     std::unique_lock<std::mutex> one_caller(caller_, std::try_to_lock);
     if (!one_caller.owns_lock()) return false;
@@ -67,14 +69,13 @@ class Pool {
       std::lock_guard<std::mutex> lock(state_);
       job_ = &job;
       invited_ = helpers;
-      busy_ = helpers;
       ++round_;
     }
     start_.notify_all();
     job.run(0);
     std::unique_lock<std::mutex> lock(state_);
+    job_ = nullptr;  // a helper that wakes up only now is not waited for
     done_.wait(lock, [this] { return busy_ == 0; });
-    job_ = nullptr;
     return true;
   }
 
@@ -103,6 +104,7 @@ class Pool {
         seen = round_;
         if (worker > invited_ || !job_) continue;
         job = job_;
+        ++busy_;
       }
       job->run(worker);
       std::lock_guard<std::mutex> lock(state_);
@@ -119,15 +121,14 @@ class Pool {
 };
 
 // A forked child has none of its parent's threads, so every process makes its own pool. Pools live
-// until the process ends: their threads may not outlive them.
+// until the process ends: their threads may not outlive them. No mutex, which a fork could find locked.
 Pool& pool_of_this_process() {
-  static std::mutex guard;
-  static Pool* pool = nullptr;
-  static pid_t owner = 0;
-  std::lock_guard<std::mutex> lock(guard);
-  if (!pool || owner != getpid()) {
-    pool = new Pool();
-    owner = getpid();
+  static std::atomic<Pool*> current{nullptr};
+  Pool* pool = current;
+  while (!pool || pool->process != getpid()) {
+    Pool* fresh = new Pool();
+    if (current.compare_exchange_strong(pool, fresh)) return *fresh;
+    delete fresh;  // another thread was faster
   }
   return *pool;
 }

@@ -1,6 +1,10 @@
 // The pool hands out every item once and survives tasks that throw.
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <atomic>
 #include <stdexcept>
+#include <thread>
 
 #include "../engine/thread_pool.h"
 #include "check.h"
@@ -42,5 +46,31 @@ TEST(an_exception_reaches_the_caller_and_the_pool_goes_on) {
       CHECK(done == 50);
     }
 }
+
+// The sanitizers' own locks do not survive a fork.
+#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+TEST(a_child_forked_while_others_work_has_a_pool) {
+  std::atomic<bool> stop{false};
+  const auto work = [&stop] {
+    while (!stop) parallel(2, 2, 1, [](int64_t, int) {});
+  };
+  std::thread others[] = {std::thread(work), std::thread(work)};
+  int hung = 0;
+  for (int i = 0; i < 200 && !hung; ++i) {
+    const pid_t child = fork();
+    if (child == 0) {
+      alarm(5);  // ends a child that hangs
+      std::atomic<int> done{0};
+      parallel(2, 50, 1, [&](int64_t, int) { ++done; });
+      _exit(done == 50 ? 0 : 1);
+    }
+    int status = -1;
+    hung += child < 0 || waitpid(child, &status, 0) != child || status != 0;
+  }
+  stop = true;
+  for (std::thread& other : others) other.join();
+  CHECK(hung == 0);
+}
+#endif
 
 }  // namespace aomgen::tests
