@@ -39,8 +39,8 @@ AOMGEN_INLINE F exp2_inside(F x) {
 #endif
 }
 
-// 2^x, with x limited to [-126, 127]; NaN stays NaN.
-AOMGEN_INLINE F exp2(F x) { return exp2_inside(minimum(all(127.0f), maximum(all(-126.0f), x))); }
+// 2^x, with x limited to [-126, 127]; NaN stays NaN, whatever its lowest bits.
+AOMGEN_INLINE F exp2(F x) { return where(same(x, x), exp2_inside(clamp(x, all(-126.0f), all(127.0f))), x); }
 
 // log2(x) for normal x > 0, by the series of atanh around 1.
 AOMGEN_INLINE F log2(F x) {

@@ -157,6 +157,25 @@ TEST(broken_numbers_are_left_out) {
     }
 }
 
+// Also as logarithms and logits, where the bits of a NaN are taken apart.
+TEST(every_kind_of_nan_is_left_out) {
+  for (const std::string& isa : instruction_sets())
+    for (uint32_t bits : {0x7fc00000u, 0x7fc00001u, 0xffffffffu, 0x7f800001u})
+      for (bool encoded : {false, true})
+        for (int field = 0; field < 5; ++field) {
+          progress().subject = isa + ", NaN " + std::to_string(bits) + ", field " + std::to_string(field);
+          World world = random_world(6, {30, 1, 0, 30, 22, 1});
+          world.encoded = encoded;
+          std::vector<float>* const fields[] = {&world.means, &world.quats, &world.scales, &world.opacities, &world.sh};
+          for (float& number : *fields[field]) std::memcpy(&number, &bits, sizeof(number));
+          Engine engine(isa.c_str());
+          Canvas canvas(world);
+          CHECK(engine.draw(world, canvas) == AOMGEN_OK);
+          int64_t visible = -1, pairs = 0;
+          CHECK(aomgen_counts(engine.context(), &visible, &pairs) == AOMGEN_OK && visible == 0);
+        }
+}
+
 TEST(extreme_parameters) {
   const struct {
     const char* name;
