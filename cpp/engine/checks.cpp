@@ -2,13 +2,19 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 
 namespace aomgen {
 
-std::string& last_error() {
-  static thread_local std::string error;
-  return error;
-}
+namespace {
+
+thread_local char reason_of_failure[256];
+
+}  // namespace
+
+const char* last_error() { return reason_of_failure; }
+
+void set_last_error(const char* reason) { std::snprintf(reason_of_failure, sizeof(reason_of_failure), "%s", reason); }
 
 void require(bool condition, const char* problem) {
   if (!condition) throw std::invalid_argument(problem);

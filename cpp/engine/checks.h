@@ -3,7 +3,6 @@
 
 #include <new>
 #include <stdexcept>
-#include <string>
 
 #include "../aomgen_splatting.h"
 #include "context.h"
@@ -19,8 +18,9 @@ namespace aomgen {
 constexpr int64_t kMaxGaussians = 1 << 24;  // indices are kept as exact floats in one place
 constexpr int kMaxSide = 16384, kMaxFeatures = 4096, kMaxThreads = 256, kMaxParts = 4096;
 
-// Reason of the last failure on this thread.
-std::string& last_error();
+// Reason of the last failure on this thread; needs no memory, which may be what is missing.
+const char* last_error();
+void set_last_error(const char* reason);
 
 // Throws std::invalid_argument with the problem unless the condition holds.
 void require(bool condition, const char* problem);
@@ -36,10 +36,10 @@ int32_t guarded(Function&& function) {
     function();
     return AOMGEN_OK;
   } catch (const std::bad_alloc&) {
-    last_error() = "not enough memory";
+    set_last_error("not enough memory");
     return AOMGEN_OUT_OF_MEMORY;
   } catch (const std::exception& error) {
-    last_error() = error.what();
+    set_last_error(error.what());
     return AOMGEN_INVALID_ARGUMENT;
   }
 }

@@ -25,7 +25,7 @@ extern "C" {
 
 int32_t aomgen_abi_version(void) { return AOMGEN_ABI_VERSION; }
 
-const char* aomgen_last_error(void) { return last_error().c_str(); }
+const char* aomgen_last_error(void) { return aomgen::last_error(); }
 
 const char* aomgen_instruction_sets(void) { return aomgen::usable_instruction_sets(); }
 
@@ -62,7 +62,7 @@ int32_t aomgen_forward(AomgenContext* context, const AomgenScene* scene, const A
 
 int32_t aomgen_backward(AomgenContext* context, const AomgenImageGradients* images, const AomgenSceneGradients* gradients) {
   if (context && !context->context.can_go_back()) {
-    last_error() = "the context's last pass was not a differentiable forward pass";
+    set_last_error("the context's last pass was not a differentiable forward pass");
     return AOMGEN_NO_FORWARD;
   }
   return guarded([&] {
@@ -144,7 +144,7 @@ int32_t aomgen_stage_times(const AomgenContext* context, double milliseconds[6])
 
 int32_t aomgen_count_pairs(AomgenContext* context, int64_t* evaluated, int64_t* blended) {
   if (context && !context->context.can_go_back()) {
-    last_error() = "the context's last pass was not a differentiable forward pass";
+    set_last_error("the context's last pass was not a differentiable forward pass");
     return AOMGEN_NO_FORWARD;
   }
   return guarded([&] {
