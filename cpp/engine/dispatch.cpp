@@ -18,22 +18,13 @@ struct Choice {
   const Kernels& (*kernels)();
 };
 
-#if defined(AOMGEN_X86)
-bool has_avx2() {
-  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi") &&
-         __builtin_cpu_supports("bmi2");
-}
-
-bool has_avx512() {
-  return has_avx2() && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-         __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd");
-}
-#endif
-
 template <class Visit>
 void for_each_usable(Visit visit) {
 #if defined(AOMGEN_X86)
-  const Choice choices[] = {{has_avx512(), kernels_avx512}, {has_avx2(), kernels_avx2}, {true, kernels_baseline}};
+  // The same names as in CMakeLists.txt, so that nothing is compiled in that is not asked for here.
+  const Choice choices[] = {{__builtin_cpu_supports("x86-64-v4") != 0, kernels_avx512},
+                            {__builtin_cpu_supports("x86-64-v3") != 0, kernels_avx2},
+                            {true, kernels_baseline}};
 #else
   const Choice choices[] = {{true, kernels_baseline}};
 #endif
