@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from aomgen.core.camera import Camera
 from aomgen.splatting import native
@@ -221,12 +222,15 @@ class _Rasterize(torch.autograd.Function):
         )
         call.context.forward(call.scene(inputs, features), call.view(poses), images)
         ctx.call, ctx.forward_number = call, call.context.forward_number
+        # The engine reads these again in the backward pass, whatever hooks do to the saved tensors.
+        ctx.arrays_of_scene = (inputs, features)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(*(image for image in (median, max_id) if image is not None))
         ctx.save_for_backward(*inputs, poses, features, drawn)
         return rgb, depth, alpha, drawn, median, max_id
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Tensor | None) -> tuple:  # type: ignore[override]
         *inputs, poses, features, drawn = ctx.saved_tensors
         by_rgb, by_depth, by_alpha, by_features = (

@@ -4,6 +4,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from aomgen.splatting import native
 
@@ -69,6 +70,7 @@ class _ImageLoss(torch.autograd.Function):
         return torch.tensor(loss, dtype=torch.float32)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple:  # type: ignore[override]
         by_rendered, by_gains = ctx.saved_tensors
         return grad * by_rendered, None, None if by_gains is None else grad * by_gains, None, None
