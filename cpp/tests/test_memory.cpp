@@ -27,6 +27,7 @@ __attribute__((noinline)) void* operator new(size_t size) {
   if (void* memory = allocate(size ? size : 1, alignof(std::max_align_t))) return memory;
   throw std::bad_alloc();
 }
+__attribute__((noinline)) void* operator new(size_t size, const std::nothrow_t&) noexcept { return allocate(size ? size : 1, alignof(std::max_align_t)); }
 __attribute__((noinline)) void operator delete(void* memory) noexcept { std::free(memory); }
 __attribute__((noinline)) void operator delete(void* memory, size_t) noexcept { std::free(memory); }
 
