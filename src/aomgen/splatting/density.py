@@ -51,7 +51,7 @@ def relocate_and_grow(
     Source: relocation within a fixed budget follows Kheradmand et al., "3D Gaussian splatting as
     Markov chain Monte Carlo", 2024; drawing by error and splitting the longest axis are ours.
     """
-    alive = (parameters.opacities() >= min_opacity).numpy()
+    alive = (parameters.opacities() >= min_opacity).cpu().numpy()
     weights = np.where(alive, shares, 0.0)
     wanted = min(count - int(alive.sum()), int((weights > 0).sum()))
     if wanted <= 0:
@@ -71,7 +71,7 @@ def _rows(parameters: Parameters, rows: Tensor) -> dict[str, Tensor]:
 def _halves(rows: dict[str, Tensor]) -> dict[str, Tensor]:
     """Both halves of every Gaussian, split along its longest axis."""
     longest = rows["log_scales"].argmax(1)
-    pick = torch.arange(len(longest))
+    pick = torch.arange(len(longest), device=longest.device)
     axis = rotation_columns(rows["quats"], longest) * rows["log_scales"][pick, longest].exp()[:, None]
     halves = {name: torch.cat([value, value]) for name, value in rows.items()}
     halves["means"] = torch.cat([rows["means"] + OFFSET * axis, rows["means"] - OFFSET * axis])
@@ -92,4 +92,4 @@ def rotation_columns(quats: Tensor, column: Tensor) -> Tensor:
         ],
         1,
     )
-    return columns[torch.arange(len(quats)), column]
+    return columns[torch.arange(len(quats), device=quats.device), column]

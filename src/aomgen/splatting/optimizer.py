@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aomgen.core.gaussians import Gaussians
-from aomgen.splatting import native
+from aomgen.splatting.compute import Compute
 
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
 MAX_LOGIT = 12.0
@@ -38,6 +38,20 @@ class Parameters:
     def __len__(self) -> int:
         return len(self.values["means"])
 
+    def moved(self, device: str) -> "Parameters":
+        """The same parameters on a device."""
+
+        def on_device(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+            return {name: tensor.to(device) for name, tensor in tensors.items()}
+
+        return Parameters(
+            values=on_device(self.values),
+            averages=on_device(self.averages),
+            squares=on_device(self.squares),
+            reach=self.reach.to(device),
+            steps=self.steps,
+        )
+
     def opacities(self) -> Tensor:
         """(N,), 0..1."""
         return self.values["logit_opacities"].sigmoid()
@@ -46,21 +60,13 @@ class Parameters:
         """Views of the values that collect gradients."""
         return {name: value.detach().requires_grad_() for name, value in self.values.items()}
 
-    def step(self, gradients: dict[str, Tensor], rates: dict[str, Tensor], context: native.Context) -> None:
+    def step(self, gradients: dict[str, Tensor], rates: dict[str, Tensor], compute: Compute) -> None:
         """Adam in place; `rates` has one learning rate for every column of a parameter."""
         self.steps += 1
         means = self.values["means"].clone()
         for name in NAMES:
-            value, gradient = self.values[name], gradients[name].contiguous()
-            columns = value[0].numel() if len(self) else 1
-            addresses = (
-                value.data_ptr(),
-                gradient.data_ptr(),
-                self.averages[name].data_ptr(),
-                self.squares[name].data_ptr(),
-                rates[name].data_ptr(),
-            )
-            context.adam_step((len(self), columns), addresses, self.steps)
+            moments = self.averages[name], self.squares[name]
+            compute.adam_step(self.values[name], gradients[name], moments, rates[name], self.steps)
         torch.lerp(means, self.values["means"], self.reach[:, None], out=self.values["means"])
 
     def rebuilt(self, kept: Tensor, parents: Tensor, added: dict[str, Tensor]) -> "Parameters":
@@ -111,6 +117,7 @@ def parameters_of(
 
 def gaussians_of(parameters: Parameters) -> Gaussians:
     """Real values of the parameters."""
+    parameters = parameters.moved("cpu")
     values = parameters.values
     return Gaussians(
         means=values["means"].numpy(),

@@ -21,6 +21,10 @@ class View:
     camera: Camera
     image: Tensor
 
+    def moved(self, device: str) -> "View":
+        """The same view with its pixels on a device."""
+        return View(camera=self.camera, image=self.image.to(device))
+
     def target(self) -> Tensor:
         """(3, H, W) float32, sRGB 0..1."""
         return self.image.float().div_(255)

@@ -42,11 +42,11 @@ class TrainingState:
 def state_arrays(state: TrainingState) -> dict[str, NDArray]:
     """The whole state as named arrays, exact to the bit."""
     arrays = {
-        f"{moment}.{name}": getattr(state.parameters, moment)[name].numpy()
+        f"{moment}.{name}": getattr(state.parameters, moment)[name].cpu().numpy()
         for moment in MOMENTS
         for name in NAMES
     }
-    arrays["reach"] = state.parameters.reach.numpy()
+    arrays["reach"] = state.parameters.reach.cpu().numpy()
     arrays |= {f"exposure.{name}": getattr(state.exposure, name).numpy() for name in EXPOSURE}
     arrays |= {f"poses.{name}": getattr(state.poses, name).numpy() for name in POSES}
     counters = {

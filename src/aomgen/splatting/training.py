@@ -14,9 +14,9 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.splatting import native
 from aomgen.splatting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, training_digest
+from aomgen.splatting.compute import Compute, NativeCompute, make_compute
 from aomgen.splatting.density import error_shares, relocate_and_grow
-from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
-from aomgen.splatting.loss import image_loss
+from aomgen.splatting.differentiable import GaussianTensors, RasterOptions
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.photographs import Exposure, View, reduced, within_range
 from aomgen.splatting.poses import PoseIncrements
@@ -89,6 +89,7 @@ def train(
     rng: np.random.Generator,
     *,
     checkpoint: Checkpoint | None = None,
+    device: str = "cpu",
 ) -> Gaussians:
     """Fit Gaussians to images; the same inputs and generator give the same result on one machine.
 
@@ -102,6 +103,7 @@ def train(
         rng: Order of the images, background colors and choice of Gaussians to split.
         checkpoint: Where the state is kept. When the file is there the training continues from
             it, to the same result bit by bit; it is left behind when the training is done.
+        device: "cpu", or "cuda" for gsplat, whose results repeat but for rounding.
 
     Raises:
         BackendError: The splatting engine is missing or refuses the scene.
@@ -115,8 +117,9 @@ def train(
         state = load_checkpoint(checkpoint.path, digest, rng)
     else:
         state = started(initial, cameras, params, rng)
-    extent = scene_extent(initial, cameras)
-    for loss in learning(state, cameras, images, params, extent):
+    extent, compute = scene_extent(initial, cameras), make_compute(device)
+    state.parameters = state.parameters.moved(device)
+    for loss in learning(state, cameras, images, params, extent, compute):
         done = state.iteration
         if checkpoint and (done % checkpoint.every == 0 or done == params.iterations):
             save_checkpoint(checkpoint.path, state, digest)
@@ -148,6 +151,7 @@ def learning(
     images: list[NDArray[np.uint8]],
     params: TrainingParams,
     extent: float,
+    compute: Compute | None = None,
 ) -> Iterator[float]:
     """Advance a state, iteration by iteration, until the last; gives the loss of each.
 
@@ -157,8 +161,9 @@ def learning(
         state: Changed in place.
         cameras, images, params: See `train`.
         extent: Length that steps are measured in, `scene_extent` of the start.
+        compute: Where to compute, the engine by default; the state's Gaussians are on its device.
     """
-    context = native.Context()
+    compute, context = compute or NativeCompute(), native.Context(threads=1)
     views: list[View] = []
     factor = 0
     with _one_torch_thread():
@@ -167,12 +172,13 @@ def learning(
             if factor != _factor(params, share):
                 factor = _factor(params, share)
                 views = [
-                    reduced(camera, image, factor) for camera, image in zip(cameras, images, strict=True)
+                    reduced(camera, image, factor).moved(compute.device)
+                    for camera, image in zip(cameras, images, strict=True)
                 ]
             if not len(state.order):
                 state.order = state.rng.permutation(len(views))
             index, state.order = int(state.order[0]), state.order[1:]
-            loss = _learn(state, views[index], index, params, extent, context)
+            loss = _learn(state, views[index], index, params, extent, (compute, context))
             if _grows(params, state.iteration):
                 state.parameters = _grow(state, views, params)
             state.iteration += 1
@@ -208,9 +214,10 @@ def _learn(
     index: int,
     params: TrainingParams,
     extent: float,
-    context: native.Context,
+    computes: tuple[Compute, native.Context],
 ) -> float:
-    """One iteration; returns the loss."""
+    """One iteration; returns the loss. The few numbers of an image are learned on the processor."""
+    compute, context = computes
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
     leaves = parameters.leaves()
@@ -218,12 +225,12 @@ def _learn(
     options = RasterOptions(sh_degree=_sh_degree(params, share), background=background)
     twist = state.poses.twists[index].clone().requires_grad_() if state.poses.enabled else None
     T_cam_world = None if twist is None else state.poses.T_cam_world(view.camera, twist)
-    drawn = CpuRasterizer(context)(GaussianTensors(**leaves), view.camera, options, T_cam_world=T_cam_world)
+    drawn = compute.draw(GaussianTensors(**leaves), view.camera, options, T_cam_world=T_cam_world)
     log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
-    gains = None if log_gains is None else log_gains.exp()
+    gains = None if log_gains is None else log_gains.exp().to(compute.device)
     target = view.target()
     seen = within_range(drawn.rgb, target, gains)
-    loss = image_loss(seen, target, gains=gains, dssim_weight=params.dssim_weight, context=context)
+    loss = compute.image_loss(seen, target, gains=gains, dssim_weight=params.dssim_weight)
     total = loss + params.opacity_weight * leaves["logit_opacities"].sigmoid().mean()
     if params.scale_weight:
         total = total + params.scale_weight / extent * leaves["log_scales"].exp().mean()
@@ -231,7 +238,8 @@ def _learn(
         total = total + params.transparency_weight * (1 - drawn.alpha).mean()
     total.backward()
     gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
-    parameters.step(gradients, _rates(params, share, extent), context)
+    rates = {name: rate.to(compute.device) for name, rate in _rates(params, share, extent).items()}
+    parameters.step(gradients, rates, compute)
     if log_gains is not None and log_gains.grad is not None:
         exposure.step(index, log_gains.grad, params.rate_gain, context)
     if twist is not None and twist.grad is not None and share >= params.refine_from:
@@ -245,7 +253,7 @@ def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Pa
     share = state.iteration / params.iterations
     chosen = looked_at(len(views), params.error_views, state.iteration // params.grow_every)
     gains = exposure.log_gains.exp()[:, :, None, None]
-    targets = [(views[i].target() / gains[i]).clamp(max=1).numpy() for i in chosen]
+    targets = [(views[i].target().cpu() / gains[i]).clamp(max=1).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
     cameras = [state.poses.corrected(i, views[i].camera) for i in chosen]
     shares = error_shares(gaussians, cameras, targets)

@@ -10,8 +10,9 @@ from small_scene import checkered, photograph, ring, start
 
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
-from aomgen.splatting import native
+from aomgen.splatting.compute import Compute, NativeCompute, TorchCompute
 from aomgen.splatting.density import error_shares, relocate_and_grow
+from aomgen.splatting.differentiable import CpuRasterizer
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.optimizer import gaussians_of, parameters_of
 from aomgen.splatting.photographs import within_range
@@ -155,14 +156,14 @@ def test_inputs_that_do_not_fit_are_refused() -> None:
             train(scene, bad_cameras, bad_images, PARAMS, silent, np.random.default_rng(0))
 
 
-def test_the_optimizer_is_adam() -> None:
+@pytest.mark.parametrize("compute", [NativeCompute(), TorchCompute("cpu", CpuRasterizer())])
+def test_the_optimizer_is_adam(compute: Compute) -> None:
     rng = np.random.default_rng(0)
     parameters = parameters_of(checkered(50, 0), 1)
     shapes = {name: tuple(value.shape) for name, value in parameters.values.items()}
     rates = {name: rng.random(math.prod(shape[1:])).astype(np.float32) for name, shape in shapes.items()}
     want = {name: value.double().numpy().copy() for name, value in parameters.values.items()}
     averages, squares = ({name: np.zeros(shape) for name, shape in shapes.items()} for _ in range(2))
-    context = native.Context()
     for step in range(1, 4):
         gradients = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
         for name, gradient in gradients.items():
@@ -171,7 +172,7 @@ def test_the_optimizer_is_adam() -> None:
             direction = averages[name] / (1 - 0.9**step) / np.sqrt(squares[name] / (1 - 0.999**step))
             want[name] -= rates[name].reshape(shapes[name][1:]) * direction
         tensors = {name: torch.tensor(gradient) for name, gradient in gradients.items()}
-        parameters.step(tensors, {name: torch.tensor(rate) for name, rate in rates.items()}, context)
+        parameters.step(tensors, {name: torch.tensor(rate) for name, rate in rates.items()}, compute)
     for name, value in parameters.values.items():
         np.testing.assert_allclose(value.numpy(), want[name], atol=2e-5, err_msg=name)
 
@@ -184,7 +185,7 @@ def test_far_gaussians_move_as_far_in_the_image() -> None:
     rates = {name: torch.full((math.prod(v.shape[1:]),), 0.01) for name, v in parameters.values.items()}
     gradients = {name: torch.ones_like(value) for name, value in parameters.values.items()}
     before = parameters.values["means"].clone()
-    parameters.step(gradients, rates, native.Context())
+    parameters.step(gradients, rates, NativeCompute())
     moved = (before - parameters.values["means"]).numpy()
     np.testing.assert_allclose(moved[:20], 0.01, rtol=1e-4)
     np.testing.assert_allclose(moved[20:], 5.0, rtol=1e-4)
