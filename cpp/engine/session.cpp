@@ -63,7 +63,6 @@ void Session::keep_lists(const Context& context) {
   const int count = tiles.columns * tiles.rows;
   std::vector<uint32_t> row_of_slot(static_cast<size_t>(block_count(p.scene.count)) * kProjectionBlock, kNever), slots;
   begin_.assign(1, 0);
-  stop_keys_.assign(count, kNever);
   stop_depths_.assign(16 * static_cast<size_t>(count), std::numeric_limits<float>::infinity());
   for (int tile = 0; tile < count; ++tile) {
     for (uint32_t entry = tiles.begin[tile]; entry < tiles.begin[tile + 1]; ++entry) {
@@ -90,11 +89,11 @@ void Session::keep_lists(const Context& context) {
   }
 }
 
-// Where no light is left in a block, nothing can be seen behind the last splat drawn there.
+// Where no light is left in a block, nothing can be seen behind the last splat drawn there; nothing
+// at all where no pixel is on the image.
 void Session::find_stops(const Context& context, int tile) {
   const int width = view_.width - tile % columns() * kTile, height = view_.height - tile / columns() * kTile;
   const TileSums& sums = context.tile_sums()[tile];
-  uint32_t last_key = 0;
   for (int block = 0; block < 16; ++block) {
     bool on_image = false, finished = true;
     for (int pixel = 0; pixel < 16; ++pixel) {
@@ -102,17 +101,14 @@ void Session::find_stops(const Context& context, int tile) {
       on_image = true;
       finished &= sums.transmittance[block][pixel] <= kMinTransmittance;
     }
-    if (!on_image) continue;
-    uint32_t key = kNever;
-    for (uint32_t entry = begin_[tile + 1]; finished && entry-- > begin_[tile];)
+    float& stop = stop_depths_[16 * static_cast<size_t>(tile) + block];
+    if (!on_image) stop = 0;
+    for (uint32_t entry = begin_[tile + 1]; on_image && finished && entry-- > begin_[tile];)
       if (blocks_[entry] >> block & 1) {
-        key = keys_[entry];
-        std::memcpy(&stop_depths_[16 * static_cast<size_t>(tile) + block], &key, sizeof(key));
+        std::memcpy(&stop, &keys_[entry], sizeof(stop));
         break;
       }
-    last_key = std::max(last_key, key);
   }
-  stop_keys_[tile] = last_key;
 }
 
 void Session::round_colors() {
@@ -137,47 +133,39 @@ void FrameScratch::project(const MovingScene& moving, const AomgenFrame& frame, 
   p.view.part_count = moving.part_count;
   covers_.reserve(capacity);
   found_ = 0;
-  if (covered_.size() < static_cast<size_t>(blocks)) covered_.resize(blocks);
+  if (found_tiles_.size() < static_cast<size_t>(blocks)) found_tiles_.resize(blocks);
   parallel(threads, blocks, 1, [&](int64_t block, int) {
     session.kernels().project(p, static_cast<int>(block));
     find_tiles(session, static_cast<int>(block));
   });
   if (found_ <= kMaxFrameEntries) return;
-  covered_.clear();  // a failed frame keeps no memory
+  found_tiles_.clear();  // a failed frame keeps no memory
   throw std::length_error("too many (Gaussian, tile) pairs; the Gaussians are too large on the image");
 }
 
 // Tiles of the block's splats in which they are in front of everything that hides them.
 void FrameScratch::find_tiles(const Session& session, int block) {
-  const uint32_t columns = session.columns();
-  const uint32_t* stop_keys = session.stop_keys();
-  std::vector<uint32_t>& covered = covered_[block];
+  const uint32_t first = static_cast<uint32_t>(block) * kProjectionBlock, last = first + projection_.visible[block];
+  Found& to = found_tiles_[block];
   uint32_t found = 0, reported = 0;
-  const uint32_t first = static_cast<uint32_t>(block) * kProjectionBlock;
-  for (uint32_t slot = first; slot < first + projection_.visible[block]; ++slot) {
-    const Splat& s = projection_.splats[slot];
-    const uint32_t key = projection_.depth_keys[slot], begin = found;
-    if (covered.size() < found + tiles_of_box(s)) covered.resize(2 * (found + tiles_of_box(s)) + kProjectionBlock);
-    const bool surely = touches_its_box(s);
-    for (uint32_t y = s.first_row; y <= s.last_row; ++y)
-      for (uint32_t x = s.first_column; x <= s.last_column; ++x) {
-        const uint32_t tile = y * columns + x;
-        covered[found] = tile;
-        found += key < stop_keys[tile] && (surely || touches(s, static_cast<float>(x * kTile), static_cast<float>(y * kTile)));
-      }
-    covers_.data()[slot] = {begin, found - begin};
-    if (found - reported < kReport) continue;
+  for (uint32_t slot = first; slot < last;) {
+    const size_t size = 2 * (found + tiles_of_box(projection_.splats[slot])) + kProjectionBlock;
+    if (to.tiles.size() < size) {
+      to.tiles.resize(size);
+      to.blocks.resize(size);
+    }
+    const TileSearch search{session.columns(), session.tiles().stop_depths, projection_.splats, touches, covers_.data(), to.tiles.data(), to.blocks.data(), to.tiles.size()};
+    slot = session.kernels().find_tiles(search, slot, last, found);
     if ((found_ += found - reported) > kMaxFrameEntries) return;  // project will refuse
     reported = found;
   }
-  found_ += found - reported;
 }
 
 // Lists of the splats by tile, near to far, equal depths in the order of the scene.
 void FrameScratch::fill_lists(const Session& session) {
   const int tiles = session.columns() * session.rows(), blocks = block_count(projection_.scene.count);
   const size_t capacity = static_cast<size_t>(blocks) * kProjectionBlock;
-  const Cover* covers = covers_.data();
+  const TileCover* covers = covers_.data();
   uint32_t* cursors = cursors_.reserve(tiles + 1);
   std::fill_n(cursors, tiles + 1, 0u);
   const SortArrays arrays = {keys_.reserve(capacity), ordered_.reserve(capacity), spare_keys_.reserve(capacity), spare_ordered_.reserve(capacity)};
@@ -186,12 +174,12 @@ void FrameScratch::fill_lists(const Session& session) {
   for (int block = 0; block < blocks; ++block) {
     const uint32_t first = static_cast<uint32_t>(block) * kProjectionBlock, last = first + projection_.visible[block];
     for (uint32_t slot = first; slot < last; ++slot) {
-      arrays.keys[count] = projection_.depth_keys[slot];
+      arrays.keys[count] = covers[slot].key;
       arrays.values[count] = slot;
       count += covers[slot].count > 0;
     }
     const uint32_t size = first < last ? covers[last - 1].begin + covers[last - 1].count : 0;
-    for (uint32_t i = 0; i < size; ++i) ++cursors[covered_[block][i]];
+    for (uint32_t i = 0; i < size; ++i) ++cursors[found_tiles_[block].tiles[i]];
     total += size;
   }
   uint32_t* begin = begin_.reserve(tiles + 1);
@@ -202,13 +190,12 @@ void FrameScratch::fill_lists(const Session& session) {
     cursors[tile] = begin[tile];
   }
   const uint32_t* order = sort_by_key(arrays, count);
-  uint32_t* slots = slots_.reserve(total);
-  slot_keys_.reserve(total);
-  slot_blocks_.reserve(total);
+  MovingEntry* entries = entries_.reserve(total);
   for (uint32_t rank = 0; rank < count; ++rank) {
     const uint32_t slot = order[rank];
-    const uint32_t* tile = covered_[slot / kProjectionBlock].data() + covers[slot].begin;
-    for (uint32_t left = covers[slot].count; left; --left) slots[cursors[*tile++]++] = slot;
+    const TileCover& cover = covers[slot];
+    const Found& from = found_tiles_[slot / kProjectionBlock];
+    for (uint32_t i = cover.begin; i < cover.begin + cover.count; ++i) entries[cursors[from.tiles[i]]++] = {slot, cover.key, from.blocks[i]};
   }
 }
 
@@ -217,13 +204,14 @@ void FrameScratch::draw(const MovingScene& moving, const AomgenFrame& frame, int
   project(moving, frame, threads);
   fill_lists(session);
   const int columns = session.columns();
-  const SessionBlend b{session.view(), session.images(), session.tiles(), columns, {begin_.data(), slots_.data(), slot_keys_.data(), slot_blocks_.data()},
+  const SessionBlend b{session.view(), session.images(), session.tiles(), columns, begin_.data(), entries_.data(),
                        projection_.splats, projection_.gaussians, session.gaussian_count(), frame};
   parallel(threads, static_cast<int64_t>(columns) * session.rows(), 4, [&](int64_t item, int) {
     const int tile = static_cast<int>(item);
-    const bool touched = begin_.data()[tile] < begin_.data()[tile + 1] && session.kernels().blend_session(b, tile);
+    const bool touched = begin_.data()[tile] < begin_.data()[tile + 1];
     const bool shaded = is_shaded(frame, session.view(), tile % columns * kTile, tile / columns * kTile);
-    if (!touched && (shaded || frame.tiles[tile])) session.kernels().show_still(b, tile);
+    if (touched) session.kernels().blend_session(b, tile);
+    else if (shaded || frame.tiles[tile]) session.kernels().show_still(b, tile);
     frame.tiles[tile] = touched || shaded;
   });
 }

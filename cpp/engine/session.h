@@ -28,8 +28,6 @@ class Session {
   int32_t gaussian_count() const { return gaussian_count_; }
   StillTiles tiles() const { return {begin_.data(), splat_rows_.data(), keys_.data(), blocks_.data(), splats_.data(), gaussians_.data(), stop_depths_.data()}; }
   StillImages images() const;
-  // By tile: nothing at this depth key or behind it can be seen.
-  const uint32_t* stop_keys() const { return stop_keys_.data(); }
 
  private:
   void keep_lists(const Context& context);
@@ -42,7 +40,7 @@ class Session {
   Buffer<float> planes_;  // rgb, depth, alpha, median depth
   Buffer<int32_t> max_id_;
   Buffer<uint8_t> rgb8_;
-  std::vector<uint32_t> begin_, splat_rows_, keys_, stop_keys_;
+  std::vector<uint32_t> begin_, splat_rows_, keys_;
   std::vector<uint16_t> blocks_;
   std::vector<float> stop_depths_;  // (tiles, 16)
   Buffer<Splat> splats_;
@@ -71,9 +69,6 @@ class FrameScratch {
   void draw(const MovingScene& moving, const AomgenFrame& frame, int threads);
 
  private:
-  struct Cover {
-    uint32_t begin, count;  // in the tiles of the block
-  };
   void project(const MovingScene& moving, const AomgenFrame& frame, int threads);
   void find_tiles(const Session& session, int block);
   void fill_lists(const Session& session);
@@ -83,12 +78,16 @@ class FrameScratch {
   Buffer<Splat> splats_;
   Buffer<int32_t> gaussians_;
   Buffer<uint32_t> depth_keys_, visible_;
-  Buffer<Cover> covers_;                        // by slot
-  std::vector<std::vector<uint32_t>> covered_;  // by block: tiles of its splats
+  struct Found {
+    std::vector<uint32_t> tiles;
+    std::vector<uint16_t> blocks;
+  };
+  Buffer<TileCover> covers_;   // by slot
+  std::vector<Found> found_tiles_;  // by block of slots
   std::atomic<uint64_t> found_{0};              // tiles of all splats so far
   Buffer<uint32_t> keys_, ordered_, spare_keys_, spare_ordered_;  // of the sort
-  Buffer<uint32_t> begin_, cursors_, slots_, slot_keys_;
-  Buffer<uint16_t> slot_blocks_;
+  Buffer<uint32_t> begin_, cursors_;
+  Buffer<MovingEntry> entries_;
 };
 
 class SessionDrawer {

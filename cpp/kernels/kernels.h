@@ -133,12 +133,27 @@ struct StillTiles {
   const float* stop_depths;  // (tiles, 16): by block: nothing at this depth or behind it can be seen
 };
 
-// Moving splats by tile, near to far. The lists are shortened to what can be seen.
-struct MovingTiles {
-  const uint32_t* begin;     // (tiles + 1) into entries
-  uint32_t* slots;           // by entry
-  uint32_t* keys;            // by entry, scratch: depth key
-  uint16_t* blocks;          // by entry, scratch: blocks of the tile in which the splat may be seen
+// A moving splat in a tile: the blocks in which it may be seen.
+struct MovingEntry {
+  uint32_t slot, key, blocks;
+};
+
+// Where a splat's tiles lie among those found.
+struct TileCover {
+  uint32_t begin, count;
+  uint32_t key;              // of the splat's depth
+};
+
+// Search for the tiles in which moving splats may be seen.
+struct TileSearch {
+  int columns;
+  const float* stop_depths;  // (tiles, 16) of what never moves
+  const Splat* splats;       // by slot
+  bool (*touches)(const Splat&, float left, float top);  // as for the lists of a full render
+  TileCover* covers;         // by slot
+  uint32_t* tiles;           // found
+  uint16_t* blocks;          // blocks of each
+  size_t capacity;           // of tiles and blocks
 };
 
 // A frame of a session: what never moves and what does, blended together.
@@ -147,7 +162,8 @@ struct SessionBlend {
   StillImages still_images;
   StillTiles still;
   int columns;               // of tiles
-  MovingTiles moving;
+  const uint32_t* begin;     // (tiles + 1) into entries
+  const MovingEntry* entries;  // near to far inside every tile
   const Splat* splats;       // by slot
   const int32_t* gaussians;  // by slot
   int32_t first_moving;      // index of the first moving Gaussian in max_id
@@ -193,7 +209,8 @@ struct Kernels {
   void (*project_backward)(const ProjectionBackward&, int block);
   void (*sum_weights)(const Weights&, int tile);
   void (*count_pairs)(const PairCount&, int tile);
-  bool (*blend_session)(const SessionBlend&, int tile);  // false when nothing that moves can be seen, then nothing is written
+  uint32_t (*find_tiles)(const TileSearch&, uint32_t slot, uint32_t last, uint32_t& found);  // returns the first slot that there was no room for
+  void (*blend_session)(const SessionBlend&, int tile);
   void (*show_still)(const SessionBlend&, int tile);
   void (*ssim_row)(const ImageLoss&, int channel, int y, float* scratch);
   void (*loss_gradient_row)(const ImageLoss&, int channel, int y, float* scratch);

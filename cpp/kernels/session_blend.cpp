@@ -16,32 +16,9 @@ struct Ready {
 
 // Where a tile's two lists have been read to.
 struct Cursors {
-  uint32_t still, still_end, moving, moving_end;
+  uint32_t still, still_end, moving, moving_end, prefetched;
   Ready ready;
 };
-
-// Shortens the tile's list of moving splats to those that may be seen; returns the blocks they reach.
-uint32_t find_seen(const SessionBlend& b, int tile, float left, float top, uint32_t on_image, uint32_t& end) {
-  const float* stops = b.still.stop_depths + 16 * static_cast<size_t>(tile);
-  const MovingTiles& m = b.moving;
-  uint32_t reached = 0, kept = m.begin[tile];
-  const uint32_t last = m.begin[tile + 1];
-  for (uint32_t k = kept; k < last; ++k) {
-    if (k + 16 < last) __builtin_prefetch(&b.splats[m.slots[k + 16]]);
-    const uint32_t slot = m.slots[k];
-    const Splat& s = b.splats[slot];
-    uint32_t in_front = 0;
-    for (int part = 0; part < kParts; ++part) in_front |= bits(above(load(stops + part * kLanes), all(s.depth))) << (part * kLanes);
-    const uint32_t blocks = touched_blocks(s, s.x - left, s.y - top) & on_image & in_front;
-    m.slots[kept] = slot;
-    memcpy(&m.keys[kept], &s.depth, sizeof(uint32_t));
-    m.blocks[kept] = static_cast<uint16_t>(blocks);
-    kept += blocks != 0;
-    reached |= blocks;
-  }
-  end = kept;
-  return reached;
-}
 
 void make_ready(const SessionBlend& b, Cursors& c, uint32_t alive) {
   Ready& r = c.ready;
@@ -67,16 +44,17 @@ int fill_batch(const SessionBlend& b, Cursors& c, float left, float top, uint32_
   uint8_t masks[2][kBatch] = {};
   int count = 0;
   still = 0;
+  for (; c.prefetched < c.moving + 2 * kBatch && c.prefetched < c.moving_end; ++c.prefetched) __builtin_prefetch(&b.splats[b.entries[c.prefetched].slot]);
   while (count < kBatch) {
     Ready& r = c.ready;
     if (r.next == r.count) make_ready(b, c, alive);
-    const uint32_t moving_key = c.moving < c.moving_end ? b.moving.keys[c.moving] : kNever;
+    const uint32_t moving_key = c.moving < c.moving_end ? b.entries[c.moving].key : kNever;
     const uint32_t still_key = r.keys[r.next];
     if ((moving_key & still_key) == kNever) break;
     const bool is_still = still_key <= moving_key;
-    const Splat* s = is_still ? b.still.splats + r.rows[r.next] : b.splats + b.moving.slots[c.moving];
-    const uint32_t blocks = (is_still ? r.blocks[r.next] : b.moving.blocks[c.moving]) & alive;
-    if (WithIds) batch.ids[count] = static_cast<uint32_t>(is_still ? b.still.gaussians[r.rows[r.next]] : b.first_moving + b.gaussians[b.moving.slots[c.moving]]);
+    const Splat* s = is_still ? b.still.splats + r.rows[r.next] : b.splats + b.entries[c.moving].slot;
+    const uint32_t blocks = (is_still ? r.blocks[r.next] : b.entries[c.moving].blocks) & alive;
+    if (WithIds) batch.ids[count] = static_cast<uint32_t>(is_still ? b.still.gaussians[r.rows[r.next]] : b.first_moving + b.gaussians[b.entries[c.moving].slot]);
     r.next += is_still;
     c.moving += !is_still;
     batch.splats[count] = *s;
@@ -173,15 +151,16 @@ void finish(const SessionBlend& b, int left, int top, const float shade[16][16],
 }
 
 template <bool WithIds, bool WithShade>
-bool blend_tile(const SessionBlend& b, int tile) {
+void blend_tile(const SessionBlend& b, int tile) {
   const int left = tile % b.columns * kTile, top = tile / b.columns * kTile;
   const float x = static_cast<float>(left), y = static_cast<float>(top);
   Cursors c;
   c.still = b.still.begin[tile];
   c.still_end = b.still.begin[tile + 1];
-  c.moving = b.moving.begin[tile];
-  const uint32_t drawn = find_seen(b, tile, x, y, blocks_on_image(left, top, b.view), c.moving_end);
-  if (!drawn) return false;
+  c.moving = c.prefetched = b.begin[tile];
+  c.moving_end = b.begin[tile + 1];
+  uint32_t drawn = 0;
+  for (uint32_t k = c.moving; k < c.moving_end; ++k) drawn |= b.entries[k].blocks;
   alignas(64) float shade[16][16];
   Canvas canvas;
   Batch batch;
@@ -197,7 +176,6 @@ bool blend_tile(const SessionBlend& b, int tile) {
     alive = (alive & ~touched) | light;
   }
   finish(b, left, top, WithShade ? shade : nullptr, drawn, canvas);
-  return true;
 }
 
 // Copies the tile's part of an image (H, W, channels).
@@ -212,12 +190,38 @@ void copy_tile(const SessionBlend& b, int left, int top, int channels, const T* 
 
 }  // namespace
 
-bool blend_session(const SessionBlend& b, int tile) {
+uint32_t find_tiles(const TileSearch& t, uint32_t slot, uint32_t last, uint32_t& found) {
+  for (; slot < last; ++slot) {
+    const Splat& s = t.splats[slot];
+    const uint32_t begin = found;
+    const size_t most = static_cast<size_t>(s.last_column - s.first_column + 1) * static_cast<size_t>(s.last_row - s.first_row + 1);
+    if (found + most > t.capacity) return slot;
+    const bool in_line = s.first_column == s.last_column || s.first_row == s.last_row;
+    for (int row = s.first_row; row <= s.last_row; ++row)
+      for (int column = s.first_column; column <= s.last_column; ++column) {
+        const float left = static_cast<float>(column * kTile), top = static_cast<float>(row * kTile);
+        const uint32_t tile = static_cast<uint32_t>(row * t.columns + column);
+        const float* stops = t.stop_depths + 16 * static_cast<size_t>(tile);
+        uint32_t in_front = 0;
+        for (int part = 0; part < kParts; ++part) in_front |= bits(above(load(stops + part * kLanes), all(s.depth))) << (part * kLanes);
+        const uint32_t blocks = touched_blocks(s, s.x - left, s.y - top) & in_front;
+        t.tiles[found] = tile;
+        t.blocks[found] = static_cast<uint16_t>(blocks);
+        found += blocks != 0 && (in_line || t.touches(s, left, top));
+      }
+    t.covers[slot].begin = begin;
+    t.covers[slot].count = found - begin;
+    memcpy(&t.covers[slot].key, &s.depth, sizeof(uint32_t));
+  }
+  return last;
+}
+
+void blend_session(const SessionBlend& b, int tile) {
   const bool ids = b.frame.max_id, shade = b.frame.shade;
   if (ids && shade) return blend_tile<true, true>(b, tile);
   if (ids) return blend_tile<true, false>(b, tile);
   if (shade) return blend_tile<false, true>(b, tile);
-  return blend_tile<false, false>(b, tile);
+  blend_tile<false, false>(b, tile);
 }
 
 void show_still(const SessionBlend& b, int tile) {

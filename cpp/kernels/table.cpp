@@ -11,7 +11,7 @@ namespace aomgen {
 const Kernels& AOMGEN_TABLE(AOMGEN_ISA)() {
   using namespace AOMGEN_ISA;
   static const Kernels table = {AOMGEN_TEXT(AOMGEN_ISA), project, blend, blend_backward, project_backward,
-                                sum_weights, count_pairs, blend_session, show_still, ssim_row, loss_gradient_row, adam, multiply_adds};
+                                sum_weights, count_pairs, find_tiles, blend_session, show_still, ssim_row, loss_gradient_row, adam, multiply_adds};
   return table;
 }
 
