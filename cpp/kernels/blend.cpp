@@ -25,6 +25,7 @@ void fill_batch(const Blend& b, uint32_t begin, int count, uint32_t end, float l
 
 // Blends the splats' features besides their colors.
 struct FeaturePainter {
+  static constexpr bool kDepth = true;
   const Blend& b;
   const Batch& batch;
   float* sums;  // (16 blocks, D, 16 pixels)

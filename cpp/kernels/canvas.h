@@ -97,8 +97,10 @@ AOMGEN_INLINE void update_ids(Pixels& p, M drawn, F after, F weight, const Splat
   p.best_id = where(better, all(static_cast<float>(id)), p.best_id);
 }
 
-// Paints every splat in its own color; painters with more to do replace this one.
+// Paints every splat in its own color; painters with more or less to do replace this one.
 struct Plain {
+  static constexpr bool kDepth = true;  // whether depths are summed
+
   // The weight of the color of the batch's splat i on one register of a block, pixels `at` and following.
   __attribute__((always_inline)) F color_weight(int, int, int, F weight) const { return weight; }
 };
@@ -117,7 +119,7 @@ AOMGEN_INLINE bool draw(Batch& batch, Canvas& canvas, int block, int at, const P
     p.red = fma(color_weight, all(s.red), p.red);
     p.green = fma(color_weight, all(s.green), p.green);
     p.blue = fma(color_weight, all(s.blue), p.blue);
-    p.depth = fma(weight, all(s.depth), p.depth);
+    if (Painter::kDepth) p.depth = fma(weight, all(s.depth), p.depth);
     if (WithMasks) batch.drawn[i] |= static_cast<uint32_t>(any(t.drawn)) << block;
     if (WithIds) update_ids(p, t.drawn, after, weight, s, batch.ids[i]);
     p.transmittance = after;

@@ -70,8 +70,13 @@ int fill_batch(const SessionBlend& b, Cursors& c, float left, float top, uint32_
   return count;
 }
 
+struct ColorPainter : Plain {
+  static constexpr bool kDepth = false;
+};
+
 // Darkens what never moves.
 struct ShadePainter {
+  static constexpr bool kDepth = true;
   const float (*shade)[16];
   uint32_t still;  // the batch's splats that never move
 
@@ -81,18 +86,19 @@ struct ShadePainter {
 };
 
 void store_rgb8(const SessionBlend& b, int left, int top, const Canvas& canvas) {
-  alignas(64) int32_t values[3][16][16];
+  alignas(64) uint8_t rows[16][3 * kTile];
   const float(*planes[3])[16] = {canvas.red, canvas.green, canvas.blue};
   for (int channel = 0; channel < 3; ++channel)
     for (int pixel = 0; pixel < 256; pixel += kLanes) {
       const int block = pixel / 16, i = pixel % 16;
       const F value = clamp(load(planes[channel][block] + i), zeros(), all(1.0f));
       const I rounded = __builtin_convertvector(fma(value, all(255.0f), all(0.5f)), I);
-      memcpy(values[channel][block] + i, &rounded, sizeof(rounded));
+      for (int lane = 0; lane < kLanes; ++lane)
+        rows[4 * (block / 4) + (i + lane) / 4][3 * (4 * (block % 4) + lane % 4) + channel] = static_cast<uint8_t>(rounded[lane]);
     }
-  for_each_pixel(b.view, left, top, [&](size_t at, int block, int pixel) {
-    for (int channel = 0; channel < 3; ++channel) b.frame.rgb8[3 * at + channel] = static_cast<uint8_t>(values[channel][block][pixel]);
-  });
+  const int right = left + kTile < b.view.width ? left + kTile : b.view.width;
+  for (int row = 0; row < kTile && top + row < b.view.height; ++row)
+    memcpy(b.frame.rgb8 + 3 * (static_cast<size_t>(top + row) * b.view.width + left), rows[row], 3 * static_cast<size_t>(right - left));
 }
 
 void store_colors(const SessionBlend& b, int left, int top, const Canvas& canvas) {
@@ -172,7 +178,8 @@ void blend_tile(const SessionBlend& b, int tile) {
     for (int block = 0; block < 16; ++block) touched |= static_cast<uint32_t>(batch.touching[block] != 0) << block;
     uint32_t light;
     if constexpr (WithShade) light = draw_batch<WithIds, false>(batch, canvas, touched, ShadePainter{shade, still});
-    else light = draw_batch<WithIds, false>(batch, canvas, touched, Plain{});
+    else if (WithIds || b.frame.depth) light = draw_batch<WithIds, false>(batch, canvas, touched, Plain{});
+    else light = draw_batch<false, false>(batch, canvas, touched, ColorPainter{});
     alive = (alive & ~touched) | light;
   }
   finish(b, left, top, WithShade ? shade : nullptr, drawn, canvas);
