@@ -1,10 +1,9 @@
 """Binding of the splatting engine's C interface (cpp/aomgen_splatting.h) through ctypes."""
 
 import ctypes
-import os
 import threading
 from ctypes import POINTER, Structure, c_char_p, c_double, c_float, c_int32, c_int64, c_void_p
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 
 from aomgen.errors import BackendError
@@ -263,11 +262,14 @@ class Context:
 def scratch_context() -> Context:
     """A context that the calling thread may use until its next call of this function.
 
-    Contexts are kept by thread, because allocating their memory costs as much as a small frame.
+    It is kept until the thread ends, because allocating its memory costs as much as a small frame.
     """
-    return _context_of(os.getpid(), threading.get_ident())
+    own = _own_of_thread()
+    if not hasattr(own, "context"):
+        own.context = Context()
+    return own.context
 
 
-@lru_cache(maxsize=16)
-def _context_of(process: int, thread: int) -> Context:
-    return Context()
+@cache
+def _own_of_thread() -> threading.local:
+    return threading.local()

@@ -195,10 +195,15 @@ def native_view(
     antialiased: bool = False,
     near_depth: float = NEAR_DEPTH,
 ) -> native.View:
-    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used."""
+    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used.
+
+    Raises:
+        BackendError: As `image_shape`.
+    """
+    height, width = image_shape(camera)
     return native.View(
-        width=camera.width,
-        height=camera.height,
+        width=width,
+        height=height,
         fx=camera.fx,
         fy=camera.fy,
         cx=camera.cx,

@@ -140,11 +140,13 @@ def _impossible_images(sizes: Sequence[tuple[int, int]]) -> None:
     from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
     from aomgen.splatting.loss import image_loss
     from aomgen.splatting.rasterizer import contribution_weights, render
+    from aomgen.splatting.session import RenderSession
 
     g = scatter(5)
     for width, height in sizes:
         camera = replace(CAMERA, width=width, height=height)
         expect(BackendError, lambda: render(g, camera))  # noqa: B023
+        expect(BackendError, lambda: RenderSession(g, camera))  # noqa: B023
         tensors = GaussianTensors(**_tensors(g))
         options = RasterOptions(sh_degree=1)
         expect(BackendError, lambda: CpuRasterizer()(tensors, camera, options))  # noqa: B023
