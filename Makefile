@@ -33,7 +33,7 @@ native:
 	cmake --build build/native -j 2
 
 # The C interface's own tests under the address and undefined-behaviour sanitizers (or SANITIZE=thread).
-SANITIZE ?= address,undefined
+SANITIZE ?= address,undefined,float-cast-overflow
 sanitize:
 	cmake -S . -B build/sanitize -DAOMGEN_TESTS=ON -DAOMGEN_SANITIZE=$(SANITIZE)
 	cmake --build build/sanitize -j 2

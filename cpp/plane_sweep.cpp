@@ -137,8 +137,9 @@ void aggregate(const AomgenSweep& sweep, const std::vector<uint8_t>& cost, std::
           // Depth may jump where the image does.
           const size_t other = exists ? (static_cast<size_t>(y + sign * back_y[k]) * width + px) : pixel;
           const float edge = std::fabs(sweep.reference[pixel] - sweep.reference[other]) * 255.0f;
-          const float large = std::max(sweep.large_jump_penalty / (1.0f + edge / 8.0f),
-                                       sweep.small_jump_penalty * 1.25f);
+          // In this order the maximum with NaN, of images that hold NaN, is the number.
+          const float large = std::max(sweep.small_jump_penalty * 1.25f,
+                                       sweep.large_jump_penalty / (1.0f + edge / 8.0f));
           const size_t to = static_cast<size_t>(x) * 4 + k;
           step(&cost[pixel * planes], before, before_min, planes, small, static_cast<uint16_t>(large),
                &rows[now][to * cell + 1], &least[now][to], &total[pixel * planes]);
