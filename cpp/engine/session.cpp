@@ -151,8 +151,8 @@ void FrameScratch::find_tiles(const Session& session, int block) {
   for (uint32_t slot = first; slot < last;) {
     const size_t size = 2 * (found + tiles_of_box(projection_.splats[slot])) + kProjectionBlock;
     if (to.tiles.size() < size) {
+      to.blocks.resize(size);  // first: when memory runs out here, the tiles still tell that both are short
       to.tiles.resize(size);
-      to.blocks.resize(size);
     }
     const TileSearch search{session.columns(), session.tiles().stop_depths, projection_.splats, touches, covers_.data(), to.tiles.data(), to.blocks.data(), to.tiles.size()};
     slot = session.kernels().find_tiles(search, slot, last, found);
