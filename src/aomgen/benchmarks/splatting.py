@@ -1,6 +1,7 @@
 """Speed and accuracy of the splatting engine on a table-top scene, on this machine."""
 
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -11,7 +12,13 @@ from aomgen.benchmarks.agreement import Oracle
 from aomgen.benchmarks.moving_scenes import MovingScene, arm_scene, objects_scene
 from aomgen.benchmarks.scenes import table_camera, table_top
 from aomgen.benchmarks.sessions import measure_session
-from aomgen.benchmarks.timing import forward_pass, interleaved_ms, torch_threads, training_pass
+from aomgen.benchmarks.timing import (
+    forward_pass,
+    gradient_pass,
+    interleaved_ms,
+    torch_threads,
+    training_pass,
+)
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
@@ -82,8 +89,9 @@ def measure(cases: tuple[SpeedCase, ...], effort: Effort) -> dict[str, Any]:
     """Median wall times, errors and work of every case; the last one also on every instruction set.
 
     Returns:
-        `cases`: for each a dict with the case's fields, forward_ms and forward_backward_ms (into
-        tensors, gradients by all parameters from a given gradient by the picture), session_ms
+        `cases`: for each a dict with the case's fields, forward_ms and forward_backward_ms
+        (gradients by all parameters from a given gradient by the picture; into the same arrays every
+        time), torch_forward_backward_ms (the same through torch, into new tensors), session_ms
         (a picture of a session: objects move that are seen in `SESSION_SHARE` of the tiles, and
         session_tiles_share tells the share that was reached), the work as `_work` tells, and the fields of `Agreement`.
         `stages`: for each case the medians of the engine's stages, [ms].
@@ -131,7 +139,7 @@ def compare_instruction_sets(case: SpeedCase, rounds: int) -> dict[str, Any]:
     for name in names:
         context = native.Context(1, name)
         functions[f"{name} forward"] = forward_pass(gaussians, camera, context)
-        functions[f"{name} forward_backward"] = training_pass(gaussians, camera, context)
+        functions[f"{name} forward_backward"] = gradient_pass(gaussians, camera, context)
     with torch_threads(1):
         times = interleaved_ms(functions, rounds, time.process_time)
     figures: dict[str, Any] = {"gaussians": case.gaussians, "threads": 1, "rounds": rounds}
@@ -148,7 +156,7 @@ def _times(
     gaussians: Gaussians, camera: Camera, context: native.Context, threads: int, repeats: int
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Medians of whole passes, and of the engine's stages: the backward ones of the training pass."""
-    notes: dict[str, list[dict[str, float]]] = {"forward_ms": [], "forward_backward_ms": []}
+    notes: dict[str, list[dict[str, float]]] = defaultdict(list)
 
     def noted(name: str, function: Callable[[], None]) -> Callable[[], None]:
         def run() -> None:
@@ -159,7 +167,8 @@ def _times(
 
     passes = {
         "forward_ms": forward_pass(gaussians, camera, context),
-        "forward_backward_ms": training_pass(gaussians, camera, context),
+        "forward_backward_ms": gradient_pass(gaussians, camera, context),
+        "torch_forward_backward_ms": training_pass(gaussians, camera, context),
     }
     with torch_threads(threads):
         times = interleaved_ms({name: noted(name, function) for name, function in passes.items()}, repeats)

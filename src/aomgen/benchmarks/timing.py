@@ -36,8 +36,35 @@ def forward_pass(gaussians: Gaussians, camera: Camera, context: native.Context) 
     return lambda: draw_planes(gaussians, camera, context, planes)
 
 
+def gradient_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
+    """A function that draws one frame and takes gradients by all parameters, all into the same arrays."""
+    tensors = parameters_of(gaussians).values()
+    names = ("means", "quats", "scales", "opacities", "sh")
+    arrays = {name: tensor.numpy() for name, tensor in zip(names, tensors, strict=True)}
+    results = {name: np.empty_like(array) for name, array in arrays.items()}
+    planes = np.empty((5, camera.height, camera.width), np.float32)
+    pull = np.random.default_rng(0).normal(size=(3, camera.height, camera.width)).astype(np.float32)
+
+    def draw_and_differentiate() -> None:
+        poses = cam_from_parts(camera)
+        scene = native.Scene(
+            count=len(gaussians),
+            sh_coefficients=gaussians.sh.shape[1],
+            sh_degree=gaussians.sh_degree,
+            encoded=1,
+            **{name: array.ctypes.data for name, array in arrays.items()},
+        )
+        rgb, depth, alpha = (planes[index].ctypes.data for index in (0, 3, 4))
+        images = native.Images(rgb=rgb, differentiable=1, depth=depth, alpha=alpha)
+        context.forward(scene, native_view(camera, poses), images)
+        gradients = native.SceneGradients(**{name: array.ctypes.data for name, array in results.items()})
+        context.backward(native.ImageGradients(rgb=pull.ctypes.data), gradients, context.forward_number)
+
+    return draw_and_differentiate
+
+
 def training_pass(gaussians: Gaussians, camera: Camera, context: native.Context) -> Callable[[], None]:
-    """A function that draws one frame and takes gradients by all parameters."""
+    """As `gradient_pass`, through torch and into new tensors."""
     leaves = {name: tensor.requires_grad_() for name, tensor in parameters_of(gaussians).items()}
     noise = np.random.default_rng(0).normal(size=(3, camera.height, camera.width))
     grad_rgb = torch.tensor(noise, dtype=torch.float32)

@@ -66,7 +66,7 @@ def read_video(path: Path) -> Video:
                         path, f"is longer than {MAX_FRAMES} frames or too large", "cut the demonstration"
                     )
                 times.append(float(frame.pts * (stream.time_base or 0)))
-                frames.append(frame.to_ndarray(format="rgb24"))
+                frames.append(frame.to_ndarray(format="rgb24", threads=1))
     except (av.error.FFmpegError, IndexError) as error:
         raise MalformedFileError(
             path,
@@ -87,7 +87,7 @@ def read_video(path: Path) -> Video:
 def encode_video(frames: Iterable[NDArray[np.uint8]], fps: int, *, crf: int = 20) -> bytes:
     """MP4 bytes (H.264, yuv420p, a key frame every second frame) of frames (H, W, 3) uint8.
 
-    One encoder thread, so the same frames always give the same bytes.
+    One thread for colors and one for the encoder, so the same frames always give the same bytes.
     """
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
@@ -100,6 +100,7 @@ def encode_video(frames: Iterable[NDArray[np.uint8]], fps: int, *, crf: int = 20
                 stream.thread_count = 1
                 stream.options = {"crf": str(crf), "g": "2", "preset": "veryfast"}
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+            picture = picture.reformat(format="yuv420p", threads=1)
             picture.pts = index
             picture.time_base = fractions.Fraction(1, fps)
             container.mux(stream.encode(picture))

@@ -27,6 +27,7 @@ from aomgen.splatting.session import RenderSession
 FRACTIONS = {
     "forward_ms",
     "forward_backward_ms",
+    "torch_forward_backward_ms",
     "session_ms",
     "session_tiles_share",
     "max_forward_error",
