@@ -72,17 +72,22 @@ def objects_scene(count: int, camera: Camera, share: float) -> MovingScene:
 
 
 def arm_scene(static: int, moving: int, camera: Camera) -> MovingScene:
-    """The table-top scene with a swinging arm of eight links over it, and an object with a door."""
+    """The table-top scene with a swinging arm of eight links over it, and an object with a door.
+
+    Harmonics of degree 2 and parts one after the other, as twins have them.
+    """
     along = np.linspace(0, 1, 8)
     links = np.stack([0.6 - 0.55 * along, 0.1 - 0.45 * along, 0.1 + 1.5 * along * (1.2 - along)], 1)
     thickness = np.linspace(0.14, 0.08, 8)[:, None] * [1.0, 1.0, 1.4]
     centers = np.concatenate([links, [[-0.35, 0.0, 0.22], [-0.35, -0.2, 0.22]]])
     radii = np.concatenate([thickness, [[0.28, 0.2, 0.2], [0.25, 0.04, 0.18]]])
+    parts = np.arange(moving) % len(centers)
+    order = np.argsort(parts, kind="stable")
     return MovingScene(
         camera=camera,
-        static=table_top(static, 3),
-        moving=ellipsoids(moving, centers, radii, 3, seed=1),
-        parts=(np.arange(moving) % len(centers)).astype(np.int32),
+        static=table_top(static, 2),
+        moving=ellipsoids(moving, centers, radii, 2, seed=1).select(order),
+        parts=parts[order].astype(np.int32),
         swings_deg=np.append(np.linspace(1, 8, 8), [0.0, 4.0]),
         pivot=np.array([0, 0.45, 0]),
     )
