@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cstddef>
 
 #include "../kernels/kernels.h"
 
@@ -17,14 +16,6 @@ inline bool touches(const Splat& s, float left, float top) {
   const float vertical = near_x * (s.qxx * near_x + s.qxy * on_x) + s.qyy * on_x * on_x;
   const float horizontal = on_y * (s.qxx * on_y + s.qxy * near_y) + s.qyy * near_y * near_y;
   return std::min(vertical, horizontal) < s.log2_opacity - kMinLog2Alpha;
-}
-
-// Whether the splat touches all tiles of its box: it does when they lie in a line, because the box is
-// tight. (It may then still miss the pixel centres of a tile, and nothing is drawn.)
-inline bool touches_its_box(const Splat& s) { return s.first_column == s.last_column || s.first_row == s.last_row; }
-
-inline size_t tiles_of_box(const Splat& s) {
-  return static_cast<size_t>(s.last_column - s.first_column + 1) * static_cast<size_t>(s.last_row - s.first_row + 1);
 }
 
 }  // namespace aomgen

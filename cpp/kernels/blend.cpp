@@ -40,17 +40,10 @@ struct FeaturePainter {
 
 void store_colors(const Blend& b, int left, int top, const Canvas& canvas) {
   const size_t plane = static_cast<size_t>(b.view.width) * b.view.height;
-  if (!b.images.interleaved) {
-    store_tile(b.images.rgb, left, top, b.view, canvas.red);
-    store_tile(b.images.rgb + plane, left, top, b.view, canvas.green);
-    store_tile(b.images.rgb + 2 * plane, left, top, b.view, canvas.blue);
-    return;
-  }
-  for_each_pixel(b.view, left, top, [&](size_t at, int block, int pixel) {
-    b.images.rgb[3 * at] = canvas.red[block][pixel];
-    b.images.rgb[3 * at + 1] = canvas.green[block][pixel];
-    b.images.rgb[3 * at + 2] = canvas.blue[block][pixel];
-  });
+  if (b.images.interleaved) return store_interleaved(b.images.rgb, left, top, b.view, canvas);
+  store_tile(b.images.rgb, left, top, b.view, canvas.red);
+  store_tile(b.images.rgb + plane, left, top, b.view, canvas.green);
+  store_tile(b.images.rgb + 2 * plane, left, top, b.view, canvas.blue);
 }
 
 void store_ids(const Blend& b, int left, int top, const Canvas& canvas) {
@@ -70,15 +63,7 @@ void store_features(const Blend& b, int left, int top, const float* sums) {
 
 void finish(const Blend& b, int left, int top, Canvas& canvas) {
   alignas(64) float alpha[16][16];
-  const float* background = b.view.background;
-  for (int pixel = 0; pixel < 256; pixel += kLanes) {
-    const int block = pixel / 16, i = pixel % 16;
-    F rest = load(canvas.transmittance[block] + i);
-    store(canvas.red[block] + i, fma(rest, all(background[0]), load(canvas.red[block] + i)));
-    store(canvas.green[block] + i, fma(rest, all(background[1]), load(canvas.green[block] + i)));
-    store(canvas.blue[block] + i, fma(rest, all(background[2]), load(canvas.blue[block] + i)));
-    store(alpha[block] + i, 1.0f - rest);
-  }
+  add_background(b.view.background, nullptr, canvas, alpha);
   store_colors(b, left, top, canvas);
   store_tile(b.images.depth, left, top, b.view, canvas.depth);
   store_tile(b.images.alpha, left, top, b.view, alpha);

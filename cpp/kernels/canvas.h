@@ -151,4 +151,26 @@ AOMGEN_INLINE void for_each_pixel(const AomgenView& view, int left, int top, Vis
     }
 }
 
+// Lets the background shine through, darkened by `shade` unless it is null; gives alpha.
+AOMGEN_INLINE void add_background(const float background[3], const float shade[16][16], Canvas& canvas, float alpha[16][16]) {
+  for (int pixel = 0; pixel < 256; pixel += kLanes) {
+    const int block = pixel / 16, i = pixel % 16;
+    const F rest = load(canvas.transmittance[block] + i);
+    const F lit = shade ? rest * load(shade[block] + i) : rest;
+    store(canvas.red[block] + i, fma(lit, all(background[0]), load(canvas.red[block] + i)));
+    store(canvas.green[block] + i, fma(lit, all(background[1]), load(canvas.green[block] + i)));
+    store(canvas.blue[block] + i, fma(lit, all(background[2]), load(canvas.blue[block] + i)));
+    store(alpha[block] + i, 1.0f - rest);
+  }
+}
+
+// Copies the tile's colors into its part of an image (H, W, 3).
+AOMGEN_INLINE void store_interleaved(float* rgb, int left, int top, const AomgenView& view, const Canvas& canvas) {
+  for_each_pixel(view, left, top, [&](size_t at, int block, int pixel) {
+    rgb[3 * at] = canvas.red[block][pixel];
+    rgb[3 * at + 1] = canvas.green[block][pixel];
+    rgb[3 * at + 2] = canvas.blue[block][pixel];
+  });
+}
+
 }  // namespace aomgen::AOMGEN_ISA

@@ -66,6 +66,11 @@ AOMGEN_INLINE Pose load_pose(const Projection& p, const int32_t index[kLanes]) {
   return pose;
 }
 
+AOMGEN_INLINE void center_in_camera(const Pose& pose, const F mean[3], F cam[3]) {
+  const F* V = pose.V;
+  for (int i = 0; i < 3; ++i) cam[i] = fma(V[4 * i], mean[0], fma(V[4 * i + 1], mean[1], fma(V[4 * i + 2], mean[2], V[4 * i + 3])));
+}
+
 // Everything between a Gaussian and its ellipse on the image, row-major matrices.
 struct ImageCovariance {
   F cam[3];               // centre, camera frame
@@ -86,7 +91,7 @@ struct ImageCovariance {
 AOMGEN_INLINE ImageCovariance image_covariance(const Group& g, const Pose& pose, const AomgenView& view) {
   ImageCovariance c;
   const F* V = pose.V;
-  for (int i = 0; i < 3; ++i) c.cam[i] = fma(V[4 * i], g.mean[0], fma(V[4 * i + 1], g.mean[1], fma(V[4 * i + 2], g.mean[2], V[4 * i + 3])));
+  center_in_camera(pose, g.mean, c.cam);
   F safe_depth = where(above(c.cam[2], all(view.near_depth)), c.cam[2], all(1e10f));
   c.inverse_depth = 1.0f / safe_depth;
 

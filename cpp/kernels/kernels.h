@@ -25,10 +25,18 @@ struct alignas(64) Splat {
   float log2_opacity;
   float red, green, blue, depth;
   float best_dy_per_dx, best_dx_per_dy;  // where the exponent is largest on a vertical, horizontal line
-  float half_width, half_height;         // of the box in which alpha can reach 1/255
-  uint16_t first_column, last_column, first_row, last_row;  // tiles of that box, on the image
+  float unused[2];
+  uint16_t first_column, last_column, first_row, last_row;  // tiles on the image where alpha can reach 1/255: a tight box
 };
 static_assert(sizeof(Splat) == 64, "one cache line, as large as sixteen floats");
+
+// Whether the splat touches all tiles of its box: it does when they lie in a line, because the box is
+// tight. (It may then still miss the pixel centres of a tile, and nothing is drawn.)
+static inline bool touches_its_box(const Splat& s) { return s.first_column == s.last_column || s.first_row == s.last_row; }
+
+static inline size_t tiles_of_box(const Splat& s) {
+  return static_cast<size_t>(s.last_column - s.first_column + 1) * static_cast<size_t>(s.last_row - s.first_row + 1);
+}
 
 // A part's transform: upper three rows of cam_from_part, then the camera's centre in the part's frame.
 struct alignas(64) PartPose {

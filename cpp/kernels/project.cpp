@@ -35,7 +35,7 @@ Frustum frustum_of(const AomgenView& view) {
 AOMGEN_INLINE M may_be_seen(const Projection& p, const Frustum& frustum, const Pose& pose, const F mean[3], F size) {
   const AomgenView& view = p.view;
   F cam[3];
-  for (int i = 0; i < 3; ++i) cam[i] = fma(pose.V[4 * i], mean[0], fma(pose.V[4 * i + 1], mean[1], fma(pose.V[4 * i + 2], mean[2], pose.V[4 * i + 3])));
+  center_in_camera(pose, mean, cam);
   M in_front = above(cam[2], all(view.near_depth));
   F inverse_depth = 1.0f / where(in_front, cam[2], all(1e10f));
   // The dilation adds at most its own standard deviation.
@@ -162,7 +162,7 @@ void project(const Projection& p, int block) {
     visible &= bits(above(bright, absolute(color[0])) & above(bright, absolute(color[1])) & above(bright, absolute(color[2])));
     F fields[16] = {e.x, e.y, e.qxx, e.qxy, e.qyy, e.log2_opacity,
                     maximum(color[0], zeros()), maximum(color[1], zeros()), maximum(color[2], zeros()), c.cam[2],
-                    -0.5f * e.qxy / e.qyy, -0.5f * e.qxy / e.qxx, e.half_width, e.half_height,
+                    -0.5f * e.qxy / e.qyy, -0.5f * e.qxy / e.qxx, zeros(), zeros(),
                     tile_range(e.x - e.half_width, e.x + e.half_width, p.view.width),
                     tile_range(e.y - e.half_height, e.y + e.half_height, p.view.height)};
     store_splats(fields, visible, index, p.splats + first, p.gaussians + first, p.depth_keys + first, found);

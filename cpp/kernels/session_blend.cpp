@@ -103,12 +103,7 @@ void store_rgb8(const SessionBlend& b, int left, int top, const Canvas& canvas) 
 
 void store_colors(const SessionBlend& b, int left, int top, const Canvas& canvas) {
   if (b.frame.rgb8) store_rgb8(b, left, top, canvas);
-  if (!b.frame.rgb) return;
-  for_each_pixel(b.view, left, top, [&](size_t at, int block, int pixel) {
-    b.frame.rgb[3 * at] = canvas.red[block][pixel];
-    b.frame.rgb[3 * at + 1] = canvas.green[block][pixel];
-    b.frame.rgb[3 * at + 2] = canvas.blue[block][pixel];
-  });
+  if (b.frame.rgb) store_interleaved(b.frame.rgb, left, top, b.view, canvas);
 }
 
 // Puts what never moves into blocks outside `drawn`.
@@ -137,16 +132,7 @@ void fill_up(const SessionBlend& b, int left, int top, const float shade[16][16]
 
 void finish(const SessionBlend& b, int left, int top, const float shade[16][16], uint32_t drawn, Canvas& canvas) {
   alignas(64) float alpha[16][16];
-  const float* background = b.view.background;
-  for (int pixel = 0; pixel < 256; pixel += kLanes) {
-    const int block = pixel / 16, i = pixel % 16;
-    const F rest = load(canvas.transmittance[block] + i);
-    const F lit = shade ? rest * load(shade[block] + i) : rest;
-    store(canvas.red[block] + i, fma(lit, all(background[0]), load(canvas.red[block] + i)));
-    store(canvas.green[block] + i, fma(lit, all(background[1]), load(canvas.green[block] + i)));
-    store(canvas.blue[block] + i, fma(lit, all(background[2]), load(canvas.blue[block] + i)));
-    store(alpha[block] + i, 1.0f - rest);
-  }
+  add_background(b.view.background, shade, canvas, alpha);
   if (drawn != 0xffffu) fill_up(b, left, top, shade, drawn, canvas, alpha);
   store_colors(b, left, top, canvas);
   if (b.frame.depth) store_tile(b.frame.depth, left, top, b.view, canvas.depth);
@@ -201,9 +187,8 @@ uint32_t find_tiles(const TileSearch& t, uint32_t slot, uint32_t last, uint32_t&
   for (; slot < last; ++slot) {
     const Splat& s = t.splats[slot];
     const uint32_t begin = found;
-    const size_t most = static_cast<size_t>(s.last_column - s.first_column + 1) * static_cast<size_t>(s.last_row - s.first_row + 1);
-    if (found + most > t.capacity) return slot;
-    const bool in_line = s.first_column == s.last_column || s.first_row == s.last_row;
+    if (found + tiles_of_box(s) > t.capacity) return slot;
+    const bool surely = touches_its_box(s);
     for (int row = s.first_row; row <= s.last_row; ++row)
       for (int column = s.first_column; column <= s.last_column; ++column) {
         const float left = static_cast<float>(column * kTile), top = static_cast<float>(row * kTile);
@@ -214,7 +199,7 @@ uint32_t find_tiles(const TileSearch& t, uint32_t slot, uint32_t last, uint32_t&
         const uint32_t blocks = touched_blocks(s, s.x - left, s.y - top) & in_front;
         t.tiles[found] = tile;
         t.blocks[found] = static_cast<uint16_t>(blocks);
-        found += blocks != 0 && (in_line || t.touches(s, left, top));
+        found += blocks != 0 && (surely || t.touches(s, left, top));
       }
     t.covers[slot].begin = begin;
     t.covers[slot].count = found - begin;

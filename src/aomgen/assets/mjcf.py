@@ -123,6 +123,12 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
     if textured:
         add_texture(spec, name, mesh.texture_srgb)
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    add_visual_geom(body, name)
+    return name
+
+
+def add_visual_geom(body: mujoco.MjsBody, name: str) -> None:
+    """Show the mesh and material of a name on a body, without contacts or mass."""
     body.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_MESH,
@@ -133,7 +139,6 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
         group=VISUAL_GROUP,
         mass=0.0,
     )
-    return name
 
 
 def add_texture(spec: mujoco.MjSpec, name: str, texture_srgb: NDArray[np.uint8]) -> None:

@@ -10,13 +10,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.transforms import matrix_from_quat, transform
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
 from aomgen.physics.gripper import GripperTable, settled_fingers
 from aomgen.physics.robot_files import KNOWN_ROBOTS, RobotFiles, build_spec
-
-VISUAL_GROUP = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

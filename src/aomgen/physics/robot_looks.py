@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.assets.mjcf import add_visual_geom
 from aomgen.core.values import Array
-from aomgen.physics.robot import VISUAL_GROUP, RobotMesh, RobotModel
+from aomgen.physics.robot import RobotMesh, RobotModel
 
 
 def add_robot_looks(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> None:
@@ -24,16 +25,7 @@ def add_robot_looks(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> No
         item.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         material = spec.add_material(name=name, rgba=[*mesh.color_srgb, 1.0])
         material.specular, material.shininess = 0.4, 0.3
-        spec.body(robot.body_names[mesh.body]).add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
-            material=name,
-            contype=0,
-            conaffinity=0,
-            group=VISUAL_GROUP,
-            mass=0.0,
-        )
+        add_visual_geom(spec.body(robot.body_names[mesh.body]), name)
 
 
 def _simplified_meshes(robot: RobotModel, cell_m: float) -> list[tuple[RobotMesh, Array, NDArray[np.int64]]]:

@@ -7,11 +7,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.core.camera import Camera
 from aomgen.errors import BackendError
 from aomgen.physics.id_colors import values_of_geoms
 from aomgen.physics.offscreen import offscreen_context
-from aomgen.physics.robot import VISUAL_GROUP, RobotModel
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_looks import add_robot_looks
 
 NEAR_M: Final = 0.02

@@ -12,7 +12,7 @@ from torch.autograd.function import once_differentiable
 
 from aomgen.core.camera import Camera
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import NEAR_DEPTH, image_shape
+from aomgen.splatting.rasterizer import NEAR_DEPTH, image_shape, native_view
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,19 +170,13 @@ class _Call:
     parts: Tensor | None
 
     def view(self, cam_from_part: Tensor) -> native.View:
-        camera, options = self.camera, self.options
-        return native.View(
-            width=camera.width,
-            height=camera.height,
-            fx=camera.fx,
-            fy=camera.fy,
-            cx=camera.cx,
-            cy=camera.cy,
-            near_depth=options.near_depth,
+        options = self.options
+        return native_view(
+            self.camera,
+            cam_from_part.numpy(),
+            background=options.background,
             antialiased=options.antialiased,
-            background=tuple(options.background),
-            part_count=len(cam_from_part),
-            cam_from_part=cam_from_part.data_ptr(),
+            near_depth=options.near_depth,
         )
 
     def scene(self, inputs: list[Tensor], features: Tensor | None) -> native.Scene:

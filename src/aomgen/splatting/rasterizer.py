@@ -111,9 +111,7 @@ def render(
     context = native.scratch_context()
     context.configure(threads)
     context.forward(native_scene(gaussians, features, parts), view, images)
-    np.minimum(rgb, 1, out=rgb)
-    np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
-    depth[~(alpha > MIN_ALPHA)] = 0
+    settle(rgb, depth, alpha)
     return Rendering(
         rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id, features=feature_image
     )
@@ -142,6 +140,13 @@ def contribution_weights(
     scene, view = native_scene(gaussians), native_view(camera, poses)
     context.contribution_weights(scene, view, len(masks), masks.ctypes.data, weights.ctypes.data)
     return weights
+
+
+def settle(rgb: NDArray[np.float32], depth: NDArray[np.float32], alpha: NDArray[np.float32]) -> None:
+    """In place, from the engine's sums to what `Rendering` holds: colors up to 1, depth divided by alpha."""
+    np.minimum(rgb, 1, out=rgb)
+    np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
+    depth[~(alpha > MIN_ALPHA)] = 0
 
 
 def image_shape(camera: Camera) -> tuple[int, int]:

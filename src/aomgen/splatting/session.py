@@ -14,12 +14,12 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array, freeze
 from aomgen.splatting import native
 from aomgen.splatting.rasterizer import (
-    MIN_ALPHA,
     Parts,
     Rendering,
     cam_from_parts,
     native_scene,
     native_view,
+    settle,
 )
 
 TILE = 16
@@ -131,9 +131,7 @@ class RenderSession:
         outputs = {"rgb": rgb, "alpha": alpha, "depth": depth, "median_depth": median, "max_id": max_id}
         outputs["tiles"] = self._unknown_tiles(1)[0]
         self._draw_one(moving, parts, shade, outputs)
-        np.minimum(rgb, 1, out=rgb)
-        np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
-        depth[~(alpha > MIN_ALPHA)] = 0
+        settle(rgb, depth, alpha)
         return Rendering(rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id)
 
     def picture(
