@@ -84,10 +84,12 @@ class Painter:
         return picture[::-1]
 
 
-def exposed(picture: NDArray[np.uint8], gain: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+def exposed(
+    picture: NDArray[np.uint8], gain: float, noise: float, rng: np.random.Generator
+) -> NDArray[np.uint8]:
     """The picture (H, W, 3) as a sensor records it: exposure gain, photon and read-out noise."""
     signal = picture.astype(np.float64) * gain
-    spread = np.sqrt(READ_NOISE**2 + PHOTON_NOISE**2 * signal / 255.0)
+    spread = noise * np.sqrt(READ_NOISE**2 + PHOTON_NOISE**2 * signal / 255.0)
     noisy = signal + spread * rng.standard_normal(picture.shape)
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
 

@@ -5,28 +5,24 @@ import numpy as np
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
+from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.setting import Setting
 
-# Focal length over image width, as of a phone's main camera.
-FOCAL_SHARE = 0.9375
 
-
-def pinhole(size: tuple[int, int], T_world_cam: Array) -> Camera:
+def pinhole(conditions: Conditions, T_world_cam: Array) -> Camera:
     """The camera that all pictures of a capture share, at a pose."""
-    width, height = size
-    focal = FOCAL_SHARE * width
+    width, height = conditions.size
+    focal = conditions.focal_share * width
     return Camera(
         fx=focal, fy=focal, cx=width / 2, cy=height / 2, width=width, height=height, T_world_cam=T_world_cam
     )
 
 
-def scan_cameras(
-    setting: Setting, size: tuple[int, int], count: int, rng: np.random.Generator
-) -> list[Camera]:
-    """A hand-held walk in three arcs around robot and object, low to high, (count) views."""
+def scan_cameras(setting: Setting, conditions: Conditions, rng: np.random.Generator) -> list[Camera]:
+    """A hand-held walk in three arcs around robot and object, low to high."""
     x, y = _object_place(setting)
     target = np.array([0.6 * x, 0.58 * y, setting.room.table_z + 0.12])
-    arcs = np.array_split(np.arange(count), 3)
+    arcs = np.array_split(np.arange(conditions.scan_views), 3)
     cameras = []
     for number, arc in enumerate(arcs):
         sweep = np.linspace(-1.0, 1.0, len(arc)) * (1 if number % 2 == 0 else -1)
@@ -36,11 +32,11 @@ def scan_cameras(
             height = setting.room.table_z + (0.32, 0.58, 0.95)[number] + rng.uniform(-0.05, 0.05)
             eye = np.array([target[0] + radius * np.sin(angle), target[1] - radius * np.cos(angle), height])
             aim = target + rng.uniform(-0.07, 0.07, 3)
-            cameras.append(_in_room(setting, size, eye, aim))
+            cameras.append(_in_room(setting, conditions, eye, aim))
     return cameras
 
 
-def demo_candidates(setting: Setting, size: tuple[int, int], rng: np.random.Generator) -> list[Camera]:
+def demo_candidates(setting: Setting, conditions: Conditions, rng: np.random.Generator) -> list[Camera]:
     """Places for the fixed camera, left and right of the robot, all see the front of the object."""
     x, y = _object_place(setting)
     target = np.array([0.8 * x, 0.68 * y, setting.room.table_z + 0.13])
@@ -48,7 +44,7 @@ def demo_candidates(setting: Setting, size: tuple[int, int], rng: np.random.Gene
     for side in (-1.0, 1.0, -1.0, 1.0):
         height = setting.room.table_z + rng.uniform(0.5, 0.8)
         eye = np.array([target[0] + side * rng.uniform(0.85, 1.15), rng.uniform(-0.4, 0.0), height])
-        cameras.append(_in_room(setting, size, eye, target + rng.uniform(-0.04, 0.04, 3)))
+        cameras.append(_in_room(setting, conditions, eye, target + rng.uniform(-0.04, 0.04, 3)))
     return cameras
 
 
@@ -58,6 +54,6 @@ def _object_place(setting: Setting) -> tuple[float, float]:
     return float(place[0]), float(place[1])
 
 
-def _in_room(setting: Setting, size: tuple[int, int], eye_room: Array, target_room: Array) -> Camera:
+def _in_room(setting: Setting, conditions: Conditions, eye_room: Array, target_room: Array) -> Camera:
     T = setting.room.T_world_room
-    return pinhole(size, look_at(apply(T, eye_room), apply(T, target_room)))
+    return pinhole(conditions, look_at(apply(T, eye_room), apply(T, target_room)))

@@ -16,6 +16,7 @@ from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.io.atomic import staged_folder
 from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration import Demonstration, simulate
 from aomgen.synthetic.pictures import Painter, exposed
 from aomgen.synthetic.planning import CONTROL_STEP_S, Script, plan
@@ -52,7 +53,7 @@ class Recording:
         demo_camera: The fixed camera.
         frames, frame_labels: Of the video.
         frame_steps: Simulation step of each frame.
-        fps: Of the video.
+        conditions: How everything was filmed.
         log: Noisy joint log, own clock.
         clock_offset_s: Log time = video time + offset.
     """
@@ -67,7 +68,7 @@ class Recording:
     frames: list[NDArray[np.uint8]]
     frame_labels: list[NDArray[np.uint8]]
     frame_steps: NDArray[np.int64]
-    fps: int
+    conditions: Conditions
     log: JointLog
     clock_offset_s: float
 
@@ -77,9 +78,7 @@ def make_capture(
     *,
     category: str,
     seed: int,
-    size: tuple[int, int] = (320, 240),
-    scan_views: int = 40,
-    fps: int = 10,
+    conditions: Conditions | None = None,
     progress: Progress = silent,
 ) -> None:
     """Write a complete capture with `truth/`: a robot opens a made asset in a made room.
@@ -91,9 +90,8 @@ def make_capture(
         folder: Created or replaced.
         category: One of `assets.make.MAKERS`.
         seed: Chooses asset, room, places, path, cameras, noise and clock.
-        size: Width and height of stills and video, [px].
-        scan_views: Number of stills.
-        fps: Of the video.
+        conditions: Cameras and their flaws; those of `Conditions` when None.
+        progress: Told about pictures.
 
     Raises:
         ConfigError: Unknown category, or no setting of this seed can be reached.
@@ -104,7 +102,7 @@ def make_capture(
     robot = load_robot(ROBOT_NAME)
     performance = perform(robot, make_asset(category, seed), rng)
     progress(0.05, "demonstration simulated")
-    recording = record(robot, performance, rng, size=size, scan_views=scan_views, fps=fps, progress=progress)
+    recording = record(robot, performance, conditions or Conditions(), rng, progress=progress)
     with staged_folder(folder) as staging:
         write_recording(staging, recording)
         write_truth(staging / "truth", recording)
@@ -137,32 +135,32 @@ def _opened(demonstration: Demonstration, script: Script) -> bool:
 def record(
     robot: RobotModel,
     performance: Performance,
+    conditions: Conditions,
     rng: np.random.Generator,
     *,
-    size: tuple[int, int],
-    scan_views: int,
-    fps: int,
     progress: Progress = silent,
 ) -> Recording:
     """Film a performance: stills of the scene at rest, a video, a joint log with its own clock."""
     demonstration, setting = performance.demonstration, performance.setting
     start = rng.uniform(*LEAD_S)
     end = demonstration.times_s[-1] - rng.uniform(*TAIL_S)
-    frame_times = start + np.arange(int((end - start) * fps)) / fps
+    frame_times = start + np.arange(int((end - start) * conditions.fps)) / conditions.fps
     steps = np.round(frame_times / CONTROL_STEP_S).astype(np.int64)
     clock_shift = rng.uniform(0.0, 2.0)
     log = _log(robot, demonstration, clock_shift, rng)
     world = build_world(robot, setting, visual=True)
-    cameras = scan_cameras(setting, size, scan_views, rng)
-    with Painter(robot, world, *size) as painter:
-        demo_camera = _best_camera(painter, demo_candidates(setting, size, rng), demonstration, steps)
+    cameras = scan_cameras(setting, conditions, rng)
+    with Painter(robot, world, *conditions.size) as painter:
+        demo_camera = _best_camera(painter, demo_candidates(setting, conditions, rng), demonstration, steps)
         images, labels, frames, frame_labels = [], [], [], []
         for number, camera in enumerate(cameras):
-            images.append(exposed(painter.draw(camera, demonstration.qpos[0]), rng.uniform(0.97, 1.03), rng))
+            gain = 1 + rng.uniform(-conditions.gain_spread, conditions.gain_spread)
+            images.append(exposed(painter.draw(camera, demonstration.qpos[0]), gain, conditions.noise, rng))
             labels.append(painter.labels(camera, demonstration.qpos[0]))
             progress(0.05 + 0.35 * number / len(cameras), "stills")
         for number, step in enumerate(steps):
-            frames.append(exposed(painter.draw(demo_camera, demonstration.qpos[step]), 1.0, rng))
+            clean = painter.draw(demo_camera, demonstration.qpos[step])
+            frames.append(exposed(clean, 1.0, conditions.noise, rng))
             frame_labels.append(painter.labels(demo_camera, demonstration.qpos[step]))
             progress(0.4 + 0.6 * number / len(steps), "video")
     return Recording(
@@ -176,7 +174,7 @@ def record(
         frames=frames,
         frame_labels=frame_labels,
         frame_steps=steps,
-        fps=fps,
+        conditions=conditions,
         log=log,
         clock_offset_s=float(start + clock_shift),
     )

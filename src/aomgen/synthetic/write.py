@@ -37,7 +37,9 @@ def write_recording(folder: Path, recording: Recording) -> None:
     """
     for number, image in enumerate(recording.scan_images):
         write_bytes(folder / "scan" / f"{number:04d}.jpg", encode_jpeg(image, 93))
-    write_bytes(folder / "demo" / f"{CAMERA}.mp4", encode_video(recording.frames, recording.fps, crf=17))
+    write_bytes(
+        folder / "demo" / f"{CAMERA}.mp4", encode_video(recording.frames, recording.conditions.fps, crf=17)
+    )
     write_text(folder / "demo" / "joints.csv", _joints_csv(recording.log))
     write_text(folder / "capture.toml", _capture_toml(recording))
 
@@ -120,12 +122,12 @@ def _capture_toml(recording: Recording) -> str:
         "",
         "[scan]",
         'images = "scan"',
-        f"intrinsics = {_intrinsics(recording.scan_cameras[0])}",
+        *_stated(recording, recording.scan_cameras[0]),
         "",
         "[[demo.cameras]]",
         f'name = "{CAMERA}"',
         f'video = "demo/{CAMERA}.mp4"',
-        f"intrinsics = {_intrinsics(recording.demo_camera)}",
+        *_stated(recording, recording.demo_camera),
         "",
         "[demo]",
         'joints = "demo/joints.csv"',
@@ -137,6 +139,10 @@ def _capture_toml(recording: Recording) -> str:
             lines += ["", "[[prompts]]", f'part = "{part}"', f'image = "{number:04d}.jpg"']
             lines += [f"points = [[{point[0]}, {point[1]}, 1]]", f"box = {bounds}"]
     return "\n".join(lines) + "\n"
+
+
+def _stated(recording: Recording, camera: Camera) -> list[str]:
+    return [f"intrinsics = {_intrinsics(camera)}"] if recording.conditions.intrinsics_known else []
 
 
 def _clearest(labels: list[NDArray[np.uint8]], label: int) -> list[int]:

@@ -21,6 +21,7 @@ from aomgen.io.images import read_labels
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
 from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration import simulate
 from aomgen.synthetic.setting import build_world
 from aomgen.synthetic.world import Performance, make_capture, perform
@@ -28,6 +29,7 @@ from aomgen.synthetic.write import moved_range, prompt_of
 
 SIZE = (128, 96)
 VIEWS = 12
+CONDITIONS = Conditions(size=SIZE, scan_views=VIEWS, fps=3)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +45,7 @@ def performance(robot: RobotModel, request: pytest.FixtureRequest) -> Performanc
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("synthetic") / "drawer"
-    make_capture(folder, category="drawer", seed=4, size=SIZE, scan_views=VIEWS, fps=3)
+    make_capture(folder, category="drawer", seed=4, conditions=CONDITIONS)
     return folder
 
 
@@ -110,7 +112,7 @@ def test_capture_is_complete(capture: Path) -> None:
 
 
 def test_same_seed_same_files(capture: Path, tmp_path: Path) -> None:
-    make_capture(tmp_path / "again", category="drawer", seed=4, size=SIZE, scan_views=VIEWS, fps=3)
+    make_capture(tmp_path / "again", category="drawer", seed=4, conditions=CONDITIONS)
     files = sorted(p.relative_to(capture) for p in capture.rglob("*") if p.is_file())
     again = sorted(p.relative_to(tmp_path / "again") for p in (tmp_path / "again").rglob("*") if p.is_file())
     assert files == again
