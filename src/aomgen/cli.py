@@ -136,12 +136,17 @@ def run(
 @app.command()
 def status(project: Annotated[Path, typer.Argument(help="A project file.")]) -> None:
     """List the stages of a project and what is done."""
+    from aomgen.pipeline.manifest import read_manifest
     from aomgen.pipeline.project import read_project
     from aomgen.pipeline.runner import stage_states
     from aomgen.pipeline.stages import STAGES
 
-    for stage, state in stage_states(read_project(project), STAGES):
+    choices = read_project(project)
+    for stage, state in stage_states(choices, STAGES):
         print(f"{state:8} {stage.folder:18} {stage.title}")
+        manifest = read_manifest(choices.out / stage.folder)
+        for sentence in () if manifest is None else manifest.warnings:
+            print(f"         warning: {sentence}")
 
 
 @app.command()

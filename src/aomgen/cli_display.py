@@ -69,6 +69,10 @@ class TerminalDisplay:
             f"  {seconds:5.1f}s {stage.title}" + (f": {shown}" if shown else ""), soft_wrap=True
         )
 
+    def warn(self, stage: Stage, sentence: str) -> None:
+        """A finished stage has something to say about its input."""
+        self._console.print(f"         warning: {sentence}", soft_wrap=True)
+
     def _remaining(self, share: float) -> str:
         spent = self._spent + time.monotonic() - self._started
         weight = self._spent_weight + share * self._weight

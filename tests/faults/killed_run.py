@@ -33,6 +33,9 @@ class Quiet:
     def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None:
         pass
 
+    def warn(self, stage: Stage, sentence: str) -> None:
+        pass
+
 
 def episode(index: int) -> Episode:
     """An episode with numbers of its own."""

@@ -23,6 +23,7 @@ class Manifest:
         parameters: The stage's parameters.
         files: SHA-256 and size of every file in the folder, by relative path.
         figures: Numbers worth reading.
+        warnings: Sentences for the user: what the inputs lack, and what follows.
         digest: SHA-256 over `files`.
     """
 
@@ -32,6 +33,7 @@ class Manifest:
     parameters: dict[str, Any]
     files: dict[str, tuple[str, int]]
     figures: dict[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
     digest: str = ""
 
 
@@ -43,6 +45,7 @@ def describe(
     inputs: dict[str, str],
     parameters: dict[str, Any],
     figures: dict[str, Any],
+    warnings: tuple[str, ...] = (),
 ) -> Manifest:
     """Manifest of a finished folder; hashes every file in it."""
     files = {
@@ -58,6 +61,7 @@ def describe(
         parameters=parameters,
         files=files,
         figures=figures,
+        warnings=warnings,
         digest=digest,
     )
 
@@ -79,7 +83,8 @@ def read_manifest(folder: Path) -> Manifest | None:
     data = read_json(path)
     try:
         files = {name: (sha, size) for name, (sha, size) in data.pop("files").items()}
-        return Manifest(files=files, **data)
+        warnings = tuple(str(sentence) for sentence in data.pop("warnings", ()))
+        return Manifest(files=files, warnings=warnings, **data)
     except (TypeError, KeyError, ValueError) as error:
         raise CorruptArtifactError(
             path, "is not a manifest", f"delete the folder {folder} and run again"

@@ -23,7 +23,7 @@ from aomgen.motion.estimate import Demonstration as MotionInput
 from aomgen.motion.stage import load_motion, run_motion
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.pipeline.estimates import estimates_of
-from aomgen.pipeline.stage import Run
+from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
 from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment
 from aomgen.reconstruction.gaussians import GaussiansParams
@@ -32,6 +32,7 @@ from aomgen.reconstruction.parts_stage import load_parts, run_parts
 from aomgen.reconstruction.segmenter import choose_segmenter
 from aomgen.reconstruction.structure import DemoView
 from aomgen.reconstruction.structure_stage import load_structure, run_structure
+from aomgen.reconstruction.survey_stage import run_survey
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.store import save_twin
 from aomgen.twin.twin import TwinState
@@ -121,25 +122,32 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
-    """A part label for every Gaussian, and the robot link that carries it."""
+    """A part label for every Gaussian, the robot link that carries it, and which sides the scan saw."""
     capture = read_capture(run.project.capture)
+    scene = load_structure(run.folders["structure"])
+    gaussians_recon = load_gaussians(run.folders["gaussians"]).gaussians_recon
+    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
+    posture = posture_of(capture)
     result = run_parts(
-        load_structure(run.folders["structure"]),
-        load_gaussians(run.folders["gaussians"]).gaussians_recon,
-        load_alignment(run.folders["alignment"]).S_world_recon,
+        scene,
+        gaussians_recon,
+        S_world_recon,
         {path.name: path for path in capture.scan_images},
         capture.prompts,
         choose_segmenter(capture.mask_folders),
-        posture_of(capture),
+        posture,
         folder,
         progress,
     )
+    found = run_survey(scene, gaussians_recon, S_world_recon, result, posture, folder)
     counts = np.bincount(result.labels, minlength=4)
     return {
         "robot": int(counts[ROBOT]),
         "static": int(counts[STATIC]),
         "moving": int(counts[MOVING]),
         "confidence": float(np.median(result.confidence[result.labels != BACKGROUND])),
+        "coverage": found.figures(),
+        WARNINGS: found.warnings(),
     }
 
 

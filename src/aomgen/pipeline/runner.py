@@ -22,7 +22,7 @@ from aomgen.pipeline.manifest import (
     write_manifest,
 )
 from aomgen.pipeline.project import Project
-from aomgen.pipeline.stage import Run, Stage
+from aomgen.pipeline.stage import WARNINGS, Run, Stage
 
 TIMINGS = "timings.json"
 STARTED = "started.json"
@@ -39,6 +39,8 @@ class Display(Protocol):
     def progress(self, share: float, text: str) -> None: ...
 
     def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None: ...
+
+    def warn(self, stage: Stage, sentence: str) -> None: ...
 
 
 def run_stages(
@@ -76,6 +78,7 @@ def run_stages(
             else:
                 display.begin(stage, fresh=True)
                 digests[stage.name] = kept.digest
+                _warn(display, stage, kept)
             if stage.name == until:
                 break
     return made
@@ -123,14 +126,26 @@ def _make(run: Run, stage: Stage, digests: dict[str, str], display: Display) -> 
             manifest = _finish(staging, stage, wanted, figures)
     seconds = time.monotonic() - start
     _record_seconds(run.out, stage.name, seconds)
-    display.end(stage, seconds, figures)
+    display.end(stage, seconds, manifest.figures)
+    _warn(display, stage, manifest)
     return manifest.digest
+
+
+def _warn(display: Display, stage: Stage, manifest: Manifest) -> None:
+    for sentence in manifest.warnings:
+        display.warn(stage, sentence)
 
 
 def _finish(folder: Path, stage: Stage, wanted: Identity, figures: dict[str, Any]) -> Manifest:
     version, inputs, parameters = wanted
     manifest = describe(
-        folder, stage=stage.name, version=version, inputs=inputs, parameters=parameters, figures=figures
+        folder,
+        stage=stage.name,
+        version=version,
+        inputs=inputs,
+        parameters=parameters,
+        figures={name: value for name, value in figures.items() if name != WARNINGS},
+        warnings=tuple(figures.get(WARNINGS, ())),
     )
     write_manifest(folder, manifest)
     return manifest

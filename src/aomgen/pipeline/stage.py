@@ -24,6 +24,9 @@ class Run:
     folders: dict[str, Path]
 
 
+# Figures under this name are sentences that the user should read: what may go wrong with this input.
+WARNINGS = "warnings"
+
 # Does the work of a stage in the given folder and returns figures worth reading.
 StageFunction = Callable[[Run, Path, Progress], dict[str, Any]]
 

@@ -68,7 +68,7 @@ STAGES: tuple[Stage, ...] = (
         title="parts of robot and object",
         needs=("capture", "structure", "gaussians", "alignment"),
         settings=(),
-        version=2,
+        version=3,
         weight=45,
         function=lazily("recovery", "parts"),
     ),

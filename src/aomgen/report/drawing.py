@@ -64,6 +64,39 @@ def sheet(images: list[Image8], columns: int, *, gap: int = 4) -> Image8:
     return canvas
 
 
+def map_from_above(
+    points_world: NDArray,
+    colors_srgb: NDArray[np.uint8],
+    cameras: list[Camera],
+    *,
+    width: int = 520,
+) -> Image8:
+    """Points (N, 3) in their colors (N, 3) as seen from above, the robot's base below, and where cameras stood.
+
+    The robot's x axis points up in the picture. Lower points are drawn first.
+    """
+    centers = np.array([camera.center for camera in cameras]).reshape(-1, 3)
+    ahead = np.array([camera.T_world_cam[:3, 2] for camera in cameras]).reshape(-1, 3)
+    everything = np.concatenate([points_world, centers, np.zeros((1, 3))])[:, :2]
+    low, high = everything.min(0) - 0.15, everything.max(0) + 0.15
+    scale = width / (high[1] - low[1])
+
+    def px(places: NDArray) -> list[tuple[float, float]]:
+        return [((high[1] - y) * scale, (high[0] - x) * scale) for x, y in places[:, :2]]
+
+    canvas = Image.new("RGB", (width, round((high[0] - low[0]) * scale)), (250, 251, 252))
+    draw = ImageDraw.Draw(canvas)
+    order = np.argsort(points_world[:, 2], kind="stable")
+    for (x, y), color in zip(px(points_world[order]), colors_srgb[order], strict=True):
+        draw.rectangle((x - 1, y - 1, x + 1, y + 1), fill=tuple(int(value) for value in color))
+    for (x, y), end in zip(px(centers), px(centers + 0.12 * ahead), strict=True):
+        draw.line(((x, y), end), fill=(90, 100, 115), width=1)
+        draw.ellipse((x - 3, y - 3, x + 3, y + 3), fill=(40, 50, 65))
+    ((x, y),) = px(np.zeros((1, 3)))
+    draw.ellipse((x - 6, y - 6, x + 6, y + 6), outline=(40, 50, 65), width=2)
+    return np.asarray(canvas)
+
+
 def _draw_path(
     draw: ImageDraw.ImageDraw, camera: Camera, points: NDArray, color: tuple[int, int, int], width: int
 ) -> None:

@@ -44,6 +44,7 @@ def write_report(out: Path) -> Path:
     body = [
         f"<h1>{data.capture.name}: {data.capture.instruction}</h1>",
         _summary(run),
+        _warnings(run),
         section(
             "Generated episodes",
             _episodes_text(run),
@@ -60,6 +61,15 @@ def write_report(out: Path) -> Path:
             picture(pictures.heldout_sheet(data), "held-out views"),
             paragraph("Part labels: robot blue, static part orange, moving part pink."),
             picture(pictures.parts_sheet(data), "parts"),
+        ),
+        section(
+            "Coverage",
+            paragraph(
+                "Where the scan looked: sides of object, robot and table from above, with the scan's cameras. Green: "
+                "enough views from different directions. Yellow: too few. Red: none; what is there is guessed."
+            ),
+            picture(pictures.coverage_map(data), "coverage"),
+            _coverage(run),
         ),
         section(
             "Alignment",
@@ -97,6 +107,21 @@ def _summary(run: Run) -> str:
             ["joint", figures["motion"]["joint"]],
         ],
     )
+
+
+def _warnings(run: Run) -> str:
+    """What the stages warn of, or nothing."""
+    rows: list[list[object]] = []
+    for stage in STAGES:
+        manifest = read_manifest(run.folders[stage.name])
+        rows += [[stage.title, sentence] for sentence in (manifest.warnings if manifest else ())]
+    return section("Warnings", table(["stage", "warning"], rows)) if rows else ""
+
+
+def _coverage(run: Run) -> str:
+    sides = _figures(run, "parts")["coverage"]
+    rows = [[name, seen["views"], seen["spread_deg"], 100 * seen["share"]] for name, seen in sides.items()]
+    return table(["side", "views (median)", "spread [deg]", "seen enough [%]"], rows)
 
 
 def _contact_sheet(data: pictures.Recovered) -> np.ndarray:
@@ -185,7 +210,11 @@ def _stages(run: Run) -> str:
     seconds = read_json(run.out / TIMINGS)
     rows: list[list[object]] = []
     for stage in STAGES:
-        shown = ", ".join(f"{name} {_short(value)}" for name, value in _figures(run, stage.name).items())
+        shown = ", ".join(
+            f"{name} {_short(value)}"
+            for name, value in _figures(run, stage.name).items()
+            if not isinstance(value, dict)
+        )
         rows.append([stage.title, float(seconds.get(stage.name, 0.0)), shown])
     return table(["stage", "seconds", "figures"], [*rows, ["all", float(sum(seconds.values())), ""]])
 

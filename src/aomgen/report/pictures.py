@@ -21,10 +21,13 @@ from aomgen.pipeline.recovery import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.stage import Run
 from aomgen.reconstruction.gaussians import held_out
-from aomgen.report.drawing import overlay_joint, overlay_labels, overlay_outline, sheet
+from aomgen.reconstruction.survey_stage import load_survey
+from aomgen.report.drawing import map_from_above, overlay_joint, overlay_labels, overlay_outline, sheet
 from aomgen.twin.twin import Twin, TwinState
 
 OUTLINE = (255, 60, 200)
+# Colors of places that no view, few views and enough views saw.
+SEEN = np.array([(205, 45, 45), (235, 180, 40), (60, 150, 90)], np.uint8)
 Image8 = NDArray[np.uint8]
 
 
@@ -99,6 +102,16 @@ def parts_sheet(data: Recovered, count: int = 4) -> Image8:
         labels = draw_twin(data.twin, data.robot, cameras[name], data.twin.scan_state)[1]
         images.append(_small(overlay_labels(read_image(paths[name]), labels)))
     return sheet(images, len(images))
+
+
+def coverage_map(data: Recovered) -> Image8:
+    """Sides of object, robot and table from above: red never seen, yellow too little, green enough."""
+    found = load_survey(data.run.folders["parts"])
+    seen = np.where(found.coverage.enough, 2, np.where(found.coverage.views > 0, 1, 0))
+    cameras = scan_cameras_world(data.run)
+    withheld = held_out([path.name for path in data.capture.scan_images])
+    learned = [camera for name, camera in cameras.items() if name not in withheld]
+    return map_from_above(found.points_world, SEEN[seen], learned)
 
 
 def robot_sheet(data: Recovered, count: int = 4) -> Image8:

@@ -1,6 +1,7 @@
 """Stages are kept, made anew and continued exactly when they should be."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,14 +11,14 @@ from aomgen.io.atomic import write_bytes, write_text
 from aomgen.pipeline.manifest import read_manifest, verify
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages, stage_states
-from aomgen.pipeline.stage import Run, Stage
+from aomgen.pipeline.stage import WARNINGS, Run, Stage
 
 
 class Heard:
     """A display that remembers which stages really ran."""
 
     def __init__(self):
-        self.ran, self.kept = [], []
+        self.ran, self.kept, self.warned = [], [], []
 
     def begin(self, stage, *, fresh):
         (self.kept if fresh else self.ran).append(stage.name)
@@ -27,6 +28,9 @@ class Heard:
 
     def end(self, stage, seconds, figures):
         pass
+
+    def warn(self, stage, sentence):
+        self.warned.append((stage.name, sentence))
 
 
 def write_seed(run: Run, folder: Path, progress) -> dict:
@@ -158,3 +162,19 @@ def test_two_runs_in_one_folder(tmp_path):
 
     go(tmp_path, b=nested)
     assert (tmp_path / "out" / "02_b" / "child").read_text() == "42"
+
+
+def test_warnings_are_told_kept_and_told_again(tmp_path):
+    def warns(run: Run, folder: Path, progress) -> dict:
+        return {**write_seed(run, folder, progress), WARNINGS: ["the far side was not seen"]}
+
+    project = Project(capture=tmp_path, out=tmp_path / "out")
+    first, second = Heard(), Heard()
+    listed = (replace(stages()[0], function=warns),)
+    run_stages(project, listed, first, capture_digest="c")
+    run_stages(project, listed, second, capture_digest="c")
+    assert second.kept == ["a"]
+    assert first.warned == second.warned == [("a", "the far side was not seen")]
+    manifest = read_manifest(project.out / "01_a")
+    assert manifest is not None
+    assert (manifest.figures, manifest.warnings) == ({"size": 1}, ("the far side was not seen",))

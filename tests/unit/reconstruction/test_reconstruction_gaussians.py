@@ -172,6 +172,9 @@ class Display:
     def end(self, stage: Stage, seconds: float, figures: dict[str, object]) -> None:
         pass
 
+    def warn(self, stage: Stage, sentence: str) -> None:
+        pass
+
 
 def recorder(seen: list[str]) -> Progress:
     return lambda share, text: seen.append(text)
