@@ -120,7 +120,9 @@ def _warnings(run: Run) -> str:
 
 def _coverage(run: Run) -> str:
     sides = _figures(run, "parts")["coverage"]
-    rows = [[name, seen["views"], seen["spread_deg"], 100 * seen["share"]] for name, seen in sides.items()]
+    rows: list[list[object]] = [
+        [name, seen["views"], seen["spread_deg"], 100 * seen["share"]] for name, seen in sides.items()
+    ]
     return table(["side", "views (median)", "spread [deg]", "seen enough [%]"], rows)
 
 
