@@ -119,10 +119,9 @@ def _warnings(run: Run) -> str:
 
 
 def _coverage(run: Run) -> str:
-    sides = _figures(run, "parts")["coverage"]
-    rows: list[list[object]] = [
-        [name, seen["views"], seen["spread_deg"], 100 * seen["share"]] for name, seen in sides.items()
-    ]
+    rows: list[list[object]] = []
+    for name, seen in _figures(run, "parts")["coverage"].items():
+        rows.append([name, seen["views"], seen["spread_deg"], 100 * seen["share"]])
     return table(["side", "views (median)", "spread [deg]", "seen enough [%]"], rows)
 
 
