@@ -21,6 +21,7 @@ from aomgen.physics.robot import load_robot
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
+from aomgen.pipeline.working import working_capture
 from aomgen.reconstruction.structure_stage import load_structure
 from aomgen.twin.twin import TwinState
 
@@ -40,7 +41,7 @@ def run_accuracy(capture_folder: Path, out: Path | None, run_project: Callable[.
     with tempfile.TemporaryDirectory() as scratch:
         out = (out or Path(scratch) / "run").resolve()
         run_project(Project(capture=capture_folder.resolve(), out=out), until=LAST_STAGE)
-        capture = read_capture(capture_folder)
+        capture = working_capture(read_capture(capture_folder), out / STRUCTURE_FOLDER)
         estimates = read_json(out / "estimates.json")
         name = capture.cameras[0].name
         video = read_demo_videos(capture)[name]

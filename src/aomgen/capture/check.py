@@ -1,8 +1,12 @@
 """Checks that need the videos decoded."""
 
+import numpy as np
+
 from aomgen.capture.read import check_intrinsics
+from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
 from aomgen.errors import IncompleteCaptureError
+from aomgen.io.straighten import straightener
 from aomgen.io.video import Video, read_video
 
 MIN_FRAMES = 20
@@ -42,4 +46,10 @@ def _checked(capture: Capture, index: int) -> Video:
             f"lasts {length_s:.1f} s, but the joint log only {log_s:.1f} s",
             "re-export the log over the whole demonstration",
         )
-    return video
+    return video if camera.lens is None else _straightened(video, camera.lens)
+
+
+def _straightened(video: Video, lens: Lens) -> Video:
+    straighten = straightener(lens)
+    frames = np.stack([straighten(frame) for frame in video.frames_srgb])
+    return Video(times_s=video.times_s, frames_srgb=frames, fps=video.fps)

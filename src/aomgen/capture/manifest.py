@@ -30,12 +30,14 @@ class RobotSection(_Section):
 class ScanSection(_Section):
     images: str
     intrinsics: Four | None = None
+    distortion: Four | None = None
 
 
 class CameraSection(_Section):
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
     video: str
     intrinsics: Four | None = None
+    distortion: Four | None = None
     T_world_cam: list[Four] | None = Field(default=None, min_length=4, max_length=4)
 
 

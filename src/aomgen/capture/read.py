@@ -5,9 +5,16 @@ from pathlib import Path
 import numpy as np
 
 from aomgen.capture.joint_csv import read_joint_log
-from aomgen.capture.manifest import CaptureManifest, PromptSection, read_manifest
+from aomgen.capture.manifest import (
+    CameraSection,
+    CaptureManifest,
+    PromptSection,
+    ScanSection,
+    read_manifest,
+)
 from aomgen.core.joint_log import JointLog
-from aomgen.core.recording import Capture, DemoCamera, Intrinsics, Prompt, RobotChoice
+from aomgen.core.lens import Lens
+from aomgen.core.recording import Capture, DemoCamera, Intrinsics, Prompt, RobotChoice, frame_name
 from aomgen.errors import (
     CalibrationError,
     IncompleteCaptureError,
@@ -17,9 +24,12 @@ from aomgen.errors import (
 )
 from aomgen.io.images import image_size
 from aomgen.io.paths import resolve_inside
+from aomgen.io.video import probe_video
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 MIN_SCAN_IMAGES = 12
+# Two seconds of video; a walk around the scene takes ten times as long.
+MIN_SCAN_FRAMES = 60
 # The log's first rows are averaged over this time to beat encoder noise while the arm rests.
 REST_S = 0.1
 # A principal point further than this from the middle (share of the size) is another image's.
@@ -36,14 +46,16 @@ def read_capture(folder: Path) -> Capture:
         raise MissingFileError(folder, "is not a folder", "give the folder that holds capture.toml")
     path = folder / "capture.toml"
     manifest = read_manifest(path)
-    images = _scan_images(folder, manifest, path)
-    size = _common_size(images)
+    scan = resolve_inside(folder, manifest.scan.images, named_by=path)
+    video = scan if scan.is_file() else None
+    images = () if video else _scan_images(scan)
+    size, names = _video_frames(video) if video else (_common_size(images), {item.name for item in images})
     log = read_joint_log(
         resolve_inside(folder, manifest.demo.joints, named_by=path),
         manifest.robot.joints,
         manifest.robot.gripper,
     )
-    scan_intrinsics = _intrinsics(manifest.scan.intrinsics)
+    scan_intrinsics = _intrinsics(manifest.scan, f"{path}: scan")
     if scan_intrinsics:
         check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
     masks = folder / "masks"
@@ -57,12 +69,13 @@ def read_capture(folder: Path) -> Capture:
         instruction=manifest.instruction,
         robot=_robot(folder, manifest, log, path),
         scan_images=images,
+        scan_video=video,
         scan_size=size,
         scan_intrinsics=scan_intrinsics,
         cameras=_cameras(folder, manifest, path),
         joint_log=log,
         clock_offset_s=manifest.demo.clock_offset_s,
-        prompts=_prompts(manifest.prompts, images, size, path, has_masks=bool(mask_folders)),
+        prompts=_prompts(manifest.prompts, names, size, path, has_masks=bool(mask_folders)),
         mask_folders=mask_folders,
     )
 
@@ -72,7 +85,7 @@ def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) 
 
     Raises:
         CalibrationError: Principal point far off the middle, focal length outside 0.2..8 widths,
-            or fx and fy differing by more than 20 %.
+            fx and fy differing by more than 20 %, or a distortion that folds the image back.
     """
     width, height = size
     shift = max(abs(intrinsics.cx / width - 0.5), abs(intrinsics.cy / height - 0.5))
@@ -88,16 +101,29 @@ def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) 
             f"focal lengths ({intrinsics.fx:g}, {intrinsics.fy:g}) do not fit {width} x {height} images",
             "scale the intrinsics to the image size",
         )
-
-
-def _scan_images(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[Path, ...]:
-    scan = resolve_inside(folder, manifest.scan.images, named_by=path)
-    if scan.is_file():
-        raise MalformedFileError(
-            scan,
-            "is a video, and scans are read from still images",
-            "extract 40 to 100 sharp frames into a folder",
+    if intrinsics.distortion is not None:
+        k1, k2, p1, p2 = intrinsics.distortion
+        lens = Lens(
+            fx=intrinsics.fx,
+            fy=intrinsics.fy,
+            cx=intrinsics.cx,
+            cy=intrinsics.cy,
+            width=width,
+            height=height,
+            k1=k1,
+            k2=k2,
+            p1=p1,
+            p2=p2,
         )
+        if not lens.valid:
+            raise CalibrationError(
+                where,
+                f"distortion {list(intrinsics.distortion)} folds the image's border back",
+                "want k1, k2, p1, p2 of OpenCV's model",
+            )
+
+
+def _scan_images(scan: Path) -> tuple[Path, ...]:
     images = tuple(sorted(item for item in scan.iterdir() if item.suffix.lower() in IMAGE_SUFFIXES))
     if not len(images) >= MIN_SCAN_IMAGES:
         raise IncompleteCaptureError(
@@ -121,11 +147,30 @@ def _common_size(images: tuple[Path, ...]) -> tuple[int, int]:
     return first
 
 
-def _intrinsics(values: list[float] | None) -> Intrinsics | None:
-    if values is None:
+def _video_frames(scan: Path) -> tuple[tuple[int, int], set[str]]:
+    """Size of a scan video and the names its frames would have, from its header."""
+    info = probe_video(scan)
+    if not info.frames >= MIN_SCAN_FRAMES:
+        raise IncompleteCaptureError(
+            scan,
+            f"has {info.frames} frames, at least {MIN_SCAN_FRAMES} are needed",
+            "walk around robot and object for 20 to 60 s",
+        )
+    return (info.width, info.height), {frame_name(index) for index in range(info.frames)}
+
+
+def _intrinsics(section: ScanSection | CameraSection, where: str) -> Intrinsics | None:
+    if section.intrinsics is None:
+        if section.distortion is not None:
+            raise CalibrationError(
+                where, "has distortion without intrinsics", "give both, as they were calibrated together"
+            )
         return None
-    fx, fy, cx, cy = values
-    return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
+    fx, fy, cx, cy = section.intrinsics
+    if section.distortion is None:
+        return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
+    k1, k2, p1, p2 = section.distortion
+    return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2))
 
 
 def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -> RobotChoice:
@@ -160,7 +205,7 @@ def _cameras(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[DemoC
         DemoCamera(
             name=section.name,
             video=resolve_inside(folder, section.video, named_by=path),
-            intrinsics=_intrinsics(section.intrinsics),
+            intrinsics=_intrinsics(section, f"{path}: demo.cameras.{section.name}"),
             T_world_cam=None if section.T_world_cam is None else np.array(section.T_world_cam),
         )
         for section in manifest.demo.cameras
@@ -179,18 +224,19 @@ def _cameras(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[DemoC
 
 def _prompts(
     sections: list[PromptSection],
-    images: tuple[Path, ...],
+    names: set[str],
     size: tuple[int, int],
     path: Path,
     *,
     has_masks: bool,
 ) -> tuple[Prompt, ...]:
-    names = {image.name for image in images}
     prompts = []
     for section in sections:
         if section.image not in names:
             raise MissingFileError(
-                path, f"a prompt names '{section.image}', which is not a scan image", "correct the name"
+                path,
+                f"a prompt names '{section.image}', which is not a scan image",
+                f"correct the name (known: {min(names)} to {max(names)})",
             )
         if not section.points and section.box is None:
             raise InputError(

@@ -4,17 +4,28 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aomgen.core.joint_log import JointLog
+from aomgen.core.lens import Lens
 from aomgen.core.values import Array, freeze
+
+
+def frame_name(index: int) -> str:
+    """Name of the image made from a frame of a scan video, sorting in the order of time."""
+    return f"scan_{index:06d}.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsics:
-    """Pinhole intrinsics, [px], principal point with pixel centres at +0.5."""
+    """Known intrinsics, [px], principal point with pixel centres at +0.5.
+
+    Attributes:
+        distortion: Known k1, k2, p1, p2 (see `Lens`); None when nothing is known about it.
+    """
 
     fx: float
     fy: float
     cx: float
     cy: float
+    distortion: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,12 +58,14 @@ class DemoCamera:
         video: Path of its video.
         intrinsics: Known intrinsics, or None to estimate them.
         T_world_cam: Known hand-eye calibration (4, 4), or None.
+        lens: Bends the video's frames, which are straightened when they are read; None = straight.
     """
 
     name: str
     video: Path
     intrinsics: Intrinsics | None
     T_world_cam: Array | None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         if self.T_world_cam is not None:
@@ -89,7 +102,8 @@ class Capture:
         folder: The capture's folder.
         name, category, instruction: From capture.toml.
         robot: The robot and its state during the scan.
-        scan_images: Paths in name order.
+        scan_images: Paths in name order; none when the scan is a video.
+        scan_video: The scan when it is a video, or None.
         scan_size: Width and height of every scan image, [px].
         scan_intrinsics: Known intrinsics of the scan, or None.
         cameras: The demonstration's fixed cameras.
@@ -105,6 +119,7 @@ class Capture:
     instruction: str
     robot: RobotChoice
     scan_images: tuple[Path, ...]
+    scan_video: Path | None
     scan_size: tuple[int, int]
     scan_intrinsics: Intrinsics | None
     cameras: tuple[DemoCamera, ...]

@@ -2,13 +2,16 @@
 
 import fractions
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import av
 import av.error
 import numpy as np
+from av.container import InputContainer
+from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from aomgen.core.values import Array, freeze
@@ -37,51 +40,108 @@ class Video:
         self.frames_srgb.flags.writeable = False
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoInfo:
+    """What a video's header says: size [px], number of frames, nominal rate [1/s]."""
+
+    width: int
+    height: int
+    frames: int
+    fps: float
+
+
+def probe_video(path: Path) -> VideoInfo:
+    """Read a video's header.
+
+    Raises:
+        MissingFileError, MalformedFileError, LimitExceededError: As their names say; a header
+            without a number of frames counts as malformed.
+    """
+    with _opened(path) as (container, stream):
+        frames = stream.frames
+        rate = float(stream.average_rate or stream.guessed_rate or 0)
+        if not frames and container.duration:
+            frames = int(container.duration / av.time_base * rate)
+        if not frames or not rate > 0:
+            raise MalformedFileError(path, "says neither its length nor its rate", "export the video again")
+        if not frames <= MAX_FRAMES:
+            raise LimitExceededError(path, f"is longer than {MAX_FRAMES} frames", "cut the video")
+        return VideoInfo(width=stream.width, height=stream.height, frames=frames, fps=rate)
+
+
+def decoded_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
+    """Time, [s], and frame, one after the other, so that long videos need no memory.
+
+    Raises:
+        MissingFileError: No such file.
+        MalformedFileError: Not a video, no frames, damaged or truncated stream, times that do not
+            increase.
+        LimitExceededError: More frames than are read without asking.
+    """
+    count, last = 0, -np.inf
+    with _opened(path) as (container, stream):
+        declared = stream.frames
+        try:
+            for frame in container.decode(stream):
+                if frame.pts is None or frame.is_corrupt:
+                    raise MalformedFileError(path, f"frame {count} is damaged", "export the video again")
+                if not count < MAX_FRAMES:
+                    raise LimitExceededError(path, f"is longer than {MAX_FRAMES} frames", "cut the video")
+                time_s = float(frame.pts * (stream.time_base or 0))
+                if not time_s > last:
+                    raise MalformedFileError(
+                        path, "has no increasing frame times", "export it with a constant rate"
+                    )
+                yield time_s, frame
+                count, last = count + 1, time_s
+        except (av.error.FFmpegError, IndexError) as error:
+            raise MalformedFileError(
+                path,
+                f"stops being readable after frame {count} ({error})",
+                "copy or export the video again",
+            ) from error
+    if not count or (declared and count < declared):
+        raise MalformedFileError(
+            path,
+            f"has {count} readable frames of {declared} declared",
+            "copy or export the video again",
+        )
+
+
 def read_video(path: Path) -> Video:
     """Decode a whole video.
 
     Raises:
-        MissingFileError: No such file.
-        MalformedFileError: Not a video, no frames, damaged or truncated stream.
+        MissingFileError, MalformedFileError: See `decoded_frames`.
         LimitExceededError: More frames or pixels than are read without asking.
     """
+    frames, times = [], []
+    for time_s, frame in decoded_frames(path):
+        if not frame.width * frame.height * (len(frames) + 1) <= MAX_PIXELS_TOTAL:
+            raise LimitExceededError(path, "holds more pixels than fit in memory", "cut the demonstration")
+        times.append(time_s)
+        frames.append(frame.to_ndarray(format="rgb24", threads=1))
+    with _opened(path) as (_, stream):
+        rate = float(stream.average_rate or stream.guessed_rate or 0)
+    if not rate > 0:
+        raise MalformedFileError(path, "has no frame rate", "export it with a constant rate")
+    return Video(times_s=np.array(times), frames_srgb=np.stack(frames), fps=rate)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     if not path.is_file():
         raise MissingFileError(path, "is missing", "copy the video or correct capture.toml")
-    frames, times = [], []
     try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            rate = float(stream.average_rate or stream.guessed_rate or 0)
-            declared = stream.frames
-            for frame in container.decode(stream):
-                if frame.pts is None or frame.is_corrupt:
-                    raise MalformedFileError(
-                        path, f"frame {len(frames)} is damaged", "export the video again"
-                    )
-                if (
-                    not len(frames) < MAX_FRAMES
-                    or not frame.width * frame.height * (len(frames) + 1) <= MAX_PIXELS_TOTAL
-                ):
-                    raise LimitExceededError(
-                        path, f"is longer than {MAX_FRAMES} frames or too large", "cut the demonstration"
-                    )
-                times.append(float(frame.pts * (stream.time_base or 0)))
-                frames.append(frame.to_ndarray(format="rgb24", threads=1))
-    except (av.error.FFmpegError, IndexError) as error:
+        container = av.open(str(path))
+    except av.error.FFmpegError as error:
         raise MalformedFileError(
-            path,
-            f"stops being readable after frame {len(frames)} ({error})",
-            "copy or export the video again",
+            path, f"is not a video ({error})", "copy or export the video again"
         ) from error
-    if not frames or (declared and len(frames) < declared):
-        raise MalformedFileError(
-            path,
-            f"has {len(frames)} readable frames of {declared} declared",
-            "copy or export the video again",
-        )
-    if not rate > 0 or not np.all(np.diff(times) > 0):
-        raise MalformedFileError(path, "has no increasing frame times", "export it with a constant rate")
-    return Video(times_s=np.array(times), frames_srgb=np.stack(frames), fps=rate)
+    with container:
+        if not container.streams.video:
+            raise MalformedFileError(path, "holds no pictures", "copy or export the video again")
+        yield container, container.streams.video[0]
 
 
 def encode_video(frames: Iterable[NDArray[np.uint8]], fps: int, *, crf: int = 20) -> bytes:

@@ -11,7 +11,6 @@ from aomgen.assets.check import require_usable
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
-from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
@@ -38,6 +37,7 @@ from aomgen.physics.robot import RobotModel
 from aomgen.pipeline.fitted_store import load_fitted, save_fitted
 from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, surface_points
 from aomgen.pipeline.stage import Run
+from aomgen.pipeline.working import capture_of
 from aomgen.replacement.extent import free_rectangle
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.light import estimate_light
@@ -60,7 +60,7 @@ GAP_CELLS = 3
 
 def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """The scene without its object, its light, and every asset fitted to the motion."""
-    robot = robot_of(read_capture(run.project.capture))
+    robot = robot_of(capture_of(run))
     twin = load_twin(run.folders["twin"])
     progress(0.0, "removing the object")
     cleared = clear_object(twin, robot, np.random.default_rng(run.project.seed))
@@ -104,7 +104,7 @@ def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def plans(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """New poses, retargeted, solved for the arm, and verified in physics."""
-    robot = robot_of(read_capture(run.project.capture))
+    robot = robot_of(capture_of(run))
     support = stored_support(run)
     demo, _ = recorded_demonstration(run, robot, load_twin(run.folders["twin"]), support)
     params = GenerationParams(
@@ -124,7 +124,7 @@ def plans(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def episodes(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """Every verified plan drawn from both cameras and committed."""
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     robot = robot_of(capture)
     fitted = fitted_assets(run)
     verified = load_generalization(run.folders["plans"], fitted)
@@ -171,7 +171,7 @@ def episode_cameras(run: Run, robot: RobotModel, twin: Twin, demo: Demonstration
         np.stack([demo.Ts_world_ee[t][:3, 3], apply(demo.joint.motion(demo.thetas[t]), held)]) for t in frames
     ]
     chosen = choose_viewpoint(scan_cameras_world(run), first, twin, robot, states, key_points)
-    name = read_capture(run.project.capture).cameras[0].name
+    name = capture_of(run).cameras[0].name
     return {name: first, NEW_CAMERA: chosen.camera}
 
 
@@ -247,7 +247,7 @@ def recorded_demonstration(
     run: Run, robot: RobotModel, twin: Twin, support: SupportPlane
 ) -> tuple[Demonstration, RecordedObject]:
     """The recorded demonstration and object as later stages use them."""
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     motion = load_motion(run.folders["motion"])
     demo = demonstration_from(motion, capture.joint_log, robot, demo_fps(run))
     world = posed(twin, robot, twin.scan_state)

@@ -18,19 +18,21 @@ from aomgen.core.recording import Capture
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.io.atomic import write_json
-from aomgen.io.video import Video
+from aomgen.io.video import Video, probe_video
 from aomgen.motion.estimate import Demonstration as MotionInput
 from aomgen.motion.stage import load_motion, run_motion
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.pipeline.estimates import estimates_of
 from aomgen.pipeline.stage import WARNINGS, Run
+from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
 from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment
+from aomgen.reconstruction.fixed_cameras import DemoView
 from aomgen.reconstruction.gaussians import GaussiansParams
 from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.parts_stage import load_parts, run_parts
 from aomgen.reconstruction.segmenter import choose_segmenter
-from aomgen.reconstruction.structure import DemoView
+from aomgen.reconstruction.structure import Photographs
 from aomgen.reconstruction.structure_stage import load_structure, run_structure
 from aomgen.reconstruction.survey_stage import run_survey
 from aomgen.twin.binding import bind, object_frame
@@ -57,19 +59,20 @@ def structure(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         camera.name: DemoView(
             first_srgb=videos[camera.name].frames_srgb[0],
             median_srgb=_median_frame(videos[camera.name]),
-            intrinsics=None
-            if camera.intrinsics is None
-            else (camera.intrinsics.fx, camera.intrinsics.fy, camera.intrinsics.cx, camera.intrinsics.cy),
+            intrinsics=camera.intrinsics,
         )
         for camera in capture.cameras
     }
-    known = capture.scan_intrinsics
-    intrinsics = None if known is None else (known.fx, known.fy, known.cx, known.cy)
-    images = {path.name: path for path in capture.scan_images}
-    result = run_structure(images, intrinsics, demo, folder, progress)
+    photographs = Photographs(
+        images={path.name: path for path in capture.scan_images},
+        intrinsics=capture.scan_intrinsics,
+        demo=demo,
+        prompts=capture.prompts,
+    )
+    result = run_structure(photographs, capture.mask_folders, folder, progress)
     return {
         "registered": len(result.cameras_recon),
-        "of": len(images),
+        "of": len(photographs.images),
         "reprojection_error_px": round(result.reprojection_error_px, 3),
         "points": len(result.points_recon),
     }
@@ -82,7 +85,7 @@ def _median_frame(video: Video) -> np.ndarray:
 
 def gaussians(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """Trained Gaussians of the scene, with held-out views."""
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     images = {path.name: path for path in capture.scan_images}
     params = GaussiansParams()
     params = replace(
@@ -102,7 +105,7 @@ def gaussians(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """Scale and pose of the scene in the robot's base frame."""
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     videos = read_demo_videos(capture)
     result = run_alignment(
         load_structure(run.folders["structure"]),
@@ -123,7 +126,7 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """A part label for every Gaussian, the robot link that carries it, and which sides the scan saw."""
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     scene = load_structure(run.folders["structure"])
     gaussians_recon = load_gaussians(run.folders["gaussians"]).gaussians_recon
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
@@ -156,7 +159,7 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
     A refused motion is written there as refused before the error goes on.
     """
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     camera = capture.cameras[0]
     scene = load_structure(run.folders["structure"])
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
@@ -212,7 +215,7 @@ def posture_of(capture: Capture) -> RobotPosture:
 
 def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """Every Gaussian bound to the body that carries it."""
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     robot = robot_of(capture)
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
@@ -234,7 +237,7 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def demo_camera_world(run: Run) -> Camera:
     """The first fixed camera, as estimated."""
-    name = read_capture(run.project.capture).cameras[0].name
+    name = capture_of(run).cameras[0].name
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     return camera_in_world(S_world_recon, load_structure(run.folders["structure"]).demo_cameras_recon[name])
 
@@ -248,5 +251,4 @@ def scan_cameras_world(run: Run) -> dict[str, Camera]:
 
 def demo_fps(run: Run) -> float:
     """Frame rate of the first demonstration video, [1/s]."""
-    capture = read_capture(run.project.capture)
-    return float(round(read_demo_videos(capture)[capture.cameras[0].name].fps))
+    return float(round(probe_video(capture_of(run).cameras[0].video).fps))

@@ -1,4 +1,4 @@
-"""COLMAP through pycolmap: features, matches and incremental mapping in a scratch folder."""
+"""COLMAP through pycolmap: features, matches and mapping in a scratch folder."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -9,10 +9,12 @@ import pycolmap
 from numpy.typing import NDArray
 from PIL import Image
 
-from aomgen.core.transforms import invert
+from aomgen.core.lens import Lens
+from aomgen.core.recording import Intrinsics
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.consistency import Pair
+from aomgen.reconstruction.mapped import Mapped, adjust, lens_of, mapped_of, opencv_params
 from aomgen.reconstruction.resection import Links
 
 
@@ -23,35 +25,12 @@ class ImageSet:
     Attributes:
         group: Name of the set.
         images: Pairs of name and (H, W, 3) uint8, all of one size.
-        intrinsics: [fx, fy, cx, cy] in px, or None to estimate one focal length.
+        intrinsics: Known intrinsics, or None to estimate one focal length.
     """
 
     group: str
     images: Iterator[tuple[str, NDArray[np.uint8]]]
-    intrinsics: tuple[float, float, float, float] | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mapped:
-    """A model as the mapper left it.
-
-    Attributes:
-        Ts_recon_cam: Pose (4, 4) by image name.
-        K: Intrinsics (3, 3) of the scan camera, [px].
-        points_recon: (P, 3).
-        colors_srgb: (P, 3) uint8.
-        observations: (point index, image name).
-        point_of_feature: For each image, point index of each feature (F,), -1 = none.
-        error_px: Mean reprojection error.
-    """
-
-    Ts_recon_cam: dict[str, Array]
-    K: Array
-    points_recon: Array
-    colors_srgb: NDArray[np.uint8]
-    observations: list[tuple[int, str]]
-    point_of_feature: dict[str, NDArray[np.int64]]
-    error_px: float
+    intrinsics: Intrinsics | None
 
 
 @dataclass(kw_only=True)
@@ -68,7 +47,8 @@ class Workspace:
     seed: int
     threads: int = -1
     _files: dict[str, dict[str, str]] = field(default_factory=dict)
-    _known: dict[str, bool] = field(default_factory=dict)
+    _focal_known: dict[str, bool] = field(default_factory=dict)
+    _lens_known: dict[str, bool] = field(default_factory=dict)
     _model: pycolmap.Reconstruction | None = None
 
     def __post_init__(self) -> None:
@@ -102,8 +82,10 @@ class Workspace:
         options.sift.peak_threshold = peak_threshold
         reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_PINHOLE")
         if images.intrinsics is not None:
-            reader.camera_model = "PINHOLE"
-            reader.camera_params = ",".join(repr(float(value)) for value in images.intrinsics)
+            known = images.intrinsics
+            params = (known.fx, known.fy, known.cx, known.cy, *(known.distortion or ()))
+            reader.camera_model = "OPENCV" if known.distortion else "PINHOLE"
+            reader.camera_params = ",".join(repr(float(value)) for value in params)
         pycolmap.extract_features(
             self.database,
             self.folder / "images",
@@ -113,23 +95,37 @@ class Workspace:
             options,
         )
         self._files[images.group] = files
-        self._known[images.group] = images.intrinsics is not None
+        self._focal_known[images.group] = images.intrinsics is not None
+        self._lens_known[images.group] = images.intrinsics is not None and bool(images.intrinsics.distortion)
 
     def match(self, exhaustive_limit: int) -> None:
         """Match and verify pairs: all of them, or neighbours and a coarse grid for long scans."""
         groups = [sorted(files.values()) for files in self._files.values()]
         pairs = [(groups[0][i], groups[0][j]) for i, j in choose_pairs(len(groups[0]), exhaustive_limit)]
         pairs += [(still, scan) for group in groups[1:] for still in group for scan in groups[0]]
-        listing = self.folder / "pairs.txt"
-        listing.write_text("".join(f"{a} {b}\n" for a, b in pairs), "utf-8")
-        verification = pycolmap.TwoViewGeometryOptions()
-        verification.ransac.random_seed = self.seed
+        self._listing.write_text("".join(f"{a} {b}\n" for a, b in pairs), "utf-8")
         pycolmap.match_image_pairs(
             self.database,
             pycolmap.FeatureMatchingOptions(num_threads=self.threads),
-            pycolmap.ImportedPairingOptions(match_list_path=listing),
-            verification,
+            pycolmap.ImportedPairingOptions(match_list_path=self._listing),
+            self._verification(),
         )
+
+    def set_lens(self, group: str, lens: Lens) -> None:
+        """Give a set's camera another lens, and verify all matches again under it."""
+        with pycolmap.Database.open(self.database) as database:
+            camera = self._camera(database, group)
+            camera.model = pycolmap.CameraModelId.OPENCV
+            camera.params = opencv_params(lens)
+            camera.has_prior_focal_length = True
+            database.update_camera(camera)
+            database.clear_two_view_geometries()
+        pycolmap.verify_matches(self.database, self._listing, self._verification())
+
+    def lens(self, group: str) -> Lens:
+        """The optics that a set's matches are verified with."""
+        with pycolmap.Database.open(self.database) as database:
+            return lens_of(self._camera(database, group))
 
     def map(self, group: str) -> Mapped | None:
         """Incremental mapping of one set; the largest model, or None."""
@@ -141,9 +137,20 @@ class Workspace:
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
         return self._mapped(group)
 
+    @property
+    def model(self) -> pycolmap.Reconstruction:
+        """The model as it is now.
+
+        Raises:
+            ReconstructionError: Nothing was mapped yet.
+        """
+        if self._model is None:
+            raise ReconstructionError("scan", "nothing was mapped yet", "map before using the model")
+        return self._model
+
     def remap(self, mapped: Mapped, bad: set[str]) -> Mapped:
         """The model without some images: points triangulated again, poses adjusted again."""
-        model = self._require_model()
+        model = self.model
         keep = [self._files["scan"][name] for name in mapped.Ts_recon_cam if name not in bad]
         for image in list(model.images.values()):
             if image.has_pose and image.name not in keep:
@@ -152,19 +159,22 @@ class Workspace:
         self._model = pycolmap.triangulate_points(
             model, self.database, self.folder / "images", self.folder / "remap", True, options
         )
-        adjust = pycolmap.BundleAdjustmentOptions(print_summary=False)
-        adjust.refine_focal_length = not self._known["scan"]
-        adjust.refine_extra_params = False
-        pycolmap.bundle_adjustment(self._model, adjust)
+        adjustment = pycolmap.BundleAdjustmentOptions(print_summary=False)
+        adjustment.refine_focal_length = options.ba_refine_focal_length
+        adjustment.refine_extra_params = options.ba_refine_extra_params
+        adjust(self._model, adjustment)
         self._model.update_point_3d_errors()
         return self._mapped("scan")
 
-    def pairs(self, group: str) -> list[Pair]:
-        """Verified matches between the images of a set, as pixels."""
+    def pairs(self, group: str, mapped: Mapped) -> list[Pair]:
+        """Verified matches between the images of a set, as straight pixels."""
+        lens = mapped.lens
         names = {file: name for name, file in self._files[group].items()}
         with pycolmap.Database.open(self.database) as database:
             images = {image.image_id: image.name for image in database.read_all_images()}
-            pixels = {i: _pixels(database, i) for i, file in images.items() if file in names}
+            pixels = {
+                i: lens.straightened(_pixels(database, i)) for i, file in images.items() if file in names
+            }
             result = []
             ids, geometries = database.read_two_view_geometries()
             for pair_id, geometry in zip(ids, geometries, strict=True):
@@ -182,7 +192,7 @@ class Workspace:
         return result
 
     def links(self, group: str, still: str, mapped: Mapped) -> Links:
-        """Pixels of a still and the scan's points they were matched to."""
+        """Pixels of a still, as photographed, and the scan's points they were matched to."""
         file = self._files[group][still]
         features, points = [], []
         with pycolmap.Database.open(self.database) as database:
@@ -208,43 +218,30 @@ class Workspace:
         options.triangulation.random_seed = self.seed
         options.image_names = sorted(self._files[group].values())
         options.multiple_models = False
-        options.ba_refine_focal_length = not self._known[group]
-        options.ba_refine_extra_params = False
-        options.mapper.abs_pose_refine_focal_length = not self._known[group]
+        options.ba_refine_focal_length = not self._focal_known[group]
+        # Nothing to refine in a pinhole camera, which has no such parameters.
+        options.ba_refine_extra_params = not self._lens_known[group]
+        # One image alone says too little about the camera all of them share.
+        options.mapper.abs_pose_refine_focal_length = not self._focal_known[group]
         options.mapper.abs_pose_refine_extra_params = False
         return options
 
-    def _require_model(self) -> pycolmap.Reconstruction:
-        if self._model is None:
-            raise ReconstructionError("scan", "nothing was mapped yet", "map before changing the model")
-        return self._model
+    def _camera(self, database: pycolmap.Database, group: str) -> pycolmap.Camera:
+        files = set(self._files[group].values())
+        camera_ids = {image.camera_id for image in database.read_all_images() if image.name in files}
+        return database.read_camera(camera_ids.pop())
+
+    def _verification(self) -> pycolmap.TwoViewGeometryOptions:
+        verification = pycolmap.TwoViewGeometryOptions()
+        verification.ransac.random_seed = self.seed
+        return verification
+
+    @property
+    def _listing(self) -> Path:
+        return self.folder / "pairs.txt"
 
     def _mapped(self, group: str) -> Mapped:
-        model = self._require_model()
-        names = {file: name for name, file in self._files[group].items()}
-        rows = {point_id: row for row, point_id in enumerate(sorted(model.points3D))}
-        points = [model.points3D[point_id] for point_id in sorted(model.points3D)]
-        poses, features, observations = {}, {}, []
-        for image in sorted(model.images.values(), key=lambda image: image.name):
-            if not image.has_pose:
-                continue
-            name = names[image.name]
-            T_cam_recon = np.eye(4)
-            T_cam_recon[:3] = image.cam_from_world().matrix()
-            poses[name] = invert(T_cam_recon)
-            point_of = [rows[p.point3D_id] if p.has_point3D() else -1 for p in image.points2D]
-            features[name] = np.array(point_of, np.int64)
-            observations += [(row, name) for row in sorted({row for row in point_of if row >= 0})]
-        camera = next(iter(model.cameras.values()))
-        return Mapped(
-            Ts_recon_cam=poses,
-            K=np.asarray(camera.calibration_matrix(), np.float64),
-            points_recon=np.array([p.xyz for p in points], np.float64).reshape(-1, 3),
-            colors_srgb=np.array([p.color for p in points], np.uint8).reshape(-1, 3),
-            observations=observations,
-            point_of_feature=features,
-            error_px=float(model.compute_mean_reprojection_error()),
-        )
+        return mapped_of(self.model, {file: name for name, file in self._files[group].items()})
 
 
 def _pixels(database: pycolmap.Database, image_id: int) -> Array:

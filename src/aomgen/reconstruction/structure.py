@@ -1,42 +1,50 @@
 """Camera poses and sparse points of the scan, with the fixed cameras in the same model.
 
 Source: AOMGen, sec. 4.1; the mapper is COLMAP's (Schoenberger & Frahm, 2016). What is ours: the
-choice of pairs, the search for misregistered images (`consistency`), and the fixed cameras
-(`resection`).
+choice of pairs, the decision about lens distortion (`lens_choice`), the search for misregistered
+images (`consistency`), the fixed cameras (`fixed_cameras`) and the gates.
 """
 
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress
+from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.reconstruction.consistency import Agreement, misregistered
+from aomgen.reconstruction.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
+from aomgen.reconstruction.lens_choice import choose_lens
+from aomgen.reconstruction.mapped import Mapped
 from aomgen.reconstruction.mapping import ImageSet, Workspace
-from aomgen.reconstruction.resection import Resection, agree, resect
+from aomgen.reconstruction.sightings import require_coverage, sightings
+from aomgen.reconstruction.straight import straight_prompts
 
-Intrinsics = tuple[float, float, float, float]
+Figures = dict[str, object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DemoView:
-    """What a fixed camera shows: its first frame and the temporal median of its video.
+class Photographs:
+    """What structure is recovered from.
 
     Attributes:
-        first_srgb: (H, W, 3) uint8, robot as in the scan.
-        median_srgb: (H, W, 3) uint8, most of the moving arm gone.
-        intrinsics: [fx, fy, cx, cy] in px, or None to estimate the focal length.
+        images: Scan images by file name; all of one size and one camera.
+        intrinsics: Known intrinsics, kept as given, or None to estimate them.
+        demo: Fixed cameras by name.
+        prompts: What a person clicked, in pixels of the images as they are.
     """
 
-    first_srgb: NDArray[np.uint8]
-    median_srgb: NDArray[np.uint8]
+    images: dict[str, Path]
     intrinsics: Intrinsics | None = None
+    demo: dict[str, DemoView] = field(default_factory=dict)
+    prompts: tuple[Prompt, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +77,9 @@ class Structure:
     Attributes:
         cameras_recon: Registered scan images by file name, in name order.
         demo_cameras_recon: Fixed cameras by name.
+        scan_lens: Optics of the scan images when they are distorted: `cameras_recon` and
+            everything else here belong to the straightened images. None = pinhole images.
+        demo_lenses: The same for the fixed cameras that are distorted.
         dropped: Scan images that are not in the model, with the reason.
         points_recon: Points (P, 3).
         colors_srgb: Colors (P, 3) uint8.
@@ -84,7 +95,9 @@ class Structure:
     colors_srgb: NDArray[np.uint8]
     observations: NDArray[np.int32]
     reprojection_error_px: float
-    figures: dict[str, object] = field(default_factory=dict)
+    scan_lens: Lens | None = None
+    demo_lenses: dict[str, Lens] = field(default_factory=dict)
+    figures: Figures = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.points_recon)
@@ -93,19 +106,11 @@ class Structure:
         freeze(self, "observations", self.observations, (None, 2), np.int32)
 
 
-def reconstruct_structure(
-    images: dict[str, Path],
-    intrinsics: Intrinsics | None,
-    demo: dict[str, DemoView],
-    params: StructureParams,
-    progress: Progress,
-) -> Structure:
+def reconstruct_structure(photographs: Photographs, params: StructureParams, progress: Progress) -> Structure:
     """Recover the cameras of a scan, and the fixed cameras in the same frame.
 
     Args:
-        images: Scan images by file name; all of one size and one camera.
-        intrinsics: [fx, fy, cx, cy] in px, kept as given; None estimates one focal length.
-        demo: Fixed cameras by name.
+        photographs: Scan, fixed cameras and prompts.
         params: Limits and effort.
         progress: Share done and a few words.
 
@@ -113,54 +118,70 @@ def reconstruct_structure(
         The structure; misregistered images are dropped, never averaged in.
 
     Raises:
-        ReconstructionError: Too few images, too few of them registered, too large an error, or a
-            fixed camera that cannot be placed.
+        ReconstructionError: Too few images, too few of them registered, too large an error, a
+            prompted part that the scan does not cover, or a fixed camera that cannot be placed.
 
-    Not checked: lens distortion (a pinhole is assumed), rolling shutter.
+    Not checked: rolling shutter; a lens that changes between the images (zoom, focus).
     """
-    names = sorted(images)
+    names = sorted(photographs.images)
     if not len(names) >= 8:
         raise ReconstructionError(
             "scan", f"has {len(names)} images, at least 8 are needed", "record more images"
         )
     with tempfile.TemporaryDirectory(prefix="aomgen-structure-") as folder:
         work = Workspace(folder=Path(folder), seed=params.seed, threads=params.threads)
-        _extract(work, images, intrinsics, demo, params, progress)
+        _extract(work, photographs, params, progress)
         progress(0.25, "matching features")
         work.match(params.exhaustive_limit)
         progress(0.6, "mapping")
-        mapped = work.map("scan")
-        if mapped is None:
-            raise ReconstructionError(
-                "scan", "no two images could be related", "record with more overlap and texture"
-            )
+        mapped, lens_figures = _map(work, photographs.intrinsics, progress)
         progress(0.85, "checking every image")
-        verdicts = misregistered(mapped.Ts_recon_cam, mapped.K, work.pairs("scan"))
+        verdicts = misregistered(mapped.Ts_recon_cam, mapped.K, work.pairs("scan", mapped))
         bad = {name: v for name, v in verdicts.items() if not v.accepted}
         if bad:
             mapped = work.remap(mapped, set(bad))
         _gate(names, set(mapped.Ts_recon_cam), bad, mapped.error_px, params)
         progress(0.92, "placing the fixed cameras")
-        placed = {name: _place(work, mapped, name, view) for name, view in demo.items()}
-    return _structure(names, mapped, placed, verdicts, images)
+        placed = {
+            name: place_fixed_camera(work, mapped, name, view) for name, view in photographs.demo.items()
+        }
+    structure = _structure(names, mapped, placed, verdicts, lens_figures)
+    return _covered(structure, photographs.prompts)
 
 
-def _extract(
-    work: Workspace,
-    images: dict[str, Path],
-    intrinsics: Intrinsics | None,
-    demo: dict[str, DemoView],
-    params: StructureParams,
-    progress: Progress,
-) -> None:
+def _extract(work: Workspace, photographs: Photographs, params: StructureParams, progress: Progress) -> None:
+    images = photographs.images
     scan = ((name, read_image(images[name])) for name in sorted(images))
-    sets = [ImageSet(group="scan", images=scan, intrinsics=intrinsics)]
-    for name, view in demo.items():
+    sets = [ImageSet(group="scan", images=scan, intrinsics=photographs.intrinsics)]
+    for name, view in photographs.demo.items():
         stills = iter([("first", view.first_srgb), ("median", view.median_srgb)])
         sets.append(ImageSet(group=f"demo:{name}", images=stills, intrinsics=view.intrinsics))
     for index, item in enumerate(sets):
         progress(0.2 * index / len(sets), "finding features")
         work.extract(item, params.max_features, params.peak_threshold)
+
+
+def _map(work: Workspace, intrinsics: Intrinsics | None, progress: Progress) -> tuple[Mapped, Figures]:
+    """Map the scan as a pinhole, and once more with distortion where that is really there.
+
+    Raises:
+        ReconstructionError: No two images could be related.
+    """
+    mapped = work.map("scan")
+    if mapped is not None and (intrinsics is None or intrinsics.distortion is None):
+        choice = choose_lens(work.model, focal_known=intrinsics is not None, seed=work.seed)
+        figures: Figures = {"gain": choice.gain, "significance": choice.significance}
+        if choice.bends:
+            progress(0.75, "mapping with lens distortion")
+            work.set_lens("scan", choice.lens)
+            mapped = work.map("scan")
+    else:
+        figures = {}
+    if mapped is None:
+        raise ReconstructionError(
+            "scan", "no two images could be related", "record with more overlap and texture"
+        )
+    return mapped, figures
 
 
 def _gate(
@@ -186,41 +207,23 @@ def _gate(
         )
 
 
-def _place(work: Workspace, mapped, name: str, view: DemoView) -> tuple[Camera, dict[str, object]]:
-    """Fixed camera from its first frame, compared with its temporal median."""
-    found = {
-        still: resect(
-            work.links(f"demo:{name}", still, mapped),
-            view.intrinsics,
-            (image.shape[1], image.shape[0]),
-            work.seed,
-        )
-        for still, image in (("first", view.first_srgb), ("median", view.median_srgb))
-    }
-    good: dict[str, Resection] = {still: r for still, r in found.items() if r is not None}
-    if not good:
-        raise ReconstructionError(
-            f"demo camera {name!r}",
-            "cannot be placed in the scan's model, neither by its first frame nor by its temporal median",
-            "scan from nearby this camera, or give its pose as T_world_cam",
-        )
-    best = good.get("first") or good["median"]
-    figures: dict[str, object] = {f"{still}_inliers": r.inliers for still, r in good.items()}
-    if len(good) == 2:
-        apart = agree(good["first"], good["median"])
-        figures |= {"disagreement_deg": apart.angle_deg, "disagreement_share": apart.distance_share}
-        if not (apart.angle_deg <= 2.0 and apart.distance_share <= 0.03):
-            best = max(good.values(), key=lambda r: r.inliers)
-            figures["disagree"] = True
-    return best.camera_recon, figures
-
-
-def _structure(names, mapped, placed, verdicts: dict[str, Agreement], images: dict[str, Path]) -> Structure:
-    size = read_image(images[names[0]]).shape[1::-1]
-    fx, fy, cx, cy = mapped.K[0, 0], mapped.K[1, 1], mapped.K[0, 2], mapped.K[1, 2]
+def _structure(
+    names: list[str],
+    mapped: Mapped,
+    placed: dict[str, FixedCamera],
+    verdicts: dict[str, Agreement],
+    lens_figures: Figures,
+) -> Structure:
+    straight, lens = mapped.lens.straight(), mapped.lens
     cameras = {
         name: Camera(
-            fx=fx, fy=fy, cx=cx, cy=cy, width=size[0], height=size[1], T_world_cam=mapped.Ts_recon_cam[name]
+            fx=straight.fx,
+            fy=straight.fy,
+            cx=straight.cx,
+            cy=straight.cy,
+            width=straight.width,
+            height=straight.height,
+            T_world_cam=mapped.Ts_recon_cam[name],
         )
         for name in names
         if name in mapped.Ts_recon_cam
@@ -236,7 +239,9 @@ def _structure(names, mapped, placed, verdicts: dict[str, Agreement], images: di
     observations = [(p, order[name]) for p, name in mapped.observations]
     return Structure(
         cameras_recon=cameras,
-        demo_cameras_recon={name: camera for name, (camera, _) in placed.items()},
+        demo_cameras_recon={name: item.camera_recon for name, item in placed.items()},
+        scan_lens=lens if lens.bends else None,
+        demo_lenses={name: item.lens for name, item in placed.items() if item.lens.bends},
         dropped=dropped,
         points_recon=mapped.points_recon,
         colors_srgb=mapped.colors_srgb,
@@ -248,6 +253,20 @@ def _structure(names, mapped, placed, verdicts: dict[str, Agreement], images: di
             "points": len(mapped.points_recon),
             "reprojection_error_px": mapped.error_px,
             "worst_agreement": min((v.share for n, v in verdicts.items() if n in cameras), default=0.0),
-            "demo_cameras": {name: figures for name, (_, figures) in placed.items()},
+            "distortion": lens_figures | {"largest_shift_px": lens.largest_shift_px()},
+            "demo_cameras": {name: item.figures for name, item in placed.items()},
         },
     )
+
+
+def _covered(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
+    """The structure with the coverage of every prompt in its figures.
+
+    Raises:
+        ReconstructionError: A prompted part was not looked at.
+    """
+    if structure.scan_lens is not None:
+        prompts = straight_prompts(prompts, structure.scan_lens)
+    found = sightings(prompts, structure.cameras_recon, structure.points_recon, structure.observations)
+    require_coverage(found)
+    return replace(structure, figures=structure.figures | {"prompts": [asdict(item) for item in found]})

@@ -1,18 +1,20 @@
 """Loading and saving of the structure stage."""
 
 import io
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from aomgen.core.camera import Camera
-from aomgen.core.progress import Progress
+from aomgen.core.lens import Lens
+from aomgen.core.progress import Progress, part
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
+from aomgen.reconstruction.straight import write_straight
 from aomgen.reconstruction.structure import (
-    DemoView,
-    Intrinsics,
+    Photographs,
     Structure,
     StructureParams,
     reconstruct_structure,
@@ -23,16 +25,21 @@ POINTS_FILE = "points.npz"
 
 
 def run_structure(
-    images: dict[str, Path],
-    intrinsics: Intrinsics | None,
-    demo: dict[str, DemoView],
+    photographs: Photographs,
+    mask_folders: dict[str, Path],
     folder: Path,
     progress: Progress,
     params: StructureParams | None = None,
 ) -> Structure:
-    """Reconstruct (see `reconstruct_structure`) and write `structure.json`, `points.npz`."""
-    structure = reconstruct_structure(images, intrinsics, demo, params or StructureParams(), progress)
+    """Reconstruct (see `reconstruct_structure`) and write `structure.json`, `points.npz`.
+
+    When the scan is distorted, its images and masks are written straightened as well.
+    """
+    structure = reconstruct_structure(photographs, params or StructureParams(), part(progress, 0.0, 0.97))
     save_structure(structure, folder)
+    if structure.scan_lens is not None:
+        later = part(progress, 0.97, 1.0)
+        write_straight(photographs.images, mask_folders, structure.scan_lens, folder, later)
     progress(1.0, "structure written")
     return structure
 
@@ -45,6 +52,8 @@ def save_structure(structure: Structure, folder: Path) -> None:
             "format": 1,
             "cameras_recon": {name: _camera_json(c) for name, c in structure.cameras_recon.items()},
             "demo_cameras_recon": {name: _camera_json(c) for name, c in structure.demo_cameras_recon.items()},
+            "scan_lens": None if structure.scan_lens is None else asdict(structure.scan_lens),
+            "demo_lenses": {name: asdict(lens) for name, lens in structure.demo_lenses.items()},
             "dropped": structure.dropped,
             "reprojection_error_px": structure.reprojection_error_px,
             "figures": structure.figures,
@@ -75,6 +84,8 @@ def load_structure(folder: Path) -> Structure:
             return Structure(
                 cameras_recon={name: Camera(**c) for name, c in sorted(stored["cameras_recon"].items())},
                 demo_cameras_recon={name: Camera(**c) for name, c in stored["demo_cameras_recon"].items()},
+                scan_lens=Lens(**stored["scan_lens"]) if stored.get("scan_lens") else None,
+                demo_lenses={name: Lens(**lens) for name, lens in stored.get("demo_lenses", {}).items()},
                 dropped=stored["dropped"],
                 points_recon=arrays["points_recon"],
                 colors_srgb=arrays["colors_srgb"],

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.capture.check import read_demo_videos
-from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import Capture
@@ -20,6 +19,7 @@ from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.pipeline.recovery import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.stage import Run
+from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.gaussians import held_out
 from aomgen.reconstruction.survey_stage import load_survey
 from aomgen.report.drawing import map_from_above, overlay_joint, overlay_labels, overlay_outline, sheet
@@ -65,7 +65,7 @@ def open_recovered(run: Run) -> Recovered:
     Raises:
         MissingFileError: The run has not come that far.
     """
-    capture = read_capture(run.project.capture)
+    capture = capture_of(run)
     twin, robot = open_twin(run.out)
     return Recovered(
         run=run,

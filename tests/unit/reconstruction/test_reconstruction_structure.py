@@ -9,14 +9,16 @@ from scipy import ndimage
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.progress import silent
+from aomgen.core.recording import Intrinsics
 from aomgen.core.transforms import apply, umeyama
 from aomgen.errors import MalformedFileError, ReconstructionError
 from aomgen.io.images import write_image
-from aomgen.reconstruction.structure import DemoView, Structure, StructureParams
+from aomgen.reconstruction.fixed_cameras import DemoView
+from aomgen.reconstruction.structure import Photographs, Structure, StructureParams
 from aomgen.reconstruction.structure_stage import POINTS_FILE, load_structure, run_structure, save_structure
 from aomgen.splatting.rasterizer import render
 
-INTRINSICS = (320.0, 320.0, 160.0, 120.0)
+INTRINSICS = Intrinsics(fx=320.0, fy=320.0, cx=160.0, cy=120.0)
 
 
 def _scene() -> Gaussians:
@@ -41,11 +43,15 @@ def _scene() -> Gaussians:
     )
 
 
+def _run(images, folder, *, intrinsics=INTRINSICS, demo=None, params=None) -> Structure:
+    photographs = Photographs(images=images, intrinsics=intrinsics, demo=demo or {})
+    return run_structure(photographs, {}, folder, silent, params)
+
+
 def _camera(angle: float, height: float) -> Camera:
     eye = [0.6 + 2.2 * np.cos(angle), 0.6 + 2.2 * np.sin(angle), height]
     T = look_at(eye, [0.5, 0.5, 0.5])
-    fx, fy, cx, cy = INTRINSICS
-    return Camera(fx=fx, fy=fy, cx=cx, cy=cy, width=320, height=240, T_world_cam=T)
+    return Camera(fx=320.0, fy=320.0, cx=160.0, cy=120.0, width=320, height=240, T_world_cam=T)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +72,7 @@ def photographs(tmp_path_factory) -> tuple[dict[str, Path], dict[str, Camera], D
 
 def test_cameras_and_the_fixed_camera_are_recovered_and_read_back(photographs, tmp_path):
     images, cameras, view, fixed = photographs
-    made = run_structure(images, INTRINSICS, {"front": view}, tmp_path, silent)
+    made = _run(images, tmp_path, demo={"front": view})
     structure = load_structure(tmp_path)
     assert list(structure.cameras_recon) == sorted(images)
     assert structure.dropped == {}
@@ -85,7 +91,7 @@ def test_cameras_and_the_fixed_camera_are_recovered_and_read_back(photographs, t
 def test_too_few_images_are_refused(photographs, tmp_path):
     images, *_ = photographs
     with pytest.raises(ReconstructionError, match="at least 8"):
-        run_structure(dict(list(images.items())[:5]), INTRINSICS, {}, tmp_path, silent)
+        _run(dict(list(images.items())[:5]), tmp_path)
 
 
 def test_images_of_nothing_are_refused(tmp_path):
@@ -95,7 +101,7 @@ def test_images_of_nothing_are_refused(tmp_path):
         images[f"{index}.png"] = tmp_path / f"{index}.png"
         write_image(images[f"{index}.png"], rng.integers(0, 255, (120, 160, 3)).astype(np.uint8))
     with pytest.raises(ReconstructionError, match="scan"):
-        run_structure(images, None, {}, tmp_path, silent, StructureParams(max_features=500))
+        _run(images, tmp_path, intrinsics=None, params=StructureParams(max_features=500))
 
 
 def test_a_fixed_camera_that_shows_something_else_is_refused(photographs, tmp_path):
@@ -103,9 +109,7 @@ def test_a_fixed_camera_that_shows_something_else_is_refused(photographs, tmp_pa
     noise = np.random.default_rng(1).integers(0, 255, (240, 320, 3)).astype(np.uint8)
     view = DemoView(first_srgb=noise, median_srgb=noise, intrinsics=INTRINSICS)
     with pytest.raises(ReconstructionError, match="front"):
-        run_structure(
-            images, INTRINSICS, {"front": view}, tmp_path, silent, StructureParams(max_features=1500)
-        )
+        _run(images, tmp_path, demo={"front": view}, params=StructureParams(max_features=1500))
 
 
 def test_a_damaged_structure_is_named(tmp_path):

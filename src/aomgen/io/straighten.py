@@ -1,0 +1,63 @@
+"""Straightening photographs: the same picture as a pinhole camera would have taken it."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from aomgen.core.lens import Lens
+from aomgen.core.values import Array
+
+Straighten = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+
+
+def straightener(lens: Lens) -> Straighten:
+    """A function that straightens images (H, W, 3) uint8 of one lens; the weights are made once.
+
+    Source: R. Keys, Cubic convolution interpolation (1981), a = -0.5.
+    """
+    size = (lens.height, lens.width)
+    weights = _cubic(lens.source_pixels().reshape(-1, 2), size)
+
+    def straighten(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        values = weights @ image.reshape(-1, image.shape[-1]).astype(np.float32)
+        return np.clip(values + 0.5, 0, 255).astype(np.uint8).reshape(image.shape)
+
+    return straighten
+
+
+def straighten_labels(labels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
+    """A label image (H, W) straightened: every pixel takes the label of the nearest one."""
+    at = np.floor(lens.source_pixels()).astype(np.int64)
+    columns = np.clip(at[..., 0], 0, lens.width - 1)
+    rows = np.clip(at[..., 1], 0, lens.height - 1)
+    return labels[rows, columns]
+
+
+def _cubic(pixels: Array, size: tuple[int, int]) -> csr_array:
+    """Weights (N, H * W) of the 16 pixels around each point; the border's pixels are repeated."""
+    height, width = size
+    corner = np.floor(pixels - 0.5).astype(np.int64)
+    taps_x = _taps(pixels[:, 0] - 0.5 - corner[:, 0])
+    taps_y = _taps(pixels[:, 1] - 0.5 - corner[:, 1])
+    columns = np.clip(corner[:, :1] + np.arange(-1, 3), 0, width - 1)
+    rows = np.clip(corner[:, 1:] + np.arange(-1, 3), 0, height - 1)
+    weights = (taps_y[:, :, None] * taps_x[:, None, :]).astype(np.float32)
+    indices = (rows[:, :, None] * width + columns[:, None, :]).astype(np.int32)
+    starts = np.arange(0, 16 * len(pixels) + 1, 16, dtype=np.int32)
+    return csr_array((weights.ravel(), indices.ravel(), starts), shape=(len(pixels), height * width))
+
+
+def _taps(shares: Array) -> Array:
+    """Weights (N, 4) of the pixels at -1, 0, 1, 2 for a point at `shares` (N,) between 0 and 1."""
+    t = shares[:, None]
+    return 0.5 * np.concatenate(
+        [
+            -t + 2 * t**2 - t**3,
+            2 - 5 * t**2 + 3 * t**3,
+            t + 4 * t**2 - 3 * t**3,
+            -(t**2) + t**3,
+        ],
+        1,
+    )

@@ -1,0 +1,43 @@
+"""The capture as every stage after structure sees it: stills of a pinhole camera."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from aomgen.capture.read import read_capture
+from aomgen.core.recording import Capture
+from aomgen.pipeline.stage import Run
+from aomgen.reconstruction.straight import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
+from aomgen.reconstruction.structure_stage import load_structure
+
+
+def capture_of(run: Run) -> Capture:
+    """The run's capture, as `working_capture` gives it."""
+    return working_capture(read_capture(run.project.capture), run.folders["structure"])
+
+
+def working_capture(capture: Capture, structure: Path) -> Capture:
+    """A capture whose images, masks, prompts and videos are those of pinhole cameras.
+
+    Of an ordinary capture nothing changes. Where the lens bends, the straightened images and
+    masks of the structure stage take the place of the recorded ones, prompts are moved with
+    them, and `read_demo_videos` straightens the frames of the cameras that need it.
+
+    Args:
+        capture: As recorded.
+        structure: Folder of the finished structure stage.
+
+    Raises:
+        MissingFileError, MalformedFileError: The structure stage has not finished there.
+    """
+    found = load_structure(structure)
+    cameras = tuple(replace(camera, lens=found.demo_lenses.get(camera.name)) for camera in capture.cameras)
+    if found.scan_lens is None:
+        return replace(capture, cameras=cameras)
+    masks = structure / MASKS_FOLDER
+    return replace(
+        capture,
+        cameras=cameras,
+        scan_images=tuple(structure / IMAGES_FOLDER / path.name for path in capture.scan_images),
+        prompts=straight_prompts(capture.prompts, found.scan_lens),
+        mask_folders={name: masks / name for name in capture.mask_folders if (masks / name).is_dir()},
+    )

@@ -1,0 +1,104 @@
+"""A mapper's model as plain values, in straight (undistorted) pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from aomgen.core.lens import Lens
+from aomgen.core.transforms import invert
+from aomgen.core.values import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mapped:
+    """A model as the mapper left it.
+
+    Attributes:
+        Ts_recon_cam: Pose (4, 4) by image name.
+        lens: The scan camera's optics; its straightened images have `K`.
+        points_recon: (P, 3).
+        colors_srgb: (P, 3) uint8.
+        observations: (point index, image name).
+        point_of_feature: For each image, point index of each feature (F,), -1 = none.
+        error_px: Mean reprojection error.
+    """
+
+    Ts_recon_cam: dict[str, Array]
+    lens: Lens
+    points_recon: Array
+    colors_srgb: NDArray[np.uint8]
+    observations: list[tuple[int, str]]
+    point_of_feature: dict[str, NDArray[np.int64]]
+    error_px: float
+
+    @property
+    def K(self) -> Array:
+        """Intrinsics (3, 3) of the straightened scan images, [px]."""
+        straight = self.lens.straight()
+        return np.array([[straight.fx, 0, straight.cx], [0, straight.fy, straight.cy], [0, 0, 1.0]])
+
+
+def mapped_of(model: pycolmap.Reconstruction, names: dict[str, str]) -> Mapped:
+    """Values of a model of one camera; `names` gives the image name of each file."""
+    rows = {point_id: row for row, point_id in enumerate(sorted(model.points3D))}
+    points = [model.points3D[point_id] for point_id in sorted(model.points3D)]
+    poses, features, observations = {}, {}, []
+    for image in sorted(model.images.values(), key=lambda image: image.name):
+        if not image.has_pose:
+            continue
+        name = names[image.name]
+        poses[name] = T_recon_cam(image)
+        point_of = [rows[p.point3D_id] if p.has_point3D() else -1 for p in image.points2D]
+        features[name] = np.array(point_of, np.int64)
+        observations += [(row, name) for row in sorted({row for row in point_of if row >= 0})]
+    return Mapped(
+        Ts_recon_cam=poses,
+        lens=lens_of(next(iter(model.cameras.values()))),
+        points_recon=np.array([p.xyz for p in points], np.float64).reshape(-1, 3),
+        colors_srgb=np.array([p.color for p in points], np.uint8).reshape(-1, 3),
+        observations=observations,
+        point_of_feature=features,
+        error_px=float(model.compute_mean_reprojection_error()),
+    )
+
+
+def T_recon_cam(image: pycolmap.Image) -> Array:
+    """Pose (4, 4) of a registered image."""
+    T_cam_recon = np.eye(4)
+    T_cam_recon[:3] = image.cam_from_world().matrix()
+    return invert(T_cam_recon)
+
+
+def adjust(model: pycolmap.Reconstruction, options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Bundle adjustment of a whole model in place (COLMAP's own call turns its log on for good)."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+
+
+def lens_of(camera: pycolmap.Camera) -> Lens:
+    """Optics of a pinhole camera or of one with OpenCV's four coefficients."""
+    K = camera.calibration_matrix()
+    bends = camera.model == pycolmap.CameraModelId.OPENCV
+    k1, k2, p1, p2 = (float(value) for value in camera.params[4:8]) if bends else (0.0, 0.0, 0.0, 0.0)
+    return Lens(
+        fx=float(K[0, 0]),
+        fy=float(K[1, 1]),
+        cx=float(K[0, 2]),
+        cy=float(K[1, 2]),
+        width=camera.width,
+        height=camera.height,
+        k1=k1,
+        k2=k2,
+        p1=p1,
+        p2=p2,
+    )
+
+
+def opencv_params(lens: Lens) -> list[float]:
+    """A lens as the parameters of COLMAP's OPENCV camera."""
+    return [lens.fx, lens.fy, lens.cx, lens.cy, lens.k1, lens.k2, lens.p1, lens.p2]

@@ -1,0 +1,139 @@
+"""Did the scan look at what matters? Views of the places that a person prompted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.recording import Prompt
+from aomgen.core.values import Array
+from aomgen.errors import ReconstructionError
+
+# Sparse points tell a place's depth: those inside the prompt, else this many nearest ones.
+NEAREST_POINTS = 5
+# Below this a surface's depth is a guess: three views, and the angle between the outermost ones at
+# which a pixel of error is six pixels' worth of depth (1 / sin).
+MIN_VIEWS = 3
+MIN_ANGLE_DEG = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sighting:
+    """One prompt, as the model sees it.
+
+    Attributes:
+        part: robot, moving or static.
+        image: The prompted image.
+        registered: Whether that image is in the model.
+        views: Registered images that have the place in their picture.
+        angle_deg: Largest angle between their directions to it.
+    """
+
+    part: str
+    image: str
+    registered: bool
+    views: int
+    angle_deg: float
+
+
+def sightings(
+    prompts: tuple[Prompt, ...],
+    cameras_recon: dict[str, Camera],
+    points_recon: Array,
+    observations: NDArray[np.int32],
+) -> list[Sighting]:
+    """How often, and from how many sides, each prompted place was seen.
+
+    Args:
+        prompts: Pixels of the images that `cameras_recon` belong to (straight ones).
+        cameras_recon: Registered images, in name order.
+        points_recon: (P, 3).
+        observations: (M, 2), rows of (point, index of image).
+
+    Not checked: what hides the place from a view.
+    """
+    names = list(cameras_recon)
+    found = []
+    for prompt in prompts:
+        if prompt.image not in cameras_recon:
+            found.append(
+                Sighting(part=prompt.part, image=prompt.image, registered=False, views=0, angle_deg=0.0)
+            )
+            continue
+        seen = observations[observations[:, 1] == names.index(prompt.image), 0]
+        place = _place(prompt, cameras_recon[prompt.image], points_recon[seen])
+        views, angle_deg = (0, 0.0) if place is None else _views(place, list(cameras_recon.values()))
+        found.append(
+            Sighting(
+                part=prompt.part, image=prompt.image, registered=True, views=views, angle_deg=angle_deg
+            )
+        )
+    return found
+
+
+def require_coverage(found: list[Sighting]) -> None:
+    """Refuse when a prompted part was not looked at.
+
+    Raises:
+        ReconstructionError: All images a part was prompted on are missing from the model, or too
+            few views from too few sides have the place.
+    """
+    for part in sorted({item.part for item in found}):
+        own = [item for item in found if item.part == part]
+        names = ", ".join(item.image for item in own)
+        if not any(item.registered for item in own):
+            raise ReconstructionError(
+                "scan",
+                f"the images prompted for the {part} part ({names}) could not be registered",
+                "prompt it on another image",
+            )
+        best = max(own, key=lambda item: (min(item.views, MIN_VIEWS), item.angle_deg))
+        if not (best.views >= MIN_VIEWS and best.angle_deg >= MIN_ANGLE_DEG):
+            raise ReconstructionError(
+                "scan",
+                f"the {part} part prompted on {best.image} is seen by {best.views} images over "
+                f"{best.angle_deg:.0f} deg, at least {MIN_VIEWS} over {MIN_ANGLE_DEG:.0f} deg are needed",
+                "record it from more sides",
+            )
+
+
+def _place(prompt: Prompt, camera: Camera, points_recon: Array) -> Array | None:
+    """Where a prompted place is (3,): on the ray of its middle, at the depth of the points there."""
+    pixel = _middle(prompt)
+    if not len(points_recon):
+        return None
+    pixels, depths = camera.project(points_recon)
+    distances = np.linalg.norm(pixels - pixel, axis=1)
+    inside = np.argsort(distances)[:NEAREST_POINTS]
+    if len(prompt.box):
+        x0, y0, x1, y1 = prompt.box
+        within = ((pixels >= [x0, y0]) & (pixels <= [x1, y1])).all(1)
+        if within.sum() >= NEAREST_POINTS:
+            inside = np.flatnonzero(within)
+    ray_cam = np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0])
+    depth = float(np.median(depths[inside]))
+    return camera.T_world_cam[:3, :3] @ (depth * ray_cam) + camera.center
+
+
+def _middle(prompt: Prompt) -> Array:
+    on_part = prompt.points[prompt.points[:, 2] > 0.5] if len(prompt.points) else prompt.points
+    if len(on_part):
+        return on_part[:, :2].mean(0)
+    if len(prompt.box):
+        return prompt.box.reshape(2, 2).mean(0)
+    return prompt.points[:, :2].mean(0)
+
+
+def _views(place: Array, cameras: list[Camera]) -> tuple[int, float]:
+    directions = []
+    for camera in cameras:
+        pixel, depth = camera.project(place[None])
+        inside = (pixel[0] >= 0).all() and (pixel[0] <= [camera.width, camera.height]).all()
+        if depth[0] > 0 and inside:
+            away = camera.center - place
+            directions.append(away / np.linalg.norm(away))
+    if len(directions) < 2:
+        return len(directions), 0.0
+    cosines = np.array(directions) @ np.array(directions).T
+    return len(directions), float(np.degrees(np.arccos(np.clip(cosines.min(), -1.0, 1.0))))

@@ -1,0 +1,75 @@
+"""Images, masks and prompts of a distorted scan, straightened."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from aomgen.core.lens import Lens
+from aomgen.core.progress import Progress
+from aomgen.core.recording import Prompt
+from aomgen.io.atomic import write_bytes
+from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
+from aomgen.io.straighten import straighten_labels, straightener
+
+IMAGES_FOLDER = "straight"
+MASKS_FOLDER = "straight_masks"
+# The second compression of a photograph has to stay invisible.
+JPEG_QUALITY = 98
+
+EDGE_SAMPLES = 16
+
+
+def straight_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, ...]:
+    """The prompts in the straightened images' pixels.
+
+    A box becomes the box around its straightened outline, cut at the image's border; a point that
+    the straightened image no longer shows is left out, and so is a prompt of which nothing is left.
+    """
+    straight = (_straight(prompt, lens) for prompt in prompts)
+    return tuple(prompt for prompt in straight if len(prompt.points) or len(prompt.box))
+
+
+def write_straight(
+    images: dict[str, Path], mask_folders: dict[str, Path], lens: Lens, folder: Path, progress: Progress
+) -> None:
+    """Write straightened copies of scan images and their masks below `folder`, names kept.
+
+    Raises:
+        InputError: An image or mask cannot be read.
+        StorageError: The disk refuses.
+    """
+    straighten = straightener(lens)
+    for index, (name, path) in enumerate(sorted(images.items())):
+        progress(index / len(images), "straightening images")
+        image = straighten(read_image(path))
+        lossy = path.suffix.lower() in (".jpg", ".jpeg")
+        data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)
+        write_bytes(folder / IMAGES_FOLDER / name, data)
+    stems = {Path(name).stem for name in images}
+    for masks, source in sorted(mask_folders.items()):
+        for path in sorted(source.glob("*.png")):
+            labels = read_labels(path)
+            if path.stem in stems and labels.shape == (lens.height, lens.width):
+                labels = straighten_labels(labels, lens)
+                write_bytes(folder / MASKS_FOLDER / masks / path.name, encode_png(labels))
+
+
+def _straight(prompt: Prompt, lens: Lens) -> Prompt:
+    size = np.array([lens.width, lens.height], np.float64)
+    points = prompt.points
+    if len(points):
+        pixels = lens.straightened(points[:, :2])
+        kept = ((pixels >= 0) & (pixels <= size)).all(1)
+        points = np.concatenate([pixels, points[:, 2:]], 1)[kept]
+    box = prompt.box
+    if len(box):
+        x0, y0, x1, y1 = box
+        share = np.linspace(0.0, 1.0, EDGE_SAMPLES)
+        x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+        edges = [(x, y0), (x, y1), (x0, y), (x1, y)]
+        outline = np.concatenate([np.stack(np.broadcast_arrays(u, v), 1) for u, v in edges])
+        pixels = np.clip(lens.straightened(outline), 0, size)
+        low, high = pixels.min(0), pixels.max(0)
+        box = np.concatenate([low, high]) if (high - low > 1).all() else np.zeros(0)
+    return replace(prompt, points=points, box=box)
