@@ -265,6 +265,31 @@ def bench_training(
     _show(run_training(capture, out, run_project, iterations=iterations), json_file)
 
 
+@bench_app.command("alignment")
+def bench_alignment(
+    paths: Annotated[list[Path], typer.Argument(help="Captures with truth/, or finished runs of such.")],
+    starts: Annotated[int, typer.Option(help="Good and bad starts, over all paths; some 10 s each.")] = 200,
+    seed: Annotated[int, typer.Option(help="Same seed, same starts.")] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write figures and rows here.")] = None,
+) -> None:
+    """Disturb frames, prompts, cameras and joint values: what is answered, how well, what is refused.
+
+    Six of ten starts have an answer; in the others the robot is gone, stands elsewhere than the
+    prompts say, has other joint values than the log says, or is mirrored.
+    """
+    from aomgen.benchmarks.alignment import run_alignment_bench
+
+    def tell(row: dict) -> None:
+        print("  ".join(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
+
+    figures = run_alignment_bench(paths, starts, seed, run_project, tell)
+    _show({name: value for name, value in figures.items() if name != "rows"}, None)
+    if json_file:
+        from aomgen.io.atomic import write_json
+
+        write_json(json_file, figures)
+
+
 @bench_app.command("splatting")
 def bench_splatting(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,

@@ -62,7 +62,7 @@ def _alignment(estimates: dict[str, Any], truth: Truth, robot: RobotModel) -> di
     true = np.array([truth.scan[name][:3, 3] for name in names])
     # Estimated centres are S_est applied to the reconstruction, so the similarity from true to
     # estimated centres is E = S_est inv(S_true) itself.
-    E, inliers = _robust_similarity(true, estimated)
+    E, inliers = robust_similarity(true, estimated)
     scale, R, _ = similarity_parts(E)
     pinch = robot.ee_poses(truth.qpos)[:, :3, 3]
     errors_mm = 1e3 * np.linalg.norm(apply(E, pinch) - pinch, axis=1)
@@ -77,7 +77,7 @@ def _alignment(estimates: dict[str, Any], truth: Truth, robot: RobotModel) -> di
     }
 
 
-def _robust_similarity(source: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
+def robust_similarity(source: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Least-squares similarity on the camera centres that agree with each other.
 
     Starts from the best of many minimal samples, because a misregistered camera may be metres off.

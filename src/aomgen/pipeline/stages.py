@@ -58,7 +58,7 @@ STAGES: tuple[Stage, ...] = (
         title="aligning scene and robot",
         needs=("capture", "structure"),
         settings=(),
-        version=1,
+        version=2,
         weight=25,
         function=lazily("recovery", "alignment"),
     ),

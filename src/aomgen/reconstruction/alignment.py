@@ -6,17 +6,18 @@ are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's 
 known scale and clean robot points, so outlines in the images take its place.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from aomgen.core.progress import Progress, part
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AlignmentError
-from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment_start import RobotBox, Start, sweep_yaw, up_candidates
-from aomgen.reconstruction.contours import View, color_ratio, edge_shifts, region_shifts, shift_jacobian
+from aomgen.reconstruction.contours import View
+from aomgen.reconstruction.outline_errors import joint_offsets, similarity_covariance
+from aomgen.reconstruction.outline_evidence import Confirmation, ViewEvidence, confirmation, look
 from aomgen.reconstruction.outline_fit import (
     COARSE,
     FINE,
@@ -24,9 +25,9 @@ from aomgen.reconstruction.outline_fit import (
     RobotDrawing,
     RobotPosture,
     camera_in_world,
-    gray_levels,
     reduced,
     refine,
+    robot_drawing,
     spread,
 )
 
@@ -43,9 +44,12 @@ class AlignmentParams:
         views: Scan images used, spread over the walk.
         width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
-        min_support: Least share of outline points that the images confirm.
+        min_lift: Least support beyond chance, of the robot.
+        min_segment_lift: The same for every segment of the arm that a joint moves.
         min_margin: Least lead in support over a different hypothesis.
-        distinct_m: Hypotheses whose end effectors are closer than this are the same.
+        distinct_m: Hypotheses whose robots are farther apart than this are different.
+        max_joint_offset_rad: Largest offset of a joint that the images may ask for.
+        joint_sds: An offset counts when it is this many of its standard deviations.
         max_sd_m: Largest standard deviation of the end effector.
     """
 
@@ -54,9 +58,12 @@ class AlignmentParams:
     views: int = 24
     width: int = 640
     contour_points: int = 400
-    min_support: float = 0.3
+    min_lift: float = 0.2
+    min_segment_lift: float = 0.1
     min_margin: float = 0.1
     distinct_m: float = 0.05
+    max_joint_offset_rad: float = float(np.radians(2.0))
+    joint_sds: float = 4.0
     max_sd_m: float = 0.01
 
 
@@ -67,21 +74,26 @@ class Alignment:
     Attributes:
         S_world_recon: Similarity (4, 4), metres per recon unit included.
         support: Share of outline points, over all views, that the images confirm within 2 px.
+        chance: The same for the outlines moved aside.
         runner_up_support: The same for the best different hypothesis, 0 when there was none.
         residual_px: Median distance of confirmed outline points from image edges.
         residual_px_of_view: The same for each view that shows enough robot.
-        ee_sd_m: Standard deviation of the end effector, from the scatter of the residuals.
+        ee_sd_m: Standard deviation of the end effector.
+        joint_offsets_rad: What the images would add to each joint value (J,).
     """
 
     S_world_recon: Array
     support: float
+    chance: float
     runner_up_support: float
     residual_px: float
     residual_px_of_view: dict[str, float]
     ee_sd_m: float
+    joint_offsets_rad: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+        freeze(self, "joint_offsets_rad", self.joint_offsets_rad, (None,))
 
 
 def align(
@@ -116,84 +128,79 @@ def align(
         raise AlignmentError(
             STAGE, "no prompt gives a box around the robot", "add a robot box to capture.toml"
         )
+    S_unit_recon = unit_frame([view.camera_recon.center for view in views], views[0].camera_recon.T_world_cam)
+    views = [replace(view, camera_recon=camera_in_world(S_unit_recon, view.camera_recon)) for view in views]
+    boxes = [replace(box, camera_recon=camera_in_world(S_unit_recon, box.camera_recon)) for box in boxes]
     views = [reduced(view, params.width) for view in views]
-    ups = up_candidates([view.camera_recon for view in views], points_recon, rng)
+    ups = up_candidates([view.camera_recon for view in views], apply(S_unit_recon, points_recon), rng)
     starts = [start for up in ups for start in sweep_yaw(boxes, posture.points_world(), up)]
     starts = _different(sorted(starts, key=lambda start: start.misfit), posture, params)
     width = max(view.camera_recon.width for view in views)
     height = max(view.camera_recon.height for view in views)
-    with SilhouetteRenderer(posture.robot, max_width=width, max_height=height) as renderer:
-        drawing = RobotDrawing(renderer=renderer, posture=posture)
+    with robot_drawing(posture, width, height) as drawing:
         ranked = _refine_starts(starts, views, drawing, part(progress, 0.05, 0.7), params)
         S = ranked[0][1]
         others = [s for s, other in ranked[1:] if _distance(S, other, posture) > params.distinct_m]
         chosen = spread(views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
-        result = _judge(S, chosen, drawing, max(others, default=0.0), params)
-    _refuse_doubt(result, params)
+        evidence = look(S, chosen, drawing, params.contour_points)
+    found = confirmation(evidence)
+    runner_up = max(others, default=0.0)
+    _refuse_unconfirmed(found, runner_up, posture, params)
+    offsets = _refuse_wrong_joints(evidence, posture, params)
+    result = replace(_summary(S @ S_unit_recon, evidence, found, runner_up), joint_offsets_rad=offsets)
+    _refuse_vague(result, params)
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
+
+
+def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
+    """Similarity (4, 4) to a frame that does not depend on the scale and axes of `recon`.
+
+    Args:
+        centers_recon: Camera centres; they have mean zero and unit spread afterwards.
+        T_recon_cam: A camera whose axes the new frame takes.
+    """
+    centers = np.array(centers_recon)
+    middle = centers.mean(0)
+    size = float(np.sqrt(np.mean(np.sum((centers - middle) ** 2, axis=1)))) or 1.0
+    R = T_recon_cam[:3, :3].T
+    return similarity(1 / size, R, -R @ middle / size)
 
 
 def _refine_starts(
     starts: list[Start], views: list[View], drawing: RobotDrawing, progress: Progress, params: AlignmentParams
 ) -> list[tuple[float, Array]]:
     """Pull every start onto coarse images, the best of them onto finer ones; best support first."""
-    few = replace(params, contour_points=200)
     coarse, ranked = [], []
     for index, start in enumerate(starts):
         chosen = [reduced(view, 160) for view in spread(views, start.S_world_recon, drawing, 6)]
         if chosen:
             S = refine(start.S_world_recon, chosen, drawing, COARSE, 200)
-            coarse.append((_judge(S, chosen, drawing, 0.0, few).support, S))
+            coarse.append((confirmation(look(S, chosen, drawing, 200)).lift, S))
         progress(0.7 * (index + 1) / len(starts), f"start {index + 1} of {len(starts)}")
     for _, start in sorted(coarse, key=lambda item: -item[0])[: params.finalists]:
         S = refine(start, spread(views, start, drawing, 10), drawing, MIDDLE, 200)
-        judged = _judge(S, spread(views, S, drawing, 10), drawing, 0.0, few)
-        ranked.append((judged.support, S))
+        ranked.append((confirmation(look(S, spread(views, S, drawing, 10), drawing, 200)).support, S))
     progress(1.0, f"{len(ranked)} finalists")
     if not ranked:
         raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
     return sorted(ranked, key=lambda item: -item[0])
 
 
-def _judge(
-    S: Array, views: list[View], drawing: RobotDrawing, runner_up: float, params: AlignmentParams
-) -> Alignment:
-    """Ask every view how many outline points have an image edge within 2 px of 8."""
-    confirmed, total = 0, 0
-    of_view: dict[str, float] = {}
-    residuals = []
-    A = np.zeros((7, 7))
-    posture = drawing.posture
-    for view in views:
-        camera = camera_in_world(S, view.camera_recon)
-        drawn = drawing.contour(camera, params.contour_points)
-        if drawn is None:
-            continue
-        contour, mask = drawn
-        edge, strength = edge_shifts(contour, gray_levels(view.image_srgb), 8)
-        region, _ = region_shifts(contour, color_ratio(view.image_srgb, mask, 16), 8)
-        good = (np.abs(edge) <= 2) & (strength > 0.02) & (np.abs(region) <= 3)
-        confirmed += int(good.sum())
-        total += len(good)
-        if good.sum() >= 10:
-            of_view[view.name] = float(np.median(np.abs(edge[good])))
-            residuals.append(edge[good])
-            J = shift_jacobian(camera, contour, posture.ee_world)[good]
-            # Neighbouring outline points err together: ten of them count as one.
-            A += J.T @ J / 10
-    if not residuals:
-        return Alignment(
-            S_world_recon=S, support=0.0, runner_up_support=runner_up, residual_px=np.inf,
-            residual_px_of_view={}, ee_sd_m=np.inf,
-        )  # fmt: skip
-    pooled = np.concatenate(residuals)
-    covariance = np.linalg.pinv(A) * np.mean(pooled**2)
+def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation, runner_up: float) -> Alignment:
+    of_view = {
+        view.name: float(np.median(np.abs(view.edge_px[view.confirmed])))
+        for view in evidence
+        if view.confirmed.sum() >= 10
+    }
+    pooled = np.concatenate([view.edge_px[view.confirmed] for view in evidence])
+    covariance = similarity_covariance(evidence)
     return Alignment(
         S_world_recon=S,
-        support=confirmed / total,
+        support=found.support,
+        chance=found.chance,
         runner_up_support=runner_up,
         residual_px=float(np.median(np.abs(pooled))),
         residual_px_of_view=of_view,
@@ -201,20 +208,52 @@ def _judge(
     )
 
 
-def _refuse_doubt(result: Alignment, params: AlignmentParams) -> None:
-    if not result.support >= params.min_support:
+def _refuse_unconfirmed(
+    found: Confirmation, runner_up: float, posture: RobotPosture, params: AlignmentParams
+) -> None:
+    remedy = "check the robot prompts and that the first rows of the log are the scan's joint values"
+    if not found.lift >= params.min_lift:
         raise AlignmentError(
             STAGE,
-            f"the images confirm {result.support:.0%} of the robot's outline, want {params.min_support:.0%}",
-            "check the robot prompts and that the first rows of the log are the scan's joint values",
+            f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
+            f"one drawn anywhere; want a lead of {params.min_lift:.0%}",
+            remedy,
         )
-    if not result.support - result.runner_up_support >= params.min_margin:
+    if not found.support - runner_up >= params.min_margin:
         raise AlignmentError(
             STAGE,
-            f"two places of the robot are confirmed alike ({result.support:.0%} and "
-            f"{result.runner_up_support:.0%})",
+            f"two places of the robot are confirmed alike ({found.support:.0%} and {runner_up:.0%})",
             "add a robot box on an image from another side",
         )
+    # The base may stand behind things or on a mount, and says nothing about the joints.
+    for segment, lift in sorted(found.lift_of_segment.items()):
+        if segment > 0 and not lift >= params.min_segment_lift:
+            joint = posture.robot.joint_names[segment - 1]
+            raise AlignmentError(
+                STAGE,
+                f"the robot is not seen where the log puts it, from {joint} on (the images confirm "
+                f"{lift:.0%} of that outline beyond chance, want {params.min_segment_lift:.0%})",
+                "check scan_state: the joint values must be those during the scan",
+            )
+
+
+def _refuse_wrong_joints(
+    evidence: list[ViewEvidence], posture: RobotPosture, params: AlignmentParams
+) -> Array:
+    offsets, sds = joint_offsets(evidence)
+    wrong = (np.abs(offsets) > params.max_joint_offset_rad) & (np.abs(offsets) > params.joint_sds * sds)
+    if wrong.any():
+        worst = int(np.argmax(np.where(wrong, np.abs(offsets), 0)))
+        raise AlignmentError(
+            STAGE,
+            f"{posture.robot.joint_names[worst]} looks {np.degrees(offsets[worst]):+.0f} deg off in the "
+            f"images (+-{np.degrees(sds[worst]):.1f}, limit {np.degrees(params.max_joint_offset_rad):.0f})",
+            "check scan_state: the joint values must be those during the scan",
+        )
+    return offsets
+
+
+def _refuse_vague(result: Alignment, params: AlignmentParams) -> None:
     if not result.ee_sd_m <= params.max_sd_m:
         raise AlignmentError(
             STAGE,

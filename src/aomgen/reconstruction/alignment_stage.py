@@ -49,20 +49,9 @@ def run_alignment(
     Raises:
         AlignmentError: See `align`.
     """
-    withheld = set(held_out(list(images)))
-    views = [
-        View(name=name, camera_recon=camera, image_srgb=read_image(images[name]))
-        for name, camera in structure.cameras_recon.items()
-        if name not in withheld
-    ]
-    views += [
-        View(name=name, camera_recon=structure.demo_cameras_recon[name], image_srgb=image)
-        for name, image in demo_first_srgb.items()
-        if name in structure.demo_cameras_recon
-    ]
     result = align(
-        views,
-        robot_boxes(structure, prompts),
+        views_of(structure, images, demo_first_srgb),
+        boxes_of(structure, prompts, ("robot",)),
         structure.points_recon,
         posture,
         progress,
@@ -73,12 +62,29 @@ def run_alignment(
     return result
 
 
-def robot_boxes(structure: Structure, prompts: tuple[Prompt, ...]) -> list[RobotBox]:
-    """The robot's prompted boxes on images that have a camera."""
+def views_of(
+    structure: Structure, images: Mapping[str, Path], demo_first_srgb: Mapping[str, NDArray[np.uint8]]
+) -> list[View]:
+    """Scan images that are not held out, and the first frames of the fixed cameras."""
+    withheld = set(held_out(list(images)))
+    views = [
+        View(name=name, camera_recon=camera, image_srgb=read_image(images[name]))
+        for name, camera in structure.cameras_recon.items()
+        if name not in withheld
+    ]
+    return views + [
+        View(name=name, camera_recon=structure.demo_cameras_recon[name], image_srgb=image)
+        for name, image in demo_first_srgb.items()
+        if name in structure.demo_cameras_recon
+    ]
+
+
+def boxes_of(structure: Structure, prompts: tuple[Prompt, ...], parts: tuple[str, ...]) -> list[RobotBox]:
+    """Prompted boxes of some parts, on images that have a camera."""
     return [
         RobotBox(camera_recon=structure.cameras_recon[prompt.image], box_px=prompt.box)
         for prompt in prompts
-        if prompt.part == "robot" and len(prompt.box) == 4 and prompt.image in structure.cameras_recon
+        if prompt.part in parts and len(prompt.box) == 4 and prompt.image in structure.cameras_recon
     ]
 
 
@@ -90,10 +96,12 @@ def save_alignment(result: Alignment, folder: Path) -> None:
             "format": 1,
             "S_world_recon": result.S_world_recon,
             "support": result.support,
+            "chance": result.chance,
             "runner_up_support": result.runner_up_support,
             "residual_px": result.residual_px,
             "residual_px_of_view": result.residual_px_of_view,
             "ee_sd_m": result.ee_sd_m,
+            "joint_offsets_rad": result.joint_offsets_rad,
         },
     )
 

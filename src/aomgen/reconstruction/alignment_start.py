@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.spatial import ConvexHull
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, similarity
@@ -112,6 +113,8 @@ def sweep_yaw(boxes: list[RobotBox], vertices_world: Array, up_recon: Array, ste
     Source: own; the box sides are what a projected convex hull must touch.
     """
     R_upright = _upright(up_recon)
+    # A projection's extent is that of the convex hull.
+    vertices_world = vertices_world[ConvexHull(vertices_world).vertices]
     starts = []
     for yaw in np.arange(steps) * 2 * np.pi / steps:
         c, s = np.cos(yaw), np.sin(yaw)

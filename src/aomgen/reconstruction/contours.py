@@ -6,7 +6,7 @@ where exactly. Source: the sparse region-based trackers of Stoiber et al., "SRT3
 with many views at once and a similarity instead of a rigid motion.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,11 @@ class Contour:
     normals: Array
     points: Array
     share: float
+
+    def seen_by(self, camera: Camera) -> "Contour":
+        """The same points of the robot after the camera moved a little; normals are kept."""
+        centers, _ = camera.project(self.points)
+        return replace(self, pixels=centers + 0.5 * self.normals)
 
 
 def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32], limit: int) -> Contour:
@@ -131,17 +136,22 @@ def _along(field: NDArray[np.float32], contour: Contour, offsets: NDArray[np.int
     return map_coordinates(field, rows_columns, np.float64, order=1, mode="nearest")
 
 
-def shift_jacobian(camera: Camera, contour: Contour, pivot: Array) -> Array:
-    """Change (C, 7) of the outline along its normals for a motion of the robot about `pivot`.
-
-    Columns: rotation vector [rad], translation [m], log scale; the camera stays.
-    """
+def shift_gradient(camera: Camera, contour: Contour) -> Array:
+    """Change (C, 3) of the outline along its normals for a motion of its points, [px/m]."""
     R_cam_world = invert(camera.T_world_cam)[:3, :3]
     p = apply(camera.T_cam_world, contour.points)
     n = contour.normals
     along_u = camera.fx * n[:, :1] * np.stack([1 / p[:, 2], np.zeros(len(p)), -p[:, 0] / p[:, 2] ** 2], 1)
     along_v = camera.fy * n[:, 1:] * np.stack([np.zeros(len(p)), 1 / p[:, 2], -p[:, 1] / p[:, 2] ** 2], 1)
-    gradient = (along_u + along_v) @ R_cam_world
+    return np.asarray((along_u + along_v) @ R_cam_world, np.float64)
+
+
+def shift_jacobian(camera: Camera, contour: Contour, pivot: Array) -> Array:
+    """Change (C, 7) of the outline along its normals for a motion of the robot about `pivot`.
+
+    Columns: rotation vector [rad], translation [m], log scale; the camera stays.
+    """
+    gradient = shift_gradient(camera, contour)
     arm = contour.points - pivot
     columns = [np.cross(arm, gradient), gradient, np.einsum("cd,cd->c", gradient, arm)[:, None]]
     return np.concatenate(columns, 1).astype(np.float64)

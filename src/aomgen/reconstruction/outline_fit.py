@@ -3,6 +3,8 @@
 Gauss-Newton over the seven parameters of a similarity; see `contours` for the evidence.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +12,8 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.contours import (
     Contour,
@@ -23,49 +24,44 @@ from aomgen.reconstruction.contours import (
     region_shifts,
     shift_jacobian,
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RobotPosture:
-    """The robot during the scan: model, joints (J,) [rad] and gripper 0..1."""
-
-    robot: RobotModel
-    joints: Array
-    gripper: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "joints", self.joints, (None,))
-
-    def points_world(self, count: int = 3000) -> Array:
-        """About `count` vertices (V, 3) of the posed robot, [m]."""
-        poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
-        total = sum(len(mesh.vertices_body) for mesh in self.robot.meshes)
-        step = max(1, total // count)
-        return np.concatenate([apply(poses[m.body], m.vertices_body[::step]) for m in self.robot.meshes])
-
-    @property
-    def ee_world(self) -> Array:
-        """End effector position (3,), [m]."""
-        return self.robot.ee_poses(self.joints[None])[0, :3, 3]
+from aomgen.reconstruction.posture import RobotPosture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Level:
-    """One setting of the refinement: image width [px], search reach [px], iterations, evidence."""
+    """One setting of the refinement.
+
+    Attributes:
+        width: Image width, [px].
+        reach: How far across the outline is searched, [px].
+        draws: How often the robot is drawn anew.
+        steps: Gauss-Newton steps on one drawing; the outline's points move with the robot.
+        edges: Pull to image edges; else to the border between two colors.
+        fine: Draw with the finer meshes.
+    """
 
     width: int
     reach: int
-    iterations: int
-    edges: bool
+    draws: int
+    steps: int
+    edges: bool = False
+    fine: bool = False
 
 
-COARSE = (Level(width=160, reach=16, iterations=10, edges=False),)
-MIDDLE = (Level(width=320, reach=12, iterations=6, edges=False),)
-FINE = (
-    Level(width=320, reach=8, iterations=4, edges=False),
-    Level(width=640, reach=8, iterations=5, edges=False),
-    Level(width=640, reach=4, iterations=6, edges=True),
+COARSE = (
+    Level(width=120, reach=14, draws=3, steps=2),
+    Level(width=160, reach=14, draws=3, steps=2),
 )
+MIDDLE = (Level(width=320, reach=12, draws=3, steps=2),)
+FINE = (
+    Level(width=320, reach=8, draws=2, steps=2),
+    Level(width=640, reach=8, draws=2, steps=3, fine=True),
+    Level(width=640, reach=4, draws=3, steps=3, edges=True, fine=True),
+)
+# Cells of the meshes that are drawn coarsely: a pixel of a small image sees as much at two metres.
+COARSE_CELL_M = 0.006
+# Steps shorter than this change no digit that is reported.
+SETTLED_M, SETTLED_RAD = 5e-5, 5e-5
 
 
 def camera_in_world(S_world_recon: Array, camera_recon: Camera) -> Camera:
@@ -78,67 +74,142 @@ def camera_in_world(S_world_recon: Array, camera_recon: Camera) -> Camera:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotDrawing:
-    renderer: SilhouetteRenderer
-    posture: RobotPosture
+class Drawn:
+    """A drawn robot: its outline, its silhouette, and the body (C,) at each outline point."""
 
-    def contour(self, camera: Camera, limit: int) -> tuple[Contour, NDArray[np.bool_]] | None:
-        """Outline and mask, or None when too little robot is in the picture."""
-        bodies, depth = self.renderer.draw(camera, self.posture.joints, self.posture.gripper)
+    contour: Contour
+    mask: NDArray[np.bool_]
+    bodies: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotDrawing:
+    """The posed robot, ready to be drawn with fine or coarse meshes.
+
+    Attributes:
+        fine, coarse: Renderers of the same robot.
+        posture: Its joint values.
+        pivot: Point (3,) that the robot's motions turn about, [m].
+        segments, joint_motions: See `RobotPosture`.
+    """
+
+    fine: SilhouetteRenderer
+    coarse: SilhouetteRenderer
+    posture: RobotPosture
+    pivot: Array
+    segments: NDArray[np.int64]
+    joint_motions: Array
+
+    def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> Drawn | None:
+        """The robot in one picture, or None when too little of it, or nothing else, is there."""
+        renderer = self.fine if fine else self.coarse
+        bodies, depth = renderer.draw(camera, self.posture.joints, self.posture.gripper)
         mask = bodies >= 0
         if not 0.002 < mask.mean() < 0.7:
             return None
         contour = outline(camera, mask, depth, limit)
-        return (contour, mask) if len(contour.pixels) >= 20 else None
+        if len(contour.pixels) < 20:
+            return None
+        column, row = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
+        return Drawn(contour=contour, mask=mask, bodies=bodies[row, column])
+
+
+@contextmanager
+def robot_drawing(posture: RobotPosture, width: int, height: int) -> Iterator[RobotDrawing]:
+    """A drawing for pictures up to a size [px]; holds two OpenGL contexts."""
+    limits = {"max_width": width, "max_height": height}
+    with (
+        SilhouetteRenderer(posture.robot, **limits) as fine,
+        SilhouetteRenderer(posture.robot, **limits, cell_m=COARSE_CELL_M) as coarse,
+    ):
+        yield RobotDrawing(
+            fine=fine,
+            coarse=coarse,
+            posture=posture,
+            pivot=posture.points_world().mean(0),
+            segments=posture.segments(),
+            joint_motions=posture.joint_motions(),
+        )
 
 
 def refine(
     S: Array, views: list[View], drawing: RobotDrawing, levels: tuple[Level, ...], contour_points: int
 ) -> Array:
+    """The similarity after the drawn outlines were pulled onto those of the images."""
     for level in levels:
         resized = [reduced(view, level.width) for view in views]
         grays = [gray_levels(view.image_srgb) for view in resized]
-        for _ in range(level.iterations):
-            A, b = _normal_equations(S, resized, grays, drawing, level, contour_points)
-            step = np.linalg.solve(A + 1e-9 * np.trace(A) * np.eye(7) + 1e-9 * np.eye(7), b)
-            S = _moved(S, step, drawing.posture)
-            if np.linalg.norm(step[3:6]) < 2e-5 and np.linalg.norm(step[:3]) < 2e-5:
+        for _ in range(level.draws):
+            lines = [
+                line
+                for view, gray in zip(resized, grays, strict=True)
+                if (line := _lines(S, view, gray, drawing, level, contour_points))
+            ]
+            S, settled = _descend(S, lines, drawing, level)
+            if settled:
                 break
     return S
 
 
-def _normal_equations(
-    S: Array,
-    views: list[View],
-    grays: list[NDArray[np.float32]],
-    drawing: RobotDrawing,
-    level: Level,
-    contour_points: int,
-) -> tuple[Array, Array]:
-    A, b = np.zeros((7, 7)), np.zeros(7)
-    pivot = drawing.posture.points_world().mean(0)
-    for view, gray in zip(views, grays, strict=True):
-        camera = camera_in_world(S, view.camera_recon)
-        drawn = drawing.contour(camera, contour_points)
-        if drawn is None:
-            continue
-        contour, mask = drawn
-        if level.edges:
-            shifts, strength = edge_shifts(contour, gray, level.reach)
-            weights = np.minimum(strength / 0.05, 1.0) / (1 + (shifts / 1.0) ** 2) ** 2
-        else:
-            ratio = color_ratio(view.image_srgb, mask, 2 * level.reach)
-            shifts, variances = region_shifts(contour, ratio, level.reach)
-            weights = 1 / (variances + 0.5) / (1 + (shifts / (0.5 * level.reach)) ** 2)
-        J = shift_jacobian(camera, contour, pivot)
-        A += J.T @ (weights[:, None] * J)
-        b += J.T @ (weights * shifts)
-    return A, b
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Lines:
+    """What one view says about the outline drawn in it: a field of pixels to look across."""
+
+    view: View
+    contour: Contour
+    field: NDArray[np.float32]
 
 
-def _moved(S: Array, step: Array, posture: RobotPosture) -> Array:
+def _lines(
+    S: Array, view: View, gray: NDArray[np.float32], drawing: RobotDrawing, level: Level, limit: int
+) -> _Lines | None:
+    drawn = drawing.draw(camera_in_world(S, view.camera_recon), limit, fine=level.fine)
+    if drawn is None:
+        return None
+    field = gray if level.edges else color_ratio(view.image_srgb, drawn.mask, 2 * level.reach)
+    return _Lines(view=view, contour=drawn.contour, field=field)
+
+
+def _descend(S: Array, lines: list[_Lines], drawing: RobotDrawing, level: Level) -> tuple[Array, bool]:
+    """Some Gauss-Newton steps on one set of drawings, and whether the first was negligible."""
+    for number in range(level.steps):
+        A, b = np.zeros((7, 7)), np.zeros(7)
+        for line in lines:
+            camera = camera_in_world(S, line.view.camera_recon)
+            J, shifts, weights = _pull(line, camera, drawing.pivot, level)
+            A += J.T @ (weights[:, None] * J)
+            b += J.T @ (weights * shifts)
+        step = np.linalg.solve(A + 1e-9 * np.trace(A) * np.eye(7) + 1e-9 * np.eye(7), b)
+        S = _moved(S, step, drawing.pivot)
+        if np.linalg.norm(step[3:6]) < SETTLED_M and np.linalg.norm(step[:3]) < SETTLED_RAD:
+            return S, number == 0
+    return S, False
+
+
+def _pull(line: _Lines, camera: Camera, pivot: Array, level: Level) -> tuple[Array, Array, Array]:
+    """Jacobian (C, 7), shifts (C,) [px] and weights (C,) of one view."""
+    contour = line.contour.seen_by(camera)
+    if level.edges:
+        shifts, strength = edge_shifts(contour, line.field, level.reach)
+        weights = edge_weights(shifts, strength)
+    else:
+        shifts, variances = region_shifts(contour, line.field, level.reach)
+        weights = region_weights(shifts, variances, level.reach)
+    return shift_jacobian(camera, contour, pivot), shifts, weights
+
+
+def edge_weights(shifts: Array, strength: Array) -> Array:
+    """Weights (C,) of shifts to edges [px] of a strength; edges farther than a pixel fade."""
+    return np.minimum(strength / 0.05, 1.0) / (1 + shifts**2) ** 2
+
+
+def region_weights(shifts: Array, variances: Array, reach: int) -> Array:
+    """Weights (C,) of shifts to color borders [px] of a variance."""
+    return 1 / (variances + 0.5) / (1 + (shifts / (0.5 * reach)) ** 2)
+
+
+def _moved(S: Array, step: Array, pivot: Array) -> Array:
     """The similarity after the robot was found to sit `step` away from where it was drawn."""
-    pivot = posture.points_world().mean(0)
     step = np.concatenate([np.clip(step[:6], -0.2, 0.2), np.clip(step[6:], -0.15, 0.15)])
     scale, R = float(np.exp(step[6])), matrix_from_rotvec(step[:3])
     D = similarity(scale, R, pivot + step[3:6] - scale * R @ pivot)

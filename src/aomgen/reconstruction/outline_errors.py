@@ -1,0 +1,83 @@
+"""How far an alignment, and the joint values behind it, can be trusted.
+
+Neighbouring outline points err together, and so do neighbouring views. Nothing is therefore read
+off the number of points: groups of neighbouring views are left out in turn (jackknife).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from aomgen.core.values import Array
+from aomgen.reconstruction.outline_evidence import ViewEvidence
+
+GROUPS = 8
+# Arms report their joints to a fraction of a degree; offsets beyond this are not expected at all.
+JOINT_PRIOR_RAD = np.radians(20.0)
+
+
+def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
+    """Covariance (7, 7) of rotation vector [rad], end effector [m] and log scale.
+
+    Infinite when fewer than three views say anything. Not checked: errors that all views share;
+    see `camera_errors`.
+    """
+    return _jackknife(evidence, _similarity_step)
+
+
+def joint_offsets(evidence: list[ViewEvidence]) -> tuple[Array, Array]:
+    """What the images would add to each joint value: offsets (J,) and their deviations (J,), [rad].
+
+    Joints and similarity are solved together, linearly about the drawn state, so that offsets of
+    more than some ten degrees are only recognised as large.
+    """
+    count = evidence[0].joint_jacobian.shape[1] if evidence else 0
+    offsets = _joint_step(evidence)[7:] if evidence else np.zeros(0)
+    covariance = _jackknife(evidence, _joint_step, 7 + count)
+    return offsets, np.sqrt(np.diag(covariance)[7:])
+
+
+def _jackknife(
+    evidence: list[ViewEvidence], solve: Callable[[list[ViewEvidence]], Array], size: int = 7
+) -> Array:
+    groups = min(GROUPS, len(evidence))
+    if groups < 3:
+        return np.diag(np.full(size, np.inf))
+    member = np.arange(len(evidence)) * groups // len(evidence)
+    left_out = np.stack(
+        [
+            solve([view for view, own in zip(evidence, member, strict=True) if own != group])
+            for group in range(groups)
+        ]
+    )
+    apart = left_out - left_out.mean(0)
+    return (groups - 1) / groups * apart.T @ apart
+
+
+def _similarity_step(evidence: list[ViewEvidence]) -> Array:
+    """Step (7,) to the robust optimum of the edges, from where they were looked at."""
+    J = np.concatenate([view.jacobian for view in evidence])
+    shifts = np.concatenate([view.edge_px for view in evidence])
+    weights = np.concatenate([view.edge_weights for view in evidence])
+    plain = weights * (1 + shifts**2) ** 2
+    step = np.zeros(7)
+    for _ in range(10):
+        fading = plain / (1 + (shifts - J @ step) ** 2) ** 2
+        step = _solve(J, fading, shifts)
+    return step
+
+
+def _joint_step(evidence: list[ViewEvidence]) -> Array:
+    """Step (7 + J,) of similarity and joints to the color borders."""
+    J = np.concatenate([np.concatenate([view.jacobian, view.joint_jacobian], axis=1) for view in evidence])
+    shifts = np.concatenate([view.border_px for view in evidence])
+    weights = np.concatenate([view.border_weights for view in evidence])
+    prior = np.zeros(J.shape[1])
+    prior[7:] = 1 / JOINT_PRIOR_RAD**2
+    return _solve(J, weights, shifts, prior)
+
+
+def _solve(J: Array, weights: Array, shifts: Array, prior: Array | float = 0.0) -> Array:
+    A = J.T @ (weights[:, None] * J)
+    A += np.diag(np.full(len(A), 1e-9 * np.trace(A)) + prior)
+    return np.asarray(np.linalg.solve(A, J.T @ (weights * shifts)), np.float64)
