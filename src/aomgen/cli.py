@@ -86,13 +86,18 @@ def check(
             f"{path}: fine; {asset.joint.type} joint, range {asset.joint.lower:.3f} to {asset.joint.upper:.3f}"
         )
         return
-    from aomgen.capture.check import read_demo_videos
+    from aomgen.capture.check import check_robot, read_demo_videos
     from aomgen.capture.read import read_capture
 
     capture = read_capture(path.parent if path.name == "capture.toml" else path)
     videos = read_demo_videos(capture)
+    robot = check_robot(capture)
     log = capture.joint_log
     print(f"{capture.folder}: fine")
+    print(
+        f"  robot  {robot.name}, {len(robot.joint_names)} joints, "
+        f"{'two fingers' if robot.pads else 'no fingers: it can be followed, but not verified'}"
+    )
     print(f"  scan   {len(capture.scan_images)} images, {capture.scan_size[0]} x {capture.scan_size[1]}")
     for name, video in videos.items():
         print(f"  video  {name}: {len(video.times_s)} frames, {video.times_s[-1] - video.times_s[0]:.1f} s")
@@ -213,6 +218,7 @@ def synthetic(
     folder: Annotated[Path, typer.Argument(help="Capture folder to write; must not exist.")],
     category: Annotated[str, typer.Option(help="microwave or drawer.")] = "microwave",
     seed: Annotated[int, typer.Option(help="Same seed, same capture.")] = 0,
+    robot: Annotated[Path | None, typer.Option(help="URDF or MJCF of another arm with a gripper.")] = None,
 ) -> None:
     """Make a capture with ground truth in a virtual world: simulated physics, rendered pictures."""
     from aomgen.core.progress import silent
@@ -220,7 +226,7 @@ def synthetic(
 
     if folder.exists():
         raise ConfigError(folder, "exists already", "choose another folder")
-    make_capture(folder, category=category, seed=seed, progress=silent)
+    make_capture(folder, category=category, seed=seed, robot_file=robot, progress=silent)
     print(folder)
 
 

@@ -17,7 +17,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.recording import Capture
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import Video
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import chosen_robot
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
@@ -45,7 +45,7 @@ def run_accuracy(capture_folder: Path, out: Path | None, run_project: Callable[.
         estimates = read_json(out / "estimates.json")
         name = capture.cameras[0].name
         video = read_demo_videos(capture)[name]
-        robot = load_robot(capture.robot.model or str(capture.robot.model_file))
+        robot = chosen_robot(capture.robot)
         figures = score_estimates(estimates, truth, robot, video.times_s, name)
         figures.update(_score_pictures(capture, estimates, out, video, truth, name))
         figures["seconds"] = read_json(out / TIMINGS)

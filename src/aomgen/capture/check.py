@@ -1,15 +1,39 @@
-"""Checks that need the videos decoded."""
+"""Checks that need the videos decoded or the robot loaded."""
 
 import numpy as np
 
 from aomgen.capture.read import check_intrinsics
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
-from aomgen.errors import IncompleteCaptureError
+from aomgen.errors import IncompleteCaptureError, UnitsError
 from aomgen.io.straighten import straightener
 from aomgen.io.video import Video, read_video
+from aomgen.physics.robot import RobotModel, chosen_robot
 
 MIN_FRAMES = 20
+# A real joint may stand this far past the limit that its file states, [rad] or [m].
+LIMIT_SLACK = 0.05
+
+
+def check_robot(capture: Capture) -> RobotModel:
+    """Load the capture's robot and check that it is the log's.
+
+    Raises:
+        ConfigError, InputError: The robot cannot be used, or a joint stays outside its limits
+            during the scan.
+    """
+    robot = chosen_robot(capture.robot)
+    low, high = robot.joint_limits.T
+    outside = np.maximum(low - capture.robot.scan_joints, capture.robot.scan_joints - high)
+    worst = int(np.argmax(outside))
+    if not outside[worst] <= LIMIT_SLACK:
+        raise UnitsError(
+            capture.folder / "capture.toml",
+            f"'{robot.joint_names[worst]}' stands at {capture.robot.scan_joints[worst]:.2f}, but {robot.name} "
+            f"allows {low[worst]:.2f} to {high[worst]:.2f}",
+            "check the order of robot.joints, and the log's units and zero",
+        )
+    return robot
 
 
 def read_demo_videos(capture: Capture) -> dict[str, Video]:

@@ -17,6 +17,13 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class HandSection(_Section):
+    open: dict[str, FiniteFloat] = {}
+    closed: dict[str, FiniteFloat] = {}
+    fingers: list[str] = Field(default=[], max_length=2)
+    ee_site: str = ""
+
+
 class RobotSection(_Section):
     model: str = ""
     urdf: str = ""
@@ -25,6 +32,7 @@ class RobotSection(_Section):
     gripper: str = "gripper"
     base_frame: Literal["base_link", "ur_base"] = "base_link"
     scan_state: Literal["first_row"] | list[FiniteFloat] = "first_row"
+    hand: HandSection = HandSection()
 
 
 class ScanSection(_Section):
@@ -101,7 +109,13 @@ def _first_complaint(error: ValidationError) -> tuple[str, str]:
 
 def _known_keys(location: tuple[Any, ...]) -> list[str]:
     model: Any = CaptureManifest
-    sections = {"robot": RobotSection, "scan": ScanSection, "demo": DemoSection, "cameras": CameraSection}
+    sections = {
+        "robot": RobotSection,
+        "scan": ScanSection,
+        "demo": DemoSection,
+        "cameras": CameraSection,
+        "hand": HandSection,
+    }
     for item in location[:-1]:
         model = sections.get(item, PromptSection if item == "prompts" else model)
     return sorted(model.model_fields)

@@ -8,13 +8,15 @@ from aomgen.capture.joint_csv import read_joint_log
 from aomgen.capture.manifest import (
     CameraSection,
     CaptureManifest,
+    HandSection,
     PromptSection,
     ScanSection,
     read_manifest,
 )
 from aomgen.core.joint_log import JointLog
 from aomgen.core.lens import Lens
-from aomgen.core.recording import Capture, DemoCamera, Intrinsics, Prompt, RobotChoice, frame_name
+from aomgen.core.recording import Capture, DemoCamera, Intrinsics, Prompt, frame_name
+from aomgen.core.robot_choice import HandChoice, RobotChoice
 from aomgen.errors import (
     CalibrationError,
     IncompleteCaptureError,
@@ -24,6 +26,7 @@ from aomgen.errors import (
 )
 from aomgen.io.images import image_size
 from aomgen.io.paths import resolve_inside
+from aomgen.io.robot_xml import read_robot_xml
 from aomgen.io.video import probe_video
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -191,10 +194,22 @@ def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -
                 f"robot.scan_state has {len(scan_joints)} values for {len(robot.joints)} joints",
                 "list one a joint",
             )
+    model_file = resolve_inside(folder, files[0], named_by=path) if files else None
+    hand = robot.hand
+    if len(hand.fingers) == 1:
+        raise MalformedFileError(path, "robot.hand.fingers names one body", "name the left and the right one")
+    if robot.model and hand != HandSection():
+        raise MalformedFileError(path, f"[robot.hand] does not go with model = '{robot.model}'", "remove it")
     return RobotChoice(
         model=robot.model,
-        model_file=resolve_inside(folder, files[0], named_by=path) if files else None,
+        model_file=model_file,
+        root=folder,
+        references=read_robot_xml(model_file, folder).references if model_file else (),
         base_frame=robot.base_frame,
+        joints=tuple(robot.joints),
+        hand=HandChoice(
+            open=hand.open, closed=hand.closed, fingers=tuple(hand.fingers), ee_site=hand.ee_site
+        ),
         scan_joints=scan_joints,
         scan_gripper=float(np.median(log.gripper[rest])),
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from aomgen.core.joint_log import JointLog
 from aomgen.core.lens import Lens
+from aomgen.core.robot_choice import RobotChoice
 from aomgen.core.values import Array, freeze
 
 
@@ -70,28 +71,6 @@ class DemoCamera:
     def __post_init__(self) -> None:
         if self.T_world_cam is not None:
             freeze(self, "T_world_cam", self.T_world_cam, (4, 4))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RobotChoice:
-    """Which robot model the log belongs to.
-
-    Attributes:
-        model: A robot known by name, or "" when `model_file` is given.
-        model_file: URDF or MJCF inside the capture, or None.
-        base_frame: "base_link" or "ur_base", the frame of the log and of given camera poses.
-        scan_joints: Joint values (J,) during the scan, [rad].
-        scan_gripper: Gripper during the scan, 0..1.
-    """
-
-    model: str
-    model_file: Path | None
-    base_frame: str
-    scan_joints: Array
-    scan_gripper: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "scan_joints", self.scan_joints, (None,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,6 +8,7 @@ import numpy as np
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.core.values import Array, freeze
+from aomgen.physics.robot import RobotModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +33,11 @@ class HandConventions:
         return np.asarray(np.cross(self.closing, self.approach), np.float64)
 
 
+def hand_of(robot: RobotModel) -> HandConventions:
+    """The directions of a robot's gripper."""
+    return HandConventions(approach=robot.approach_ee, closing=robot.closing_ee)
+
+
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
 # How far beyond the end effector point a bar may lie and still be between the pads, [m].
 DEPTHS_M = (-0.005, 0.012)
@@ -41,8 +47,6 @@ MAX_ALONG_BAR = 0.6
 MIN_LEVELLED_RAD = np.deg2rad(5.0)
 # A hand that cannot turn as far as the door lets the bar turn between its fingers this much.
 LOOSE_RATIO = 0.7
-# The 2F-85's pinch site: z out of the palm, fingers close along y.
-PINCH = HandConventions(approach=np.array([0.0, 0.0, 1.0]), closing=np.array([0.0, 1.0, 0.0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,15 +22,17 @@ class IkLimits:
 
     Attributes:
         residual_mm, residual_deg: Largest distance to the asked pose.
-        speed: Largest joint speed, [rad/s].
-        limit_margin: Distance kept from the joint limits, [rad].
+        speed, slide_speed: Largest speed of a turning and of a sliding joint, [rad/s] and [m/s].
+        limit_margin, slide_margin: Distance kept from their limits, [rad] and [m].
         iterations: Gauss-Newton steps a pose.
     """
 
     residual_mm: float = 1.0
     residual_deg: float = 0.5
     speed: float = 2.6
+    slide_speed: float = 1.0
     limit_margin: float = 0.02
+    slide_margin: float = 0.002
     iterations: int = 12
 
 
@@ -90,12 +92,12 @@ def solve_path(
     Not checked: collisions.
     """
     configuration = mink.Configuration(solver.model)
-    qpos = solver.model.qpos0.copy()
-    qpos[solver.addresses] = start_joints
+    qpos = solver.robot.qpos(np.asarray(start_joints)[None], 0.0)[0]
     configuration.update(qpos)
     task = mink.FrameTask(solver.robot.ee_site, "site", position_cost=1.0, orientation_cost=0.3)
     bounds = [mink.ConfigurationLimit(solver.model)]
     low, high = solver.robot.joint_limits.T
+    keep = np.where(solver.robot.slides, limits.slide_margin, limits.limit_margin)
     joints = np.empty((len(Ts_world_ee), len(solver.addresses)))
     worst_mm, worst_deg = 0.0, 0.0
     for row, T in enumerate(np.asarray(Ts_world_ee, np.float64)):
@@ -110,24 +112,36 @@ def solve_path(
                 detail=f"{residual_mm:.1f} mm and {residual_deg:.1f} deg from the asked pose",
                 metrics={"residual_mm": residual_mm, "residual_deg": residual_deg, "path_share": done},
             )
-        margin = float(np.minimum(joints[row] - low, high - joints[row]).min())
-        if not margin >= limits.limit_margin:
+        margins = np.minimum(joints[row] - low, high - joints[row])
+        worst = int(np.argmin(margins / keep))
+        if not margins[worst] >= keep[worst]:
             return Rejection(
                 reason="joint_limit",
-                detail=f"{margin:.3f} rad from a joint limit, at least {limits.limit_margin} wanted",
-                metrics={"limit_margin_rad": margin, "path_share": done},
+                detail=f"{solver.robot.joint_names[worst]} is {margins[worst]:.3f} from its limit, at least {keep[worst]} wanted",
+                metrics={"limit_margin": float(margins[worst]), "path_share": done},
             )
     return IkPath(joints=joints, residual_mm=worst_mm, residual_deg=worst_deg)
 
 
-def check_speed(joints: Array, fps: float, limits: IkLimits) -> float | Rejection:
-    """Largest joint speed of a path (T, J), [rad/s]; or a Rejection "too_fast" (a jump is one)."""
-    speeds = np.abs(np.diff(joints, axis=0)).max(1) * fps
-    speed = float(speeds.max(initial=0.0))
-    if speed <= limits.speed:
-        return speed
-    detail = f"joint speed {speed:.1f} rad/s at {speeds.argmax() / fps:.1f} s, limit {limits.speed} rad/s"
-    return Rejection(reason="too_fast", detail=detail, metrics={"joint_speed": speed})
+def check_speed(joints: Array, fps: float, limits: IkLimits, slides: NDArray[np.bool_]) -> float | Rejection:
+    """Largest speed on a path (T, J) as a share of its joint's limit; or a Rejection "too_fast".
+
+    A jump is one too. `slides` tells which joints (J,) are prismatic.
+    """
+    limit = np.where(slides, limits.slide_speed, limits.speed)
+    speeds = np.abs(np.diff(joints, axis=0)) * fps
+    shares = (speeds / limit).max(1)
+    share = float(shares.max(initial=0.0))
+    if share <= 1.0:
+        return share
+    step = int(shares.argmax())
+    joint = int((speeds[step] / limit).argmax())
+    detail = f"joint {joint + 1} moves at {speeds[step, joint]:.1f} per second at {step / fps:.1f} s, limit {limit[joint]}"
+    return Rejection(
+        reason="too_fast",
+        detail=detail,
+        metrics={"joint_speed": float(speeds[step, joint]), "speed_share": share},
+    )
 
 
 def _converge(

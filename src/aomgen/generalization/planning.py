@@ -10,7 +10,7 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
 from aomgen.generalization.arm import FreeWay, solve_around, solve_contact
-from aomgen.generalization.grasps import PINCH, Grasp, HandConventions, grasps
+from aomgen.generalization.grasps import Grasp, HandConventions, grasps, hand_of
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed
 from aomgen.generalization.retarget import CONTACT, HandMotion, Style, retarget, timing
 from aomgen.physics.kinematic import KinematicLimits, check_kinematics, holding_gripper
@@ -35,14 +35,12 @@ class PlanParams:
 
     Attributes:
         fps: Samples a second.
-        hand: Directions of the gripper.
         ik: Limits of the arm.
         kinematic: Limits of tier A.
         max_slow_down: How much slower than demonstrated a too fast plan may become.
     """
 
     fps: float = 10.0
-    hand: HandConventions = PINCH
     ik: IkLimits = field(default_factory=IkLimits)
     kinematic: KinematicLimits = field(default_factory=KinematicLimits)
     max_slow_down: float = 2.0
@@ -75,13 +73,15 @@ def plan_episode(
     placed = scene.placed(T_world_object)
     close = int(np.searchsorted(demo.times_s - demo.times_s[0], timing(demo).start))
     R_front_ee = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[min(close, len(demo.times_s) - 1), :3, :3]
-    depth = float(demo.grasp_ee @ params.hand.approach)
+    hand = hand_of(scene.robot)
+    depth = float(demo.grasp_ee @ hand.approach)
     best: Rejection | None = None
     tried = 0
     # The contact segment decides most grasps; its Rejection ends a grasp's other ways.
-    for grasp in grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio, params.hand):
+    for grasp in grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio, hand):
         tried += 1
-        result = _plan_with(_Task(fitted, demo, variation, T_world_object, placed, solver, params), grasp)
+        task = _Task(fitted, demo, variation, T_world_object, placed, solver, hand, params)
+        result = _plan_with(task, grasp)
         if isinstance(result, EpisodePlan):
             return result
         if best is None or _rank(result) > _rank(best):
@@ -102,6 +102,7 @@ class _Task(NamedTuple):
     T_world_object: Array
     placed: Scene
     solver: IkSolver
+    hand: HandConventions
     params: PlanParams
 
 
@@ -160,7 +161,7 @@ def _solved(task: _Task, grasp: Grasp, ways: _Ways) -> tuple[HandMotion, IkPath 
             task.fitted,
             task.T_world_object,
             grasp,
-            params.hand,
+            task.hand,
             params.fps,
             approach=ways.approach,
             retreat=ways.retreat,
@@ -173,10 +174,10 @@ def _solved(task: _Task, grasp: Grasp, ways: _Ways) -> tuple[HandMotion, IkPath 
         path = solve_around(task.solver, motion, contact, task.demo, ways.free, params.ik)
         if isinstance(path, Rejection):
             return motion, path
-        speed = check_speed(path.joints, params.fps, params.ik)
+        speed = check_speed(path.joints, params.fps, params.ik, task.placed.robot.slides)
         if not isinstance(speed, Rejection):
             return motion, path
-        slow_down *= 1.1 * speed.metrics["joint_speed"] / params.ik.speed
+        slow_down *= 1.1 * speed.metrics["speed_share"]
         if not slow_down <= params.max_slow_down:
             return motion, speed
 

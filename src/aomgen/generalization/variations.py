@@ -52,13 +52,14 @@ def longest_reach(robot: RobotModel, samples: int = 2000) -> tuple[Array, float]
     """Point about which the arm reaches farthest (3,), and how far its end effector gets, [m].
 
     The point is the highest one on the first joint's line that keeps the farthest sampled
-    pose nearest, which for a six-axis arm is the shoulder.
+    pose nearest, which for most arms is the shoulder.
     """
     rng = np.random.default_rng(0)
     low, high = np.clip(robot.joint_limits, -np.pi, np.pi).T
     joints = rng.uniform(low, high, (samples, len(low)))
     points = robot.ee_poses(joints)[:, :3, 3]
-    heights = np.linspace(0.0, 0.5, 26)
+    foot = float(robot.link_poses(joints[:1], 0.0)[0, 0, 2, 3])
+    heights = foot + np.linspace(0.0, 0.5, 26)
     middle = np.median(points[:, :2], axis=0)
     centres = np.array([[middle[0], middle[1], height] for height in heights])
     farthest = np.array([np.linalg.norm(points - centre, axis=1).max() for centre in centres])

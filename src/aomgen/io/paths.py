@@ -1,5 +1,6 @@
 """The one resolver of paths that stand inside files."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from aomgen.errors import MissingFileError, UnsafePathError
@@ -22,3 +23,32 @@ def resolve_inside(folder: Path, reference: str, *, named_by: Path) -> Path:
             path, f"is missing, but {named_by.name} refers to it", "copy it there or correct the path"
         )
     return path
+
+
+def find_inside(root: Path, folders: Iterable[Path], names: Iterable[str], *, named_by: Path) -> Path:
+    """The first existing combination of a folder and a name; it must lie inside `root`.
+
+    For references that may mean several places, such as those of robot descriptions.
+
+    Raises:
+        UnsafePathError: An absolute path, a URL, or a reference that leaves `root`.
+        MissingFileError: None of them is there.
+    """
+    wanted, leaves = list(names), False
+    for name in wanted:
+        if "://" in name or Path(name).is_absolute():
+            return resolve_inside(root, name, named_by=named_by)
+    for folder in folders:
+        for name in wanted:
+            path = (folder / name).resolve()
+            inside = path.is_relative_to(root.resolve())
+            leaves |= not inside
+            if inside and path.is_file():
+                return path
+    if leaves:
+        raise UnsafePathError(
+            named_by, f"refers to '{wanted[0]}' outside {root.name}", "copy the file inside"
+        )
+    raise MissingFileError(
+        named_by, f"refers to '{wanted[0]}', which is missing", "copy it there or correct the path"
+    )

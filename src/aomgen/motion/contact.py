@@ -120,20 +120,15 @@ def _holds_something(robot: RobotModel, bodies: Array, points_moving: Array) -> 
     """Whether part points lie in the space between the pads' inner faces."""
     if len(robot.pads) < 2:
         return False
-    first = robot.pads[0]
-    T_pad_world = invert(bodies[first.body])
-    other = robot.pads[1]
-    across = apply(T_pad_world @ bodies[other.body], pad_face(other)[0]).mean(0) - pad_face(first)[0].mean(0)
-    local = apply(T_pad_world, points_moving) - pad_face(first)[0].mean(0)
-    axis = int(np.argmax(np.abs(first.normal_body)))
-    inside = np.ones(len(local), bool)
-    for k in range(3):
-        if k == axis:
-            share = local[:, k] / across[k] if abs(across[k]) > 1e-6 else np.full(len(local), -1.0)
-            inside &= (share > 0) & (share < 1)
-        else:
-            inside &= np.abs(local[:, k]) < first.half_extents[k]
-    return bool(inside.any())
+    first, other = robot.pads
+    T_pad_world = invert(bodies[first.body] @ first.T_body_pad)
+    top = first.half_extents[2]
+    across = apply(T_pad_world @ bodies[other.body], other.face_body)[2] - top
+    if not across > 1e-6:
+        return False
+    local = apply(T_pad_world, points_moving)
+    inside = np.all(np.abs(local[:, :2]) < first.half_extents[:2], axis=1)
+    return bool((inside & (local[:, 2] > top) & (local[:, 2] < top + across)).any())
 
 
 def _hand_contact(Ts_world_ee: Array, tree: cKDTree, points_moving: Array) -> Contacts:

@@ -81,27 +81,28 @@ def hand_signals(
 
 def pad_face(pad: FingerPad) -> tuple[Array, Array]:
     """Grid points (G, 3) on the pad's inner face and its outward normal (3,), both in the body frame."""
-    normal = pad.normal_body
-    across = [axis for axis in range(3) if abs(normal[axis]) < 0.5]
-    steps = np.linspace(-1, 1, _PAD_GRID)
-    grid = np.zeros((_PAD_GRID**2, 3))
-    grid[:, across[0]], grid[:, across[1]] = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
-    return pad.center_body + (grid + normal) * pad.half_extents, normal
+    grid = _face_grid(2, 1.0)
+    return apply(pad.T_body_pad, grid * pad.half_extents), pad.normal_body
 
 
 def box_faces(pad: FingerPad) -> tuple[Array, Array]:
     """Grid points (6 G, 3) on all faces of the pad's box and their outward normals, body frame."""
-    steps = np.linspace(-1, 1, _PAD_GRID)
     points, normals = [], []
     for axis in range(3):
-        across = [k for k in range(3) if k != axis]
         for side in (-1.0, 1.0):
-            grid = np.zeros((_PAD_GRID**2, 3))
-            grid[:, across[0]], grid[:, across[1]] = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
-            grid[:, axis] = side
-            points.append(pad.center_body + grid * pad.half_extents)
-            normals.append(np.broadcast_to(side * np.eye(3)[axis], grid.shape))
+            grid = _face_grid(axis, side)
+            points.append(apply(pad.T_body_pad, grid * pad.half_extents))
+            normals.append(np.broadcast_to(side * pad.T_body_pad[:3, axis], grid.shape))
     return np.concatenate(points), np.concatenate(normals)
+
+
+def _face_grid(axis: int, side: float) -> Array:
+    """Even points (G, 3) on one face of the cube from -1 to 1."""
+    steps = np.linspace(-1, 1, _PAD_GRID)
+    across = [k for k in range(3) if k != axis]
+    grid = np.full((_PAD_GRID**2, 3), side)
+    grid[:, across[0]], grid[:, across[1]] = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
+    return grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

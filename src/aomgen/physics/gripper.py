@@ -24,7 +24,7 @@ class GripperTable:
     Attributes:
         joint_names: The F finger joints.
         values: (K,), increasing gripper values.
-        positions: (K, F), [rad].
+        positions: (K, F), [rad] or [m].
     """
 
     joint_names: tuple[str, ...]
@@ -41,6 +41,11 @@ class GripperTable:
         return np.stack([np.interp(values, self.values, column) for column in self.positions.T], -1)
 
 
+def no_fingers() -> GripperTable:
+    """The table of an arm without a gripper."""
+    return GripperTable(joint_names=(), values=np.zeros(1), positions=np.zeros((1, 0)))
+
+
 def settled_fingers(files: RobotFiles) -> GripperTable:
     """Close the gripper slowly in simulation and record where its joints settle.
 
@@ -50,8 +55,6 @@ def settled_fingers(files: RobotFiles) -> GripperTable:
     Raises:
         MalformedFileError: The gripper does not move when its actuator is driven.
     """
-    if files.gripper is None or files.driver is None or files.actuator is None:
-        return GripperTable(joint_names=(), values=np.zeros(1), positions=np.zeros((1, 0)))
     spec = mujoco.MjSpec.from_file(str(files.gripper))
     set_options(spec)
     spec.option.gravity = np.zeros(3)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
 from aomgen.physics.robot import RobotModel
@@ -125,8 +126,7 @@ def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float
     faces, normals = [], []
     for side in ("left", "right"):
         pad = by_finger[side]
-        face = pad.center_body + pad.normal_body * (pad.half_extents @ np.abs(pad.normal_body))
-        faces.append(np.einsum("tij,j->ti", poses[:, pad.body, :3, :3], face) + poses[:, pad.body, :3, 3])
+        faces.append(apply(poses[:, pad.body], pad.face_body))
         normals.append(poses[:, pad.body, :3, :3] @ pad.normal_body)
     widths = np.einsum("ti,ti->t", faces[1] - faces[0], normals[0])
     return float(np.interp(-width_m, -widths, values))

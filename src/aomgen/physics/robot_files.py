@@ -1,7 +1,7 @@
 """Where robot models come from and how arm and gripper become one MuJoCo description."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,11 +18,11 @@ class RobotFiles:
 
     Attributes:
         name: For example "ur5e_2f85".
-        arm: MJCF or URDF of the arm (or of the whole robot).
-        gripper: MJCF of the gripper, attached at the arm's site "attachment_site", or None.
+        arm: MJCF of the arm.
+        gripper: MJCF of the gripper, attached at the arm's site "attachment_site".
         prefix: Prepended to every name of the gripper.
         turned: World is turned by 180 degrees about z against the arm file's root frame.
-        ee_site: Site that is the end effector; made at the last body when the file has none.
+        ee_site: Site that is the end effector: z out of the palm, y from the left to the right finger.
         pad_geoms: Names of each finger's pad boxes.
         driver: Finger joint that the gripper value measures, and its angle at 1 [rad].
         actuator: Actuator that closes the gripper, and its control when closed.
@@ -30,13 +30,13 @@ class RobotFiles:
 
     name: str
     arm: Path
-    gripper: Path | None
+    gripper: Path
     prefix: str
     turned: bool
     ee_site: str
-    pad_geoms: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    driver: tuple[str, float] | None = None
-    actuator: tuple[str, float] | None = None
+    pad_geoms: Mapping[str, tuple[str, ...]]
+    driver: tuple[str, float]
+    actuator: tuple[str, float]
 
 
 def ur5e_2f85(turned: bool) -> RobotFiles:
@@ -76,18 +76,15 @@ def build_spec(files: RobotFiles, *, visual: bool = True) -> mujoco.MjSpec:
     """
     spec = _read(files.arm)
     set_options(spec)
-    if files.gripper is not None:
-        gripper = _read(files.gripper)
-        set_options(gripper)
-        spec.attach(gripper, site="attachment_site", prefix=files.prefix)
+    gripper = _read(files.gripper)
+    set_options(gripper)
+    spec.attach(gripper, site="attachment_site", prefix=files.prefix)
     if files.turned:
         for body in spec.worldbody.bodies:
             frame = spec.worldbody.add_frame(quat=[0.0, 0.0, 0.0, 1.0])
             body.set_frame(frame)
-    if not any(site.name == files.ee_site for site in spec.sites):
-        _add_ee_site(spec, files.ee_site)
     if not visual:
-        _drop_visual(spec)
+        drop_visual(spec)
     return spec
 
 
@@ -113,17 +110,8 @@ def _read(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _add_ee_site(spec: mujoco.MjSpec, name: str) -> None:
-    known = {site.name: site for site in spec.sites}
-    for candidate in EE_SITES:
-        if candidate in known:
-            site = known[candidate]
-            site.parent.add_site(name=name, pos=site.pos, quat=site.quat)
-            return
-    spec.bodies[-1].add_site(name=name)
-
-
-def _drop_visual(spec: mujoco.MjSpec) -> None:
+def drop_visual(spec: mujoco.MjSpec) -> None:
+    """Take away what is only seen."""
     for geom in list(spec.geoms):
         if geom.contype == 0 and geom.conaffinity == 0 and geom.group == 2:
             spec.delete(geom)

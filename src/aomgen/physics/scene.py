@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
+from aomgen.core.episode import FINGERS
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
@@ -19,8 +20,8 @@ TABLE = "table"
 TABLE_THICKNESS_M = 0.04
 # Half size of the table where its outline is unknown, about the object, [m].
 TABLE_REACH_M = 0.7
-# The arm's foot may stand beside or in the plane of the table; these bodies, from the root, ignore it.
-FOOT_BODIES = 3
+# The arm's foot may stand beside or in the plane of the table; bodies that fewer joints move ignore it.
+FOOT_JOINTS = 3
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -45,21 +46,21 @@ class ArmDrive:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperDrive:
-    """Addresses of the gripper; -1 and empty for a robot without one.
+    """Addresses of the gripper.
 
     Attributes:
         qpos: Finger joints in the order of the robot's gripper table (F,).
         driver: Measured finger joint.
-        driver_closed: Its angle at gripper value 1, [rad].
+        driver_range: Its values at gripper 0 and 1 (2,), [rad] or [m].
         actuator: Closes the gripper.
-        control_closed: Its control at gripper value 1.
+        control_range: Its control at gripper 0 and 1 (2,).
     """
 
     qpos: Indices
     driver: int
-    driver_closed: float
+    driver_range: tuple[float, float]
     actuator: int
-    control_closed: float
+    control_range: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,8 +213,21 @@ def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, ce
         rgba=[0.62, 0.5, 0.38, 1.0],
         group=3,
     )
-    for name in robot.body_names[:FOOT_BODIES]:
+    for name in _foot_bodies(spec, robot):
         spec.add_exclude(name=f"{TABLE}_{name}", bodyname1="world", bodyname2=name)
+
+
+def _foot_bodies(spec: mujoco.MjSpec, robot: RobotModel) -> list[str]:
+    """Bodies that less than `FOOT_JOINTS` of the robot's joints move."""
+    result = []
+    for name in robot.body_names:
+        body, joints = spec.body(name), 0
+        while body.name != "world":
+            joints += len(body.joints)
+            body = body.parent
+        if joints < FOOT_JOINTS:
+            result.append(name)
+    return result
 
 
 def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:
@@ -241,21 +255,27 @@ def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:
 
 
 def _gripper_drive(model: mujoco.MjModel, robot: RobotModel) -> GripperDrive:
+    drive = robot.drive
+    if drive is None:
+        raise ConfigError(
+            "robot",
+            f"'{robot.name}' has no fingers that could hold",
+            "use the file of the arm with its gripper",
+        )
     names = robot.gripper_table.joint_names
-    driver, actuator = robot.files.driver, robot.files.actuator
     return GripperDrive(
         qpos=np.array([model.joint(name).qposadr[0] for name in names], np.int64),
-        driver=int(model.joint(driver[0]).qposadr[0]) if driver else -1,
-        driver_closed=driver[1] if driver else 1.0,
-        actuator=model.actuator(actuator[0]).id if actuator else -1,
-        control_closed=actuator[1] if actuator else 0.0,
+        driver=int(model.joint(drive.driver).qposadr[0]),
+        driver_range=drive.driver_range,
+        actuator=model.actuator(drive.actuator).id,
+        control_range=drive.control_range,
     )
 
 
 def _geom_roles(model: mujoco.MjModel, robot: RobotModel, names: AssetNames) -> GeomRoles:
     bodies = [model.body(b).name for b in model.geom_bodyid]
     robot_bodies = set(robot.body_names)
-    hand = {name for name in robot_bodies if robot.files.gripper and name.startswith(robot.files.prefix)}
+    hand = set(robot.hand_bodies)
 
     def mask(geoms: tuple[str, ...]) -> Mask:
         result = np.zeros(model.ngeom, bool)
@@ -263,8 +283,8 @@ def _geom_roles(model: mujoco.MjModel, robot: RobotModel, names: AssetNames) -> 
         return result
 
     finger = np.full(model.ngeom, -1, np.int64)
-    for index, side in enumerate(("left", "right")):
-        for name in robot.files.pad_geoms.get(side, ()):
+    for index, side in enumerate(FINGERS):
+        for name in robot.pad_geoms.get(side, ()):
             finger[model.geom(name).id] = index
     finger.flags.writeable = False
     return GeomRoles(

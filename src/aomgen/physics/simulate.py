@@ -127,9 +127,9 @@ def _controls(scene: Scene, joints: Array, gripper: Array, fps: float) -> tuple[
     controls = np.zeros((len(ticks), scene.model.nu))
     arm = scene.arm
     controls[:, arm.actuators] = commands + arm.kv / arm.kp * curve.derivative()(ticks)
-    if scene.gripper.actuator >= 0:
-        closing = np.clip(PchipInterpolator(times, gripper)(ticks), 0, 1)
-        controls[:, scene.gripper.actuator] = closing * scene.gripper.control_closed
+    closing = np.clip(PchipInterpolator(times, gripper)(ticks), 0, 1)
+    opened, closed = scene.gripper.control_range
+    controls[:, scene.gripper.actuator] = opened + closing * (closed - opened)
     return ticks, controls, commands
 
 
@@ -154,8 +154,8 @@ class _Log:
     def record(self, tick: int, data: mujoco.MjData) -> None:
         scene = self.scene
         self.joints[tick] = data.qpos[scene.arm.qpos]
-        if scene.gripper.driver >= 0:
-            self.gripper[tick] = data.qpos[scene.gripper.driver] / scene.gripper.driver_closed
+        opened, closed = scene.gripper.driver_range
+        self.gripper[tick] = (data.qpos[scene.gripper.driver] - opened) / (closed - opened)
         self.thetas[tick] = data.qpos[scene.object_qpos]
         site = scene.ee_site
         self.Ts_world_ee[tick] = transform(data.site_xmat[site].reshape(3, 3), data.site_xpos[site])

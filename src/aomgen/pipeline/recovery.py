@@ -21,7 +21,8 @@ from aomgen.io.atomic import write_json
 from aomgen.io.video import Video, probe_video
 from aomgen.motion.estimate import Demonstration as MotionInput
 from aomgen.motion.stage import load_motion, run_motion
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel, chosen_robot
+from aomgen.physics.robot_store import save_robot
 from aomgen.pipeline.estimates import estimates_of
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
@@ -48,7 +49,7 @@ MEDIAN_FRAMES = 48
 
 def robot_of(capture: Capture) -> RobotModel:
     """The robot of a capture, with the capture's world frame."""
-    return load_robot(capture.robot.model_file or capture.robot.model, capture.robot.base_frame)
+    return chosen_robot(capture.robot)
 
 
 def structure(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -232,6 +233,7 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     )
     result = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
     save_twin(folder, result)
+    save_robot(folder, capture.robot)
     return {"gaussians": len(world), "moving": int(np.sum(result.moves))}
 
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError, MissingFileError
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
+from aomgen.physics.robot_store import stored_robot
 from aomgen.twin.store import load_twin
 from aomgen.twin.twin import Twin, TwinState, render_state
 
@@ -27,7 +28,7 @@ def open_twin(out: Path) -> tuple[Twin, RobotModel]:
     if not folder.is_dir():
         raise MissingFileError(folder, "is missing", "finish the run first")
     twin = load_twin(folder)
-    return twin, load_robot(twin.robot)
+    return twin, stored_robot(folder)
 
 
 def draw_twin(

@@ -4,7 +4,7 @@ import importlib
 from pathlib import Path
 from typing import Any
 
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.check import check_robot, read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
@@ -88,7 +88,7 @@ STAGES: tuple[Stage, ...] = (
         title="binding the twin",
         needs=("capture", "gaussians", "alignment", "parts", "motion"),
         settings=(),
-        version=1,
+        version=2,
         weight=3,
         function=lazily("recovery", "twin"),
     ),
@@ -149,6 +149,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
         raise ConfigError("--until", f"'{until}' is no stage", f"stages: {', '.join(names)}")
     capture = read_capture(project.capture)
     read_demo_videos(capture)
+    check_robot(capture)
     # The choices lie beside the results, so that reports can be made again and questions answered.
     write_project(project.out / PROJECT_FILE, project)
     return run_stages(project, STAGES, display, capture_digest=capture_digest(capture), until=until)
@@ -160,7 +161,7 @@ def capture_digest(capture: Capture) -> str:
     files += [camera.video for camera in capture.cameras]
     files += sorted((capture.folder / "demo").glob("*.csv"))
     if capture.robot.model_file:
-        files.append(capture.robot.model_file)
+        files += [capture.robot.model_file, *capture.robot.references]
     for masks in capture.mask_folders.values():
         files += sorted(masks.glob("*.png"))
     return files_digest(files)

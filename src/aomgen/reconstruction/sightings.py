@@ -65,9 +65,7 @@ def sightings(
         place = _place(prompt, cameras_recon[prompt.image], points_recon[seen])
         views, angle_deg = (0, 0.0) if place is None else _views(place, list(cameras_recon.values()))
         found.append(
-            Sighting(
-                part=prompt.part, image=prompt.image, registered=True, views=views, angle_deg=angle_deg
-            )
+            Sighting(part=prompt.part, image=prompt.image, registered=True, views=views, angle_deg=angle_deg)
         )
     return found
 

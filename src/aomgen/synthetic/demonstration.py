@@ -6,7 +6,9 @@ import mujoco
 import numpy as np
 
 from aomgen.core.values import Array, freeze
+from aomgen.errors import ConfigError
 from aomgen.physics.robot import RobotModel
+from aomgen.physics.robot_parts import HandDrive
 from aomgen.synthetic.planning import CONTROL_STEP_S, Script
 from aomgen.synthetic.setting import World
 
@@ -91,18 +93,44 @@ def simulate(robot: RobotModel, world: World, script: Script) -> Demonstration:
         foreign |= strange
         control.apply(data, script.joints[step], velocities[step], script.gripper[step])
         mujoco.mj_step(model, data)
-    driver, stroke = robot.files.driver or ("", 1.0)
+    drive = _drive(robot)
+    opened, closed = drive.driver_range
     columns = [model.joint(name).qposadr[0] for name in robot.joint_names]
     return Demonstration(
         times_s=script.times_s,
         qpos=qpos,
         joints=qpos[:, columns],
-        gripper=qpos[:, model.joint(driver).qposadr[0]] / stroke,
+        gripper=(qpos[:, model.joint(drive.driver).qposadr[0]] - opened) / (closed - opened),
         theta=qpos[:, model.joint(world.names.joint).qposadr[0]],
         contacts=tuple(contacts),
         foreign=foreign,
         diverged=bool(data.warning.number.sum() > 0) or not np.isfinite(qpos).all(),
     )
+
+
+def _drive(robot: RobotModel) -> HandDrive:
+    if robot.drive is None:
+        raise ConfigError(
+            robot.name, "has no fingers that could open anything", "give an arm with its gripper"
+        )
+    return robot.drive
+
+
+def _branches(model: mujoco.MjModel, robot: RobotModel) -> dict[int, str]:
+    """Side of every body between a finger pad and the palm, and of all that hangs on those."""
+    hand = {model.body(name).id for name in robot.hand_bodies}
+    arms = {int(model.jnt_bodyid[model.joint(name).id]) for name in robot.gripper_table.joint_names}
+    sides: dict[int, str] = {}
+    for pad in robot.pads:
+        body = model.body(robot.body_names[pad.body]).id
+        while body in hand:
+            moved, root = body in arms, body
+            body = int(model.body_parentid[body])
+            if moved:
+                sides[root] = pad.finger
+    for body in sorted(hand):
+        sides.setdefault(body, sides.get(int(model.body_parentid[body]), "palm"))
+    return sides
 
 
 class _Control:
@@ -112,12 +140,13 @@ class _Control:
         of_joint = {model.actuator_trnid[a, 0]: a for a in range(model.nu) if model.actuator_trntype[a] == 0}
         self._arm = np.array([of_joint[model.joint(name).id] for name in robot.joint_names])
         self._lead = model.actuator_biasprm[self._arm, 2] / model.actuator_biasprm[self._arm, 1]
-        name, self._closed = robot.files.actuator or ("", 1.0)
-        self._gripper = model.actuator(name).id
+        drive = _drive(robot)
+        self._opened, self._closed = drive.control_range
+        self._gripper = model.actuator(drive.actuator).id
 
     def apply(self, data: mujoco.MjData, joints: Array, velocities: Array, gripper: float) -> None:
         data.ctrl[self._arm] = joints + self._lead * velocities
-        data.ctrl[self._gripper] = gripper * self._closed
+        data.ctrl[self._gripper] = self._opened + gripper * (self._closed - self._opened)
 
 
 class _Hand:
@@ -128,13 +157,9 @@ class _Hand:
         bodies = [self._model.body(b).name for b in self._model.geom_bodyid]
         self._robot = np.array([name in robot.body_names for name in bodies])
         self._moving = np.array([name == world.names.moving_body for name in bodies])
-        prefix = robot.files.prefix
-        self._hand = np.array([name.startswith(prefix) for name in bodies])
-        self._finger = [self._finger_of(name.removeprefix(prefix)) for name in bodies]
-
-    @staticmethod
-    def _finger_of(body: str) -> str:
-        return next((side for side in ("left", "right") if body.startswith(side)), "palm")
+        self._hand = np.array([name in robot.hand_bodies for name in bodies])
+        branch = _branches(self._model, robot)
+        self._finger = [branch.get(int(b), "palm") for b in self._model.geom_bodyid]
 
     def touches(self, data: mujoco.MjData) -> tuple[tuple[TrueContact, ...], bool]:
         """Touches of the hand on the moving part, and whether the robot touches anything else."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from aomgen.core.transforms import rotvec_from_matrix
 from aomgen.core.values import Array
+from aomgen.physics.robot import RobotModel
 
 DAMPING = 1e-4
 MAX_STEP_RAD = 0.25
@@ -14,7 +15,7 @@ MAX_STEP_RAD = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reach:
-    """Joints (J,), [rad], and what is left to the target: [m] and [rad]."""
+    """Joints (J,), [rad] or [m], and what is left to the target: [m] and [rad]."""
 
     joints: Array
     position_error: float
@@ -29,13 +30,13 @@ class Reach:
 class Arm:
     """Scratch kinematics of the arm inside a compiled model; not thread safe."""
 
-    def __init__(self, model: mujoco.MjModel, joint_names: tuple[str, ...], site: str) -> None:
+    def __init__(self, model: mujoco.MjModel, robot: RobotModel) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
-        self._site = model.site(site).id
-        self._qpos = np.array([model.joint(name).qposadr[0] for name in joint_names])
-        self._dofs = np.array([model.joint(name).dofadr[0] for name in joint_names])
-        self._limits = np.array([model.joint(name).range for name in joint_names])
+        self._site = model.site(robot.ee_site).id
+        self._qpos = np.array([model.joint(name).qposadr[0] for name in robot.joint_names])
+        self._dofs = np.array([model.joint(name).dofadr[0] for name in robot.joint_names])
+        self._limits = robot.joint_limits
 
     def solve(self, T_world_ee: Array, start: Array, *, iterations: int = 60) -> Reach:
         """Joints that bring the end effector site to a pose (4, 4), near `start` (J,)."""

@@ -21,6 +21,10 @@ CONTROL_STEP_S = 0.002
 PREGRASP_M = 0.09
 MAX_KNOT_STEP_RAD = 0.20
 SEEDS = 14
+# Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
+POSTURES = {
+    "ur5e_2f85": ([-np.pi, -2.4, 0.8, -2.5, -2.6, -np.pi], [np.pi, -0.7, 2.5, 1.0, 2.6, np.pi]),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,10 +79,10 @@ def draw_style(setting: Setting, rng: np.random.Generator) -> GraspStyle:
     )
 
 
-def grasp_poses(setting: Setting, style: GraspStyle, thetas: ArrayLike) -> Array:
+def grasp_poses(robot: RobotModel, setting: Setting, style: GraspStyle, thetas: ArrayLike) -> Array:
     """Poses T_world_ee (N, 4, 4) of the hand while the object's joint has the given values.
 
-    Axes of the hand: z approaches, x lies along the handle's bar, y is the closing direction.
+    The hand approaches the front, and its fingers close across the handle's bar.
     """
     asset = setting.asset
     approach = -outward_normal(asset)
@@ -86,7 +90,10 @@ def grasp_poses(setting: Setting, style: GraspStyle, thetas: ArrayLike) -> Array
     R = np.stack([along, np.cross(approach, along), approach], 1)
     # The hand comes from above: turn about the horizontal axis of the front, right of approach.
     sideways = np.cross(approach, [0.0, 0.0, 1.0])
-    R = matrix_from_rotvec(-style.tilt_rad * sideways) @ R
+    R_ee_hand = np.stack(
+        [np.cross(robot.closing_ee, robot.approach_ee), robot.closing_ee, robot.approach_ee], 1
+    )
+    R = matrix_from_rotvec(-style.tilt_rad * sideways) @ R @ R_ee_hand.T
     T_asset_grasp = transform(R, asset.handle_point)
     poses = []
     for theta in np.asarray(thetas, np.float64):
@@ -105,13 +112,15 @@ def plan(robot: RobotModel, world: World, setting: Setting, rng: np.random.Gener
     checked: dynamics (see `demonstration.py`).
     """
     style = draw_style(setting, rng)
-    arm = Arm(world.model, robot.joint_names, robot.ee_site)
+    arm = Arm(world.model, robot)
     thetas = np.linspace(0.0, style.theta_goal, 40)
-    held = grasp_poses(setting, style, thetas)
-    before = _withdrawn(held[0], np.linspace(PREGRASP_M, 0.0, 10))
-    after = _withdrawn(held[-1], np.linspace(0.0, PREGRASP_M, 10))
+    held = grasp_poses(robot, setting, style, thetas)
+    approach_ee = robot.approach_ee
+    before = _withdrawn(held[0], approach_ee, np.linspace(PREGRASP_M, 0.0, 10))
+    after = _withdrawn(held[-1], approach_ee, np.linspace(0.0, PREGRASP_M, 10))
+    low, high = POSTURES.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
     for _ in range(SEEDS):
-        start = rng.uniform([-np.pi, -2.4, 0.8, -2.5, -2.6, -np.pi], [np.pi, -0.7, 2.5, 1.0, 2.6, np.pi])
+        start = rng.uniform(low, high)
         grasp = arm.solve(held[0], start)
         if not grasp.exact:
             continue
@@ -120,7 +129,7 @@ def plan(robot: RobotModel, world: World, setting: Setting, rng: np.random.Gener
         if approach is None or opening is None:
             continue
         retreat = _tracked(arm, after, opening[-1])
-        rest = _rest(arm, setting, before[0], approach[-1], rng)
+        rest = _rest(arm, setting, before[0], approach_ee, approach[-1], rng)
         if retreat is None or rest is None:
             continue
         approach = approach[::-1]
@@ -133,11 +142,11 @@ def plan(robot: RobotModel, world: World, setting: Setting, rng: np.random.Gener
     return None
 
 
-def _withdrawn(T_world_ee: Array, distances: ArrayLike) -> Array:
+def _withdrawn(T_world_ee: Array, approach_ee: Array, distances: ArrayLike) -> Array:
     """The pose moved back along its approach direction by each distance, [m]."""
     distances = np.asarray(distances, np.float64)
     poses = np.repeat(T_world_ee[None], len(distances), 0)
-    poses[:, :3, 3] -= distances[:, None] * T_world_ee[:3, 2]
+    poses[:, :3, 3] -= distances[:, None] * (T_world_ee[:3, :3] @ approach_ee)
     return poses
 
 
@@ -154,13 +163,18 @@ def _tracked(arm: Arm, poses: Array, start: Array) -> Array | None:
 
 
 def _rest(
-    arm: Arm, setting: Setting, T_world_pregrasp: Array, near: Array, rng: np.random.Generator
+    arm: Arm,
+    setting: Setting,
+    T_world_pregrasp: Array,
+    approach_ee: Array,
+    near: Array,
+    rng: np.random.Generator,
 ) -> Array | None:
     """Joints at rest: the hand drawn back towards the robot, higher, looking down a little."""
     T = T_world_pregrasp.copy()
     T[:2, 3] *= rng.uniform(0.55, 0.75)
     T[2, 3] = max(T[2, 3], setting.room.table_z + 0.15) + rng.uniform(0.10, 0.22)
-    sideways = np.cross(T[:3, 2], [0.0, 0.0, 1.0])
+    sideways = np.cross(T[:3, :3] @ approach_ee, [0.0, 0.0, 1.0])
     T[:3, :3] = matrix_from_rotvec(-np.deg2rad(rng.uniform(15, 40)) * sideways) @ T[:3, :3]
     reach = arm.solve(T, near)
     if not reach.exact or np.abs(reach.joints - near).max() > 1.8:
@@ -196,7 +210,7 @@ def _allowed(robot: RobotModel, model: mujoco.MjModel, geoms: Array, world: Worl
     ours = [name in robot.body_names for name in bodies]
     if not any(ours):
         return True
-    hand = [name.startswith(robot.files.prefix) for name in bodies]
+    hand = [name in robot.hand_bodies for name in bodies]
     if all(ours):
         return all(hand)
     other = bodies[0] if ours[1] else bodies[1]

@@ -12,10 +12,13 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress, silent
+from aomgen.core.robot_choice import HandChoice
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.io.atomic import staged_folder
+from aomgen.io.robot_xml import read_robot_xml
 from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot_store import copy_robot_files
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration import Demonstration, simulate
 from aomgen.synthetic.pictures import Painter, exposed
@@ -24,7 +27,9 @@ from aomgen.synthetic.setting import Setting, build_world, draw_setting
 from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 from aomgen.synthetic.write import write_recording, write_truth
 
-ROBOT_NAME = "ur5e_2f85"
+DEFAULT_ROBOT = "ur5e_2f85"
+# A robot file may name meshes in folders beside its own, as packages do.
+PACKAGE_DEPTH = 3
 LOG_RATE_HZ = 100
 JOINT_NOISE_RAD = 0.0005
 GRIPPER_NOISE = 0.001
@@ -79,6 +84,8 @@ def make_capture(
     category: str,
     seed: int,
     conditions: Conditions | None = None,
+    robot_file: Path | None = None,
+    hand: HandChoice | None = None,
     progress: Progress = silent,
 ) -> None:
     """Write a complete capture with `truth/`: a robot opens a made asset in a made room.
@@ -91,20 +98,32 @@ def make_capture(
         category: One of `assets.make.MAKERS`.
         seed: Chooses asset, room, places, path, cameras, noise and clock.
         conditions: Cameras and their flaws; those of `Conditions` when None.
+        robot_file: URDF or MJCF of another robot, copied into the capture with all it refers to.
+        hand: What its file does not tell about its hand.
         progress: Told about pictures.
 
     Raises:
         ConfigError: Unknown category, or no setting of this seed can be reached.
+        InputError: The robot file cannot be used.
         BackendError: No OpenGL driver works.
         StorageError: The disk refuses.
     """
     rng = np.random.default_rng([seed, *category.encode(), 1])
-    robot = load_robot(ROBOT_NAME)
+    hand = hand or HandChoice()
+    robot = load_robot(DEFAULT_ROBOT)
+    if robot_file is not None:
+        root = robot_file.resolve().parents[min(PACKAGE_DEPTH, len(robot_file.resolve().parents)) - 1]
+        robot = load_robot(robot_file.resolve(), hand=hand, root=root)
     performance = perform(robot, make_asset(category, seed), rng)
     progress(0.05, "demonstration simulated")
     recording = record(robot, performance, conditions or Conditions(), rng, progress=progress)
     with staged_folder(folder) as staging:
-        write_recording(staging, recording)
+        source = f'model = "{DEFAULT_ROBOT}"'
+        if robot_file is not None:
+            xml = read_robot_xml(robot_file.resolve(), root)
+            copied = copy_robot_files(xml.path, xml.references, staging / "robot")
+            source = f'{xml.kind} = "{copied.relative_to(staging).as_posix()}"'
+        write_recording(staging, recording, source, hand)
         write_truth(staging / "truth", recording)
 
 

@@ -14,6 +14,7 @@ from aomgen.conventions import PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.joint_log import JointLog
+from aomgen.core.robot_choice import HandChoice
 from aomgen.core.values import Array
 from aomgen.io.atomic import write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
@@ -29,8 +30,12 @@ MOVED = {"revolute": np.deg2rad(0.5), "prismatic": 0.002}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}
 
 
-def write_recording(folder: Path, recording: Recording) -> None:
+def write_recording(folder: Path, recording: Recording, robot: str, hand: HandChoice) -> None:
     """Write capture.toml, scan, video and joint log.
+
+    Args:
+        robot: The line of capture.toml that names the robot.
+        hand: What its file does not tell.
 
     Raises:
         StorageError: The disk refuses.
@@ -41,7 +46,7 @@ def write_recording(folder: Path, recording: Recording) -> None:
         folder / "demo" / f"{CAMERA}.mp4", encode_video(recording.frames, recording.conditions.fps, crf=17)
     )
     write_text(folder / "demo" / "joints.csv", _joints_csv(recording.log))
-    write_text(folder / "capture.toml", _capture_toml(recording))
+    write_text(folder / "capture.toml", _capture_toml(recording, robot, hand))
 
 
 def write_truth(folder: Path, recording: Recording) -> None:
@@ -106,7 +111,7 @@ def _joints_csv(log: JointLog) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _capture_toml(recording: Recording) -> str:
+def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
     names = ", ".join(f'"{name}"' for name in recording.log.joint_names)
     lines = [
         "format = 1",
@@ -115,10 +120,11 @@ def _capture_toml(recording: Recording) -> str:
         f'instruction = "open the {recording.category}"',
         "",
         "[robot]",
-        'model = "ur5e_2f85"',
+        robot,
         f"joints = [{names}]",
         'gripper = "gripper"',
         'scan_state = "first_row"',
+        *_hand_lines(hand),
         "",
         "[scan]",
         'images = "scan"',
@@ -143,6 +149,20 @@ def _capture_toml(recording: Recording) -> str:
 
 def _stated(recording: Recording, camera: Camera) -> list[str]:
     return [f"intrinsics = {_intrinsics(camera)}"] if recording.conditions.intrinsics_known else []
+
+
+def _hand_lines(hand: HandChoice) -> list[str]:
+    lines = []
+    for key, values in (("open", hand.open), ("closed", hand.closed)):
+        if values:
+            lines.append(
+                f"{key} = {{ " + ", ".join(f'"{name}" = {value}' for name, value in values.items()) + " }"
+            )
+    if hand.fingers:
+        lines.append(f"fingers = {list(hand.fingers)}".replace("'", '"'))
+    if hand.ee_site:
+        lines.append(f'ee_site = "{hand.ee_site}"')
+    return ["", "[robot.hand]", *lines] if lines else []
 
 
 def _clearest(labels: list[NDArray[np.uint8]], label: int) -> list[int]:

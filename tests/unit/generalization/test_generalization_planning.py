@@ -14,7 +14,7 @@ from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotve
 from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.generate import GenerationParams, generate_episodes
-from aomgen.generalization.grasps import PINCH, Grasp, grasps, orientations
+from aomgen.generalization.grasps import Grasp, HandConventions, grasps, orientations
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
 from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
@@ -25,6 +25,8 @@ from aomgen.physics.scene import build_scene
 
 NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
 SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
+
+PINCH = HandConventions(approach=np.array([0.0, 0.0, 1.0]), closing=np.array([0.0, 1.0, 0.0]))
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +117,7 @@ def test_ik_meets_the_asked_poses(robot: RobotModel, solver: IkSolver, demo: Dem
     reached = robot.ee_poses(path.joints)
     errors = invert(demo.Ts_world_ee) @ reached
     assert 1000 * np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.3
-    assert isinstance(check_speed(path.joints, 10.0, IkLimits()), float)
+    assert isinstance(check_speed(path.joints, 10.0, IkLimits(), np.zeros(6, bool)), float)
 
 
 def test_ik_refuses_what_is_out_of_reach_and_jumps(solver: IkSolver, demo: Demonstration) -> None:
@@ -126,7 +128,7 @@ def test_ik_refuses_what_is_out_of_reach_and_jumps(solver: IkSolver, demo: Demon
     assert result.reason == "unreachable"
     jump = demo.joints.copy()
     jump[20:] += 1.0
-    assert isinstance(check_speed(jump, 10.0, IkLimits()), Rejection)
+    assert isinstance(check_speed(jump, 10.0, IkLimits(), np.zeros(6, bool)), Rejection)
 
 
 def test_fingers_close_across_the_handle_and_the_nearest_way_comes_first() -> None:

@@ -1,0 +1,53 @@
+"""Which robot a recording belongs to, as its folder says."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from aomgen.core.values import Array, freeze
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandChoice:
+    """What a capture tells about the hand of a robot file; what is empty is found out.
+
+    Attributes:
+        open, closed: Value of each finger joint that drives at gripper value 0 and 1, [rad] or [m].
+        fingers: Names of the two bodies that hold, left and right.
+        ee_site: Name of the site that is the end effector.
+    """
+
+    open: Mapping[str, float] = field(default_factory=dict)
+    closed: Mapping[str, float] = field(default_factory=dict)
+    fingers: tuple[str, ...] = ()
+    ee_site: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotChoice:
+    """Which robot model the log belongs to, and its state during the scan.
+
+    Attributes:
+        model: A robot known by name, or "" when `model_file` is given.
+        model_file: URDF or MJCF inside the capture, or None.
+        root: Folder that holds everything the file refers to.
+        references: All files that `model_file` refers to.
+        base_frame: "base_link" or "ur_base", the frame of the log and of given camera poses.
+        joints: Names (J) of the arm joints in the order of the log.
+        hand: What is told about the hand of a robot file.
+        scan_joints: Joint values (J,) during the scan, [rad] or [m].
+        scan_gripper: Gripper during the scan, 0..1.
+    """
+
+    model: str
+    model_file: Path | None
+    root: Path
+    references: tuple[Path, ...]
+    base_frame: str
+    joints: tuple[str, ...]
+    hand: HandChoice
+    scan_joints: Array
+    scan_gripper: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "scan_joints", self.scan_joints, (len(self.joints),))
