@@ -37,7 +37,7 @@ STAGES: tuple[Stage, ...] = (
         title="structure from motion",
         needs=("capture",),
         settings=(),
-        version=1,
+        version=2,
         weight=60,
         function=lazily("recovery", "structure"),
     ),

@@ -114,7 +114,8 @@ def _warnings(run: Run) -> str:
     rows: list[list[object]] = []
     for stage in STAGES:
         manifest = read_manifest(run.folders[stage.name])
-        rows += [[stage.title, sentence] for sentence in (manifest.warnings if manifest else ())]
+        for sentence in manifest.warnings if manifest else ():
+            rows.append([stage.title, sentence])
     return section("Warnings", table(["stage", "warning"], rows)) if rows else ""
 
 

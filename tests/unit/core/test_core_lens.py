@@ -23,7 +23,8 @@ def test_rays_undo_pixels(lens):
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_straight_image_shows_only_what_was_photographed_and_touches_its_border(lens):
     source = lens.source_pixels()
-    assert source.min() >= 0 and (source <= [640, 480]).all()
+    assert source.min() >= 0
+    assert (source <= [640, 480]).all()
     edges = np.concatenate([source[0], source[-1], source[:, 0], source[:, -1]])
     assert min(edges.min(), (np.array([640, 480]) - edges).min()) < 1.5
 

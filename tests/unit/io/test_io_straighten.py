@@ -34,4 +34,5 @@ def test_labels_take_the_nearest_label():
     labels[:, 80:] = 3
     straight = straighten_labels(labels, LENS)
     assert set(np.unique(straight)) == {0, 3}
-    assert (straight[:, :79] == 0).all() and (straight[:, 81:] == 3).all()
+    assert (straight[:, :79] == 0).all()
+    assert (straight[:, 81:] == 3).all()

@@ -80,7 +80,8 @@ def test_one_pinhole_view_stays_a_pinhole(seed):
     placed = resect(links, plain, focal_known=True, seed=0)
     assert placed is not None
     assert np.linalg.norm(placed.camera_recon.center - camera.center) < 0.01
-    assert placed.count >= 200 and not placed.inliers[:40].all()
+    assert placed.count >= 200
+    assert not placed.inliers[:40].all()
     assert not choose_view_lens(links, placed, focal_known=True, seed=0).bends
 
 
@@ -93,7 +94,8 @@ def test_one_bent_view_is_found_and_placed():
     assert choice.bends
     assert np.abs(choice.lens.pixels([[0.4, 0.3]]) - bent.pixels([[0.4, 0.3]])).max() < 1.0
     again = resect(links, choice.lens, focal_known=True, seed=0)
-    assert again is not None and again.count > placed.count
+    assert again is not None
+    assert again.count > placed.count
     assert np.linalg.norm(again.camera_recon.center - camera.center) < 0.01
 
 
@@ -101,7 +103,8 @@ def test_one_lucky_image_is_no_evidence():
     same = [np.full(50, 1.0) for _ in range(10)]
     lucky = [np.full(50, 0.1), *same[1:]]
     gain, significance = compare(same, lucky)
-    assert gain > 0.05 and significance < 2
+    assert gain > 0.05
+    assert significance < 2
 
 
 def test_prompts_move_with_the_image():
@@ -111,7 +114,8 @@ def test_prompts_move_with_the_image():
     (moved,) = straight_prompts((Prompt(part="moving", image="a", points=points, box=box),), lens)
     assert np.allclose(moved.points[0], [320, 240, 1])
     corners = lens.straightened([[200.0, 100.0], [200.0, 300.0]])
-    assert moved.box[0] == 0 and moved.box[2] >= corners[:, 0].max() - 1e-9
+    assert moved.box[0] == 0
+    assert moved.box[2] >= corners[:, 0].max() - 1e-9
     assert not np.allclose(moved.box[2], 200, atol=2)
     gone = Prompt(part="moving", image="a", points=np.array([[0.0, 0.0, 1.0]]), box=np.zeros(0))
     assert straight_prompts((gone,), lens) == () or lens.straightened([[0.0, 0.0]]).min() >= 0
