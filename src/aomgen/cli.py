@@ -86,7 +86,7 @@ def check(
             f"{path}: fine; {asset.joint.type} joint, range {asset.joint.lower:.3f} to {asset.joint.upper:.3f}"
         )
         return
-    from aomgen.capture.check import check_robot, read_demo_videos
+    from aomgen.capture.check import check_robot, check_scan_video, read_demo_videos
     from aomgen.capture.read import read_capture
 
     capture = read_capture(path.parent if path.name == "capture.toml" else path)
@@ -98,7 +98,9 @@ def check(
         f"  robot  {robot.name}, {len(robot.joint_names)} joints, "
         f"{'two fingers' if robot.pads else 'no fingers: it can be followed, but not verified'}"
     )
-    print(f"  scan   {len(capture.scan_images)} images, {capture.scan_size[0]} x {capture.scan_size[1]}")
+    frames = check_scan_video(capture)
+    scan = f"video of {frames} frames" if frames else f"{len(capture.scan_images)} images"
+    print(f"  scan   {scan}, {capture.scan_size[0]} x {capture.scan_size[1]}")
     for name, video in videos.items():
         print(f"  video  {name}: {len(video.times_s)} frames, {video.times_s[-1] - video.times_s[0]:.1f} s")
     print(

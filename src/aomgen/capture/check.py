@@ -7,7 +7,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
 from aomgen.errors import IncompleteCaptureError, UnitsError
 from aomgen.io.straighten import straightener
-from aomgen.io.video import Video, read_video
+from aomgen.io.video import Video, decoded_frames, read_video
 from aomgen.physics.robot import RobotModel, chosen_robot
 
 MIN_FRAMES = 20
@@ -47,6 +47,15 @@ def read_demo_videos(capture: Capture) -> dict[str, Video]:
             is too short or longer than the joint log.
     """
     return {camera.name: _checked(capture, index) for index, camera in enumerate(capture.cameras)}
+
+
+def check_scan_video(capture: Capture) -> int:
+    """Decode a scan video from end to end; the number of its frames, 0 when the scan is stills.
+
+    Raises:
+        InputError: Missing, damaged or truncated video.
+    """
+    return 0 if capture.scan_video is None else sum(1 for _ in decoded_frames(capture.scan_video))
 
 
 def _checked(capture: Capture, index: int) -> Video:

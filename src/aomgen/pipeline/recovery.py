@@ -13,7 +13,7 @@ from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.motion import MotionEstimate
-from aomgen.core.progress import Progress
+from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
@@ -29,6 +29,7 @@ from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
 from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment
 from aomgen.reconstruction.fixed_cameras import DemoView
+from aomgen.reconstruction.frames import extract_frames
 from aomgen.reconstruction.gaussians import GaussiansParams
 from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.parts_stage import load_parts, run_parts
@@ -64,8 +65,13 @@ def structure(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         )
         for camera in capture.cameras
     }
+    images = {path.name: path for path in capture.scan_images}
+    if capture.scan_video is not None:
+        prompted = {prompt.image for prompt in capture.prompts}
+        images = extract_frames(capture.scan_video, prompted, folder, part(progress, 0.0, 0.2))
+        progress = part(progress, 0.2, 1.0)
     photographs = Photographs(
-        images={path.name: path for path in capture.scan_images},
+        images=images,
         intrinsics=capture.scan_intrinsics,
         demo=demo,
         prompts=capture.prompts,

@@ -37,9 +37,10 @@ STAGES: tuple[Stage, ...] = (
         title="structure from motion",
         needs=("capture",),
         settings=(),
-        version=2,
+        version=3,
         weight=60,
         function=lazily("recovery", "structure"),
+        incremental=True,
     ),
     Stage(
         name="gaussians",
@@ -158,6 +159,8 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
 def capture_digest(capture: Capture) -> str:
     """Digest of everything that a capture's capture.toml refers to."""
     files: list[Path] = [capture.folder / "capture.toml", *capture.scan_images]
+    if capture.scan_video is not None:
+        files.append(capture.scan_video)
     files += [camera.video for camera in capture.cameras]
     files += sorted((capture.folder / "demo").glob("*.csv"))
     if capture.robot.model_file:

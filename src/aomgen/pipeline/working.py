@@ -6,6 +6,7 @@ from pathlib import Path
 from aomgen.capture.read import read_capture
 from aomgen.core.recording import Capture
 from aomgen.pipeline.stage import Run
+from aomgen.reconstruction.frames import extracted_frames
 from aomgen.reconstruction.straight import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
 from aomgen.reconstruction.structure_stage import load_structure
 
@@ -18,9 +19,10 @@ def capture_of(run: Run) -> Capture:
 def working_capture(capture: Capture, structure: Path) -> Capture:
     """A capture whose images, masks, prompts and videos are those of pinhole cameras.
 
-    Of an ordinary capture nothing changes. Where the lens bends, the straightened images and
-    masks of the structure stage take the place of the recorded ones, prompts are moved with
-    them, and `read_demo_videos` straightens the frames of the cameras that need it.
+    Of an ordinary capture nothing changes. A scan video is replaced by its chosen frames. Where
+    the lens bends, the straightened images and masks of the structure stage take the place of the
+    recorded ones, prompts are moved with them, and `read_demo_videos` straightens the frames of
+    the cameras that need it.
 
     Args:
         capture: As recorded.
@@ -30,14 +32,17 @@ def working_capture(capture: Capture, structure: Path) -> Capture:
         MissingFileError, MalformedFileError: The structure stage has not finished there.
     """
     found = load_structure(structure)
+    images = capture.scan_images
+    if capture.scan_video is not None:
+        images = tuple(extracted_frames(structure).values())
     cameras = tuple(replace(camera, lens=found.demo_lenses.get(camera.name)) for camera in capture.cameras)
     if found.scan_lens is None:
-        return replace(capture, cameras=cameras)
+        return replace(capture, cameras=cameras, scan_images=images)
     masks = structure / MASKS_FOLDER
     return replace(
         capture,
         cameras=cameras,
-        scan_images=tuple(structure / IMAGES_FOLDER / path.name for path in capture.scan_images),
+        scan_images=tuple(structure / IMAGES_FOLDER / path.name for path in images),
         prompts=straight_prompts(capture.prompts, found.scan_lens),
         mask_folders={name: masks / name for name in capture.mask_folders if (masks / name).is_dir()},
     )

@@ -1,13 +1,16 @@
 """A good capture is read; each way a capture can be bad is refused in one sentence."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.check import check_scan_video, read_demo_videos
 from aomgen.capture.read import read_capture
+from aomgen.core.lens import Lens
 from aomgen.errors import (
     AomgenError,
     CalibrationError,
@@ -19,6 +22,8 @@ from aomgen.errors import (
     UnitsError,
     UnsafePathError,
 )
+from aomgen.io.straighten import straightener
+from aomgen.io.video import encode_video
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -149,3 +154,80 @@ def test_too_few_images(capture_copy):
 
 def test_not_a_capture(tmp_path):
     refuse(tmp_path, MissingFileError, "capture.toml")
+
+
+def film(folder: Path, frames: int) -> None:
+    """Replace the stills by a video of that many frames, prompted on frames of it."""
+    rng = np.random.default_rng(0)
+    pictures = [rng.integers(0, 255, (480, 640, 3)).astype(np.uint8)] * frames
+    (folder / "scan.mp4").write_bytes(encode_video(pictures, 30))
+    path = folder / "capture.toml"
+    text = re.sub(r'image = "00(\d\d)\.jpg"', r'image = "scan_0000\1.png"', path.read_text("utf-8"))
+    path.write_text(text.replace('images = "scan"', 'images = "scan.mp4"'), "utf-8")
+
+
+def test_a_scan_video_is_read(capture_copy):
+    film(capture_copy, 70)
+    capture = read_capture(capture_copy)
+    assert capture.scan_images == ()
+    assert capture.scan_size == (640, 480)
+    assert {prompt.image for prompt in capture.prompts} >= {"scan_000013.png"}
+    assert check_scan_video(capture) == 70
+
+
+def test_a_short_scan_video(capture_copy):
+    film(capture_copy, 40)
+    refuse(capture_copy, IncompleteCaptureError, "scan.mp4", "40 frames", "walk around")
+
+
+def test_a_prompt_beyond_the_end_of_the_scan_video(capture_copy):
+    film(capture_copy, 62)
+    edit(capture_copy / "capture.toml", "scan_000013.png", "scan_000063.png")
+    refuse(capture_copy, MissingFileError, "scan_000063.png", "scan_000061.png")
+
+
+def test_a_scan_video_that_is_none(capture_copy):
+    (capture_copy / "scan.mp4").write_bytes(b"not a video")
+    edit(capture_copy / "capture.toml", 'images = "scan"', 'images = "scan.mp4"')
+    refuse(capture_copy, MalformedFileError, "scan.mp4", "not a video")
+
+
+def test_a_truncated_scan_video(capture_copy):
+    film(capture_copy, 70)
+    path = capture_copy / "scan.mp4"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(MalformedFileError, match=r"scan\.mp4"):
+        check_scan_video(read_capture(capture_copy))
+
+
+def test_known_distortion_is_read(capture_copy):
+    line = "intrinsics = [600.0, 600.0, 320.0, 240.0]\n\n[[demo"
+    edit(capture_copy / "capture.toml", line, line.replace("\n\n", "\ndistortion = [-0.1, 0.02, 0, 0]\n\n"))
+    capture = read_capture(capture_copy)
+    assert capture.scan_intrinsics is not None
+    assert capture.scan_intrinsics.distortion == (-0.1, 0.02, 0, 0)
+    assert capture.cameras[0].intrinsics is not None
+    assert capture.cameras[0].intrinsics.distortion is None
+
+
+def test_distortion_that_folds_the_image(capture_copy):
+    line = "intrinsics = [600.0, 600.0, 320.0, 240.0]\n\n[[demo"
+    edit(capture_copy / "capture.toml", line, line.replace("\n\n", "\ndistortion = [-2.5, 0, 0, 0]\n\n"))
+    refuse(capture_copy, CalibrationError, "scan.intrinsics", "folds")
+
+
+def test_distortion_without_intrinsics(capture_copy):
+    line = "intrinsics = [600.0, 600.0, 320.0, 240.0]\n\n[[demo"
+    edit(capture_copy / "capture.toml", line, "distortion = [-0.1, 0.02, 0, 0]\n\n[[demo")
+    refuse(capture_copy, CalibrationError, "distortion without intrinsics")
+
+
+def test_a_bent_cameras_frames_are_straightened(capture_copy):
+    capture = read_capture(capture_copy)
+    lens = Lens(fx=600, fy=600, cx=320, cy=240, width=640, height=480, k1=-0.2)
+    bent = replace(capture, cameras=(replace(capture.cameras[0], lens=lens),))
+    plain = read_demo_videos(capture)["front"].frames_srgb[0].astype(float)
+    straight = read_demo_videos(bent)["front"].frames_srgb[0].astype(float)
+    wanted = straightener(lens)(plain.astype(np.uint8))
+    assert np.array_equal(straight, wanted)
+    assert np.abs(straight - plain).mean() > 2

@@ -1,0 +1,154 @@
+"""Following points from picture to picture: how far a camera's view has moved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, uniform_filter
+
+from aomgen.core.values import Array
+
+LEVELS = 3
+ITERATIONS = 6
+HALF_WINDOW = 5
+GRID = (12, 9)
+# A patch is still the first one while their correlation is at least this.
+MIN_CORRELATION = 0.75
+# Texture that can be followed: smaller eigenvalue of the mean squared gradient, [grey^2 / px^2].
+MIN_TEXTURE = 4.0
+CONVERGED_PX = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pyramid:
+    """A grey picture at full, half and quarter size, float32 (H, W) each."""
+
+    levels: tuple[NDArray[np.float32], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracks:
+    """Points of a picture and where they are in a later one.
+
+    Attributes:
+        start: (N, 2) pixel x, y in the first picture.
+        now: (N, 2) in the present one.
+        alive: (N,) which are still followed.
+    """
+
+    start: Array
+    now: Array
+    alive: NDArray[np.bool_]
+
+    @property
+    def kept(self) -> float:
+        """Share still followed; 1 where there was nothing to follow."""
+        return float(self.alive.mean()) if len(self.alive) else 1.0
+
+    @property
+    def shift_px(self) -> float:
+        """Root mean square displacement of those still followed, [px]."""
+        if not self.alive.any():
+            return 0.0
+        return float(np.sqrt(((self.now - self.start)[self.alive] ** 2).sum(1).mean()))
+
+
+def pyramid(gray: NDArray[np.uint8]) -> Pyramid:
+    """A picture (H, W) and its halves."""
+    levels = [gray.astype(np.float32)]
+    for _ in range(LEVELS - 1):
+        above = levels[-1]
+        even = above[: above.shape[0] // 2 * 2, : above.shape[1] // 2 * 2]
+        levels.append(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean((1, 3)))
+    return Pyramid(levels=tuple(levels))
+
+
+def new_tracks(picture: Pyramid) -> Tracks:
+    """The best textured point of every cell of a grid, where there is texture.
+
+    Source: Shi & Tomasi, Good features to track (1994).
+    """
+    gray = picture.levels[0]
+    gy, gx = np.gradient(gray)
+    size = 2 * HALF_WINDOW + 1
+    xx, yy, xy = (uniform_filter(product, size) for product in (gx * gx, gy * gy, gx * gy))
+    texture = 0.5 * (xx + yy - np.sqrt((xx - yy) ** 2 + 4 * xy**2))
+    border = 2 * HALF_WINDOW
+    texture[:border], texture[-border:], texture[:, :border], texture[:, -border:] = 0, 0, 0, 0
+    points = []
+    for rows in np.array_split(np.arange(gray.shape[0]), GRID[1]):
+        for columns in np.array_split(np.arange(gray.shape[1]), GRID[0]):
+            cell = texture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            row, column = np.unravel_index(int(np.argmax(cell)), cell.shape)
+            if cell[row, column] >= MIN_TEXTURE:
+                points.append((columns[0] + column, rows[0] + row))
+    start = np.array(points, np.float64).reshape(-1, 2)
+    return Tracks(start=start, now=start.copy(), alive=np.ones(len(start), bool))
+
+
+def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> Tracks:
+    """Where the points are one picture later.
+
+    Args:
+        tracks: Points as they were in `before`.
+        first: The picture in which they started; what they look like now is compared with it.
+        before, after: Two pictures in a row.
+
+    Source: Lucas & Kanade (1981) on a pyramid, Bouguet (2001); gain and offset of a patch are
+    free in the comparison, so that exposure may change.
+    """
+    shift = np.zeros_like(tracks.now)
+    for level in reversed(range(LEVELS)):
+        scale = 0.5**level
+        a, b = before.levels[level], after.levels[level]
+        patches, gx, gy = _patch_gradients(a, tracks.now * scale)
+        shift = _shifted(patches, (gx, gy), b, tracks.now * scale, 2 * shift if level < LEVELS - 1 else shift)
+    now = tracks.now + shift
+    inside = ((now >= HALF_WINDOW) & (now <= np.array(after.levels[0].shape[::-1]) - 1 - HALF_WINDOW)).all(1)
+    looks = _correlation(first.levels[0], tracks.start, after.levels[0], now)
+    return Tracks(start=tracks.start, now=now, alive=tracks.alive & inside & (looks >= MIN_CORRELATION))
+
+
+def _shifted(
+    patches: Array, gradients: tuple[Array, Array], image: NDArray[np.float32], points: Array, shift: Array
+) -> Array:
+    gx, gy = gradients
+    xx, yy, xy = (gx * gx).sum(1), (gy * gy).sum(1), (gx * gy).sum(1)
+    determinant = np.maximum(xx * yy - xy * xy, 1e-3)
+    for _ in range(ITERATIONS):
+        error = patches - _patches(image, points + shift)
+        bx, by = (gx * error).sum(1), (gy * error).sum(1)
+        step = np.stack([yy * bx - xy * by, xx * by - xy * bx], 1) / determinant[:, None]
+        shift = shift + np.clip(step, -HALF_WINDOW, HALF_WINDOW)
+        if np.abs(step).max(initial=0.0) < CONVERGED_PX:
+            break
+    return shift
+
+
+def _correlation(
+    image_a: NDArray[np.float32], points_a: Array, image_b: NDArray[np.float32], points_b: Array
+) -> Array:
+    """How alike patches are: 1 = the same up to gain and offset, 0 = unrelated."""
+    a, b = _patches(image_a, points_a), _patches(image_b, points_b)
+    a, b = a - a.mean(1, keepdims=True), b - b.mean(1, keepdims=True)
+    return (a * b).sum(1) / np.sqrt(np.maximum((a * a).sum(1) * (b * b).sum(1), 1e-6))
+
+
+def _patch_gradients(image: NDArray[np.float32], points: Array) -> tuple[Array, Array, Array]:
+    large = _patches(image, points, HALF_WINDOW + 1)
+    side = 2 * HALF_WINDOW + 3
+    square = large.reshape(-1, side, side)
+    gx = 0.5 * (square[:, 1:-1, 2:] - square[:, 1:-1, :-2])
+    gy = 0.5 * (square[:, 2:, 1:-1] - square[:, :-2, 1:-1])
+    count = len(points)
+    return square[:, 1:-1, 1:-1].reshape(count, -1), gx.reshape(count, -1), gy.reshape(count, -1)
+
+
+def _patches(image: NDArray[np.float32], points: Array, half: int = HALF_WINDOW) -> Array:
+    """Bilinear windows (N, (2 half + 1)^2) around points; outside the image its border goes on."""
+    offsets = np.arange(-half, half + 1)
+    x = points[:, 0, None, None] + offsets[None, None, :]
+    y = points[:, 1, None, None] + offsets[None, :, None]
+    x, y = np.broadcast_arrays(x, y)
+    values = map_coordinates(image, [y.ravel(), x.ravel()], order=1, mode="nearest", prefilter=False)
+    return np.asarray(values, np.float64).reshape(len(points), -1)
