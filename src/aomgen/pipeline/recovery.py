@@ -156,6 +156,8 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         "static": int(counts[STATIC]),
         "moving": int(counts[MOVING]),
         "confidence": float(np.median(result.confidence[result.labels != BACKGROUND])),
+        "method": result.method,
+        "box_misfit": result.box_misfit,
         "coverage": found.figures(),
         WARNINGS: found.warnings(),
     }

@@ -69,7 +69,7 @@ STAGES: tuple[Stage, ...] = (
         title="parts of robot and object",
         needs=("capture", "structure", "gaussians", "alignment"),
         settings=(),
-        version=3,
+        version=4,
         weight=45,
         function=lazily("recovery", "parts"),
     ),

@@ -81,6 +81,8 @@ def save_parts(parts: Parts, folder: Path) -> None:
         confidence=parts.confidence,
         robot_bodies=parts.robot_bodies,
         views=np.array(parts.views, dtype=np.str_),
+        method=np.str_(parts.method),
+        box_misfit=np.float64(parts.box_misfit),
     )
     write_bytes(folder / PARTS_FILE, buffer.getvalue())
 
@@ -101,6 +103,8 @@ def load_parts(folder: Path) -> Parts:
                 confidence=arrays["confidence"],
                 robot_bodies=arrays["robot_bodies"],
                 views=tuple(str(name) for name in arrays["views"]),
+                method=str(arrays["method"]),
+                box_misfit=float(arrays["box_misfit"]),
             )
     except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
         raise MalformedFileError(
