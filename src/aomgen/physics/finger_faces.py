@@ -137,7 +137,7 @@ def best_travel(
     for a, b in pairs:
         nearer = _distances(skins, Ts[0], a, b, 10) - _distances(skins, Ts[1], a, b, 10)
         far = int(np.argmax(np.abs(nearer)))
-        moving = nearer * np.sign(nearer[far]) > 0.5 * abs(nearer[far])
+        moving = nearer * np.sign(nearer[far]) >= 0.5 * abs(nearer[far])
         near_state = Ts[1] if nearer[far] > 0 else Ts[0]
         gap = float(_distances(skins, near_state, a, b, 10)[moving].min())
         found.append(Travel(bodies=(a, b), way_m=float(nearer[far]), gap_m=gap))

@@ -13,8 +13,8 @@ TAKEOVER = "file/"
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6
 # The file's scene may have set others.
 TIMESTEP_S, GRAVITY = 0.002, (0.0, 0.0, -9.81)
-USER_COUNTS = ("nuser_actuator", "nuser_body", "nuser_cam", "nuser_geom", "nuser_jnt", "nuser_sensor",
-               "nuser_site", "nuser_tendon")  # fmt: skip
+SCENE_SIZES = ("nuser_actuator", "nuser_body", "nuser_cam", "nuser_geom", "nuser_jnt", "nuser_sensor",
+               "nuser_site", "nuser_tendon", "njmax", "nconmax")  # fmt: skip
 BASE_BODY = "robot_base"
 
 
@@ -49,7 +49,7 @@ def read_robot_spec(xml: RobotXml, turned: bool) -> tuple[mujoco.MjSpec, tuple[s
         compiler.boundmass, compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
         compiler.balanceinertia = True
     # What the file's scene chose for the solver is not the robot's; MuJoCo tells of each difference.
-    for name in USER_COUNTS:
+    for name in SCENE_SIZES:
         setattr(source, name, getattr(spec, name))
     for name in dir(spec.option):
         if not name.startswith("_"):

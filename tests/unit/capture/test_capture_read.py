@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from aomgen.capture.check import check_scan_video, read_demo_videos
+from aomgen.capture.check import check_robot, check_scan_video, read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.lens import Lens
 from aomgen.errors import (
@@ -231,3 +231,27 @@ def test_a_bent_cameras_frames_are_straightened(capture_copy):
     wanted = straightener(lens)(plain.astype(np.uint8))
     assert np.array_equal(straight, wanted)
     assert np.abs(straight - plain).mean() > 2
+
+
+def test_exactly_one_robot(capture_copy):
+    edit(capture_copy / "capture.toml", 'model = "ur5e_2f85"', 'model = "ur5e_2f85"\nurdf = "robot.urdf"')
+    refuse(capture_copy, MalformedFileError, "exactly one of model, urdf, mjcf")
+
+
+def test_a_hand_needs_a_robot_file(capture_copy):
+    edit(capture_copy / "capture.toml", "[scan]", "[robot.hand]\nee_site = 'tip'\n\n[scan]")
+    refuse(capture_copy, MalformedFileError, "robot.hand", "remove it")
+
+
+def test_a_robot_file_outside_the_capture(capture_copy):
+    edit(capture_copy / "capture.toml", 'model = "ur5e_2f85"', 'urdf = "../robot.urdf"')
+    refuse(capture_copy, UnsafePathError, "../robot.urdf")
+
+
+def test_a_log_in_degrees_is_another_robot_s(capture_copy):
+    rewrite_log(
+        capture_copy,
+        lambda rows: [[row[0], *(str(60 * float(v)) for v in row[1:-1]), row[-1]] for row in rows],
+    )
+    with pytest.raises(UnitsError):
+        check_robot(read_capture(capture_copy))
