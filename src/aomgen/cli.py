@@ -237,6 +237,7 @@ def bench_accuracy(
     capture: Annotated[Path | None, typer.Argument(help="A capture with truth/.")] = None,
     synthetic: Annotated[int, typer.Option(help="Instead: make and score so many synthetic captures.")] = 0,
     seed: Annotated[int, typer.Option(help="First seed of the synthetic captures.")] = 1000,
+    saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
 ) -> None:
@@ -254,7 +255,7 @@ def bench_accuracy(
         results = run_synthetic(synthetic, out, run_project, seed)
         table = synthetic_table(results)
     else:
-        results = run_accuracy(capture, out, run_project)
+        results = run_accuracy(capture, out, run_project, saga=saga)
         table = accuracy_table(results)
     _show(results, json_file)
     print(table)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from aomgen.benchmarks.accuracy import score_estimates
 from aomgen.benchmarks.images import pooled_ious, score_replay, score_scan
+from aomgen.benchmarks.saga import saga_twin
 from aomgen.benchmarks.truth import Truth, read_truth
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
@@ -23,19 +24,22 @@ from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.working import working_capture
 from aomgen.reconstruction.structure_stage import load_structure
-from aomgen.twin.twin import TwinState
+from aomgen.twin.twin import Twin, TwinState
 
 LAST_STAGE = "twin"
 STRUCTURE_FOLDER = "01_structure"
 
 
-def run_accuracy(capture_folder: Path, out: Path | None, run_project: Callable[..., None]) -> dict[str, Any]:
+def run_accuracy(
+    capture_folder: Path, out: Path | None, run_project: Callable[..., None], *, saga: bool = False
+) -> dict[str, Any]:
     """Figures of one capture, by dotted name, as the capture format defines them.
 
     Args:
         capture_folder: A capture with `truth/`.
         out: Run folder, continued when it exists; a temporary one when None.
         run_project: Runs a project up to a stage.
+        saga: Also find the parts with affinity features, and give the IoUs of both methods.
     """
     truth = read_truth(capture_folder)
     with tempfile.TemporaryDirectory() as scratch:
@@ -47,15 +51,18 @@ def run_accuracy(capture_folder: Path, out: Path | None, run_project: Callable[.
         video = read_demo_videos(capture)[name]
         robot = chosen_robot(capture.robot)
         figures = score_estimates(estimates, truth, robot, video.times_s, name)
-        figures.update(_score_pictures(capture, estimates, out, video, truth, name))
+        twin, _ = open_twin(out)
+        figures.update(_score_pictures(capture, estimates, out, video, truth, twin))
+        if saga:
+            figures.update(_beside_saga(capture, estimates, out, video, truth, figures))
         figures["seconds"] = read_json(out / TIMINGS)
     return dict(sorted(figures.items()))
 
 
 def _score_pictures(
-    capture: Capture, estimates: dict[str, Any], out: Path, video: Video, truth: Truth, name: str
+    capture: Capture, estimates: dict[str, Any], out: Path, video: Video, truth: Truth, twin: Twin
 ) -> dict[str, Any]:
-    twin, robot = open_twin(out)
+    name, (_, robot) = capture.cameras[0].name, open_twin(out)
     structure = load_structure(out / STRUCTURE_FOLDER)
     cameras = {
         image: structure.cameras_recon[image].moved(T)
@@ -78,3 +85,22 @@ def _score_pictures(
     ]
     replay, demo_ious = score_replay(video, camera, states, truth, render, name)
     return figures | replay | pooled_ious(scan_ious, demo_ious)
+
+
+def _beside_saga(
+    capture: Capture,
+    estimates: dict[str, Any],
+    out: Path,
+    video: Video,
+    truth: Truth,
+    figures: dict[str, Any],
+) -> dict[str, Any]:
+    """IoUs of a twin whose parts were found with affinity features, beside those of the run."""
+    twin, seconds = saga_twin(out, capture)
+    scored = _score_pictures(capture, estimates, out, video, truth, twin)
+    ious = [name for name in scored if name.startswith("parts.")]
+    return (
+        {name.replace("parts.", "parts.saga."): scored[name] for name in ious}
+        | {name.replace("parts.", "parts.closed_form."): figures[name] for name in ious}
+        | {f"parts.saga.seconds_{step}": value for step, value in seconds.items()}
+    )

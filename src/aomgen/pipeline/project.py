@@ -23,6 +23,7 @@ adapt = {adapt!r}              # "trajectory": the asset keeps its size; "object
 image_size = {image_size}      # width and height of the episodes' images [px]
 iterations = {iterations}      # training steps of the scene's Gaussians
 gaussians = {gaussians}        # cap on their number
+parts_method = {parts_method!r}    # "closed_form", or "saga" for affinity features (minutes more)
 """
 
 
@@ -39,6 +40,7 @@ class Project(BaseModel):
         image_size: Size of the episodes' images, [px].
         iterations: Training steps.
         gaussians: Cap on the number of Gaussians in the scene.
+        parts_method: How the object's parts are found; see `reconstruction.parts`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -56,6 +58,7 @@ class Project(BaseModel):
     )
     iterations: int = Field(default=1200, ge=10, le=200_000)
     gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)
+    parts_method: Literal["closed_form", "saga"] = "closed_form"
 
 
 def read_project(path: Path) -> Project:

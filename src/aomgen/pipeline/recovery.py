@@ -32,6 +32,7 @@ from aomgen.reconstruction.fixed_cameras import DemoView
 from aomgen.reconstruction.frames import extract_frames
 from aomgen.reconstruction.gaussians import GaussiansParams
 from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
+from aomgen.reconstruction.parts import PartsParams
 from aomgen.reconstruction.parts_stage import load_parts, run_parts
 from aomgen.reconstruction.segmenter import choose_segmenter
 from aomgen.reconstruction.structure import Photographs
@@ -148,6 +149,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         posture,
         folder,
         progress,
+        PartsParams(method=run.project.parts_method),
     )
     found = run_survey(scene, gaussians_recon, S_world_recon, result, posture, folder)
     counts = np.bincount(result.labels, minlength=4)

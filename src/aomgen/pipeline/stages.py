@@ -68,10 +68,11 @@ STAGES: tuple[Stage, ...] = (
         folder="04_parts",
         title="parts of robot and object",
         needs=("capture", "structure", "gaussians", "alignment"),
-        settings=(),
-        version=4,
+        settings=("parts_method",),
+        version=5,
         weight=45,
         function=lazily("recovery", "parts"),
+        incremental=True,
     ),
     Stage(
         name="motion",

@@ -2,23 +2,20 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label as connected
-from scipy.spatial import cKDTree
 
-from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.conventions import MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.part_masks import PartMasks, ScanView, drawn_parts, lift, prompt_again
+from aomgen.reconstruction.pieces import VOXEL_M, largest_piece, settled
 from aomgen.reconstruction.prompted import ObjectLabels, PromptedImage
 from aomgen.reconstruction.segmenter import PreparedImage, Segmenter
 
 STAGE = "parts"
 # Views asked again from geometry, beside the prompted ones.
 EXTRA_VIEWS = 6
-# Size of the grid on which pieces of a part must touch.
-VOXEL_M = 0.02
 
 
 def vote_parts(
@@ -52,11 +49,15 @@ def vote_parts(
                 inside += weights[:, 0]
                 seen += weights.sum(1)
         found = (inside > 0.6 * seen) & (inside > 0.05) & (bodies < 0)
-        labels[_largest_piece(gaussians.means, found, inside, VOXEL_M)] = value
+        labels[largest_piece(gaussians.means, found, inside, VOXEL_M)] = value
     progress(0.1, "prompts lifted")
     prepared = {item.view.name: item.prepared for item in prompted}
     masks = _ask_views(gaussians, labels, views, prepared, segmenter, progress)
-    labels, confidence = _vote(gaussians, labels, masks, bodies)
+    votes = np.zeros((len(gaussians), 3))
+    for item in masks:
+        rest = ~item.moving & ~item.static & ~item.view.robot
+        votes += lift(gaussians, item.view, [rest, item.static, item.moving])
+    labels, confidence = settled(gaussians.means, votes, bodies < 0)
     names = tuple(sorted(item.view.name for item in masks))
     return ObjectLabels.judged(gaussians, prompted, labels, confidence, names, "vote")
 
@@ -114,70 +115,3 @@ def _shows_object(gaussians: Gaussians, labels: NDArray[np.uint8], view: ScanVie
         return False
     drawn = drawn_parts(gaussians, labels, small)
     return bool((drawn[STATIC] | drawn[MOVING]).mean() > 0.01)
-
-
-def _vote(
-    gaussians: Gaussians,
-    labels: NDArray[np.uint8],
-    masks: list[PartMasks],
-    bodies: NDArray[np.int32],
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Labels and confidence from the masks of all answered views."""
-    values = np.array([BACKGROUND, STATIC, MOVING], np.uint8)
-    votes = np.zeros((len(gaussians), 3))
-    for item in masks:
-        rest = ~item.moving & ~item.static & ~item.view.robot
-        votes += lift(gaussians, item.view, [rest, item.static, item.moving])
-    seen = votes.sum(1)
-    winner = values[np.argmax(votes, 1)]
-    confidence = votes.max(1) / np.maximum(seen, 1e-9)
-    known = (seen > 0.02) & (bodies < 0)
-    winner[~known], confidence[~known] = BACKGROUND, 0.0
-    winner = _fill_unseen(gaussians, winner, known, bodies)
-    result = np.zeros(len(gaussians), np.uint8)
-    for value, column in ((STATIC, 1), (MOVING, 2)):
-        piece = _largest_piece(gaussians.means, winner == value, votes[:, column] + 1e-6, VOXEL_M)
-        result[piece] = value
-    return result, confidence.astype(np.float32)
-
-
-def _fill_unseen(
-    gaussians: Gaussians,
-    labels: NDArray[np.uint8],
-    known: NDArray[np.bool_],
-    bodies: NDArray[np.int32],
-) -> NDArray[np.uint8]:
-    """Gaussians that no asked view shows take the label of their nearest neighbours."""
-    unseen = np.flatnonzero(~known & (bodies < 0))
-    if not len(unseen) or known.sum() < 8:
-        return labels
-    distances, nearest = cKDTree(gaussians.means[known]).query(gaussians.means[unseen], k=8)
-    around = labels[known][nearest]
-    counts = np.stack([(around == value).sum(1) for value in range(4)], 1)
-    filled = labels.copy()
-    filled[unseen] = np.where(np.median(distances, 1) < 1.5 * VOXEL_M, np.argmax(counts, 1), BACKGROUND)
-    return filled
-
-
-def _largest_piece(
-    points: NDArray[np.float32], which: NDArray[np.bool_], weights: Array, voxel_m: float
-) -> NDArray[np.bool_]:
-    """The part of a selection (N,) that hangs together on a voxel grid, heaviest piece."""
-    indices = np.flatnonzero(which)
-    if not len(indices):
-        return which
-    low, high = np.quantile(points[indices], [0.005, 0.995], axis=0)
-    inner = np.all((points[indices] >= low - 2 * voxel_m) & (points[indices] <= high + 2 * voxel_m), 1)
-    indices = indices[inner]
-    cells = np.floor((points[indices] - low) / voxel_m).astype(int) + 3
-    shape = tuple(np.minimum(cells.max(0) + 2, 400))
-    cells = np.minimum(cells, np.array(shape) - 1)
-    grid = np.zeros(shape, bool)
-    grid[tuple(cells.T)] = True
-    pieces = np.zeros(shape, np.int32)
-    connected(grid, np.ones((3, 3, 3)), output=pieces)
-    mine = pieces[tuple(cells.T)]
-    totals = np.bincount(mine, weights=weights[indices])
-    result = np.zeros(len(which), bool)
-    result[indices[mine == int(np.argmax(totals))]] = True
-    return result

@@ -1,12 +1,14 @@
 """Which part every Gaussian belongs to: robot, static part, moving part or background.
 
-Source: AOMGen, sec. 4.1. The lifting is closed-form: a Gaussian takes the label whose masks it
-paints most, over the views that were asked (as in FlashSplat, Shen et al., 2024). The robot needs
-no segmenter: its masks are drawn from the aligned model. The object's masks are drawn from the
-panel that explains the prompts; where none does, the segmenter is asked in more views.
+Source: AOMGen, sec. 4.1. The robot needs no segmenter: its masks are drawn from the aligned model. The
+object's parts are found by one of two methods. "closed_form": a Gaussian takes the label whose masks it
+paints most, over the views that were asked (as in FlashSplat, Shen et al., 2024); the masks are drawn
+from the panel that explains the prompts, and where none does, the segmenter is asked in more views.
+"saga", the paper's: affinity features trained from automatic masks (see `affinity_parts`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +19,22 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
+from aomgen.reconstruction.affinity_parts import AffinityPartsParams, affinity_labels, masked_scan
 from aomgen.reconstruction.binding import MAX_DISTANCE_M, nearest_links
 from aomgen.reconstruction.enclosed import with_enclosed
 from aomgen.reconstruction.outline_fit import RobotPosture
 from aomgen.reconstruction.panel_fit import fit_panel
 from aomgen.reconstruction.part_masks import ScanView, lift
 from aomgen.reconstruction.part_votes import vote_parts
+from aomgen.reconstruction.pieces import MIN_WEIGHT
 from aomgen.reconstruction.prompted import ObjectLabels, PromptedImage, ask_prompts, surface_seen
 from aomgen.reconstruction.segmenter import Segmenter
 
 STAGE = "parts"
+PartsMethod = Literal["closed_form", "saga"]
 LOOSE_DISTANCE_M = 0.06
 # Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
 MAX_MISFIT = 0.1
-# Blended weight below which no view has really seen a Gaussian, [px].
-MIN_WEIGHT = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +42,16 @@ class PartsParams:
     """Effort and limits.
 
     Attributes:
+        method: "closed_form" or "saga".
+        affinity: Effort of "saga".
         robot_views: Views whose drawn robot masks vote.
         cut_views: Views whose pixels are cut into parts and vote.
         min_gaussians: Fewest Gaussians of a usable part.
         seed: Of the samples on the robot's surface.
     """
 
+    method: PartsMethod = "closed_form"
+    affinity: AffinityPartsParams = field(default_factory=AffinityPartsParams)
     robot_views: int = 20
     cut_views: int = 20
     min_gaussians: int = 50
@@ -60,7 +67,7 @@ class Parts:
         confidence: (N,), share of the painted weight that agrees, 0 for unseen ones.
         robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
         views: Names of the scan images whose part masks were used.
-        method: "panel" (a panel explains the prompts) or "vote" (masks of more views).
+        method: "panel" (a panel explains the prompts), "vote" (masks of more views) or "saga".
         box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
     """
 
@@ -107,10 +114,14 @@ def find_parts(
     progress(0.25, "robot labelled")
     prompted = ask_prompts(views, prompts, segmenter)
     progress(0.45, "prompts answered")
-    found = _by_panel(gaussians, views, prompted, part(progress, 0.45, 0.75), params)
-    if found is None or not found.misfit <= MAX_MISFIT:
-        voted = vote_parts(gaussians, views, prompted, segmenter, bodies, part(progress, 0.75, 1.0))
-        found = voted if found is None else min(found, voted, key=lambda item: item.disagreement)
+    if params.method == "saga":
+        scan = masked_scan(gaussians, views, prompted, segmenter, part(progress, 0.45, 0.7), params.affinity)
+        found = affinity_labels(gaussians, scan, prompted, bodies, part(progress, 0.7, 1.0), params.affinity)
+    else:
+        found = _by_panel(gaussians, views, prompted, part(progress, 0.45, 0.75), params)
+        if found is None or not found.misfit <= MAX_MISFIT:
+            voted = vote_parts(gaussians, views, prompted, segmenter, bodies, part(progress, 0.75, 1.0))
+            found = voted if found is None else min(found, voted, key=lambda item: item.disagreement)
     labels, confidence = found.labels.copy(), found.confidence.copy()
     robot = bodies >= 0
     labels[robot], confidence[robot] = ROBOT, robot_share[robot]

@@ -3,6 +3,7 @@
 import io
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from aomgen.reconstruction.segmenter import Segmenter
 from aomgen.reconstruction.structure import Structure
 
 PARTS_FILE = "parts.npz"
+MASKS_FOLDER = "automatic_masks"
 
 
 def run_parts(
@@ -54,6 +56,27 @@ def run_parts(
     Raises:
         ReconstructionError: See `find_parts`.
     """
+    views = scan_views(structure, S_world_recon, images, posture)
+    progress(0.05, "robot drawn into the scan")
+    gaussians = gaussians_recon.transformed(S_world_recon)
+    params = params or PartsParams()
+    params = replace(params, affinity=replace(params.affinity, masks_folder=folder / MASKS_FOLDER))
+    result = find_parts(gaussians, views, prompts, segmenter, posture, part(progress, 0.05, 1.0), params)
+    save_parts(result, folder)
+    return result
+
+
+def scan_views(
+    structure: Structure, S_world_recon: Array, images: Mapping[str, Path], posture: RobotPosture
+) -> list[ScanView]:
+    """The scan images that are not held out, world frame, with the robot drawn into them.
+
+    Args:
+        structure: Cameras, recon frame.
+        S_world_recon: The alignment.
+        images: All scan images by file name.
+        posture: Robot as scanned.
+    """
     withheld = set(held_out(list(images)))
     cameras = {n: camera_in_world(S_world_recon, c) for n, c in structure.cameras_recon.items()}
     width = max(camera.width for camera in cameras.values())
@@ -65,11 +88,7 @@ def run_parts(
                 bodies, _ = renderer.draw(camera, posture.joints, posture.gripper)
                 image = read_image(images[name])
                 views.append(ScanView(name=name, camera=camera, image_srgb=image, robot=bodies >= 0))
-    progress(0.05, "robot drawn into the scan")
-    gaussians = gaussians_recon.transformed(S_world_recon)
-    result = find_parts(gaussians, views, prompts, segmenter, posture, part(progress, 0.05, 1.0), params)
-    save_parts(result, folder)
-    return result
+    return views
 
 
 def save_parts(parts: Parts, folder: Path) -> None:

@@ -1,6 +1,6 @@
 """Masks of prompted parts: MobileSAM, label images on disk, or a plain color cut."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -11,6 +11,7 @@ from PIL import Image
 from scipy.ndimage import binary_closing, binary_fill_holes, binary_opening, gaussian_filter, label
 
 from aomgen.conventions import MOVING, PART_LABELS, STATIC
+from aomgen.core.values import freeze
 from aomgen.errors import BackendError, MalformedFileError
 from aomgen.io.images import read_labels
 from aomgen.reconstruction.weights import find_weights
@@ -42,6 +43,31 @@ class PreparedImage(Protocol):
             points: (N, 3): x, y [px] and 1 = on the part, 0 = not on it; may be empty.
         """
         ...
+
+    def at_points(self, points_px: ArrayLike) -> "PointMasks":
+        """Masks of whatever lies under each of the points (N, 2), [px]; none, one or several a point."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointMasks:
+    """Answers to points nobody named, in the order of the points.
+
+    Attributes:
+        masks: (M, H, W).
+        quality: (M,), IoU that the segmenter expects of its answer, 0..1; 1 where masks are given.
+        stability: (M,), IoU between the mask cut a little tighter and a little looser, 0..1.
+    """
+
+    masks: NDArray[np.bool_]
+    quality: NDArray[np.float32]
+    stability: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        count = len(self.masks)
+        freeze(self, "masks", self.masks, (count, None, None), np.bool_)
+        freeze(self, "quality", self.quality, (count,), np.float32)
+        freeze(self, "stability", self.stability, (count,), np.float32)
 
 
 class MobileSam:
@@ -104,6 +130,24 @@ class _EncodedImage:
         logits = self.decoder.run(None, feeds)[0][0, 0]
         return clean(logits > 0)
 
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        # The published decoder takes one prompt a call; its small answer is enough here.
+        logits, quality = [], []
+        for point in np.asarray(points_px, np.float64).reshape(-1, 2):
+            feeds = {
+                "image_embeddings": self.embedding,
+                "point_coords": np.array([[point * self.scale, [0.0, 0.0]]], np.float32),
+                "point_labels": np.array([[1.0, -1.0]], np.float32),
+                "mask_input": np.zeros((1, 1, 256, 256), np.float32),
+                "has_mask_input": np.zeros(1, np.float32),
+                "orig_im_size": np.array([self.height, self.width], np.float32),
+            }
+            expected, small = self.decoder.run(["iou_predictions", "low_res_masks"], feeds)
+            used = small[0, 0, : round(256 * self.height * self.scale / _SIDE)]
+            logits.append(used[:, : round(256 * self.width * self.scale / _SIDE)])
+            quality.append(expected[0, 0])
+        return masks_of_logits(logits, quality, (self.height, self.width))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasksOnDisk:
@@ -135,6 +179,11 @@ class _LabelImage:
             return (self.labels == STATIC) | (self.labels == MOVING)
         return self.labels == PART_LABELS[part]
 
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        values = self.labels[_cells(points_px, self.labels.shape)]
+        named = values[values > 0]
+        return given_masks([self.labels == value for value in named], self.labels.shape)
+
 
 class ColorCut:
     """No network: pixels in the box whose color is more common inside than around it."""
@@ -162,6 +211,47 @@ class _PlainImage:
         counts = [np.bincount(bins[area], minlength=512) + 0.5 for area in (inside, ring)]
         shares = [gaussian_filter(c.reshape(8, 8, 8), 0.5).ravel() / c.sum() for c in counts]
         return clean(inside & (shares[0] > 0.7 * shares[1])[bins])
+
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        coarse = (self.image_srgb >> 5).astype(np.int64) @ np.array([64, 8, 1])
+        masks = []
+        for row, column in zip(*_cells(points_px, coarse.shape), strict=True):
+            pieces = np.zeros(coarse.shape, np.int32)
+            label(coarse == coarse[row, column], output=pieces)
+            masks.append(pieces == pieces[row, column])
+        return given_masks(masks, coarse.shape)
+
+
+def masks_of_logits(
+    logits: Sequence[NDArray[np.floating]], quality: ArrayLike, shape: tuple[int, ...]
+) -> PointMasks:
+    """Point masks of full size from small score images that cover the whole picture."""
+    if not len(logits):
+        return given_masks([], shape)
+    size = (shape[1], shape[0])
+    large = [
+        Image.fromarray(np.asarray(item, np.float32)).resize(size, Image.Resampling.BILINEAR)
+        for item in logits
+    ]
+    scores = np.stack([np.asarray(item) for item in large])
+    tight, loose = (scores > 1).sum((1, 2)), (scores > -1).sum((1, 2))
+    return PointMasks(
+        masks=scores > 0,
+        quality=np.asarray(quality, np.float32),
+        stability=(tight / np.maximum(loose, 1)).astype(np.float32),
+    )
+
+
+def given_masks(masks: Sequence[Mask], shape: tuple[int, ...]) -> PointMasks:
+    """Point masks that are certain of themselves."""
+    certain = np.ones(len(masks), np.float32)
+    stack = np.stack(masks) if len(masks) else np.zeros((0, *shape), bool)
+    return PointMasks(masks=stack, quality=certain, stability=certain)
+
+
+def _cells(points_px: ArrayLike, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    columns, rows = np.floor(np.asarray(points_px, np.float64).reshape(-1, 2)).astype(np.int64).T
+    return np.clip(rows, 0, shape[0] - 1), np.clip(columns, 0, shape[1] - 1)
 
 
 def clean(mask: Mask) -> Mask:

@@ -1,0 +1,60 @@
+"""The parts of a finished run found anew with affinity features, timed step by step."""
+
+import time
+from pathlib import Path
+
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.progress import silent
+from aomgen.core.recording import Capture
+from aomgen.motion.stage import load_motion
+from aomgen.pipeline.recovery import posture_of, surface_points
+from aomgen.pipeline.stages import STAGES
+from aomgen.reconstruction.affinity_parts import AffinityPartsParams, masked_scan
+from aomgen.reconstruction.alignment_stage import load_alignment
+from aomgen.reconstruction.gaussians_stage import load_gaussians
+from aomgen.reconstruction.parts import PartsParams, find_parts
+from aomgen.reconstruction.parts_stage import MASKS_FOLDER, scan_views
+from aomgen.reconstruction.prompted import ask_prompts
+from aomgen.reconstruction.segmenter import choose_segmenter
+from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.twin.binding import bind, object_frame
+from aomgen.twin.twin import Twin, TwinState
+
+FOLDER = "saga"
+
+
+def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
+    """A twin of a finished run with the parts of method "saga", and seconds of masks and features.
+
+    Automatic masks are kept in the run's folder `saga`; when they are found there again the seconds
+    of the masks are those of reading them.
+
+    Args:
+        out: Folder of the run, finished up to its twin.
+        capture: What the run works on, see `working_capture`.
+    """
+    folders = {stage.name: out / stage.folder for stage in STAGES}
+    S_world_recon = load_alignment(folders["alignment"]).S_world_recon
+    world = load_gaussians(folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
+    posture = posture_of(capture)
+    images = {path.name: path for path in capture.scan_images}
+    views = scan_views(load_structure(folders["structure"]), S_world_recon, images, posture)
+    segmenter = choose_segmenter(capture.mask_folders)
+    affinity = AffinityPartsParams(masks_folder=out / FOLDER / MASKS_FOLDER)
+    started = time.monotonic()
+    prompted = ask_prompts(views, capture.prompts, segmenter)
+    masked_scan(world, views, prompted, segmenter, silent, affinity)
+    masked = time.monotonic()
+    params = PartsParams(method="saga", affinity=affinity)
+    parts = find_parts(world, views, capture.prompts, segmenter, posture, silent, params)
+    seconds = {"masks": masked - started, "features": time.monotonic() - masked}
+    joint = load_motion(folders["motion"]).joint
+    static, moving = (surface_points(world, parts.labels, label) for label in (STATIC, MOVING))
+    state = TwinState(
+        joints=posture.joints,
+        gripper=posture.gripper,
+        theta=0.0,
+        T_world_object=object_frame(static, joint, moving),
+    )
+    twin = bind(world, parts.labels, parts.robot_bodies, posture.robot, joint, state)
+    return twin, {step: round(value, 1) for step, value in seconds.items()}
