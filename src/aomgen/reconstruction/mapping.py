@@ -127,6 +127,10 @@ class Workspace:
         with pycolmap.Database.open(self.database) as database:
             return lens_of(self._camera(database, group))
 
+    def leave_out(self, group: str, names: set[str]) -> None:
+        """Map a set without some of its images from now on."""
+        self._files[group] = {name: file for name, file in self._files[group].items() if name not in names}
+
     def map(self, group: str) -> Mapped | None:
         """Incremental mapping of one set; the largest model, or None."""
         models = pycolmap.incremental_mapping(
@@ -135,6 +139,22 @@ class Workspace:
         if not models:
             return None
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
+        return self._mapped(group)
+
+    def map_globally(self, group: str) -> Mapped | None:
+        """Global mapping of one set: all rotations at once, then all places; the model, or None.
+
+        Source: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024.
+        """
+        if not self._focal_known[group]:
+            pycolmap.calibrate_view_graph(self.database)
+        models = pycolmap.global_mapping(
+            self.database, self.folder / "images", self.folder / "global", self._global_options(group)
+        )
+        if not models:
+            return None
+        self._model = max(models.values(), key=lambda model: model.num_reg_images())
+        self._model.update_point_3d_errors()
         return self._mapped(group)
 
     @property
@@ -166,29 +186,28 @@ class Workspace:
         self._model.update_point_3d_errors()
         return self._mapped("scan")
 
-    def pairs(self, group: str, mapped: Mapped) -> list[Pair]:
-        """Verified matches between the images of a set, as straight pixels."""
-        lens = mapped.lens
+    def pairs(self, group: str, lens: Lens) -> list[Pair]:
+        """Every pair of a set that was tried, with its verified matches, as straight pixels."""
         names = {file: name for name, file in self._files[group].items()}
+        tried = [line.split() for line in self._listing.read_text("utf-8").splitlines()]
+        result = []
         with pycolmap.Database.open(self.database) as database:
-            images = {image.image_id: image.name for image in database.read_all_images()}
-            pixels = {
-                i: lens.straightened(_pixels(database, i)) for i, file in images.items() if file in names
-            }
-            result = []
-            ids, geometries = database.read_two_view_geometries()
-            for pair_id, geometry in zip(ids, geometries, strict=True):
-                a, b = pycolmap.pair_id_to_image_pair(pair_id)
-                matches = geometry.inlier_matches
-                if a in pixels and b in pixels and len(matches):
-                    result.append(
-                        Pair(
-                            a=names[images[a]],
-                            b=names[images[b]],
-                            pixels_a=pixels[a][matches[:, 0]],
-                            pixels_b=pixels[b][matches[:, 1]],
-                        )
+            ids = {image.name: image.image_id for image in database.read_all_images()}
+            pixels = {file: lens.straightened(_pixels(database, ids[file])) for file in names}
+            for a, b in tried:
+                if a not in names or b not in names:
+                    continue
+                matches = np.zeros((0, 2), np.int64)
+                if database.exists_two_view_geometry(ids[a], ids[b]):
+                    matches = database.read_two_view_geometry(ids[a], ids[b]).inlier_matches
+                result.append(
+                    Pair(
+                        a=names[a],
+                        b=names[b],
+                        pixels_a=pixels[a][matches[:, 0]],
+                        pixels_b=pixels[b][matches[:, 1]],
                     )
+                )
         return result
 
     def links(self, group: str, still: str, mapped: Mapped) -> Links:
@@ -224,6 +243,20 @@ class Workspace:
         # One image alone says too little about the camera all of them share.
         options.mapper.abs_pose_refine_focal_length = not self._focal_known[group]
         options.mapper.abs_pose_refine_extra_params = False
+        return options
+
+    def _global_options(self, group: str) -> pycolmap.GlobalPipelineOptions:
+        options = pycolmap.GlobalPipelineOptions(num_threads=self.threads, random_seed=self.seed)
+        options.image_names = sorted(self._files[group].values())
+        options.multiple_models = False
+        mapper = options.mapper
+        for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, mapper.retriangulation):
+            part.random_seed = self.seed
+        mapper.num_threads = self.threads
+        mapper.global_positioning.use_gpu = False
+        mapper.bundle_adjustment.ceres.use_gpu = False
+        mapper.bundle_adjustment.refine_focal_length = not self._focal_known[group]
+        mapper.bundle_adjustment.refine_extra_params = not self._lens_known[group]
         return options
 
     def _camera(self, database: pycolmap.Database, group: str) -> pycolmap.Camera:

@@ -2,10 +2,11 @@
 
 Source: AOMGen, sec. 4.1; the mapper is COLMAP's (Schoenberger & Frahm, 2016). What is ours: the
 choice of pairs, the decision about lens distortion (`lens_choice`), the search for misregistered
-images (`consistency`), the fixed cameras (`fixed_cameras`) and the gates.
+images (`vetting`), the choice between two mappers, the fixed cameras (`fixed_cameras`), the gates.
 """
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -19,13 +20,14 @@ from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
-from aomgen.reconstruction.consistency import Agreement, misregistered
 from aomgen.reconstruction.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
+from aomgen.reconstruction.groups import duplicates
 from aomgen.reconstruction.lens_choice import choose_lens
 from aomgen.reconstruction.mapped import Mapped
 from aomgen.reconstruction.mapping import ImageSet, Workspace
 from aomgen.reconstruction.sightings import require_coverage, sightings
 from aomgen.reconstruction.straight import straight_prompts
+from aomgen.reconstruction.vetting import Vetted, better, vet
 
 Figures = dict[str, object]
 
@@ -55,7 +57,9 @@ class StructureParams:
         max_features: SIFT features kept an image.
         peak_threshold: SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
         exhaustive_limit: With more images than this only neighbours and a coarse grid are matched.
-        min_registered: Share of scan images that must survive.
+        min_images: Different images without which there is no scan.
+        min_registered: Share of the different scan images that must survive.
+        retry_below: When fewer than this share survive, a second mapper tries as well.
         max_error_px: Mean reprojection error that still counts as a reconstruction.
         seed: Of every random choice.
         threads: -1 = all cores.
@@ -64,7 +68,9 @@ class StructureParams:
     max_features: int = 8192
     peak_threshold: float = 0.0035
     exhaustive_limit: int = 90
+    min_images: int = 8
     min_registered: float = 0.8
+    retry_below: float = 0.95
     max_error_px: float = 1.5
     seed: int = 0
     threads: int = -1
@@ -124,29 +130,35 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
     Not checked: rolling shutter; a lens that changes between the images (zoom, focus).
     """
     names = sorted(photographs.images)
-    if not len(names) >= 8:
-        raise ReconstructionError(
-            "scan", f"has {len(names)} images, at least 8 are needed", "record more images"
-        )
+    _require_images(len(names), 0, params)
     with tempfile.TemporaryDirectory(prefix="aomgen-structure-") as folder:
         work = Workspace(folder=Path(folder), seed=params.seed, threads=params.threads)
         _extract(work, photographs, params, progress)
         progress(0.25, "matching features")
         work.match(params.exhaustive_limit)
-        progress(0.6, "mapping")
-        mapped, lens_figures = _map(work, photographs.intrinsics, progress)
-        progress(0.85, "checking every image")
-        verdicts = misregistered(mapped.Ts_recon_cam, mapped.K, work.pairs("scan", mapped))
-        bad = {name: v for name, v in verdicts.items() if not v.accepted}
-        if bad:
-            mapped = work.remap(mapped, set(bad))
-        _gate(names, set(mapped.Ts_recon_cam), bad, mapped.error_px, params)
+        prompted = {prompt.image for prompt in photographs.prompts}
+        same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
+        _require_images(len(names), len(same), params)
+        work.leave_out("scan", set(same))
+        vetted, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
         progress(0.92, "placing the fixed cameras")
         placed = {
-            name: place_fixed_camera(work, mapped, name, view) for name, view in photographs.demo.items()
+            name: place_fixed_camera(work, vetted.mapped, name, view)
+            for name, view in photographs.demo.items()
         }
-    structure = _structure(names, mapped, placed, verdicts, lens_figures)
+    dropped = vetted.dropped | {name: f"shows the same as {other}" for name, other in same.items()}
+    structure = _structure(names, replace(vetted, dropped=dropped), placed, figures)
     return _covered(structure, photographs.prompts)
+
+
+def _require_images(count: int, repeated: int, params: StructureParams) -> None:
+    if not count - repeated >= params.min_images:
+        again = f", {repeated} of them twice" if repeated else ""
+        raise ReconstructionError(
+            "scan",
+            f"has {count} images{again}, at least {params.min_images} are needed",
+            "record more images from more places",
+        )
 
 
 def _extract(work: Workspace, photographs: Photographs, params: StructureParams, progress: Progress) -> None:
@@ -161,59 +173,79 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
         work.extract(item, params.max_features, params.peak_threshold)
 
 
-def _map(work: Workspace, intrinsics: Intrinsics | None, progress: Progress) -> tuple[Mapped, Figures]:
-    """Map the scan as a pinhole, and once more with distortion where that is really there.
+def _solve(
+    work: Workspace, intrinsics: Intrinsics | None, count: int, params: StructureParams, progress: Progress
+) -> tuple[Vetted, Figures]:
+    """The better of incremental and global mapping; the second only when the first leaves images out.
 
     Raises:
-        ReconstructionError: No two images could be related.
+        ReconstructionError: Neither passes the gates.
     """
-    mapped = work.map("scan")
-    if mapped is not None and (intrinsics is None or intrinsics.distortion is None):
-        choice = choose_lens(work.model, focal_known=intrinsics is not None, seed=work.seed)
-        figures: Figures = {"gain": choice.gain, "significance": choice.significance}
-        if choice.bends:
-            progress(0.75, "mapping with lens distortion")
-            work.set_lens("scan", choice.lens)
-            mapped = work.map("scan")
-    else:
-        figures = {}
-    if mapped is None:
+    progress(0.6, "mapping")
+    attempts: dict[str, tuple[Vetted, Figures]] = {}
+    for mapper, run in (("incremental", work.map), ("global", work.map_globally)):
+        mapped, lens_figures = _map(work, run, intrinsics)
+        if mapped is not None:
+            progress(0.85, "checking every image")
+            attempts[mapper] = vet(work, mapped), lens_figures
+            if attempts[mapper][0].count >= params.retry_below * count:
+                break
+        progress(0.85, "mapping in another way")
+    if not attempts:
         raise ReconstructionError(
             "scan", "no two images could be related", "record with more overlap and texture"
         )
-    return mapped, figures
+    names = list(attempts)
+    best = names[0]
+    for other in names[1:]:
+        if better(attempts[other][0], attempts[best][0], params.max_error_px):
+            best = other
+    vetted, lens_figures = attempts[best]
+    _gate(count, vetted, params)
+    tried = {
+        name: {"registered": item.count, "reprojection_error_px": item.mapped.error_px}
+        for name, (item, _) in attempts.items()
+    }
+    return vetted, {"mapper": best, "tried": tried, "distortion": lens_figures}
 
 
-def _gate(
-    names: list[str],
-    registered: set[str],
-    bad: dict[str, Agreement],
-    error_px: float,
-    params: StructureParams,
-) -> None:
-    share = len(registered) / len(names)
+def _map(
+    work: Workspace, run: Callable[[str], Mapped | None], intrinsics: Intrinsics | None
+) -> tuple[Mapped | None, Figures]:
+    """Map the scan as a pinhole, and once more with distortion where that is really there."""
+    mapped = run("scan")
+    given = intrinsics is not None and intrinsics.distortion is not None
+    if mapped is None or given or work.lens("scan").bends:
+        return mapped, {}
+    choice = choose_lens(work.model, focal_known=intrinsics is not None, seed=work.seed)
+    if choice.bends:
+        work.set_lens("scan", choice.lens)
+        mapped = run("scan")
+    return mapped, {"gain": choice.gain, "significance": choice.significance}
+
+
+def _gate(count: int, vetted: Vetted, params: StructureParams) -> None:
+    share = vetted.count / count
     if not share >= params.min_registered:
         raise ReconstructionError(
             "scan",
-            f"{len(registered)} of {len(names)} images could be registered "
-            f"({len(bad)} contradicted their neighbours), at least {params.min_registered:.0%} are needed",
+            f"{vetted.count} of {count} images could be registered "
+            f"({len(vetted.dropped)} contradicted their neighbours), "
+            f"at least {params.min_registered:.0%} are needed",
             "record with more overlap, more texture and fewer repeated prints",
         )
-    if not error_px <= params.max_error_px:
+    if not vetted.mapped.error_px <= params.max_error_px:
         raise ReconstructionError(
             "scan",
-            f"reprojection error is {error_px:.2f} px, limit {params.max_error_px:.2f} px",
+            f"reprojection error is {vetted.mapped.error_px:.2f} px, limit {params.max_error_px:.2f} px",
             "check the intrinsics, lens distortion and motion blur",
         )
 
 
 def _structure(
-    names: list[str],
-    mapped: Mapped,
-    placed: dict[str, FixedCamera],
-    verdicts: dict[str, Agreement],
-    lens_figures: Figures,
+    names: list[str], vetted: Vetted, placed: dict[str, FixedCamera], figures: Figures
 ) -> Structure:
+    mapped = vetted.mapped
     straight, lens = mapped.lens.straight(), mapped.lens
     cameras = {
         name: Camera(
@@ -228,13 +260,11 @@ def _structure(
         for name in names
         if name in mapped.Ts_recon_cam
     }
-    dropped = {}
-    for name in names:
-        if name not in cameras:
-            verdict = verdicts.get(name)
-            dropped[name] = (
-                verdict.reason if verdict else "not registered: too few matches to the other images"
-            )
+    dropped = {
+        name: vetted.dropped.get(name, "not registered: too few matches to the other images")
+        for name in names
+        if name not in cameras
+    }
     order = {name: index for index, name in enumerate(cameras)}
     observations = [(p, order[name]) for p, name in mapped.observations]
     return Structure(
@@ -252,10 +282,11 @@ def _structure(
             "images": len(names),
             "points": len(mapped.points_recon),
             "reprojection_error_px": mapped.error_px,
-            "worst_agreement": min((v.share for n, v in verdicts.items() if n in cameras), default=0.0),
-            "distortion": lens_figures | {"largest_shift_px": lens.largest_shift_px()},
+            "worst_agreement": vetted.worst_agreement,
+            "largest_shift_px": lens.largest_shift_px(),
             "demo_cameras": {name: item.figures for name, item in placed.items()},
-        },
+        }
+        | figures,
     )
 
 

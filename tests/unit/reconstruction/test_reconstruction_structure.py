@@ -8,22 +8,28 @@ from scipy import ndimage
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.core.lens import Lens
 from aomgen.core.progress import silent
 from aomgen.core.recording import Intrinsics
 from aomgen.core.transforms import apply, umeyama
 from aomgen.errors import MalformedFileError, ReconstructionError
-from aomgen.io.images import write_image
+from aomgen.io.images import read_image, write_image
 from aomgen.reconstruction.fixed_cameras import DemoView
+from aomgen.reconstruction.mapped import Mapped
+from aomgen.reconstruction.mapping import Workspace
 from aomgen.reconstruction.structure import Photographs, Structure, StructureParams
 from aomgen.reconstruction.structure_stage import POINTS_FILE, load_structure, run_structure, save_structure
+from aomgen.reconstruction.vetting import Vetted, better
 from aomgen.splatting.rasterizer import render
 
+# Enough for boards full of print, and quick.
+FEW_FEATURES = StructureParams(max_features=1000)
 INTRINSICS = Intrinsics(fx=320.0, fy=320.0, cx=160.0, cy=120.0)
 
 
-def _scene() -> Gaussians:
+def _scene(seed: int = 3) -> Gaussians:
     """A corner of three boards with different prints, as small flat Gaussians."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     sheets = []
     for axis in range(3):
         u, v = np.meshgrid(np.linspace(0, 1.6, 150), np.linspace(0, 1.6, 150))
@@ -43,7 +49,14 @@ def _scene() -> Gaussians:
     )
 
 
-def _run(images, folder, *, intrinsics=INTRINSICS, demo=None, params=None) -> Structure:
+def _run(
+    images: dict[str, Path],
+    folder: Path,
+    *,
+    intrinsics: Intrinsics | None = INTRINSICS,
+    demo: dict[str, DemoView] | None = None,
+    params: StructureParams | None = None,
+) -> Structure:
     photographs = Photographs(images=images, intrinsics=intrinsics, demo=demo or {})
     return run_structure(photographs, {}, folder, silent, params)
 
@@ -54,13 +67,17 @@ def _camera(angle: float, height: float) -> Camera:
     return Camera(fx=320.0, fy=320.0, cx=160.0, cy=120.0, width=320, height=240, T_world_cam=T)
 
 
+def _photograph(scene: Gaussians, camera: Camera) -> np.ndarray:
+    return (np.clip(render(scene, camera).rgb, 0, 1) * 255).astype(np.uint8)
+
+
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory) -> tuple[dict[str, Path], dict[str, Camera], DemoView, Camera]:
     """Twelve images on disk with their cameras, and a fixed camera's view with its camera."""
     folder, scene = tmp_path_factory.mktemp("scan"), _scene()
 
     def photograph(camera: Camera) -> np.ndarray:
-        return (np.clip(render(scene, camera).rgb, 0, 1) * 255).astype(np.uint8)
+        return _photograph(scene, camera)
 
     cameras = {f"{i:02d}.png": _camera(0.25 + 0.09 * i, 1.1 + 0.3 * (i % 2)) for i in range(12)}
     for name, camera in cameras.items():
@@ -86,6 +103,102 @@ def test_cameras_and_the_fixed_camera_are_recovered_and_read_back(photographs, t
     on_board = np.abs(apply(S, structure.points_recon)).min(1)
     # The boards are a Gaussian thick, and an arc of cameras holds the far side loosely.
     assert np.median(on_board) < 0.04
+
+
+def _errors(structure: Structure, cameras: dict[str, Camera]) -> np.ndarray:
+    names = [name for name in structure.cameras_recon if name in cameras]
+    found = np.array([structure.cameras_recon[name].center for name in names])
+    true = np.array([cameras[name].center for name in names])
+    return np.linalg.norm(apply(umeyama(found, true), found) - true, axis=1)
+
+
+def test_foreign_and_repeated_images_are_listed_and_unused(photographs, tmp_path):
+    images, cameras, view, _ = photographs
+    elsewhere = _scene(8)
+    images = dict(images)
+    for name, angle in (("foreign0.png", 0.4), ("foreign1.png", 0.5)):
+        images[name] = tmp_path / name
+        write_image(images[name], _photograph(elsewhere, _camera(angle, 1.2)))
+    again = tmp_path / "again.jpg"
+    write_image(again, read_image(images["05.png"]))
+    images["again.jpg"] = again
+    structure = _run(images, tmp_path / "out", demo={"front": view}, params=FEW_FEATURES)
+    assert set(structure.dropped) == {"foreign0.png", "foreign1.png", "again.jpg"}
+    assert "shows the same as" in structure.dropped["again.jpg"]
+    assert "too few matches" in structure.dropped["foreign0.png"]
+    assert _errors(structure, cameras).max() < 0.01
+    assert set(structure.figures["tried"]) == {"incremental", "global"}
+
+
+def test_a_few_places_photographed_again_and_again_are_refused(photographs, tmp_path):
+    images, *_ = photographs
+    few = {f"{i}{name}": path for name, path in list(images.items())[:4] for i in range(3)}
+    with pytest.raises(ReconstructionError, match="12 images, 8 of them twice"):
+        _run(few, tmp_path, params=FEW_FEATURES)
+
+
+def _half_blind(images: dict[str, Path]):
+    """Incremental mapping that stops when it has half of the images."""
+    real = Workspace.map
+
+    def stopped(work: Workspace, group: str):
+        files = dict(work._files[group])
+        work.leave_out(group, set(sorted(files)[len(files) // 2 :]))
+        try:
+            return real(work, group)
+        finally:
+            work._files[group] = files
+
+    return stopped
+
+
+def test_global_mapping_helps_where_incremental_mapping_stops(photographs, tmp_path, monkeypatch):
+    images, cameras, view, _ = photographs
+    monkeypatch.setattr(Workspace, "map", _half_blind(images))
+    structure = _run(images, tmp_path, demo={"front": view, "side": view}, params=FEW_FEATURES)
+    assert structure.figures["mapper"] == "global"
+    assert structure.figures["tried"]["incremental"]["registered"] == 6
+    assert structure.dropped == {}
+    assert _errors(structure, cameras).max() < 0.01
+    assert set(structure.demo_cameras_recon) == {"front", "side"}
+
+
+def test_global_mapping_finds_the_focal_length(photographs, tmp_path, monkeypatch):
+    images, cameras, *_ = photographs
+    monkeypatch.setattr(Workspace, "map", lambda work, group: None)
+    structure = _run(images, tmp_path, intrinsics=None, params=FEW_FEATURES)
+    assert structure.figures["mapper"] == "global"
+    assert next(iter(structure.cameras_recon.values())).fx == pytest.approx(320, rel=0.02)
+    assert _errors(structure, cameras).max() < 0.03
+
+
+def test_a_result_of_half_the_images_is_refused(photographs, tmp_path, monkeypatch):
+    images, *_ = photographs
+    monkeypatch.setattr(Workspace, "map", _half_blind(images))
+    monkeypatch.setattr(Workspace, "map_globally", _half_blind(images))
+    with pytest.raises(ReconstructionError, match=r"6 of 12 images"):
+        _run(images, tmp_path, params=FEW_FEATURES)
+
+
+def _vetted(count: int, error_px: float) -> Vetted:
+    mapped = Mapped(
+        Ts_recon_cam={str(i): np.eye(4) for i in range(count)},
+        lens=Lens(fx=1, fy=1, cx=1, cy=1, width=2, height=2),
+        points_recon=np.zeros((0, 3)),
+        colors_srgb=np.zeros((0, 3), np.uint8),
+        observations=[],
+        point_of_feature={},
+        error_px=error_px,
+    )
+    return Vetted(mapped=mapped, dropped={"0": "wrong"}, worst_agreement=1.0)
+
+
+def test_more_images_win_then_less_error_and_never_one_beyond_the_limit():
+    assert better(_vetted(10, 1.0), _vetted(9, 0.5), 1.5)
+    assert better(_vetted(10, 0.4), _vetted(10, 0.5), 1.5)
+    assert not better(_vetted(10, 0.5), _vetted(10, 0.5), 1.5)
+    assert not better(_vetted(10, 1.6), _vetted(2, 0.5), 1.5)
+    assert better(_vetted(2, 0.5), _vetted(10, float("nan")), 1.5)
 
 
 def test_too_few_images_are_refused(photographs, tmp_path):
