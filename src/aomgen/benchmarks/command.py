@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.benchmarks.accuracy import score_estimates
-from aomgen.benchmarks.images import pooled_ious, score_replay, score_scan
+from aomgen.benchmarks.images import TrueMasks, pooled_ious, score_replay, score_scan
 from aomgen.benchmarks.saga import saga_twin
 from aomgen.benchmarks.truth import Truth, read_truth
 from aomgen.capture.check import read_demo_videos
@@ -73,7 +73,9 @@ def _score_pictures(
     def render(camera: Camera, state: TwinState) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         return draw_twin(twin, robot, camera, state)
 
-    figures, scan_ious = score_scan(capture, cameras, twin.scan_state, truth, render)
+    masks = truth.folder / "masks"
+    scan_masks = TrueMasks(folder=masks / "scan", lens=structure.scan_lens)
+    figures, scan_ious = score_scan(capture, cameras, twin.scan_state, scan_masks, render)
     camera = structure.demo_cameras_recon[name].moved(estimates["demo_cameras"][name])
     joints, gripper = capture.joint_log.at(video.times_s + estimates["clock_offset_s"])
     theta = estimates["theta"] or {"times_s": [0.0], "values": [0.0]}
@@ -83,7 +85,8 @@ def _score_pictures(
         TwinState(joints=q, gripper=float(g), theta=float(value), T_world_object=rest.T_world_object)
         for q, g, value in zip(joints, gripper, thetas, strict=True)
     ]
-    replay, demo_ious = score_replay(video, camera, states, truth, render, name)
+    demo_masks = TrueMasks(folder=masks / name, lens=structure.demo_lenses.get(name))
+    replay, demo_ious = score_replay(video, camera, states, demo_masks, render)
     return figures | replay | pooled_ious(scan_ious, demo_ious)
 
 

@@ -1,17 +1,20 @@
 """Scores renders of a finished run's twin against the capture's own pictures and true masks."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from aomgen.benchmarks.truth import Truth
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
 from aomgen.io.images import read_image, read_labels
+from aomgen.io.straighten import straighten_labels
 from aomgen.io.video import Video
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.twin.twin import TwinState
@@ -23,13 +26,43 @@ PARTS = {"robot": ROBOT, "static": STATIC, "moving": MOVING}
 RenderTwin = Callable[[Camera, TwinState], tuple[NDArray[np.uint8], NDArray[np.uint8]]]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueMasks:
+    """True labels of one camera's images.
+
+    Attributes:
+        folder: `truth/masks/<camera>`, masks of the images as photographed.
+        lens: What bends those images; None = nothing. The product's images are straight.
+    """
+
+    folder: Path
+    lens: Lens | None = None
+
+    def has(self, stem: str) -> bool:
+        """Whether there is a mask of this image; a scan video has none."""
+        return (self.folder / f"{stem}.png").is_file()
+
+    def read(self, stem: str) -> NDArray[np.uint8]:
+        """Labels (H, W) of the straightened image.
+
+        Raises:
+            MissingFileError: There is none.
+        """
+        labels = read_labels(self.folder / f"{stem}.png")
+        return labels if self.lens is None else straighten_labels(labels, self.lens)
+
+
 def is_heldout(index: int) -> bool:
     """Whether the scan image at this place in name order is kept for evaluation."""
     return index % 8 == 4
 
 
 def score_scan(
-    capture: Capture, cameras: dict[str, Camera], scan_state: TwinState, truth: Truth, render: RenderTwin
+    capture: Capture,
+    cameras: dict[str, Camera],
+    scan_state: TwinState,
+    masks: TrueMasks,
+    render: RenderTwin,
 ) -> tuple[dict[str, Any], dict[str, list[float]]]:
     """PSNR and SSIM of the held-out scan views, and part IoUs there.
 
@@ -46,7 +79,9 @@ def score_scan(
         drawn, photographed = image.astype(np.float64) / 255, real.astype(np.float64) / 255
         values["psnr"].append(psnr(drawn, photographed))
         values["ssim"].append(ssim(drawn, photographed))
-        true = read_labels(truth.folder / "masks" / "scan" / f"{path.stem}.png")
+        if not masks.has(path.stem):
+            continue
+        true = masks.read(path.stem)
         values["objects"].append(masked_psnr(image, real, true > 0))
         add_ious(ious, labels, true)
     if not values["psnr"]:
@@ -54,14 +89,14 @@ def score_scan(
     figures = {
         "images.heldout_psnr": float(np.mean(values["psnr"])),
         "images.heldout_ssim": float(np.mean(values["ssim"])),
-        "images.heldout_psnr_objects": float(np.nanmean(values["objects"])),
+        "images.heldout_psnr_objects": float(np.nanmean(values["objects"])) if values["objects"] else None,
         "images.heldout_views": len(values["psnr"]),
     }
     return figures, ious
 
 
 def score_replay(
-    video: Video, camera: Camera, states: list[TwinState], truth: Truth, render: RenderTwin, name: str
+    video: Video, camera: Camera, states: list[TwinState], masks: TrueMasks, render: RenderTwin
 ) -> tuple[dict[str, Any], dict[str, list[float]]]:
     """PSNR of the twin's replay against the video, split by true masks; IoUs on every 5th frame.
 
@@ -69,16 +104,15 @@ def score_replay(
         video: The demonstration video.
         camera: Its estimated camera, world frame.
         states: Estimated state at every frame.
-        truth: Ground truth of the capture.
+        masks: True masks of its frames.
         render: Draws the twin.
-        name: The camera's name, for the folder of true masks.
     """
     errors: dict[str, list[NDArray]] = {"robot": [], "moving": [], "rest": []}
     ious: dict[str, list[float]] = {part: [] for part in PARTS}
     for index, state in enumerate(states):
         real = video.frames_srgb[index]
         image, labels = render(camera, state)
-        true = read_labels(truth.folder / "masks" / name / f"{index:04d}.png")
+        true = masks.read(f"{index:04d}")
         squared = ((image.astype(np.float64) - real) / 255) ** 2
         robot = binary_dilation(true == ROBOT, iterations=ROBOT_MARGIN_PX)
         moving = (true == MOVING) & ~robot
