@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 
 from aomgen.benchmarks.accuracy import score_estimates
-from aomgen.benchmarks.images import add_ious, is_heldout, masked_psnr, pooled_ious
+from aomgen.benchmarks.images import TrueMasks, add_ious, is_heldout, masked_psnr, pooled_ious, score_scan
 from aomgen.benchmarks.truth import Truth, read_truth
-from aomgen.core.camera import look_at
+from aomgen.capture.read import read_capture
+from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint import Joint
+from aomgen.core.lens import Lens
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import MissingFileError
+from aomgen.io.images import read_image, write_image
+from aomgen.io.straighten import straighten_labels
+from aomgen.twin.twin import TwinState
 
 PINCH = np.array([0.5, 0.1, 0.3])
 TIMES = np.arange(20) / 10
@@ -133,3 +138,34 @@ def test_image_figures():
 def test_a_capture_without_truth_cannot_be_scored(tmp_path):
     with pytest.raises(MissingFileError, match="cannot be scored"):
         read_truth(tmp_path)
+
+
+def test_true_masks_are_straightened_where_the_lens_bends(tmp_path):
+    lens = Lens(fx=100, fy=100, cx=80, cy=60, width=160, height=120, k1=-0.3)
+    labels = np.zeros((120, 160), np.uint8)
+    labels[20:50, 100:150] = 3
+    write_image(tmp_path / "0004.png", labels)
+    plain = TrueMasks(folder=tmp_path)
+    assert np.array_equal(plain.read("0004"), labels)
+    straight = TrueMasks(folder=tmp_path, lens=lens).read("0004")
+    assert np.array_equal(straight, straighten_labels(labels, lens))
+    assert not np.array_equal(straight, labels)
+    assert plain.has("0004")
+    assert not plain.has("0005")
+
+
+def test_a_scan_without_true_masks_is_scored_by_its_pictures(tmp_path, capture_copy):
+    capture = read_capture(capture_copy)
+    path = capture.scan_images[4]
+    camera = Camera(fx=600, fy=600, cx=320, cy=240, width=640, height=480, T_world_cam=np.eye(4))
+    real = read_image(path)
+
+    def render(*_) -> tuple[np.ndarray, np.ndarray]:
+        return np.clip(real.astype(int) + 5, 0, 255).astype(np.uint8), np.zeros(real.shape[:2], np.uint8)
+
+    state = TwinState(joints=np.zeros(6), gripper=0.0, theta=0.0, T_world_object=np.eye(4))
+    figures, ious = score_scan(capture, {path.name: camera}, state, TrueMasks(folder=tmp_path), render)
+    assert figures["images.heldout_views"] == 1
+    assert 33 < figures["images.heldout_psnr"] < 36
+    assert figures["images.heldout_psnr_objects"] is None
+    assert not any(ious.values())
