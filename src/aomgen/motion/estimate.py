@@ -15,7 +15,6 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import InputError
 from aomgen.io.images import resize
 from aomgen.io.video import Video
-from aomgen.motion.clock import ClockEstimate, ClockParams, MasksAt, estimate_clock_offset
 from aomgen.motion.contact import ContactParams, Contacts, find_contacts
 from aomgen.motion.edges import EdgePrior, edge_prior
 from aomgen.motion.filters import smooth
@@ -29,7 +28,6 @@ from aomgen.motion.keyframes import (
     part_region,
     reference_count,
 )
-from aomgen.motion.silhouettes import robot_masks
 from aomgen.motion.theta import (
     LEAVE_M,
     LEAVE_RAD,
@@ -38,6 +36,7 @@ from aomgen.motion.theta import (
     values_at_frames,
 )
 from aomgen.physics.robot import RobotModel
+from aomgen.physics.robot_masks import MasksAt, robot_masks
 
 _DENSE_STEP_S = 0.01
 _SMOOTH_S = 0.2
@@ -54,7 +53,8 @@ class Demonstration:
         robot: Kinematics, meshes and finger pads.
         points_moving: Points of the moving part at its scanned place (N, 3), world frame, [m].
         points_static: Points of the standing part (M, 3), world frame, [m].
-        clock_offset_s: Log time minus video time when it is known, else None.
+        clock_offset_s: Log time minus video time.
+        clock_sd_s: Its standard deviation, [s].
     """
 
     video: Video
@@ -63,7 +63,8 @@ class Demonstration:
     robot: RobotModel
     points_moving: Array
     points_static: Array
-    clock_offset_s: float | None = None
+    clock_offset_s: float
+    clock_sd_s: float
 
     def __post_init__(self) -> None:
         freeze(self, "points_moving", self.points_moving, (None, 3))
@@ -80,7 +81,6 @@ class MotionParams:
         agree_s: Largest difference between the interval seen and the one felt, [s].
     """
 
-    clock: ClockParams = field(default_factory=ClockParams)
     keyframes: KeyframeParams = field(default_factory=KeyframeParams)
     contact: ContactParams = field(default_factory=ContactParams)
     joint: JointParams = field(default_factory=JointParams)
@@ -95,7 +95,6 @@ def estimate_motion(
     """Recover the part's motion.
 
     Raises:
-        SyncError: The clock offset is not determined.
         NoMotionError: The part does not move in the video.
         DemonstrationTooShortError, AmbiguousJointError: The motion does not tell the joint.
         InputError: A part has hardly any points.
@@ -108,14 +107,12 @@ def estimate_motion(
         if not len(points) >= 20:
             raise InputError(f"'{name}' part", f"has {len(points)} points, need 20", "correct its prompts")
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        progress(0.0, "clock offset")
-        clock = _clock(demo, masks_at, params.clock)
-        progress(0.5, "keyframes")
-        view = _KeyframeView.of(demo, clock.offset_s, masks_at, params)
+        progress(0.0, "keyframes")
+        view = _KeyframeView.of(demo, masks_at, params)
     scores, interval = view.interval(params.keyframes)
     progress(0.85, "joint")
     seen = (float(view.signals.times_s[interval.first]), float(view.signals.times_s[interval.last]))
-    recovery = _recover(demo, clock.offset_s, view, seen, params)
+    recovery = _recover(demo, view, seen, params)
     progress(0.95, "joint values")
     curve = MotionCurve(
         times_s=view.signals.times_s,
@@ -126,14 +123,7 @@ def estimate_motion(
         speeds_m_s=view.signals.speeds_m_s,
         gripper=view.signals.gripper,
     )
-    return _assemble(demo, clock, curve, recovery)
-
-
-def _clock(demo: Demonstration, masks_at: MasksAt, params: ClockParams) -> ClockEstimate:
-    if demo.clock_offset_s is not None:
-        empty = np.zeros(0)
-        return ClockEstimate(offset_s=demo.clock_offset_s, sd_s=0.0, candidates_s=empty, scores=empty)
-    return estimate_clock_offset(demo.video, demo.log.times_s, masks_at, params)
+    return _assemble(demo, curve, recovery)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,11 +137,11 @@ class _KeyframeView:
     touch: Touch
 
     @staticmethod
-    def of(demo: Demonstration, offset_s: float, masks_at: MasksAt, params: MotionParams) -> "_KeyframeView":
+    def of(demo: Demonstration, masks_at: MasksAt, params: MotionParams) -> "_KeyframeView":
         stride = max(1, int(np.floor(demo.video.fps / params.max_fps)))
         width = min(params.width, demo.camera.width)
         small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
-        times = demo.video.times_s[::stride]
+        times, offset_s = demo.video.times_s[::stride], demo.clock_offset_s
         signals = hand_signals(demo.robot, demo.log, demo.points_moving, times, offset_s)
         frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb[::stride]]
         return _KeyframeView(
@@ -183,10 +173,10 @@ class _Recovery:
 
 
 def _recover(
-    demo: Demonstration, offset_s: float, view: _KeyframeView, seen: tuple[float, float], params: MotionParams
+    demo: Demonstration, view: _KeyframeView, seen: tuple[float, float], params: MotionParams
 ) -> _Recovery:
     """Contact, joint and values, twice: the second round uses the interval that the first one felt."""
-    touch, frame_times = view.touch, view.signals.times_s
+    touch, frame_times, offset_s = view.touch, view.signals.times_s, demo.clock_offset_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     if not touch.gripped:
         touch_s = (touch_s[0], min(touch_s[1], seen[1] + 0.5))
@@ -242,9 +232,7 @@ def _poses(demo: Demonstration, log_times_s: Array) -> Array:
     return demo.robot.ee_poses(demo.log.at(log_times_s)[0])
 
 
-def _assemble(
-    demo: Demonstration, clock: ClockEstimate, curve: MotionCurve, recovery: _Recovery
-) -> MotionEstimate:
+def _assemble(demo: Demonstration, curve: MotionCurve, recovery: _Recovery) -> MotionEstimate:
     frames = demo.video.times_s
     estimate = recovery.estimate
     thetas = values_at_frames(frames, recovery.times_s, recovery.values, recovery.interval, recovery.levels)
@@ -258,8 +246,8 @@ def _assemble(
         upper=float(thetas.max()),
     )
     return MotionEstimate(
-        clock_offset_s=clock.offset_s,
-        clock_offset_sd_s=clock.sd_s,
+        clock_offset_s=demo.clock_offset_s,
+        clock_offset_sd_s=demo.clock_sd_s,
         start_s=_first_frame(frames, recovery.interval[0]),
         end_s=_last_frame(frames, recovery.interval[1]),
         curve=curve,
@@ -272,21 +260,19 @@ def _assemble(
         ee_turn_ratio=estimate.turn_ratio,
         times_s=frames,
         thetas=thetas,
-        theta_sd=_theta_sd(demo, clock, recovery, thetas, frames),
+        theta_sd=_theta_sd(demo, recovery, thetas, frames),
         slip_m=np.where(moving, slip, 0.0),
     )
 
 
-def _theta_sd(
-    demo: Demonstration, clock: ClockEstimate, recovery: _Recovery, thetas: Array, frames: Array
-) -> Array:
+def _theta_sd(demo: Demonstration, recovery: _Recovery, thetas: Array, frames: Array) -> Array:
     """Path error, axis error and clock error of the values, [rad] or [m]."""
     estimate, joint = recovery.estimate, recovery.joint
     speed = np.abs(np.interp(frames, recovery.times_s, np.gradient(recovery.values, recovery.times_s)))
-    clock_part = np.where(thetas > 0, speed, 0.0) * clock.sd_s
+    clock_part = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
     if joint.type == "prismatic":
         return np.sqrt(estimate.residual_m**2 + (thetas * estimate.axis_sd_rad**2 / 2) ** 2 + clock_part**2)
-    held = apply(_poses(demo, np.array([recovery.interval[0] + clock.offset_s])), estimate.grasp_ee)[0]
+    held = apply(_poses(demo, np.array([recovery.interval[0] + demo.clock_offset_s])), estimate.grasp_ee)[0]
     offset = held - joint.origin
     radius = float(np.linalg.norm(offset - (offset @ joint.axis) * joint.axis))
     path = estimate.residual_m / radius

@@ -27,7 +27,8 @@ from aomgen.pipeline.estimates import estimates_of
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
-from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment
+from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment, save_alignment, views_of
+from aomgen.reconstruction.camera_settling import Filmed, Scene, settle_fixed_cameras
 from aomgen.reconstruction.fixed_cameras import DemoView
 from aomgen.reconstruction.frames import extract_frames
 from aomgen.reconstruction.gaussians import GaussiansParams
@@ -35,6 +36,7 @@ from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.parts import PartsParams
 from aomgen.reconstruction.parts_stage import load_parts, run_parts
 from aomgen.reconstruction.segmenter import choose_segmenter
+from aomgen.reconstruction.settled_cameras import load_settled_cameras, save_settled_cameras
 from aomgen.reconstruction.structure import Photographs
 from aomgen.reconstruction.structure_stage import load_structure, run_structure
 from aomgen.reconstruction.survey_stage import run_survey
@@ -112,23 +114,49 @@ def gaussians(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Scale and pose of the scene in the robot's base frame."""
+    """Scale and pose of the scene in the robot's base frame; poses and clocks of the fixed cameras."""
     capture = capture_of(run)
     videos = read_demo_videos(capture)
+    scene = load_structure(run.folders["structure"])
+    images = {path.name: path for path in capture.scan_images}
     result = run_alignment(
-        load_structure(run.folders["structure"]),
-        {path.name: path for path in capture.scan_images},
+        scene,
+        images,
         {name: video.frames_srgb[0] for name, video in videos.items()},
         capture.prompts,
         posture_of(capture),
         folder,
-        progress,
+        part(progress, 0.0, 0.6),
     )
+    settlement = settle_fixed_cameras(
+        Scene(
+            S_world_recon=result.S_world_recon,
+            views=views_of(scene, images, {}),
+            points_recon=scene.points_recon,
+            posture=posture_of(capture),
+            log=capture.joint_log,
+            clock_offset_s=capture.clock_offset_s,
+        ),
+        {
+            camera.name: Filmed(
+                video=videos[camera.name],
+                camera_recon=scene.demo_cameras_recon[camera.name],
+                T_world_cam=camera.T_world_cam,
+            )
+            for camera in capture.cameras
+            if camera.name in scene.demo_cameras_recon
+        },
+        part(progress, 0.6, 1.0),
+    )
+    save_alignment(replace(result, S_world_recon=settlement.S_world_recon), folder)
+    save_settled_cameras(settlement.cameras, folder)
     return {
         "support": result.support,
         "runner_up_support": result.runner_up_support,
         "residual_px": result.residual_px,
         "end_effector_sd_mm": 1e3 * result.ee_sd_m,
+        "fixed_cameras": {name: camera.summary() for name, camera in settlement.cameras.items()},
+        WARNINGS: [warning for name, item in settlement.cameras.items() for warning in item.warnings(name)],
     }
 
 
@@ -174,26 +202,27 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     camera = capture.cameras[0]
     scene = load_structure(run.folders["structure"])
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
-    cameras_world = {
-        name: camera_in_world(S_world_recon, item) for name, item in scene.demo_cameras_recon.items()
-    }
+    settled = load_settled_cameras(run.folders["alignment"])
+    cameras_world = {name: item.camera for name, item in settled.items()}
     world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
     parts = load_parts(run.folders["parts"])
-    demonstration = MotionInput(
-        video=read_demo_videos(capture)[camera.name],
-        camera=cameras_world[camera.name],
-        log=capture.joint_log,
-        robot=robot_of(capture),
-        points_moving=surface_points(world, parts.labels, MOVING),
-        points_static=surface_points(world, parts.labels, STATIC),
-        clock_offset_s=capture.clock_offset_s,
-    )
 
     def write_estimates(estimate: MotionEstimate | None, refusals: list[dict[str, str]]) -> None:
         content = estimates_of(capture, scene.cameras_recon, cameras_world, S_world_recon, estimate, refusals)
         write_json(run.out / ESTIMATES, content)
 
     try:
+        clock = settled[camera.name].settled_clock()
+        demonstration = MotionInput(
+            video=read_demo_videos(capture)[camera.name],
+            camera=settled[camera.name].camera,
+            log=capture.joint_log,
+            robot=robot_of(capture),
+            points_moving=surface_points(world, parts.labels, MOVING),
+            points_static=surface_points(world, parts.labels, STATIC),
+            clock_offset_s=clock.offset_s,
+            clock_sd_s=clock.sd_s,
+        )
         estimate = run_motion(demonstration, folder, progress)
     except EstimationError as error:
         write_estimates(None, [{"quantity": "motion", "reason": str(error)}])
@@ -249,9 +278,8 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def demo_camera_world(run: Run) -> Camera:
     """The first fixed camera, as estimated."""
-    name = capture_of(run).cameras[0].name
-    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
-    return camera_in_world(S_world_recon, load_structure(run.folders["structure"]).demo_cameras_recon[name])
+    name = read_capture(run.project.capture).cameras[0].name
+    return load_settled_cameras(run.folders["alignment"])[name].camera
 
 
 def scan_cameras_world(run: Run) -> dict[str, Camera]:

@@ -56,11 +56,11 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="alignment",
         folder="03_alignment",
-        title="aligning scene and robot",
+        title="aligning scene and robot, clock",
         needs=("capture", "structure"),
         settings=(),
-        version=2,
-        weight=25,
+        version=3,
+        weight=30,
         function=lazily("recovery", "alignment"),
     ),
     Stage(
@@ -77,11 +77,11 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="motion",
         folder="05_motion",
-        title="clock, keyframes, contact, joint",
+        title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=(),
-        version=1,
-        weight=20,
+        version=2,
+        weight=10,
         function=lazily("recovery", "motion"),
     ),
     Stage(

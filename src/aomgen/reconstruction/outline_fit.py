@@ -180,7 +180,7 @@ def _descend(S: Array, lines: list[_Lines], drawing: RobotDrawing, level: Level)
             A += J.T @ (weights[:, None] * J)
             b += J.T @ (weights * shifts)
         step = np.linalg.solve(A + 1e-9 * np.trace(A) * np.eye(7) + 1e-9 * np.eye(7), b)
-        S = _moved(S, step, drawing.pivot)
+        S = moved_similarity(S, step, drawing.pivot)
         if np.linalg.norm(step[3:6]) < SETTLED_M and np.linalg.norm(step[:3]) < SETTLED_RAD:
             return S, number == 0
     return S, False
@@ -208,8 +208,8 @@ def region_weights(shifts: Array, variances: Array, reach: int) -> Array:
     return 1 / (variances + 0.5) / (1 + (shifts / (0.5 * reach)) ** 2)
 
 
-def _moved(S: Array, step: Array, pivot: Array) -> Array:
-    """The similarity after the robot was found to sit `step` away from where it was drawn."""
+def moved_similarity(S: Array, step: Array, pivot: Array) -> Array:
+    """The similarity after the robot was found to sit `step` (7,) away from where it was drawn."""
     step = np.concatenate([np.clip(step[:6], -0.2, 0.2), np.clip(step[6:], -0.15, 0.15)])
     scale, R = float(np.exp(step[6])), matrix_from_rotvec(step[:3])
     D = similarity(scale, R, pivot + step[3:6] - scale * R @ pivot)

@@ -7,9 +7,10 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
-from aomgen.motion.clock import ClockParams, MasksAt, estimate_clock_offset
-from aomgen.motion.silhouettes import robot_masks
 from aomgen.physics.robot import load_robot
+from aomgen.physics.robot_masks import MasksAt, robot_masks
+from aomgen.reconstruction.clock import estimate_clock
+from aomgen.reconstruction.clock_frames import ClockParams
 
 FPS, COUNT = 10.0, 80
 TIMES = np.arange(COUNT) / FPS
@@ -42,7 +43,7 @@ def film(masks: np.ndarray, seed: int = 0) -> Video:
 def test_the_offset_of_a_painted_film_is_found_to_a_fraction_of_a_frame(offset: float) -> None:
     masks_at = disc(path)
     video = film(masks_at(TIMES + offset, 160, 120))
-    estimate = estimate_clock_offset(video, LOG_TIMES, masks_at)
+    estimate = estimate_clock(video, LOG_TIMES, masks_at)
     assert estimate.offset_s == pytest.approx(offset, abs=0.01)
     assert 0 < estimate.sd_s < 0.05
 
@@ -52,7 +53,7 @@ def test_a_slightly_wrong_camera_costs_little() -> None:
         return path(times_s) * 1.02 + [0.012, -0.01]
 
     video = film(disc(seen)(TIMES + 0.74, 160, 120))
-    assert estimate_clock_offset(video, LOG_TIMES, disc(path)).offset_s == pytest.approx(0.74, abs=0.03)
+    assert estimate_clock(video, LOG_TIMES, disc(path)).offset_s == pytest.approx(0.74, abs=0.03)
 
 
 def test_a_periodic_motion_is_ambiguous() -> None:
@@ -61,7 +62,7 @@ def test_a_periodic_motion_is_ambiguous() -> None:
 
     video = film(disc(swing)(TIMES + 0.5, 160, 120))
     with pytest.raises(SyncError):
-        estimate_clock_offset(video, LOG_TIMES, disc(swing))
+        estimate_clock(video, LOG_TIMES, disc(swing))
 
 
 def test_a_resting_arm_tells_nothing() -> None:
@@ -70,13 +71,13 @@ def test_a_resting_arm_tells_nothing() -> None:
 
     video = film(disc(rest)(TIMES, 160, 120))
     with pytest.raises(SyncError):
-        estimate_clock_offset(video, LOG_TIMES, disc(path))
+        estimate_clock(video, LOG_TIMES, disc(path))
 
 
 def test_a_log_that_is_too_short_is_refused() -> None:
     video = film(disc(path)(TIMES, 160, 120))
     with pytest.raises(SyncError, match="too little"):
-        estimate_clock_offset(video, np.arange(0, 0.5, 0.01), disc(path))
+        estimate_clock(video, np.arange(0, 0.5, 0.01), disc(path))
 
 
 def test_the_rendered_robot_gives_the_offset() -> None:
@@ -101,5 +102,5 @@ def test_the_rendered_robot_gives_the_offset() -> None:
         masks = masks_at(frames + 0.87, 160, 120)
         noisy = np.where(masks[..., None], 30, table) + rng.normal(size=(*masks.shape, 3)) * 3
         video = Video(times_s=frames, frames_srgb=np.clip(noisy, 0, 255).astype(np.uint8), fps=FPS)
-        estimate = estimate_clock_offset(video, log.times_s, masks_at, ClockParams(fine_pairs=8))
+        estimate = estimate_clock(video, log.times_s, masks_at, ClockParams(fine_pairs=8))
     assert estimate.offset_s == pytest.approx(0.87, abs=0.02)

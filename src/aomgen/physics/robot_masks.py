@@ -1,6 +1,6 @@
 """The robot's masks over the demonstration, drawn from its joint log."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.joint_log import JointLog
 from aomgen.core.values import Array
-from aomgen.motion.clock import MasksAt
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
+
+# Robot masks (T, height, width) at log times (T,), width and height in px.
+MasksAt = Callable[[Array, int, int], NDArray[np.bool_]]
 
 # Masks are compared at a few hundred pixels, where finer meshes would not be seen, [m].
 CELL_M = 0.003

@@ -1,0 +1,96 @@
+"""A video as the search for its clock sees it: small frames, and what changed between two of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.values import Array
+from aomgen.errors import SyncError
+from aomgen.io.images import resize
+from aomgen.io.video import Video
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockParams:
+    """How the offset is searched.
+
+    Attributes:
+        width: Image width for the comparison, [px].
+        step_s: Coarse step; frames are taken this far apart, [s].
+        lags: Distances between compared frames, in coarse steps.
+        min_overlap: Share of the video that the log has to cover.
+        fine_pairs: Frame pairs used for the fine search.
+        fine_steps: Fine steps in one coarse step; five or more are tried around the coarse optimum.
+        shift_px: Silhouette shifts tried along x and y in the fine search, [px].
+        change_likelihood: Probability of a change where the silhouettes differ.
+        max_rival: Largest score of another offset, as share of the best one's.
+        rival_distance_s: Offsets farther than this from the best are rivals, [s].
+        max_rate: Largest drift among the hypotheses.
+        min_change: Share of the picture that the silhouette has to change by at once.
+        min_gain_sd: Smallest height of the best score over the others, in their spread.
+    """
+
+    width: int = 160
+    step_s: float = 0.1
+    lags: tuple[int, ...] = (1, 3, 8)
+    min_overlap: float = 0.5
+    fine_pairs: int = 14
+    fine_steps: int = 4
+    shift_px: tuple[int, ...] = (-4, -2, 0, 2, 4)
+    change_likelihood: float = 0.6
+    max_rival: float = 0.85
+    rival_distance_s: float = 0.5
+    max_rate: float = 0.06
+    min_change: float = 0.003
+    min_gain_sd: float = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockFrames:
+    """Small frames at nearly equal steps, and the noise between two of them."""
+
+    times_s: Array
+    step_s: float
+    images: NDArray[np.float32]
+    noise: float
+
+    @staticmethod
+    def of(video: Video, params: ClockParams) -> "ClockFrames":
+        stride = max(1, round(params.step_s * video.fps))
+        height, width = video.frames_srgb.shape[1:3]
+        size = (params.width, max(1, round(params.width * height / width)))
+        images = np.stack([resize(frame, *size) for frame in video.frames_srgb[::stride]]).astype(np.float32)
+        if not len(images) > max(params.lags):
+            raise SyncError("video", f"has only {len(images)} frames to compare", "record the whole motion")
+        times = video.times_s[::stride]
+        noise = 1.4826 * float(np.median(np.abs(np.diff(images, axis=0))))
+        step = float((times[-1] - times[0]) / (len(times) - 1))
+        return ClockFrames(times_s=times, step_s=step, images=images, noise=max(noise, 0.5))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.images.shape[2], self.images.shape[1]
+
+    @property
+    def middle_s(self) -> float:
+        return float(self.times_s[0] + self.times_s[-1]) / 2
+
+    def change(self, first: int, second: int) -> NDArray[np.float32]:
+        """How surely each pixel changed (P,), 0..1; a common brightness change does not count."""
+        difference = self.images[second] - self.images[first]
+        difference = difference - np.median(difference, axis=(0, 1))
+        strength = np.abs(difference).max(-1).ravel()
+        low = 4 * self.noise + 4
+        return np.clip((strength - low) / (2 * low), 0, 1)
+
+
+def change_gains(changes: NDArray[np.float32], params: ClockParams) -> tuple[NDArray, NDArray]:
+    """Log-likelihood gains (K, P) of "the silhouettes differ here" and of "no robot at either moment"."""
+    usual = float(np.clip(changes.mean(), 1e-3, 0.5 * params.change_likelihood))
+    still = usual / 2
+
+    def gain(probability: float) -> NDArray[np.float32]:
+        return changes * np.log(probability / usual) + (1 - changes) * np.log((1 - probability) / (1 - usual))
+
+    return gain(params.change_likelihood), gain(still)
