@@ -1,8 +1,8 @@
 """The similarity that brings the structure's frame into the robot's: `S_world_recon`.
 
-Coarse starts come from the prompted boxes (`alignment_start`); each is pulled onto the outlines
-that the scan images show (`contours`), the best is refined on all views, and doubtful answers
-are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
+Likely places come from the prompted boxes and a quick look at colors (`alignment_search`); each is
+pulled onto the outlines that the scan images show (`contours`), the best is refined on all views,
+and doubtful answers are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
 known scale and clean robot points, so outlines in the images take its place.
 """
 
@@ -14,12 +14,12 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AlignmentError
-from aomgen.reconstruction.alignment_start import RobotBox, Start, sweep_yaw, up_candidates
+from aomgen.reconstruction.alignment_search import SearchParams, different, search
+from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.contours import View
 from aomgen.reconstruction.outline_errors import joint_offsets, similarity_covariance
 from aomgen.reconstruction.outline_evidence import Confirmation, ViewEvidence, confirmation, look
 from aomgen.reconstruction.outline_fit import (
-    COARSE,
     FINE,
     MIDDLE,
     RobotDrawing,
@@ -39,21 +39,23 @@ class AlignmentParams:
     """Effort and limits.
 
     Attributes:
-        starts: Coarse hypotheses that are tried.
-        finalists: The best of them, which are refined further and compared.
+        search: Effort of the search for likely places.
+        finalists: The best of them, which are pulled onto outlines and compared.
         views: Scan images used, spread over the walk.
         width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
         min_lift: Least support beyond chance, of the robot.
         min_segment_lift: The same for every segment of the arm that a joint moves.
         min_margin: Least lead in support over a different hypothesis.
+        finalists_apart: Finalists differ by more than this, as a share of the robot's size.
+        finalist_share: And their colors score at least this share of the best one's.
         distinct_m: Hypotheses whose robots are farther apart than this are different.
         max_joint_offset_rad: Largest offset of a joint that the images may ask for.
         joint_sds: An offset counts when it is this many of its standard deviations.
         max_sd_m: Largest standard deviation of the end effector.
     """
 
-    starts: int = 8
+    search: SearchParams = field(default_factory=SearchParams)
     finalists: int = 3
     views: int = 24
     width: int = 640
@@ -61,6 +63,8 @@ class AlignmentParams:
     min_lift: float = 0.2
     min_segment_lift: float = 0.1
     min_margin: float = 0.1
+    finalists_apart: float = 0.5
+    finalist_share: float = 0.5
     distinct_m: float = 0.05
     max_joint_offset_rad: float = float(np.radians(2.0))
     joint_sds: float = 4.0
@@ -132,24 +136,29 @@ def align(
     views = [replace(view, camera_recon=camera_in_world(S_unit_recon, view.camera_recon)) for view in views]
     boxes = [replace(box, camera_recon=camera_in_world(S_unit_recon, box.camera_recon)) for box in boxes]
     views = [reduced(view, params.width) for view in views]
-    ups = up_candidates([view.camera_recon for view in views], apply(S_unit_recon, points_recon), rng)
-    starts = [start for up in ups for start in sweep_yaw(boxes, posture.points_world(), up)]
-    starts = _different(sorted(starts, key=lambda start: start.misfit), posture, params)
+    found = search(views, boxes, apply(S_unit_recon, points_recon), posture, rng, params.search)
+    progress(0.3, "looked for likely places")
+    starts = different(
+        found.at_least(params.finalist_share),
+        posture.points_world(60),
+        params.finalists_apart,
+        params.finalists,
+    )
     width = max(view.camera_recon.width for view in views)
     height = max(view.camera_recon.height for view in views)
     with robot_drawing(posture, width, height) as drawing:
-        ranked = _refine_starts(starts, views, drawing, part(progress, 0.05, 0.7), params)
+        ranked = _refine_starts(starts.Ss_world_recon, views, drawing, part(progress, 0.3, 0.6), params)
         S = ranked[0][1]
         others = [s for s, other in ranked[1:] if _distance(S, other, posture) > params.distinct_m]
         chosen = spread(views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
         evidence = look(S, chosen, drawing, params.contour_points)
-    found = confirmation(evidence)
+    confirmed = confirmation(evidence)
     runner_up = max(others, default=0.0)
-    _refuse_unconfirmed(found, runner_up, posture, params)
+    _refuse_unconfirmed(confirmed, runner_up, posture, params)
     offsets = _refuse_wrong_joints(evidence, posture, params)
-    result = replace(_summary(S @ S_unit_recon, evidence, found, runner_up), joint_offsets_rad=offsets)
+    result = replace(_summary(S @ S_unit_recon, evidence, confirmed, runner_up), joint_offsets_rad=offsets)
     _refuse_vague(result, params)
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
@@ -170,20 +179,16 @@ def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
 
 
 def _refine_starts(
-    starts: list[Start], views: list[View], drawing: RobotDrawing, progress: Progress, params: AlignmentParams
+    starts: Array, views: list[View], drawing: RobotDrawing, progress: Progress, params: AlignmentParams
 ) -> list[tuple[float, Array]]:
-    """Pull every start onto coarse images, the best of them onto finer ones; best support first."""
-    coarse, ranked = [], []
+    """Pull every start (H, 4, 4) onto the outlines of some views; best support first."""
+    ranked = []
     for index, start in enumerate(starts):
-        chosen = [reduced(view, 160) for view in spread(views, start.S_world_recon, drawing, 6)]
+        chosen = spread(views, start, drawing, 8)
         if chosen:
-            S = refine(start.S_world_recon, chosen, drawing, COARSE, 200)
-            coarse.append((confirmation(look(S, chosen, drawing, 200)).lift, S))
-        progress(0.7 * (index + 1) / len(starts), f"start {index + 1} of {len(starts)}")
-    for _, start in sorted(coarse, key=lambda item: -item[0])[: params.finalists]:
-        S = refine(start, spread(views, start, drawing, 10), drawing, MIDDLE, 200)
-        ranked.append((confirmation(look(S, spread(views, S, drawing, 10), drawing, 200)).support, S))
-    progress(1.0, f"{len(ranked)} finalists")
+            S = refine(start, chosen, drawing, MIDDLE, 200)
+            ranked.append((confirmation(look(S, chosen, drawing, 200)).support, S))
+        progress((index + 1) / len(starts), f"place {index + 1} of {len(starts)}")
     if not ranked:
         raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
     return sorted(ranked, key=lambda item: -item[0])
@@ -260,16 +265,6 @@ def _refuse_vague(result: Alignment, params: AlignmentParams) -> None:
             f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * params.max_sd_m:.0f} mm",
             "scan the robot from more sides",
         )
-
-
-def _different(starts: list[Start], posture: RobotPosture, params: AlignmentParams) -> list[Start]:
-    kept: list[Start] = []
-    for start in starts:
-        if len(kept) < params.starts and all(
-            _distance(start.S_world_recon, other.S_world_recon, posture) > params.distinct_m for other in kept
-        ):
-            kept.append(start)
-    return kept
 
 
 def _distance(S_a: Array, S_b: Array, posture: RobotPosture) -> float:

@@ -1,17 +1,24 @@
-"""Coarse starts for the alignment: which way is up, then a sweep over yaw on the prompted boxes."""
+"""Places of the robot that its prompted boxes allow: many guesses, each pulled onto the boxes.
+
+Two whole boxes leave one place for a heading; one box leaves the depth open, and a box that the
+image border cuts leaves more. What boxes leave open keeps the value that was guessed.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial import ConvexHull
 
 from aomgen.core.camera import Camera
-from aomgen.core.transforms import apply, similarity
+from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze
 
 BORDER_PX = 3.0
+# Sides of boxes drawn by hand miss by some tenths of the box; beyond this a side counts less.
+_SIDE_ERROR = 0.1
+# A guess holds on with the weight of a side that is this many times less exact.
+_GUESS_SPREAD, _GUESS_WEIGHT = np.array([1.0, 1.0, 1.0, 0.5]), 0.02
+_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,98 +38,95 @@ class RobotBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
-    """One coarse hypothesis: the similarity and how well its boxes fit (share of their size)."""
+class Places:
+    """H similarities and how well their boxes fit.
 
-    S_world_recon: Array
-    misfit: float
-
-
-def up_candidates(
-    cameras_recon: list[Camera], points_recon: Array, rng: np.random.Generator, count: int = 2
-) -> list[Array]:
-    """Likely up directions (3,) in the recon frame, best first.
-
-    People hold cameras upright, so up lies near the mean of the cameras' own; the large planes of
-    the scene (table, floor) sharpen it. Planes tilted more than 30 degrees from it are walls.
-
-    Args:
-        cameras_recon: Scan cameras.
-        points_recon: Sparse or dense points (P, 3).
-        rng: Chooses the triples of the plane search.
-        count: How many plane normals to return before the plain mean.
+    Attributes:
+        Ss_world_recon: (H, 4, 4).
+        misfits: (H,), root mean square gap between box sides and the robot's extent, as a share of
+            the box's size.
     """
-    mean_up = -np.mean([camera.T_world_cam[:3, 1] for camera in cameras_recon], 0)
-    mean_up /= np.linalg.norm(mean_up)
-    ups: list[Array] = []
-    left = np.asarray(points_recon, np.float64)
-    extent = np.median(np.linalg.norm(left - np.median(left, 0), axis=1)) if len(left) else 1.0
-    for _ in range(count):
-        if len(left) < 50:
-            break
-        normal, near = _largest_plane(left, mean_up, 0.01 * extent, rng)
-        if near.sum() < 0.03 * len(points_recon):
-            break
-        if all(normal @ up < np.cos(np.radians(2.0)) for up in ups):
-            ups.append(normal)
-        left = left[~near]
-    return [*ups, mean_up]
+
+    Ss_world_recon: Array
+    misfits: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
+        freeze(self, "misfits", self.misfits, (len(self.Ss_world_recon),))
 
 
-def _largest_plane(
-    points: Array, up: Array, tolerance: float, rng: np.random.Generator, trials: int = 1500
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Normal (3,) towards `up` and members (P,) of the plane that most points lie on."""
-    triples = points[rng.integers(0, len(points), (trials, 3))]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(lengths, 1e-12)[:, None]
-    normals *= np.sign(normals @ up)[:, None]
-    usable = (lengths > 1e-9) & (normals @ up > np.cos(np.radians(30.0)))
-    if not usable.any():
-        return up, np.zeros(len(points), bool)
-    normals, anchors = normals[usable], triples[usable, 0]
-    offsets = np.einsum("td,td->t", normals, anchors)
-    sample = points[rng.permutation(len(points))[:2000]]
-    counts = (np.abs(sample @ normals.T - offsets) < tolerance).sum(0)
-    best = int(np.argmax(counts))
-    normal, offset = normals[best], offsets[best]
-    for _ in range(3):
-        near = np.abs(points @ normal - offset) < tolerance
-        if near.sum() < 3:
-            break
-        center = points[near].mean(0)
-        normal = np.linalg.svd(points[near] - center, full_matrices=False)[2][2]
-        normal *= np.sign(normal @ up)
-        offset = normal @ center
-    return normal, np.abs(points @ normal - offset) < 2 * tolerance
+def places_in_boxes(
+    boxes: list[RobotBox],
+    vertices_world: Array,
+    ups_recon: list[Array],
+    points_recon: Array,
+    rng: np.random.Generator,
+    count: int,
+) -> Places:
+    """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
-
-def sweep_yaw(boxes: list[RobotBox], vertices_world: Array, up_recon: Array, steps: int = 48) -> list[Start]:
-    """For each yaw the scale and position whose projected robot fills the boxes best.
+    Every guess but the first few has its own boxes, off by what boxes drawn by hand are off.
 
     Args:
         boxes: Prompted boxes, one or more.
         vertices_world: Points on the posed robot (V, 3), [m].
-        up_recon: World z in the recon frame (3,).
-        steps: Yaw angles tried.
-
-    Returns:
-        Local minima over yaw, best first.
+        ups_recon: Candidates (3,) for world z in the recon frame, best first.
+        points_recon: Sparse points (P, 3); those seen in a box tell likely depths.
+        rng: Makes the guesses.
+        count: How many.
 
     Source: own; the box sides are what a projected convex hull must touch.
     """
-    R_upright = _upright(up_recon)
-    # A projection's extent is that of the convex hull.
-    vertices_world = vertices_world[ConvexHull(vertices_world).vertices]
-    starts = []
-    for yaw in np.arange(steps) * 2 * np.pi / steps:
-        c, s = np.cos(yaw), np.sin(yaw)
-        R_world_recon = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ R_upright
-        starts.append(_fit_boxes(boxes, vertices_world, R_world_recon))
-    misfits = np.array([start.misfit for start in starts])
-    minima = (misfits <= np.roll(misfits, 1)) & (misfits <= np.roll(misfits, -1))
-    return sorted((starts[i] for i in np.flatnonzero(minima)), key=lambda start: start.misfit)
+    middle = (vertices_world.min(0) + vertices_world.max(0)) / 2
+    hull = _support_points(vertices_world - middle, rng)
+    Rs_world_recon = _headings(ups_recon, rng, count)
+    turned = hull @ Rs_world_recon
+    center, depth, size = _guesses(boxes, points_recon, float(np.ptp(hull, axis=0).max()), rng, count)
+    sides = [_drawn_again(box, rng, count) for box in boxes]
+    cuts = [_maybe_cut(box, rng, count) for box in boxes]
+    x = np.zeros((count, 4))
+    for _ in range(_STEPS):
+        A = np.tile(np.diag((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2), (count, 1, 1))
+        b = -((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2) * x
+        arms, points = _placed(turned, center, depth, size, x)
+        for box, own, cut in zip(boxes, sides, cuts, strict=True):
+            gaps, J = _gaps(box, own, cut, points, arms, depth)
+            weights = 1 / np.sqrt(1 + (gaps / _SIDE_ERROR) ** 2)
+            A += np.einsum("hk,hki,hkj->hij", weights, J, J)
+            b -= np.einsum("hk,hki,hk->hi", weights, J, gaps)
+        x = x + np.clip(np.linalg.solve(A, b[..., None])[..., 0], -0.3, 0.3)
+    arms, points = _placed(turned, center, depth, size, x)
+    gaps = np.concatenate(
+        [
+            _gaps(box, own, cut, points, arms, depth)[0]
+            for box, own, cut in zip(boxes, sides, cuts, strict=True)
+        ],
+        axis=1,
+    )
+    scales_recon = size * np.exp(x[:, 3])
+    places = center + depth[:, None] * x[:, :3]
+    # p_recon_point = s_recon * R^T (p_world - middle) + p_recon, turned around:
+    Ss = [
+        similarity(1 / s, R, middle - R @ p / s)
+        for s, R, p in zip(scales_recon, Rs_world_recon, places, strict=True)
+    ]
+    return Places(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
+
+
+def _support_points(points: Array, rng: np.random.Generator, directions: int = 150) -> Array:
+    """Those points that lie farthest in some direction: what the extent of a projection needs."""
+    sampled = rng.normal(size=(directions, 3))
+    return points[np.unique(np.argmax(points @ sampled.T, axis=0))]
+
+
+def _headings(ups: list[Array], rng: np.random.Generator, count: int) -> Array:
+    """Rotations (N, 3, 3) world from recon: headings take turns, better ups come more often."""
+    yaws = 2 * np.pi * ((np.arange(count) * (np.sqrt(5) - 1) / 2) % 1)
+    shares = 0.5 ** np.arange(1, len(ups) + 1)
+    which = rng.choice(len(ups), count, p=shares / shares.sum())
+    uprights = np.array([_upright(up) for up in ups])[which]
+    turns = np.array([matrix_from_rotvec([0, 0, yaw]) for yaw in yaws])
+    return np.asarray(turns @ uprights, np.float64)
 
 
 def _upright(up: Array) -> Array:
@@ -133,61 +137,84 @@ def _upright(up: Array) -> Array:
     return np.stack([x, np.cross(up, x), up])
 
 
-def _fit_boxes(boxes: list[RobotBox], vertices_world: Array, R_world_recon: Array) -> Start:
-    middle = (vertices_world.min(0) + vertices_world.max(0)) / 2
-    turned = (vertices_world - middle) @ R_world_recon
-    size = np.linalg.norm(np.ptp(vertices_world, axis=0))
-    center, depth = _where_boxes_meet(boxes)
-    first = boxes[0]
-    diagonal = np.linalg.norm(first.box_px[2:] - first.box_px[:2])
-    scale_recon = depth * diagonal / first.camera_recon.fx / size
-
-    def residuals(x: Array) -> Array:
-        points = turned * (scale_recon * np.exp(x[3])) + center + depth * x[:3]
-        return np.concatenate([_box_residuals(box, points) for box in boxes])
-
-    fit = least_squares(residuals, np.zeros(4), loss="soft_l1", f_scale=0.1, max_nfev=40)
-    s_recon = scale_recon * np.exp(fit.x[3])
-    p_recon = center + depth * fit.x[:3]
-    # p_recon_point = s_recon * R^T (p_world - middle) + p_recon, turned around:
-    S = similarity(1 / s_recon, R_world_recon, middle - R_world_recon @ p_recon / s_recon)
-    return Start(S_world_recon=S, misfit=float(np.sqrt(np.mean(fit.fun**2))))
-
-
-def _where_boxes_meet(boxes: list[RobotBox]) -> tuple[Array, float]:
-    """Point nearest to the rays through the boxes' centres, and its depth in the first camera."""
-    A, b, rays = np.zeros((3, 3)), np.zeros(3), []
-    for box in boxes:
+def _guesses(
+    boxes: list[RobotBox], points: Array, extent: float, rng: np.random.Generator, count: int
+) -> tuple[Array, Array, Array]:
+    """Robot centres (N, 3) on rays through boxes, their depths (N,) and scales recon over world (N,)."""
+    centers, depths, sizes = np.empty((count, 3)), np.empty(count), np.empty(count)
+    for number, box in enumerate(boxes):
+        mine = np.arange(number, count, len(boxes))
         camera = box.camera_recon
-        u, v = (box.box_px[:2] + box.box_px[2:]) / 2
-        ray = camera.T_world_cam[:3, :3] @ [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0]
-        ray /= np.linalg.norm(ray)
-        P = np.eye(3) - np.outer(ray, ray)
-        A += P
-        b += P @ camera.center
-        rays.append(ray)
-    baseline = max(float(np.linalg.norm(a.camera_recon.center - boxes[0].camera_recon.center)) for a in boxes)
-    if baseline < 1e-6:
-        return boxes[0].camera_recon.center + rays[0], 1.0
-    center = np.linalg.solve(A + 1e-6 * np.eye(3), b + 1e-6 * (boxes[0].camera_recon.center + rays[0]))
-    depth = float((center - boxes[0].camera_recon.center) @ boxes[0].camera_recon.T_world_cam[:3, 2])
-    if depth < 0.1 * baseline:
-        center, depth = boxes[0].camera_recon.center + baseline * rays[0], baseline
-    return center, depth
+        pixels, z = camera.project(points)
+        low, high = box.box_px[:2], box.box_px[2:]
+        front = z > 0
+        inside = front & np.all((pixels > low) & (pixels < high), axis=1)
+        known = z[inside] if inside.sum() >= 10 else z[front]
+        if not len(known):
+            known = np.ones(1)
+        depth = rng.choice(known, len(mine)) * np.exp(rng.normal(0, 0.25, len(mine)))
+        at = low + rng.uniform(0.3, 0.7, (len(mine), 2)) * (high - low)
+        rays = np.concatenate(
+            [(at - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones((len(mine), 1))], 1
+        )
+        centers[mine] = apply(camera.T_world_cam, depth[:, None] * rays)
+        depths[mine] = depth
+        # A box that the border cuts holds only a part of the robot.
+        sizes[mine] = depth * np.max((high - low) / [camera.fx, camera.fy]) / extent
+        sizes[mine] *= np.exp(rng.uniform(0, 0.5, len(mine)) * _cut(box, 2 * _SIDE_ERROR).any())
+    return centers, depths, sizes
 
 
-def _box_residuals(box: RobotBox, points_recon: Array) -> Array:
-    """Four signed gaps between box sides and projected extent, as shares of the box's size."""
-    camera = box.camera_recon
-    points_cam = apply(camera.T_cam_world, points_recon)
-    z = np.maximum(points_cam[:, 2], 0.05 * np.abs(points_cam[:, 2]).mean() + 1e-6)
-    u = camera.fx * points_cam[:, 0] / z + camera.cx
-    v = camera.fy * points_cam[:, 1] / z + camera.cy
+def _cut(box: RobotBox, near: float = 0.0) -> NDArray[np.bool_]:
+    """Which sides (4,) lie on the image border, or nearer to it than a share of the box's size."""
     x0, y0, x1, y1 = box.box_px
-    span = np.array([x1 - x0, y1 - y0, x1 - x0, y1 - y0])
-    gaps = np.array([u.min() - x0, v.min() - y0, u.max() - x1, v.max() - y1]) / span
-    limits = np.array([x0, y0, camera.width - x1, camera.height - y1])
+    camera = box.camera_recon
+    room = np.array([x0, y0, camera.width - x1, camera.height - y1])
+    return np.asarray(room <= np.maximum(BORDER_PX, near * np.tile([x1 - x0, y1 - y0], 2)), bool)
+
+
+def _maybe_cut(box: RobotBox, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
+    """Which sides the border cuts (N, 4): a side that hands drew short of it may be cut, too."""
+    return _cut(box) | (_cut(box, 2 * _SIDE_ERROR) & (rng.random((count, 4)) < 0.5))
+
+
+def _drawn_again(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
+    """Sides (N, 4) of a box, off by what hands are off; a quarter stays, and so do cut sides."""
+    spans = np.tile(box.box_px[2:] - box.box_px[:2], 2)
+    noise = rng.uniform(-_SIDE_ERROR, _SIDE_ERROR, (count, 4)) * spans
+    noise[::4] = 0
+    return np.asarray(box.box_px + np.where(_cut(box), 0.0, noise), np.float64)
+
+
+def _placed(turned: Array, center: Array, depth: Array, size: Array, x: Array) -> tuple[Array, Array]:
+    """Points of the robot about its middle (H, V, 3), and in the recon frame."""
+    arms = turned * (size * np.exp(x[:, 3]))[:, None, None]
+    return arms, arms + (center + depth[:, None] * x[:, :3])[:, None]
+
+
+def _gaps(
+    box: RobotBox, sides: Array, cut: NDArray[np.bool_], points: Array, arms: Array, depth: Array
+) -> tuple[Array, Array]:
+    """Signed gaps (H, 4) between box sides (H, 4) and projected extent, and their Jacobian (H, 4, 4)."""
+    camera = box.camera_recon
+    R = camera.T_cam_world[:3, :3]
+    points_cam = apply(camera.T_cam_world, points)
+    near = 0.05 * np.abs(points_cam[..., 2]).mean(1, keepdims=True) + 1e-6
+    z = np.maximum(points_cam[..., 2], near)
+    span = np.tile(box.box_px[2:] - box.box_px[:2], 2)
+    rows = np.arange(len(points))
+    gaps, J = np.empty((len(points), 4)), np.empty((len(points), 4, 4))
+    for side in range(4):
+        axis = side % 2
+        focal, middle = (camera.fx, camera.cx) if axis == 0 else (camera.fy, camera.cy)
+        seen = focal * points_cam[..., axis] / z + middle
+        extreme = np.argmin(seen, axis=1) if side < 2 else np.argmax(seen, axis=1)
+        gaps[:, side] = (seen[rows, extreme] - sides[:, side]) / span[side]
+        zs, p = z[rows, extreme], points_cam[rows, extreme]
+        along = focal * (R[axis] / zs[:, None] - p[:, axis, None] * R[2] / zs[:, None] ** 2) / span[side]
+        J[:, side, :3] = along * depth[:, None]
+        J[:, side, 3] = np.einsum("hd,hd->h", along, arms[rows, extreme])
     outward = np.array([-1.0, -1.0, 1.0, 1.0])
     # A box cut by the image border says only that the robot reaches at least that far.
-    gaps = np.where((limits <= BORDER_PX) & (gaps * outward > 0), 0.0, gaps)
-    return np.clip(gaps, -5, 5)
+    free = cut & (gaps * outward > 0)
+    return np.where(free, 0.0, np.clip(gaps, -5, 5)), np.where(free[..., None], 0.0, J)

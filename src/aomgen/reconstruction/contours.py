@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert
@@ -58,17 +58,24 @@ class Contour:
 
 def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32], limit: int) -> Contour:
     """The outline of a silhouette, thinned to `limit` points, image border left out."""
-    smooth = gaussian_filter(mask.astype(np.float32), 2.0)
-    inner = mask & ~(np.roll(mask, 1, 0) & np.roll(mask, -1, 0) & np.roll(mask, 1, 1) & np.roll(mask, -1, 1))
-    inner[:3], inner[-3:], inner[:, :3], inner[:, -3:] = False, False, False, False
+    window = _window(mask, 10)
+    low_v, low_u = window[0].start, window[1].start
+    small = mask[window]
+    smooth = gaussian_filter(small.astype(np.float32), 2.0)
+    around = np.pad(small, 1)
+    inner = small & ~(around[2:, 1:-1] & around[:-2, 1:-1] & around[1:-1, 2:] & around[1:-1, :-2])
     v, u = np.nonzero(inner)
+    height, width = mask.shape
+    from_top, from_left = v + low_v, u + low_u
+    within = (from_top >= 3) & (from_top < height - 3) & (from_left >= 3) & (from_left < width - 3)
+    v, u = v[within], u[within]
     if len(v) > limit:
         keep = np.linspace(0, len(v) - 1, limit).astype(int)
         v, u = v[keep], u[keep]
     normals = -np.stack([np.gradient(smooth, axis=1)[v, u], np.gradient(smooth, axis=0)[v, u]], 1)
     lengths = np.linalg.norm(normals, axis=1)
     good = lengths > 0.02
-    v, u, normals = v[good], u[good], normals[good] / lengths[good, None]
+    v, u, normals = v[good] + low_v, u[good] + low_u, normals[good] / lengths[good, None]
     centers = np.stack([u + 0.5, v + 0.5], 1)
     z = depth[v, u].astype(np.float64)
     points_cam = np.stack(
@@ -82,13 +89,26 @@ def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32],
     )
 
 
+def _window(mask: NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
+    """Rows and columns of a mask that is not empty, with a margin."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return (
+        slice(max(0, int(rows[0]) - margin), int(rows[-1]) + 1 + margin),
+        slice(max(0, int(columns[0]) - margin), int(columns[-1]) + 1 + margin),
+    )
+
+
 def color_ratio(image: NDArray[np.uint8], mask: NDArray[np.bool_], reach: int) -> NDArray[np.float32]:
-    """Log ratio (H, W) of a pixel's color inside the silhouette to just outside it."""
-    bins = (image >> 4).astype(np.int32) @ np.array([BINS * BINS, BINS, 1], np.int32)
-    near = binary_dilation(mask, iterations=max(2, reach))
-    inside = _histogram(bins[mask])
-    outside = _histogram(bins[near & ~mask])
-    return np.log(inside / outside).clip(-3, 3).astype(np.float32)[bins]
+    """Log ratio (H, W) of a pixel's color inside the silhouette to just outside; 0 farther away."""
+    window = _window(mask, 2 * reach)
+    inner = mask[window]
+    bins = (image[window] >> 4).astype(np.int32) @ np.array([BINS * BINS, BINS, 1], np.int32)
+    near = maximum_filter(inner.view(np.uint8), 2 * max(2, round(0.7 * reach)) + 1) > 0
+    inside = _histogram(bins[inner])
+    outside = _histogram(bins[near & ~inner])
+    ratio = np.zeros(mask.shape, np.float32)
+    ratio[window] = np.log(inside / outside).clip(-3, 3).astype(np.float32)[bins]
+    return ratio
 
 
 def _histogram(bins: NDArray[np.int32]) -> Array:

@@ -30,6 +30,15 @@ class RobotPosture:
         step = max(1, total // count)
         return np.concatenate([apply(poses[m.body], m.vertices_body[::step]) for m in self.robot.meshes])
 
+    def surface_world(self, count: int, rng: np.random.Generator) -> Array:
+        """Points (count, 3) spread evenly over the surface of the posed robot, [m]."""
+        poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
+        corners = np.concatenate([apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes])
+        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        a, b, c = np.moveaxis(corners[rng.choice(len(corners), count, p=areas / areas.sum())], 1, 0)
+        u, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+        return np.asarray((1 - u) * a + u * (1 - v) * b + u * v * c, np.float64)
+
     @property
     def ee_world(self) -> Array:
         """End effector position (3,), [m]."""

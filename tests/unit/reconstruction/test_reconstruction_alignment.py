@@ -12,13 +12,14 @@ from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment import AlignmentParams, align
 from aomgen.reconstruction.alignment_stage import load_alignment, save_alignment
-from aomgen.reconstruction.alignment_start import RobotBox, up_candidates
+from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
 from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.upright import up_candidates
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
-PARAMS = AlignmentParams(starts=3, finalists=2, views=6, contour_points=250)
+PARAMS = AlignmentParams(finalists=2, views=6, contour_points=250)
 
 
 @pytest.fixture(scope="module")
