@@ -89,7 +89,7 @@ typedef struct {
 typedef struct {
   const AomgenSession* session;
   const float* cam_from_part;  // (P, 12): poses of the moving Gaussians' parts, as in AomgenView
-  const float* colors;       // (M, 3) sRGB of the last M moving Gaussians instead of their harmonics, or null
+  const float* colors;       // (M, 3) sRGB of the last M moving Gaussians instead of their harmonics' constant term, or null
   const float* shade;        // (H, W) factor on the color of what never moves, background included, or null
   uint8_t* tiles;            // required; one for each 16x16 pixels, row by row: 0 where the arrays below show what
                              // never moves and nothing else, and 1 elsewhere or where they are not yet filled

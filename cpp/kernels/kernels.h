@@ -51,7 +51,7 @@ struct Projection {
   AomgenScene scene;
   AomgenView view;
   const PartPose* poses;  // (P,)
-  const float* colors;    // (colored, 3) sRGB of the last Gaussians instead of their harmonics, or null
+  const float* colors;    // (colored, 3) sRGB of the last Gaussians instead of their harmonics' constant term, or null
   int64_t colored;
   Splat* splats;          // by slot
   int32_t* gaussians;     // by slot: index into the scene

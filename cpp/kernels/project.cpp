@@ -107,13 +107,16 @@ void colors_of(const Projection& p, const Group& g, const Pose& pose, const int3
   }
 }
 
-// Puts given colors in the place of those of harmonics.
-void replace_colors(const Projection& p, const int32_t index[kLanes], F color[3]) {
+// Puts given colors in the place of the harmonics' constant term.
+void replace_constant(const Projection& p, const int32_t index[kLanes], F color[3]) {
   const int64_t first = p.scene.count - p.colored;
   float lanes[3][kLanes];
   for (int channel = 0; channel < 3; ++channel) store(lanes[channel], color[channel]);
   for (int lane = 0; lane < kLanes; ++lane)
-    for (int channel = 0; index[lane] >= first && channel < 3; ++channel) lanes[channel][lane] = p.colors[3 * (index[lane] - first) + channel];
+    for (int channel = 0; index[lane] >= first && channel < 3; ++channel) {
+      const float constant = 0.5f + kC0 * p.scene.sh[3 * static_cast<size_t>(p.scene.sh_coefficients) * index[lane] + channel];
+      lanes[channel][lane] += p.colors[3 * (index[lane] - first) + channel] - constant;
+    }
   for (int channel = 0; channel < 3; ++channel) color[channel] = load(lanes[channel]);
 }
 
@@ -155,9 +158,8 @@ void project(const Projection& p, int block) {
     uint32_t visible = bits(e.in_view) & ((1u << lanes) - 1u);
     if (!visible) continue;
     F color[3] = {};
-    // Candidates ascend: with the first, all have given colors.
-    if (!p.colors || index[0] < p.scene.count - p.colored) colors_of(p, g, pose, index, visible, color);
-    if (p.colors && index[lanes - 1] >= p.scene.count - p.colored) replace_colors(p, index, color);
+    colors_of(p, g, pose, index, visible, color);
+    if (p.colors && index[lanes - 1] >= p.scene.count - p.colored) replace_constant(p, index, color);
     const F bright = all(1e4f);
     visible &= bits(above(bright, absolute(color[0])) & above(bright, absolute(color[1])) & above(bright, absolute(color[2])));
     F fields[16] = {e.x, e.y, e.qxx, e.qxy, e.qyy, e.log2_opacity,

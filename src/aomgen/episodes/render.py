@@ -13,6 +13,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.splatting.session import draw_sessions
 from aomgen.twin.layers import StaticLayer, moving_layer, static_layer
+from aomgen.twin.relit import surfaces_of
 from aomgen.twin.shadow import cast_shadow
 from aomgen.twin.twin import OBJECT, PART, Twin, trajectory_body_poses
 
@@ -106,11 +107,16 @@ def _shades(
     twin: Twin, trajectory: Trajectory, layers: Mapping[str, StaticLayer], T_world_plane: Array
 ) -> dict[str, NDArray[np.float32]]:
     """Factors (SHADOW_STATES, H, W) on each camera's static picture, one for each knot."""
-    relit = twin.relit
-    if relit is None:
+    surfaces = [
+        surface
+        for surface in surfaces_of(twin.relit, twin.bodies)
+        if surface.body in (twin.body(OBJECT), twin.body(PART))
+    ]
+    if twin.relit is None or not surfaces:
         return {}
+    light = surfaces[0].light
     points = {
-        name: twin.gaussians.means[relit.indices[twin.bodies[relit.indices] == twin.body(name)]]
+        name: twin.gaussians.means[twin.relit.indices[twin.bodies[twin.relit.indices] == twin.body(name)]]
         for name in (OBJECT, PART)
     }
     T_object = trajectory.T_world_object
@@ -121,7 +127,7 @@ def _shades(
     shades: dict[str, list[NDArray[np.float32]]] = {name: [] for name in layers}
     for T_part in T_object @ twin.joint.motion(_knots(trajectory.thetas)):
         solid = np.concatenate([apply(T_object, points[OBJECT]), apply(T_part, points[PART])])
-        shadow = cast_shadow(solid, T_world_plane, relit.light)
+        shadow = cast_shadow(solid, T_world_plane, light)
         for name, seen in places.items():
             shades[name].append(shadow.at(seen, layers[name].camera.center))
     return {name: np.stack(images) for name, images in shades.items()}

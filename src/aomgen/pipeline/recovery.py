@@ -24,6 +24,7 @@ from aomgen.motion.stage import load_motion, run_motion
 from aomgen.physics.robot import RobotModel, chosen_robot
 from aomgen.physics.robot_store import save_robot
 from aomgen.pipeline.estimates import estimates_of
+from aomgen.pipeline.films import demo_film, scan_films
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
@@ -35,6 +36,7 @@ from aomgen.reconstruction.gaussians import GaussiansParams
 from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.parts import PartsParams
 from aomgen.reconstruction.parts_stage import load_parts, run_parts
+from aomgen.reconstruction.robot_surface import dressed
 from aomgen.reconstruction.segmenter import choose_segmenter
 from aomgen.reconstruction.settled_cameras import load_settled_cameras, save_settled_cameras
 from aomgen.reconstruction.structure import Photographs
@@ -254,13 +256,14 @@ def posture_of(capture: Capture) -> RobotPosture:
 
 
 def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Every Gaussian bound to the body that carries it."""
+    """Every Gaussian bound to the body that carries it, and the robot seen from all sides."""
     capture = capture_of(run)
     robot = robot_of(capture)
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
     parts = load_parts(run.folders["parts"])
-    joint = load_motion(run.folders["motion"]).joint
+    motion = load_motion(run.folders["motion"])
+    joint = motion.joint
     T_world_object = object_frame(
         surface_points(world, parts.labels, STATIC), joint, surface_points(world, parts.labels, MOVING)
     )
@@ -270,10 +273,14 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         theta=0.0,
         T_world_object=T_world_object,
     )
-    result = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
+    bound = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
+    progress(0.1, "the robot's surface")
+    films = scan_films(capture, scan_cameras_world(run), bound)
+    films.append(demo_film(capture, demo_camera_world(run), motion, bound, robot))
+    result = dressed(bound, robot, films, np.random.default_rng(0))
     save_twin(folder, result)
     save_robot(folder, capture.robot)
-    return {"gaussians": len(world), "moving": int(np.sum(result.moves))}
+    return {"gaussians": len(result.gaussians), "moving": int(np.sum(result.moves))}
 
 
 def demo_camera_world(run: Run) -> Camera:

@@ -32,8 +32,8 @@ class Motion:
     Attributes:
         parts: Part of every moving Gaussian (N,) int32, 0..P-1; each is given in its part's frame.
         Ts_world_part: Rigid poses of the parts (T, P, 4, 4).
-        colors: (T, M, 3) float32, sRGB of the last M moving Gaussians, in place of their harmonics;
-            None for none.
+        colors: (T, M, 3) float32, sRGB of the last M moving Gaussians, in place of their harmonics'
+            constant term; None for none.
     """
 
     parts: NDArray[np.int32]

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
+from aomgen.core.light import open_transfer
 from aomgen.core.mesh import Mesh, face_normals_areas, sample_surface
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
@@ -85,6 +86,24 @@ def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> 
     Raises:
         AssetError: The meshes have no surface.
     """
+    kept, radii, surface = _covered(meshes, count, rng)
+    transfer, normals = occluded_transfer(kept.points, kept.normals, surface)
+    return _discs(kept, normals, radii, transfer)
+
+
+def open_surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
+    """As `surfels_of`, several times faster: every disc sees the whole sky on its side.
+
+    Not checked: normals are those of the triangles, outward only where the meshes are wound so.
+    """
+    kept, radii, _ = _covered(meshes, count, rng)
+    return _discs(kept, kept.normals, radii, open_transfer(kept.normals))
+
+
+def _covered(
+    meshes: Sequence[Mesh], count: int, rng: np.random.Generator
+) -> tuple[_Candidates, Array, Array]:
+    """Places of discs, their radii, and dense points (M, 3) on everything."""
     areas = np.array([face_normals_areas(mesh.vertices, mesh.faces)[1].sum() for mesh in meshes])
     total = float(areas.sum())
     if not total > 0:
@@ -101,9 +120,7 @@ def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> 
     parts = _uncovered(parts, radius)
     # A mesh is thinned alone: a sticker must not lose its discs to the wall it lies on.
     chosen = [_thinned(part, radius, rng) for part in parts]
-    kept = _joined([part for part, _ in chosen])
-    transfer, normals = occluded_transfer(kept.points, kept.normals, surface)
-    return _discs(kept, normals, np.concatenate([radii for _, radii in chosen]), transfer)
+    return _joined([part for part, _ in chosen]), np.concatenate([radii for _, radii in chosen]), surface
 
 
 def _candidates(mesh: Mesh, count: int, radius: float, rng: np.random.Generator) -> _Candidates:

@@ -166,7 +166,7 @@ def learning(
     compute, context = compute or NativeCompute(), native.Context(threads=1)
     views: list[View] = []
     factor = 0
-    with _one_torch_thread():
+    with one_torch_thread():
         while state.iteration < params.iterations:
             share = state.iteration / params.iterations
             if factor != _factor(params, share):
@@ -192,7 +192,7 @@ def finished(state: TrainingState, params: TrainingParams) -> Gaussians:
 
 
 @contextmanager
-def _one_torch_thread() -> Iterator[None]:
+def one_torch_thread() -> Iterator[None]:
     """The engine has its own threads; torch's would wait for each other by spinning on its cores."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -13,7 +13,8 @@ from aomgen.core.transforms import invert, transform
 from aomgen.core.values import Array
 from aomgen.physics.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
-from aomgen.twin.twin import OBJECT, PART, Relit, Twin, TwinState, body_list, body_poses
+from aomgen.twin.relit import Relit, joined
+from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses
 
 
 def bind(
@@ -113,6 +114,13 @@ def with_object(
     count, first, second = len(cleared.gaussians), len(static.gaussians), len(moving.gaussians)
     bodies = [np.full(first, cleared.body(OBJECT)), np.full(second, cleared.body(PART))]
     labels = [np.full(first, STATIC), np.full(second, MOVING)]
+    lit = Relit(
+        indices=np.arange(count, count + first + second),
+        albedo_linear=np.concatenate([static.albedo_linear, moving.albedo_linear]),
+        transfer=np.concatenate([static.transfer, moving.transfer]),
+        light_of=np.zeros(first + second, np.int32),
+        lights=(light,),
+    )
     return replace(
         cleared,
         gaussians=concatenate([cleared.gaussians, static.gaussians, moving.gaussians]),
@@ -121,10 +129,5 @@ def with_object(
         joint=joint,
         T_world_object=T_world_object,
         scan_state=replace(cleared.scan_state, theta=0.0, T_world_object=T_world_object),
-        relit=Relit(
-            indices=np.arange(count, count + first + second),
-            albedo_linear=np.concatenate([static.albedo_linear, moving.albedo_linear]),
-            transfer=np.concatenate([static.transfer, moving.transfer]),
-            light=light,
-        ),
+        relit=joined(cleared.relit, lit),
     )

@@ -1,16 +1,15 @@
 """Pictures of a twin from fixed cameras: what never moves is drawn once, what moves stays in its bodies' frames."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.light import Light, shaded_srgb
 from aomgen.core.values import Array
 from aomgen.splatting.session import Motion, RenderSession
+from aomgen.twin.relit import Surface, surfaces_of
 from aomgen.twin.twin import Twin
 
 
@@ -42,15 +41,6 @@ def static_layer(gaussians: Gaussians, camera: Camera, threads: int | None = Non
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
-    """Relit Gaussians of one body: `albedo_linear` (M, 3) and `transfer` (M, 9), see `twin.Relit`."""
-
-    body: int
-    albedo_linear: NDArray[np.float32]
-    transfer: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MovingLayer:
     """The Gaussians of a twin that move, prepared for many frames.
 
@@ -58,55 +48,43 @@ class MovingLayer:
         gaussians: N, in body frames; relit ones last, in the order of `surfaces`.
         bodies: Body of each (N,) int32.
         surfaces: What is lit anew as it turns.
-        light: What surfaces are lit by, world frame, or None.
     """
 
     gaussians: Gaussians
     bodies: NDArray[np.int32]
     surfaces: tuple[Surface, ...]
-    light: Light | None
 
     def motion(self, Ts_world_body: ArrayLike) -> Motion:
         """The layer's frames for body poses (T, B, 4, 4): Gaussians turn with their bodies, surfaces are lit."""
         Ts = np.asarray(Ts_world_body, np.float64)
-        light = self.light
-        if light is None or not self.surfaces:
+        if not self.surfaces:
             return Motion(parts=self.bodies, Ts_world_part=Ts)
-        colors = [_lit(surface, light, Ts[:, surface.body, :3, :3]) for surface in self.surfaces]
+        colors = [_lit(surface, Ts[:, surface.body, :3, :3]) for surface in self.surfaces]
         return Motion(parts=self.bodies, Ts_world_part=Ts, colors=np.concatenate(colors, 1))
 
 
 def moving_layer(twin: Twin) -> MovingLayer:
     """Prepare what moves in a twin."""
     moving = twin.select(twin.moves)
-    bodies, relit = moving.bodies, moving.relit
-    row = np.full(len(bodies), -1)  # among the relit Gaussians
-    if relit is not None:
-        row[relit.indices] = np.arange(len(relit.indices))
-    order = np.lexsort((bodies, row >= 0))
-    surfaces = []
-    if relit is not None:
-        lit = order[row[order] >= 0]
-        edges = np.searchsorted(bodies[lit], np.arange(len(twin.body_names) + 1))
-        for body, (start, end) in enumerate(pairwise(edges.tolist())):
-            rows = row[lit[start:end]]
-            if len(rows):
-                albedo, transfer = relit.albedo_linear[rows], relit.transfer[rows]
-                surfaces.append(Surface(body=body, albedo_linear=albedo, transfer=transfer))
+    surfaces = surfaces_of(moving.relit, moving.bodies)
+    lit = np.zeros(0, np.int64)
+    if moving.relit is not None and surfaces:
+        lit = moving.relit.indices[np.concatenate([surface.rows for surface in surfaces])]
+    unlit = np.ones(len(moving.bodies), bool)
+    unlit[lit] = False
+    plain = np.flatnonzero(unlit)
+    order = np.concatenate([plain[np.argsort(moving.bodies[plain], kind="stable")], lit])
     return MovingLayer(
-        gaussians=moving.gaussians.select(order),
-        bodies=bodies[order],
-        surfaces=tuple(surfaces),
-        light=None if relit is None else relit.light,
+        gaussians=moving.gaussians.select(order), bodies=moving.bodies[order], surfaces=surfaces
     )
 
 
-def _lit(surface: Surface, light: Light, Rs_world_body: Array) -> NDArray[np.float32]:
+def _lit(surface: Surface, Rs_world_body: Array) -> NDArray[np.float32]:
     """sRGB colors (T, M, 3) of a surface in T orientations (T, 3, 3); computed where it has turned."""
-    colors = np.empty((len(Rs_world_body), len(surface.albedo_linear), 3), np.float32)
+    colors = np.empty((len(Rs_world_body), len(surface.rows), 3), np.float32)
     for t, R in enumerate(Rs_world_body):
         if t and np.array_equal(R, Rs_world_body[t - 1]):
             colors[t] = colors[t - 1]
         else:
-            colors[t] = shaded_srgb(surface.albedo_linear, surface.transfer, light.seen_from(R))
+            colors[t] = surface.colors_srgb(R)
     return colors

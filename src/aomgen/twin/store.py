@@ -13,11 +13,13 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.twin.twin import Relit, Twin, TwinState
+from aomgen.twin.relit import Relit, Remembered
+from aomgen.twin.twin import Twin, TwinState
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 _GAUSSIANS: Final = ("means", "quats", "scales", "opacities", "sh")
-_RELIT: Final = ("indices", "albedo_linear", "transfer")
+_RELIT: Final = ("indices", "albedo_linear", "transfer", "light_of")
+_REMEMBERED: Final = ("rows", "Rs_world_body", "difference_srgb")
 
 
 def save_twin(folder: Path, twin: Twin) -> None:
@@ -26,7 +28,10 @@ def save_twin(folder: Path, twin: Twin) -> None:
     arrays |= {"bodies": twin.bodies, "labels": twin.labels}
     if twin.relit is not None:
         arrays |= {f"relit_{name}": getattr(twin.relit, name) for name in _RELIT}
-        arrays["light_radiance_sh"] = twin.relit.light.radiance_sh
+        arrays["lights_radiance_sh"] = np.stack([light.radiance_sh for light in twin.relit.lights])
+        for item in twin.relit.remembered:
+            arrays |= {f"remembered_{item.body}_{name}": getattr(item, name) for name in _REMEMBERED}
+            arrays[f"remembered_{item.body}_reach_rad"] = np.array([item.reach_rad])
     joint, state = twin.joint, twin.scan_state
     header = {
         "format": FORMAT,
@@ -63,18 +68,29 @@ def load_twin(folder: Path) -> Twin:
             joint=Joint(**header["joint"]),
             T_world_object=header["T_world_object"],
             scan_state=TwinState(**header["scan_state"]),
-            relit=_relit(arrays),
+            relit=_relit(arrays, len(header["body_names"])),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise MalformedFileError(where, f"is not complete ({error!r})", "run the stage again") from error
 
 
-def _relit(arrays: dict[str, NDArray]) -> Relit | None:
+def _relit(arrays: dict[str, NDArray], bodies: int) -> Relit | None:
     if "relit_indices" not in arrays:
         return None
     fields: dict[str, Any] = {name: arrays[f"relit_{name}"] for name in _RELIT}
+    lights = tuple(Light(radiance_sh=radiance) for radiance in arrays["lights_radiance_sh"])
     _below(fields["indices"], len(arrays["means"]))
-    return Relit(**fields, light=Light(radiance_sh=arrays["light_radiance_sh"]))
+    _below(fields["light_of"], len(lights))
+    remembered = []
+    for body in range(bodies):
+        prefix = f"remembered_{body}_"
+        if f"{prefix}rows" not in arrays:
+            continue
+        values: dict[str, Any] = {name: arrays[prefix + name] for name in _REMEMBERED}
+        _below(values["rows"], len(fields["indices"]))
+        reach = float(arrays[f"{prefix}reach_rad"][0])
+        remembered.append(Remembered(body=body, reach_rad=reach, **values))
+    return Relit(**fields, lights=lights, remembered=tuple(remembered))
 
 
 def _below(indices: NDArray, limit: int) -> NDArray:

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.joint import Joint
-from aomgen.core.light import Light, shaded_srgb
 from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
+from aomgen.twin.relit import Relit, Surface, surfaces_of
 
 WORLD: Final = "world"
 OBJECT: Final = "object"
@@ -44,29 +44,6 @@ class TwinState:
     def __post_init__(self) -> None:
         freeze(self, "joints", self.joints, (None,))
         freeze(self, "T_world_object", self.T_world_object, (4, 4))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Relit:
-    """Surfaces whose color follows the light as they turn.
-
-    Attributes:
-        indices: Which Gaussians of the twin (M,).
-        albedo_linear: (M, 3), 0..1.
-        transfer: (M, 9), in the body's frame; see `core.light`.
-        light: What they are lit by, world frame.
-    """
-
-    indices: NDArray[np.int64]
-    albedo_linear: NDArray[np.float32]
-    transfer: NDArray[np.float32]
-    light: Light
-
-    def __post_init__(self) -> None:
-        count = len(self.indices)
-        freeze(self, "indices", self.indices, (count,), np.int64)
-        freeze(self, "albedo_linear", self.albedo_linear, (count, 3), np.float32)
-        freeze(self, "transfer", self.transfer, (count, 9), np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,21 +88,12 @@ class Twin:
 
     def select(self, which: NDArray[np.bool_]) -> "Twin":
         """The twin with a part of its Gaussians, boolean mask (N,)."""
-        relit = self.relit
-        if relit is not None:
-            kept = which[relit.indices]
-            relit = Relit(
-                indices=(np.cumsum(which) - 1)[relit.indices[kept]],
-                albedo_linear=relit.albedo_linear[kept],
-                transfer=relit.transfer[kept],
-                light=relit.light,
-            )
         return replace(
             self,
             gaussians=self.gaussians.select(which),
             bodies=self.bodies[which],
             labels=self.labels[which],
-            relit=relit,
+            relit=None if self.relit is None else self.relit.select(which),
         )
 
 
@@ -137,16 +105,13 @@ class Rig:
         gaussians: N, in body frames.
         order: (N,) index of each in the twin.
         spans: (body, first, past the last) of every body that carries something.
-        surfaces: For each span its relit rows (M,) among the sorted Gaussians, their albedo
-            (M, 3) and transfer (M, 9).
-        light: What relit surfaces are lit by, or None.
+        surfaces: What is lit anew, each with its places (M,) among the sorted Gaussians.
     """
 
     gaussians: Gaussians
     order: NDArray[np.int64]
     spans: tuple[tuple[int, int, int], ...]
-    surfaces: tuple[tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]], ...]
-    light: Light | None
+    surfaces: tuple[tuple[Surface, NDArray[np.int64]], ...]
 
     def pose(self, Ts_world_body: Array) -> Gaussians:
         """The Gaussians in the world frame, in this rig's order, for body poses (B, 4, 4).
@@ -155,18 +120,17 @@ class Rig:
         """
         source = self.gaussians
         means, quats, sh = np.array(source.means), np.array(source.quats), np.array(source.sh)
-        for (body, start, end), (rows, albedo, transfer) in zip(self.spans, self.surfaces, strict=True):
+        for body, start, end in self.spans:
             T, span = Ts_world_body[body], slice(start, end)
-            if self.light is not None and len(rows):
-                colors = shaded_srgb(albedo, transfer, self.light.seen_from(T[:3, :3]))
-                sh[rows, 0] = (colors - 0.5) / SH_C0
-                sh[rows, 1:] = 0
             if np.array_equal(T, np.eye(4)):
                 continue
             means[span] = apply(T, source.means[span])
             quats[span] = quat_multiply(quat_from_matrix(T[:3, :3]), source.quats[span])
-            if sh.shape[1] > 1 and len(rows) < end - start:
+            if sh.shape[1] > 1:
                 sh[span] = rotate_sh(sh[span], T[:3, :3])
+        for surface, places in self.surfaces:
+            colors = surface.colors_srgb(Ts_world_body[surface.body, :3, :3])
+            sh[places, 0] = (colors - 0.5) / SH_C0
         return gaussians_of(means=means, quats=quats, scales=source.scales, opacities=source.opacities, sh=sh)
 
 
@@ -177,20 +141,14 @@ def rig(twin: Twin) -> Rig:
     spans = tuple((body, a, b) for body, (a, b) in enumerate(pairwise(edges.tolist())) if b > a)
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
-    relit = twin.relit
-    surfaces = []
-    for _, start, end in spans:
-        rows = place[relit.indices] if relit is not None else np.zeros(0, np.int64)
-        mine = (rows >= start) & (rows < end)
-        albedo = relit.albedo_linear[mine] if relit is not None else np.zeros((0, 3), np.float32)
-        transfer = relit.transfer[mine] if relit is not None else np.zeros((0, 9), np.float32)
-        surfaces.append((rows[mine], albedo, transfer))
+    indices = twin.relit.indices if twin.relit is not None else np.zeros(0, np.int64)
     return Rig(
         gaussians=twin.gaussians.select(order),
         order=order,
         spans=spans,
-        surfaces=tuple(surfaces),
-        light=relit.light if relit is not None else None,
+        surfaces=tuple(
+            (surface, place[indices[surface.rows]]) for surface in surfaces_of(twin.relit, twin.bodies)
+        ),
     )
 
 

@@ -72,7 +72,7 @@ def test_a_door_gets_darker_when_it_turns_away_from_the_light(toy_scene):
     assert len(normals) == len(surface.indices)
     # The same door in a light without direction stays as it is.
     even = replace(toy_scene.light, radiance_sh=toy_scene.light.radiance_sh * (np.arange(9) == 0)[:, None])
-    flat = rig(replace(twin, relit=replace(surface, light=even)))
+    flat = rig(replace(twin, relit=replace(surface, lights=(even,))))
     a = flat.pose(body_poses(twin, toy_scene.robot, twin.scan_state)).sh[part, 0]
     b = flat.pose(body_poses(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5))).sh[part, 0]
     np.testing.assert_allclose(a, b, atol=1e-5)

@@ -1,0 +1,49 @@
+"""The pictures of a capture with the state of the twin in each: what its looks are learned from."""
+
+import numpy as np
+
+from aomgen.capture.check import read_demo_videos
+from aomgen.core.camera import Camera
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.recording import Capture
+from aomgen.io.images import read_image
+from aomgen.physics.robot import RobotModel
+from aomgen.reconstruction.gaussians import held_out
+from aomgen.reconstruction.robot_views import Film, matched_film
+from aomgen.twin.twin import Twin, TwinState, render_state
+
+# More pictures tell little more, and take as long again.
+SCAN_PICTURES = 40
+DEMO_PICTURES = 40
+
+
+def scan_films(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -> list[Film]:
+    """Scan images that are not held out, evenly chosen."""
+    withheld = set(held_out([path.name for path in capture.scan_images]))
+    usable = [p for p in capture.scan_images if p.name in cameras_world and p.name not in withheld]
+    chosen = np.unique(np.linspace(0, max(len(usable) - 1, 0), SCAN_PICTURES).astype(int))
+    return [
+        Film(
+            camera=cameras_world[usable[i].name],
+            images_srgb=(read_image(usable[i]),),
+            states=(twin.scan_state,),
+        )
+        for i in chosen[: len(usable)]
+    ]
+
+
+def demo_film(
+    capture: Capture, camera_world: Camera, motion: MotionEstimate, twin: Twin, robot: RobotModel
+) -> Film:
+    """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
+    video = read_demo_videos(capture)[capture.cameras[0].name]
+    chosen = np.unique(np.linspace(0, len(video.times_s) - 1, DEMO_PICTURES).astype(int))
+    times = video.times_s[chosen]
+    joints, gripper = capture.joint_log.at(times + motion.clock_offset_s)
+    states = tuple(
+        TwinState(joints=q, gripper=float(g), theta=float(theta), T_world_object=twin.T_world_object)
+        for q, g, theta in zip(joints, gripper, motion.theta_at(times), strict=True)
+    )
+    film = Film(camera=camera_world, images_srgb=tuple(video.frames_srgb[i] for i in chosen), states=states)
+    first = render_state(twin, robot, states[0], camera_world, features=(~twin.moves)[:, None] * 1.0)
+    return matched_film(film, np.asarray(first.rgb, np.float64), np.asarray(first.features)[..., 0] > 0.95)
