@@ -95,6 +95,10 @@ class SyncError(EstimationError):
     """The clock offset between video and joint log is not determined."""
 
 
+class WrongPromptError(EstimationError):
+    """Prompts and demonstration name different parts as the moving one."""
+
+
 class NoMotionError(EstimationError):
     """The video shows no motion of the movable part."""
 

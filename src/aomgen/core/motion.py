@@ -81,6 +81,7 @@ class MotionEstimate:
         thetas: Joint value at each (T,), [rad] or [m].
         theta_sd: Standard deviation (T,), same unit.
         slip_m: Change of the contact's distance from the axis since the start (T,), [m].
+        part_odds: How many times better contact and video fit the prompted part than anything else.
     """
 
     clock_offset_s: float
@@ -99,6 +100,7 @@ class MotionEstimate:
     thetas: Array
     theta_sd: Array
     slip_m: Array
+    part_odds: float
 
     def __post_init__(self) -> None:
         freeze(self, "grasp_ee", self.grasp_ee, (3,))

@@ -5,17 +5,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.io.images import resize
-from aomgen.io.video import Video
 from aomgen.motion.contact import ContactParams, Contacts, find_contacts
+from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.edges import EdgePrior, edge_prior
 from aomgen.motion.filters import smooth
 from aomgen.motion.hand import HandSignals, Touch, hand_signals, touch_interval
@@ -28,6 +26,7 @@ from aomgen.motion.keyframes import (
     part_region,
     reference_count,
 )
+from aomgen.motion.moved_part import MovedPart, moved_part
 from aomgen.motion.theta import (
     LEAVE_M,
     LEAVE_RAD,
@@ -35,40 +34,10 @@ from aomgen.motion.theta import (
     path_values,
     values_at_frames,
 )
-from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_masks import MasksAt, robot_masks
 
 _DENSE_STEP_S = 0.01
 _SMOOTH_S = 0.2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Demonstration:
-    """What AOMotion looks at.
-
-    Attributes:
-        video: The fixed camera's film.
-        camera: Its pose and intrinsics, world frame.
-        log: The robot's joint log, own clock.
-        robot: Kinematics, meshes and finger pads.
-        points_moving: Points of the moving part at its scanned place (N, 3), world frame, [m].
-        points_static: Points of the standing part (M, 3), world frame, [m].
-        clock_offset_s: Log time minus video time.
-        clock_sd_s: Its standard deviation, [s].
-    """
-
-    video: Video
-    camera: Camera
-    log: JointLog
-    robot: RobotModel
-    points_moving: Array
-    points_static: Array
-    clock_offset_s: float
-    clock_sd_s: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "points_moving", self.points_moving, (None, 3))
-        freeze(self, "points_static", self.points_static, (None, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +64,7 @@ def estimate_motion(
     """Recover the part's motion.
 
     Raises:
+        WrongPromptError: The hand moved something else than the prompted part.
         NoMotionError: The part does not move in the video.
         DemonstrationTooShortError, AmbiguousJointError: The motion does not tell the joint.
         InputError: A part has hardly any points.
@@ -109,6 +79,8 @@ def estimate_motion(
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         progress(0.0, "keyframes")
         view = _KeyframeView.of(demo, masks_at, params)
+    moved = view.moved_part(demo, params.keyframes)
+    moved.check()
     scores, interval = view.interval(params.keyframes)
     progress(0.85, "joint")
     seen = (float(view.signals.times_s[interval.first]), float(view.signals.times_s[interval.last]))
@@ -123,7 +95,7 @@ def estimate_motion(
         speeds_m_s=view.signals.speeds_m_s,
         gripper=view.signals.gripper,
     )
-    return _assemble(demo, curve, recovery)
+    return _assemble(demo, curve, recovery, moved.odds)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,6 +122,21 @@ class _KeyframeView:
             region=part_region(demo.points_moving, small),
             signals=signals,
             touch=touch_interval(signals),
+        )
+
+    def moved_part(self, demo: Demonstration, params: KeyframeParams) -> MovedPart:
+        height, width = self.region.shape
+        static, other = (
+            hand_signals(demo.robot, demo.log, points, self.signals.times_s, demo.clock_offset_s)
+            for points in (demo.points_static, demo.points_other)
+        )
+        return moved_part(
+            (demo.points_moving, demo.points_static, demo.points_other),
+            (self.signals, static, other),
+            self.frames_srgb,
+            self.masks,
+            demo.camera.resized(width, height),
+            params,
         )
 
     def interval(self, params: KeyframeParams) -> tuple[Array, Interval]:
@@ -232,7 +219,7 @@ def _poses(demo: Demonstration, log_times_s: Array) -> Array:
     return demo.robot.ee_poses(demo.log.at(log_times_s)[0])
 
 
-def _assemble(demo: Demonstration, curve: MotionCurve, recovery: _Recovery) -> MotionEstimate:
+def _assemble(demo: Demonstration, curve: MotionCurve, recovery: _Recovery, odds: float) -> MotionEstimate:
     frames = demo.video.times_s
     estimate = recovery.estimate
     thetas = values_at_frames(frames, recovery.times_s, recovery.values, recovery.interval, recovery.levels)
@@ -262,6 +249,7 @@ def _assemble(demo: Demonstration, curve: MotionCurve, recovery: _Recovery) -> M
         thetas=thetas,
         theta_sd=_theta_sd(demo, recovery, thetas, frames),
         slip_m=np.where(moving, slip, 0.0),
+        part_odds=odds,
     )
 
 

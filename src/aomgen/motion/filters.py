@@ -30,6 +30,11 @@ def closed(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     return np.asarray(ndimage.binary_closing(mask, iterations=pixels, border_value=0), bool)
 
 
+def lowest_around(values: Array, pixels: int) -> Array:
+    """The smallest value (H, W) in a square of `pixels` around each pixel."""
+    return np.asarray(ndimage.minimum_filter(values, size=pixels))
+
+
 def filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """A mask (H, W) without holes."""
     return np.asarray(ndimage.binary_fill_holes(mask), bool)

@@ -115,6 +115,26 @@ def motion_scores(
     return scores
 
 
+def change_over(
+    frames_srgb: NDArray[np.uint8],
+    robot: NDArray[np.bool_],
+    touch: Touch,
+    reference_frames: int,
+    params: KeyframeParams,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """How surely pixels changed over the touch (H, W), 0..1, and where both ends show no robot (H, W)."""
+    ends = (
+        slice(touch.first, touch.first + reference_frames),
+        slice(max(touch.first, touch.last + 1 - reference_frames), touch.last + 1),
+    )
+    pictures = []
+    for end in ends:
+        hidden = np.stack([grown(mask, params.dilate_px) for mask in robot[end]])
+        pictures.append(_reference(frames_srgb[end], hidden))
+    (before, before_seen), (after, after_seen) = pictures
+    return _change(before, after, params), before_seen & after_seen
+
+
 def find_interval(
     times_s: Array, scores: Array, touch: Touch, params: KeyframeParams | None = None
 ) -> Interval:

@@ -10,7 +10,8 @@ from aomgen.core.progress import Progress, silent
 from aomgen.errors import CorruptArtifactError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.motion.estimate import Demonstration, MotionParams, estimate_motion
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.estimate import MotionParams, estimate_motion
 
 FILE_NAME = "motion.json"
 

@@ -19,7 +19,8 @@ from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.io.atomic import write_json
 from aomgen.io.video import Video, probe_video
-from aomgen.motion.estimate import Demonstration as MotionInput
+from aomgen.motion.demonstration import Demonstration as MotionInput
+from aomgen.motion.moved_part import doubts
 from aomgen.motion.stage import load_motion, run_motion
 from aomgen.physics.robot import RobotModel, chosen_robot
 from aomgen.physics.robot_store import save_robot
@@ -222,6 +223,7 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
             robot=robot_of(capture),
             points_moving=surface_points(world, parts.labels, MOVING),
             points_static=surface_points(world, parts.labels, STATIC),
+            points_other=surface_points(world, parts.labels, BACKGROUND),
             clock_offset_s=clock.offset_s,
             clock_sd_s=clock.sd_s,
         )
@@ -240,6 +242,8 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         f"opened_{unit}": factor * float(estimate.thetas.max()),
         "axis_sd_deg": float(np.degrees(estimate.axis_sd_rad)),
         "origin_sd_mm": 1e3 * estimate.origin_sd_m,
+        "part_odds": estimate.part_odds,
+        WARNINGS: doubts(estimate.part_odds),
     }
 
 
