@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from aomgen.benchmarks.accuracy import robust_similarity
-from aomgen.benchmarks.alignment_cases import UNSOLVABLE, Case, Scene, make_case, resimilated
+from aomgen.benchmarks.alignment_cases import UNSOLVABLE, Case, Scene, make_case, resimilated, without_robot
 from aomgen.benchmarks.truth import read_truth
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
@@ -86,15 +86,16 @@ def run_alignment_bench(
         tell: Gets the row of every start as soon as it is known.
     """
     scenes = [_scene_of(path, run_project) for path in paths]
+    bare = [without_robot(scene) for scene in scenes]
     rng = np.random.default_rng(seed)
     outcomes = []
     for number in range(starts):
-        scene = scenes[number % len(scenes)]
+        index = number % len(scenes)
         # Kinds take turns, so that few starts hold all of them.
         turn = number // len(scenes)
         solvable = int((turn + 1) * SOLVABLE_SHARE) > int(turn * SOLVABLE_SHARE)
         kind = "solvable" if solvable else UNSOLVABLE[(turn - int(turn * SOLVABLE_SHARE)) % len(UNSOLVABLE)]
-        outcomes.append(_try(make_case(scene, kind, rng)))
+        outcomes.append(_try(make_case(scenes[index], bare[index], kind, rng)))
         tell(_row(outcomes[-1]))
     figures = summary(outcomes)
     figures["frame_invariance_mm"] = max(_frame_spread_mm(scene, rng) for scene in scenes)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
 
+from aomgen.benchmarks.alignment_solvable import is_solvable
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts
 from aomgen.core.values import Array
@@ -58,23 +59,28 @@ class Case:
     scene: Scene
 
 
-def make_case(scene: Scene, kind: str, rng: np.random.Generator) -> Case:
-    """A case of one kind: a random similarity of the recon frame, and what the kind asks for."""
+def make_case(scene: Scene, bare: Scene, kind: str, rng: np.random.Generator) -> Case:
+    """A case of one kind: a random similarity of the recon frame, and what the kind asks for.
+
+    Args:
+        scene: With the robot.
+        bare: The same `without_robot`.
+        kind: "solvable" or one of `UNSOLVABLE`.
+        rng: Chooses what is done.
+    """
     done: list[str] = []
-    if kind in ("absent", "elsewhere"):
-        scene = without_robot(scene)
-        if kind == "elsewhere":
-            scene = replace(scene, robot_boxes=scene.other_boxes)
+    if kind == "absent":
+        scene = bare
+    elif kind == "elsewhere":
+        scene = replace(bare, robot_boxes=scene.other_boxes)
     elif kind == "mirrored":
         scene = mirrored(scene)
     elif kind == "joints":
         scene, said = _wrong_joints(scene, rng)
         done.append(said)
     elif kind == "solvable":
-        for name, disturb in _DISTURBANCES.items():
-            if rng.random() < 0.5:
-                scene = disturb(scene, rng)
-                done.append(name)
+        scene, said = _solvable(scene, rng)
+        done += said
     scale = float(np.exp(rng.uniform(*np.log(SCALES))))
     scene = resimilated(scene, scale, matrix_from_rotvec(_direction(rng) * rng.uniform(0, np.pi)), rng)
     return Case(kind=kind, done=(*done, f"scale {scale:.2g}"), scene=scene)
@@ -120,6 +126,18 @@ def mirrored(scene: Scene) -> Scene:
         other_boxes=[_mirrored_box(box) for box in scene.other_boxes],
         points_recon=scene.points_recon * [-1.0, 1.0, 1.0],
     )
+
+
+def _solvable(scene: Scene, rng: np.random.Generator) -> tuple[Scene, list[str]]:
+    """Half of all disturbances, drawn again until the scene still `is_solvable`."""
+    while True:
+        disturbed, done = scene, []
+        for name, disturb in _DISTURBANCES.items():
+            if rng.random() < 0.5:
+                disturbed = disturb(disturbed, rng)
+                done.append(name)
+        if is_solvable(disturbed.views, disturbed.robot_boxes, disturbed.posture, disturbed.S_world_recon):
+            return disturbed, done
 
 
 def _wrong_joints(scene: Scene, rng: np.random.Generator) -> tuple[Scene, str]:
@@ -183,15 +201,21 @@ def _cut_images(scene: Scene, rng: np.random.Generator) -> Scene:
 def _shake_cameras(scene: Scene, rng: np.random.Generator) -> Scene:
     """Every camera off by some 2 mm and 0.05 degrees, on top of what the structure is off."""
     scale, _, _ = similarity_parts(scene.S_world_recon)
+    shaken: dict[bytes, Camera] = {}
 
-    def shaken(camera: Camera) -> Camera:
-        T = camera.T_world_cam.copy()
-        T[:3, :3] = matrix_from_rotvec(rng.normal(0, np.radians(0.05), 3)) @ T[:3, :3]
-        T[:3, 3] += rng.normal(0, 0.0012 / scale, 3)
-        return camera.moved(T)
+    def shake(camera: Camera) -> Camera:
+        key = camera.T_world_cam.tobytes()
+        if key not in shaken:
+            T = camera.T_world_cam.copy()
+            T[:3, :3] = matrix_from_rotvec(rng.normal(0, np.radians(0.05), 3)) @ T[:3, :3]
+            T[:3, 3] += rng.normal(0, 0.0012 / scale, 3)
+            shaken[key] = camera.moved(T)
+        return camera.moved(shaken[key].T_world_cam)
 
     return replace(
-        scene, views=[replace(view, camera_recon=shaken(view.camera_recon)) for view in scene.views]
+        scene,
+        views=[replace(view, camera_recon=shake(view.camera_recon)) for view in scene.views],
+        robot_boxes=[replace(box, camera_recon=shake(box.camera_recon)) for box in scene.robot_boxes],
     )
 
 

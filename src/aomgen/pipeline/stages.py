@@ -59,7 +59,7 @@ STAGES: tuple[Stage, ...] = (
         title="aligning scene and robot, clock",
         needs=("capture", "structure"),
         settings=(),
-        version=4,
+        version=5,
         weight=30,
         function=lazily("recovery", "alignment"),
     ),

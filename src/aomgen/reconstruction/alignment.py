@@ -14,7 +14,7 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AlignmentError
-from aomgen.reconstruction.alignment_search import SearchParams, different, search
+from aomgen.reconstruction.alignment_search import SearchParams, search
 from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.contours import View
 from aomgen.reconstruction.outline_errors import joint_offsets, similarity_covariance
@@ -40,15 +40,13 @@ class AlignmentParams:
 
     Attributes:
         search: Effort of the search for likely places.
-        finalists: The best of them, which are pulled onto outlines and compared.
         views: Scan images used, spread over the walk.
         width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
         min_lift: Least support beyond chance, of the robot.
         min_segment_lift: The same for every segment of the arm that a joint moves.
         min_margin: Least lead in support over a different hypothesis.
-        finalists_apart: Finalists differ by more than this, as a share of the robot's size.
-        finalist_share: And their colors score at least this share of the best one's.
+        finalist_share: Places are pulled onto outlines whose colors score this share of the best one's.
         distinct_m: Hypotheses whose robots are farther apart than this are different.
         max_joint_offset_rad: Largest offset of a joint that the images may ask for.
         joint_sds: An offset counts when it is this many of its standard deviations.
@@ -56,14 +54,12 @@ class AlignmentParams:
     """
 
     search: SearchParams = field(default_factory=SearchParams)
-    finalists: int = 3
     views: int = 24
     width: int = 640
     contour_points: int = 400
     min_lift: float = 0.2
     min_segment_lift: float = 0.1
     min_margin: float = 0.1
-    finalists_apart: float = 0.5
     finalist_share: float = 0.5
     distinct_m: float = 0.05
     max_joint_offset_rad: float = float(np.radians(2.0))
@@ -138,18 +134,15 @@ def align(
     views = [reduced(view, params.width) for view in views]
     found = search(views, boxes, apply(S_unit_recon, points_recon), posture, rng, params.search)
     progress(0.3, "looked for likely places")
-    starts = different(
-        found.at_least(params.finalist_share),
-        posture.points_world(60),
-        params.finalists_apart,
-        params.finalists,
-    )
+    starts = found.at_least(params.finalist_share)
     width = max(view.camera_recon.width for view in views)
     height = max(view.camera_recon.height for view in views)
     with robot_drawing(posture, width, height) as drawing:
-        ranked = _refine_starts(starts.Ss_world_recon, views, drawing, part(progress, 0.3, 0.6), params)
-        S = ranked[0][1]
-        others = [s for s, other in ranked[1:] if _distance(S, other, posture) > params.distinct_m]
+        ranked = _refine_starts(starts.Ss_world_recon, views, drawing, part(progress, 0.3, 0.6))
+        first, S = ranked[0]
+        if not first.lift >= params.min_lift / 2:
+            raise _unconfirmed(first, params)
+        others = [other.support for other, T in ranked[1:] if _distance(S, T, posture) > params.distinct_m]
         chosen = spread(views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
@@ -179,19 +172,19 @@ def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
 
 
 def _refine_starts(
-    starts: Array, views: list[View], drawing: RobotDrawing, progress: Progress, params: AlignmentParams
-) -> list[tuple[float, Array]]:
+    starts: Array, views: list[View], drawing: RobotDrawing, progress: Progress
+) -> list[tuple[Confirmation, Array]]:
     """Pull every start (H, 4, 4) onto the outlines of some views; best support first."""
     ranked = []
     for index, start in enumerate(starts):
         chosen = spread(views, start, drawing, 8)
         if chosen:
             S = refine(start, chosen, drawing, MIDDLE, 200)
-            ranked.append((confirmation(look(S, chosen, drawing, 200)).support, S))
+            ranked.append((confirmation(look(S, chosen, drawing, 200)), S))
         progress((index + 1) / len(starts), f"place {index + 1} of {len(starts)}")
     if not ranked:
         raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
-    return sorted(ranked, key=lambda item: -item[0])
+    return sorted(ranked, key=lambda item: -item[0].support)
 
 
 def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation, runner_up: float) -> Alignment:
@@ -213,17 +206,20 @@ def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation, runner
     )
 
 
+def _unconfirmed(found: Confirmation, params: AlignmentParams) -> AlignmentError:
+    return AlignmentError(
+        STAGE,
+        f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
+        f"one drawn anywhere; want a lead of {params.min_lift:.0%}",
+        "check the robot prompts and that the first rows of the log are the scan's joint values",
+    )
+
+
 def _refuse_unconfirmed(
     found: Confirmation, runner_up: float, posture: RobotPosture, params: AlignmentParams
 ) -> None:
-    remedy = "check the robot prompts and that the first rows of the log are the scan's joint values"
     if not found.lift >= params.min_lift:
-        raise AlignmentError(
-            STAGE,
-            f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
-            f"one drawn anywhere; want a lead of {params.min_lift:.0%}",
-            remedy,
-        )
+        raise _unconfirmed(found, params)
     if not found.support - runner_up >= params.min_margin:
         raise AlignmentError(
             STAGE,

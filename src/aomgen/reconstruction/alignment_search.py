@@ -47,6 +47,8 @@ class SearchParams:
         width: Of the small images, [px].
         views, first_views: How many of them, and how many for the first look.
         generations: Rounds; steps begin at the size of the basin, about a link's thickness.
+        apart: The places returned differ by more than this share of the robot's size.
+        kept: How many of them, at most.
     """
 
     guesses: int = 2400
@@ -55,11 +57,13 @@ class SearchParams:
     views: int = 8
     first_views: int = 4
     generations: tuple[Generation, ...] = (
-        Generation(parents=60, apart=0.08, children=6, step=0.06),
-        Generation(parents=30, apart=0.06, children=10, step=0.04),
-        Generation(parents=15, apart=0.05, children=14, step=0.025),
-        Generation(parents=8, apart=0.03, children=16, step=0.012),
+        Generation(parents=50, apart=0.08, children=6, step=0.06),
+        Generation(parents=24, apart=0.06, children=8, step=0.04),
+        Generation(parents=12, apart=0.05, children=10, step=0.025),
+        Generation(parents=6, apart=0.03, children=12, step=0.012),
     )
+    apart: float = 0.5
+    kept: int = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +91,7 @@ def search(
     rng: np.random.Generator,
     params: SearchParams | None = None,
 ) -> Found:
-    """Likely places of the robot, best first and different from one another.
+    """Likely places of the robot, best first and far from one another.
 
     Args:
         views: Images.
@@ -99,7 +103,7 @@ def search(
     """
     params = params or SearchParams()
     vertices = posture.points_world()
-    probe = vertices[rng.choice(len(vertices), 40)]
+    probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in views], points_recon, rng)
     places = places_in_boxes(boxes, vertices, ups, points_recon, rng, params.guesses)
     Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + params.max_misfit]
@@ -116,7 +120,7 @@ def search(
         children = _near(parents.Ss_world_recon, probe, generation, rng)
         looked_at.append(Found(Ss_world_recon=children, scores=score(children)))
     found = _joined(looked_at)
-    return different(found, probe, params.generations[-1].apart, len(found.scores))
+    return different(found, probe, params.apart, params.kept)
 
 
 def _kept(generation: Generation) -> tuple[float, int]:

@@ -59,22 +59,27 @@ class ColorScore:
     def _silhouettes(self, view: View, Ss_recon_world: Array) -> tuple[NDArray[np.bool_], Array]:
         """Masks (H, h, w), and which share of the robot is in the picture (H,)."""
         camera = view.camera_recon
-        Ms = camera.T_cam_world @ Ss_recon_world
-        points = self.points_world @ np.swapaxes(Ms[:, :3, :3], 1, 2) + Ms[:, None, :3, 3]
-        z = points[..., 2]
-        front = z > 1e-6
-        depth = np.where(front, z, 1.0)
-        u = camera.fx * points[..., 0] / depth + camera.cx
-        v = camera.fy * points[..., 1] / depth + camera.cy
-        inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        place, _ = np.nonzero(inside)
-        masks = np.zeros((len(Ms), camera.height, camera.width), bool)
-        masks[place, v[inside].astype(np.int64), u[inside].astype(np.int64)] = True
+        K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+        Ms = K @ (camera.T_cam_world @ Ss_recon_world)[:, :3]
+        # Pixels are whole numbers here: single precision is more than enough.
+        u, v, z = np.einsum("hij,pj->ihp", Ms.astype(np.float32), self._homogeneous(), optimize=True)
+        depth = np.maximum(z, np.float32(1e-6))
+        u, v = np.floor(u / depth), np.floor(v / depth)
+        width, height = camera.width, camera.height
+        inside = (z > 1e-6) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        first = np.arange(len(Ms), dtype=np.int64)[:, None] * (width * height)
+        masks = np.zeros(len(Ms) * width * height, bool)
+        masks[(first + np.where(inside, v * width + u, 0).astype(np.int64))[inside]] = True
+        masks = masks.reshape(len(Ms), height, width)
         return ~_grown(~_grown(masks, 1), 1), inside.mean(1)
+
+    def _homogeneous(self) -> NDArray[np.float32]:
+        ones = np.ones((len(self.points_world), 1))
+        return np.concatenate([self.points_world, ones], 1).astype(np.float32)
 
 
 def color_score(
-    views: list[View], posture: RobotPosture, rng: np.random.Generator, points: int = 1500
+    views: list[View], posture: RobotPosture, rng: np.random.Generator, points: int = 1200
 ) -> ColorScore:
     """Prepare small images for quick looks.
 

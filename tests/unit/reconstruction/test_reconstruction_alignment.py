@@ -19,7 +19,7 @@ from aomgen.reconstruction.upright import up_candidates
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
-PARAMS = AlignmentParams(finalists=2, views=6, contour_points=250)
+PARAMS = AlignmentParams(views=6, contour_points=250)
 
 
 @pytest.fixture(scope="module")
