@@ -109,6 +109,17 @@ def check(
 
 
 @app.command()
+def masks(
+    capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
+    weights: Annotated[str, typer.Option(help="Name of installed SAM 2 weights.")],
+) -> None:
+    """Follow the prompted parts through the scan with SAM 2; writes masks/<weights>/ of the capture."""
+    from aomgen.pipeline.masks import write_masks
+
+    print(f"wrote {write_masks(capture, weights, lambda share, text: print(f'  {share:4.0%} {text}'))}")
+
+
+@app.command()
 def init(
     capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
     project: Annotated[Path, typer.Option(help="Project file to write.")] = Path("project.toml"),

@@ -62,9 +62,9 @@ def read_capture(folder: Path) -> Capture:
     if scan_intrinsics:
         check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
     masks = folder / "masks"
-    mask_folders = (
-        {item.name: item for item in sorted(masks.iterdir()) if item.is_dir()} if masks.is_dir() else {}
-    )
+    # A hidden folder is one that is still being written.
+    visible = [item for item in sorted(masks.glob("[!.]*")) if item.is_dir()]
+    mask_folders = {item.name: item for item in visible}
     return Capture(
         folder=folder,
         name=manifest.name,

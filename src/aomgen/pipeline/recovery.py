@@ -176,7 +176,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         S_world_recon,
         {path.name: path for path in capture.scan_images},
         capture.prompts,
-        choose_segmenter(capture.mask_folders),
+        choose_segmenter(capture.mask_folders, run.project.segmenter),
         posture,
         folder,
         progress,
@@ -192,7 +192,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         "method": result.method,
         "box_misfit": result.box_misfit,
         "coverage": found.figures(),
-        WARNINGS: [*result.warnings(), *found.warnings()],
+        WARNINGS: found.warnings(),
     }
 
 

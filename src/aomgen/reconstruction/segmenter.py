@@ -1,4 +1,4 @@
-"""Masks of prompted parts: MobileSAM, label images on disk, or a plain color cut."""
+"""Masks of prompted parts: MobileSAM, label images on disk, or a plain color cut; see also `sam2`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -265,11 +265,22 @@ def clean(mask: Mask) -> Mask:
     return np.asarray(binary_fill_holes(pieces == int(np.argmax(sizes))), bool)
 
 
-def choose_segmenter(mask_folders: Mapping[str, Path]) -> Segmenter:
-    """Label images when the capture has them, else MobileSAM.
+def choose_segmenter(mask_folders: Mapping[str, Path], name: str = "auto") -> Segmenter:
+    """The segmenter of a name; never another one instead.
+
+    Args:
+        mask_folders: Label images of the capture.
+        name: "auto" (label images when the capture has them, else MobileSAM), "mobile_sam", or the
+            name of installed SAM 2 weights, see `sam2_weights`.
 
     Raises:
-        BackendError: Neither is there; the message names the command that fetches the weights.
-            `ColorCut` is never chosen silently: its masks are rough.
+        BackendError: It is not there; the message names the command that fetches it. `ColorCut`
+            is never chosen: its masks are rough.
     """
-    return MasksOnDisk(folders=mask_folders) if mask_folders else MobileSam()
+    if name == "auto" and mask_folders:
+        return MasksOnDisk(folders=mask_folders)
+    if name in ("auto", "mobile_sam"):
+        return MobileSam()
+    from aomgen.reconstruction.sam2 import Sam2
+
+    return Sam2(name)
