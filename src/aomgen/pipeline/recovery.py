@@ -192,7 +192,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         "method": result.method,
         "box_misfit": result.box_misfit,
         "coverage": found.figures(),
-        WARNINGS: found.warnings(),
+        WARNINGS: [*result.warnings(), *found.warnings()],
     }
 
 

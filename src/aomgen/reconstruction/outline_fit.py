@@ -52,7 +52,9 @@ MIDDLE = (
     Level(width=320, reach=12, draws=2, steps=2),
     Level(width=640, reach=8, draws=1, steps=2),
 )
-FINE = (Level(width=640, reach=4, draws=3, steps=3, edges=True, fine=True),)
+FINE = (
+    Level(width=640, reach=4, draws=3, steps=3, edges=True, fine=True),
+)
 # Cells of the meshes that are drawn coarsely: a pixel of a small image sees as much at two metres.
 COARSE_CELL_M = 0.006
 # Steps shorter than this change no digit that is reported.

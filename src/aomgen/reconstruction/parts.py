@@ -12,13 +12,14 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze
-from aomgen.errors import ReconstructionError
+from aomgen.errors import ReconstructionError, WrongPromptError
 from aomgen.reconstruction.affinity_parts import AffinityPartsParams, affinity_labels, masked_scan
 from aomgen.reconstruction.binding import MAX_DISTANCE_M, nearest_links
 from aomgen.reconstruction.enclosed import with_enclosed
@@ -35,6 +36,13 @@ PartsMethod = Literal["closed_form", "saga"]
 LOOSE_DISTANCE_M = 0.06
 # Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
 MAX_MISFIT = 0.1
+# Boxes explained worse than this (5 % of the box a side) are worth a warning.
+DOUBTED_MISFIT = 0.2
+# Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
+# captures with right prompts, 0.6 and more with boxes around a neighbor).
+MAX_APART_SHARE = 0.2
+# Gaussians that count as surface.
+SOLID_OPACITY = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +86,15 @@ class Parts:
     method: str
     box_misfit: float
 
+    def warnings(self) -> list[str]:
+        """Sentences about prompts that the found parts do not fit."""
+        if self.box_misfit <= DOUBTED_MISFIT:
+            return []
+        return [
+            f"the parts found end {100 * self.box_misfit / 4:.0f} % of a box away from the prompts' boxes, want "
+            f"{100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on all four sides"
+        ]
+
     def __post_init__(self) -> None:
         count = len(self.labels)
         freeze(self, "labels", self.labels, (count,), np.uint8)
@@ -107,6 +124,7 @@ def find_parts(
 
     Raises:
         ReconstructionError: A part has no usable prompt, or almost nothing was found of it.
+        WrongPromptError: The prompts show parts of different objects.
     """
     params = params or PartsParams()
     rng = np.random.default_rng(params.seed)
@@ -125,6 +143,7 @@ def find_parts(
     labels, confidence = found.labels.copy(), found.confidence.copy()
     robot = bodies >= 0
     labels[robot], confidence[robot] = ROBOT, robot_share[robot]
+    _check_touching(gaussians, labels)
     labels = with_enclosed(gaussians.means, gaussians.opacities, labels)
     for name, value in (("static", STATIC), ("moving", MOVING)):
         count = int((labels == value).sum())
@@ -143,6 +162,24 @@ def find_parts(
         method=found.method,
         box_misfit=found.misfit,
     )
+
+
+def _check_touching(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:
+    """Refuse a static part that is nowhere near the moving one."""
+    solid = gaussians.opacities > SOLID_OPACITY
+    moving, static = (gaussians.means[solid & (labels == value)] for value in (MOVING, STATIC))
+    if not (len(moving) and len(static)):
+        return
+    low, high = np.quantile(moving, [0.02, 0.98], axis=0)
+    size = float(np.linalg.norm(high - low))
+    gap = float(np.quantile(cKDTree(static).query(moving)[0], 0.05))
+    if not gap <= MAX_APART_SHARE * size:
+        raise WrongPromptError(
+            "prompts of the static part",
+            f"what they show is {1e3 * gap:.0f} mm away from the moving part (limit "
+            f"{1e3 * MAX_APART_SHARE * size:.0f} mm), so it is another object",
+            "in capture.toml, draw 'static' around the body that the moving part hangs on",
+        )
 
 
 def _by_panel(

@@ -1,5 +1,7 @@
 """Parts of a small scene with known labels, robot binding, segmenters and their weights."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,14 +12,14 @@ from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.core.transforms import apply
-from aomgen.errors import BackendError, MalformedFileError, ReconstructionError
+from aomgen.errors import BackendError, MalformedFileError, ReconstructionError, WrongPromptError
 from aomgen.io.images import read_labels, write_image
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.binding import nearest_links
 from aomgen.reconstruction.outline_fit import RobotPosture
 from aomgen.reconstruction.part_masks import ScanView
-from aomgen.reconstruction.parts import find_parts
+from aomgen.reconstruction.parts import Parts, find_parts
 from aomgen.reconstruction.parts_stage import load_parts, save_parts
 from aomgen.reconstruction.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter, clean
 from aomgen.reconstruction.weights import find_weights
@@ -150,6 +152,39 @@ def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
             np.isin(ids, np.flatnonzero(parts.labels == value)),
         )
         assert (agreeing[0] & agreeing[1]).sum() / (agreeing[0] | agreeing[1]).sum() > least, value
+
+
+def test_parts_of_different_objects_are_refused(posture, tmp_path):
+    """The static prompts show a crate half a metre from the door."""
+    gaussians, labels = toy_scene(posture)
+    crate = gaussians.means[labels == STATIC] + [0.55, 0.1, 0.0]
+    both = Gaussians(
+        means=np.concatenate([gaussians.means, crate]),
+        quats=np.concatenate([gaussians.quats, gaussians.quats[: len(crate)]]),
+        scales=np.concatenate([gaussians.scales, gaussians.scales[: len(crate)]]),
+        opacities=np.concatenate([gaussians.opacities, gaussians.opacities[: len(crate)]]),
+        sh=np.concatenate([gaussians.sh, np.full((len(crate), *gaussians.sh.shape[1:]), 0.5, np.float32)]),
+    )
+    wrong = np.concatenate([np.where(labels == STATIC, BACKGROUND, labels), np.full(len(crate), STATIC)])
+    views = toy_views(both, wrong, posture, tmp_path)
+    shown = [k for k in range(8) if (read_labels(tmp_path / f"{k}.png") == STATIC).sum() > 500][:2]
+    prompts = tuple(tight_prompt("static", k, tmp_path) for k in shown)
+    prompts += tuple(tight_prompt("moving", k, tmp_path) for k in (2, 4))
+    with pytest.raises(WrongPromptError, match=r"away from the moving part.*another object.*around the body"):
+        find_parts(both, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), posture, silent)
+
+
+def test_parts_that_miss_their_boxes_are_warned_about():
+    labels = np.zeros(3, np.uint8)
+    found = Parts(
+        labels=labels, confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32), views=(),
+        method="vote", box_misfit=0.4,
+    )  # fmt: skip
+    assert found.warnings() == [
+        "the parts found end 10 % of a box away from the prompts' boxes, want 5 %; draw boxes that touch each "
+        "part on all four sides"
+    ]
+    assert replace(found, box_misfit=0.1).warnings() == []
 
 
 def test_a_part_without_a_prompt_is_refused(posture, tmp_path):
