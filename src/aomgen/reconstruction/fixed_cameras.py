@@ -11,7 +11,15 @@ from aomgen.core.recording import Intrinsics
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.mapped import Mapped
 from aomgen.reconstruction.mapping import Workspace
-from aomgen.reconstruction.resection import Resection, agree, choose_view_lens, resect
+from aomgen.reconstruction.resection import (
+    OWN_LENS_SIGNIFICANCE,
+    Links,
+    Resection,
+    agree,
+    choose_view_lens,
+    own_lens_significance,
+    resect,
+)
 
 STILLS = ("first", "median")
 # Two placements of one camera are the same place below these; a wrong place is far beyond. Where
@@ -76,18 +84,48 @@ def place_fixed_camera(work: Workspace, mapped: Mapped, name: str, view: DemoVie
             lens = choice.lens
             work.set_lens(group, lens)
             found = _placed(work, mapped, group, lens, focal_known=focal_known)
+    if found and not focal_known and (lens.width, lens.height) == (mapped.lens.width, mapped.lens.height):
+        significance = _own_lens(work, mapped, group, lens, found)
+        figures["own_lens_significance"] = significance
+        if significance < OWN_LENS_SIGNIFICANCE:
+            lens, focal_known = mapped.lens, True
+            work.set_lens(group, lens)
+            found = _placed(work, mapped, group, lens, focal_known=True)
     used, reason = _chosen(name, found)
-    camera = found[used].camera_recon
+    best = found[used[0]]
+    if len(used) == 2:
+        best = (
+            resect(_links(work, mapped, group, used), lens, focal_known=focal_known, seed=work.seed) or best
+        )
+    camera = best.camera_recon
     figures |= {f"{still}_inliers": placed.count for still, placed in found.items()}
-    figures |= {"used": used, "reason": reason}
+    figures |= {"used": list(used), "reason": reason}
     if len(found) == 2:
         apart = agree(found["first"], found["median"])
         figures |= {"disagreement_deg": apart.angle_deg, "disagreement_share": apart.distance_share}
     if not lens.bends:
-        lens = Lens(
-            fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, width=camera.width, height=camera.height
-        )
+        lens = _pinhole(camera)
     return FixedCamera(camera_recon=camera, lens=lens, figures=figures)
+
+
+def _own_lens(work: Workspace, mapped: Mapped, group: str, lens: Lens, found: dict[str, Resection]) -> float:
+    """Standard errors by which the camera's own lens is better than the scan's."""
+    still, best = max(found.items(), key=lambda item: item[1].count)
+    own = lens if lens.bends else _pinhole(best.camera_recon)
+    return own_lens_significance(work.links(group, still, mapped), best, (mapped.lens, own), seed=work.seed)
+
+
+def _links(work: Workspace, mapped: Mapped, group: str, stills: tuple[str, ...]) -> Links:
+    first, *others = (work.links(group, still, mapped) for still in stills)
+    for other in others:
+        first = first.with_links(other)
+    return first
+
+
+def _pinhole(camera: Camera) -> Lens:
+    return Lens(
+        fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, width=camera.width, height=camera.height
+    )
 
 
 def _placed(
@@ -100,8 +138,8 @@ def _placed(
     return {still: placed for still, placed in found.items() if placed is not None}
 
 
-def _chosen(name: str, found: dict[str, Resection]) -> tuple[str, str]:
-    """The still that is believed, and why.
+def _chosen(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], str]:
+    """The stills that are believed, and why.
 
     Raises:
         ReconstructionError: None can be believed.
@@ -118,11 +156,11 @@ def _chosen(name: str, found: dict[str, Resection]) -> tuple[str, str]:
         )
         raise ReconstructionError(where, problem, remedy)
     if len(held) == 1:
-        return next(iter(held)), "the other still could not be placed"
+        return tuple(held), "the other still could not be placed"
     first, median = held["first"], held["median"]
     apart = agree(first, median)
     if apart.angle_deg <= SAME_ANGLE_DEG and apart.distance_share <= SAME_DISTANCE_SHARE:
-        return "first", "first frame and temporal median agree"
+        return STILLS, "first frame and temporal median agree"
     more, fewer = ("first", "median") if first.count >= median.count else ("median", "first")
     if not held[more].count >= CLEAR_MAJORITY * held[fewer].count:
         raise ReconstructionError(
@@ -132,4 +170,4 @@ def _chosen(name: str, found: dict[str, Resection]) -> tuple[str, str]:
             "matches, so neither can be trusted",
             f"check that the camera did not move; {remedy}",
         )
-    return more, f"they disagree, and it has {held[more].count} matches against {held[fewer].count}"
+    return (more,), f"they disagree, and it has {held[more].count} matches against {held[fewer].count}"

@@ -9,7 +9,13 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
 from aomgen.reconstruction.lens_choice import choose_lens, compare
 from aomgen.reconstruction.mapped import adjust
-from aomgen.reconstruction.resection import Links, choose_view_lens, resect
+from aomgen.reconstruction.resection import (
+    OWN_LENS_SIGNIFICANCE,
+    Links,
+    choose_view_lens,
+    own_lens_significance,
+    resect,
+)
 from aomgen.reconstruction.straight import straight_prompts
 
 SIZE = {"width": 640, "height": 480}
@@ -97,6 +103,42 @@ def test_one_bent_view_is_found_and_placed():
     assert again is not None
     assert again.count > placed.count
     assert np.linalg.norm(again.camera_recon.center - camera.center) < 0.01
+
+
+def _own_lens(true: Lens, given: Lens, seed: int) -> float:
+    plain = Lens(**OPTICS, **SIZE)
+    links, _ = _links(true, seed)
+    placed = resect(links, plain, focal_known=False, seed=0)
+    assert placed is not None
+    c = placed.camera_recon
+    own = Lens(fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy, **SIZE)
+    return own_lens_significance(links, placed, (given, own), seed=0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_camera_with_the_scans_lens_keeps_it(seed):
+    plain = Lens(**OPTICS, **SIZE)
+    assert _own_lens(plain, plain, seed) < OWN_LENS_SIGNIFICANCE
+
+
+@pytest.mark.parametrize("share", [0.97, 1.02, 1.3])
+def test_a_camera_with_another_focal_length_keeps_its_own(share):
+    plain = Lens(**OPTICS, **SIZE)
+    other = Lens(fx=600 * share, fy=600 * share, cx=320, cy=240, **SIZE)
+    assert _own_lens(plain, other, 5) > OWN_LENS_SIGNIFICANCE
+
+
+def test_two_stills_place_a_camera_better_than_one():
+    plain = Lens(**OPTICS, **SIZE)
+    one, both = [], []
+    for seed in range(8):
+        first, camera = _links(plain, seed, count=120)
+        second, _ = _links(plain, 100 + seed, count=120)
+        for links, errors in ((first, one), (first.with_links(second), both)):
+            placed = resect(links, plain, focal_known=True, seed=0)
+            assert placed is not None
+            errors.append(np.linalg.norm(placed.camera_recon.center - camera.center))
+    assert np.mean(both) < np.mean(one)
 
 
 def test_one_lucky_image_is_no_evidence():

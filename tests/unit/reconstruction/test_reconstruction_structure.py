@@ -1,5 +1,6 @@
 """Structure from rendered photographs: recovered, refused, stored and read back."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,7 @@ def test_cameras_and_the_fixed_camera_are_recovered_and_read_back(photographs, t
     S = umeyama(found, true)
     assert np.linalg.norm(apply(S, found) - true, axis=1).max() < 0.01
     assert np.linalg.norm(apply(S, structure.demo_cameras_recon["front"].center) - fixed.center) < 0.01
+    assert structure.figures["demo_cameras"]["front"]["used"] == ["first", "median"]
     on_board = np.abs(apply(S, structure.points_recon)).min(1)
     # The boards are a Gaussian thick, and an arc of cameras holds the far side loosely.
     assert np.median(on_board) < 0.04
@@ -164,11 +166,15 @@ def test_global_mapping_helps_where_incremental_mapping_stops(photographs, tmp_p
 
 
 def test_global_mapping_finds_the_focal_length(photographs, tmp_path, monkeypatch):
-    images, cameras, *_ = photographs
+    images, cameras, view, _ = photographs
     monkeypatch.setattr(Workspace, "map", lambda work, group: None)
-    structure = _run(images, tmp_path, intrinsics=None, params=FEW_FEATURES)
+    demo = {"front": replace(view, intrinsics=None)}
+    structure = _run(images, tmp_path, intrinsics=None, demo=demo, params=FEW_FEATURES)
     assert structure.figures["mapper"] == "global"
-    assert next(iter(structure.cameras_recon.values())).fx == pytest.approx(320, rel=0.02)
+    scan = next(iter(structure.cameras_recon.values()))
+    assert scan.fx == pytest.approx(320, rel=0.02)
+    # The fixed camera's images have the scan's size, and nothing says that it is another camera.
+    assert structure.demo_cameras_recon["front"].fx == scan.fx
     assert _errors(structure, cameras).max() < 0.03
 
 
