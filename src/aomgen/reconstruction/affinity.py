@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array, freeze
+from aomgen.errors import BackendError
 from aomgen.splatting.rasterizer import render
 
 # Below this alpha a pixel shows nothing.
@@ -102,13 +103,27 @@ def sized_masks(gaussians: Gaussians, camera: Camera, masks: NDArray[np.bool_], 
     small = camera.resized(round(camera.width * factor), max(1, round(camera.height * factor)))
     rows = ((np.arange(small.height) + 0.5) * camera.height / small.height).astype(int)
     columns = ((np.arange(small.width) + 0.5) * camera.width / small.width).astype(int)
-    rendering = render(gaussians, small)
-    solid = rendering.alpha > SOLID_ALPHA
-    cut = masks[:, rows][:, :, columns] & solid
-    points = small.center + small.directions() * rendering.depth[..., None]
+    depth = surface_depth(gaussians, small)
+    cut = masks[:, rows][:, :, columns] & (depth > 0)
+    points = small.center + small.directions() * depth[..., None]
     kept = [index for index, mask in enumerate(cut) if mask.sum() >= 4]
     sizes = np.array([mask_size(points[cut[index]]) for index in kept])
     return SizedMasks(camera=small, masks=cut[kept], sizes_m=sizes)
+
+
+def surface_depth(gaussians: Gaussians, camera: Camera) -> NDArray[np.float32]:
+    """Depth (H, W) of the surface, [m]; 0 where a pixel shows nothing.
+
+    Half of what a pixel shows lies before it. The mean depth is no surface where a few Gaussians
+    shine through glass or past an edge from far behind.
+
+    Raises:
+        BackendError: The engine is missing.
+    """
+    drawn = render(gaussians, camera, with_ids=True)
+    if drawn.median_depth is None:
+        raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
+    return np.where((drawn.alpha > SOLID_ALPHA) & (drawn.median_depth > 0), drawn.median_depth, 0)
 
 
 def mask_size(points_world: Array) -> float:

@@ -11,7 +11,7 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.values import Array
-from aomgen.reconstruction.affinity import Affinity, SizedMasks, sized_masks
+from aomgen.reconstruction.affinity import Affinity, SizedMasks, sized_masks, surface_depth
 from aomgen.reconstruction.affinity_query import Query, QueryAnswer, answer_query
 from aomgen.reconstruction.affinity_training import AffinityParams, train_affinity
 from aomgen.reconstruction.automatic_masks import (
@@ -25,7 +25,6 @@ from aomgen.reconstruction.part_masks import ScanView
 from aomgen.reconstruction.pieces import settled
 from aomgen.reconstruction.prompted import ObjectLabels, PromptedImage
 from aomgen.reconstruction.segmenter import Segmenter
-from aomgen.splatting.rasterizer import render
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +108,7 @@ def masked_scan(
 def points_under(gaussians: Gaussians, item: PromptedImage) -> Array:
     """Points (N, 3), world frame, that the answer to a prompt shows; the middle nine tenths in depth."""
     view = item.view
-    depth = render(gaussians, view.camera).depth
+    depth = surface_depth(gaussians, view.camera)
     shown = item.best_mask & (depth > 0)
     if not shown.any():
         return np.zeros((0, 3))

@@ -192,6 +192,25 @@ def test_masks_are_as_large_as_what_they_show_from_near_and_far():
     assert sizes[0] == pytest.approx(sizes[1], rel=0.1)
 
 
+def test_what_shines_through_from_far_behind_hardly_changes_the_size():
+    gaussians, labels = scene()
+    camera = scan_views(gaussians)[0].camera
+    mask = true_masks(gaussians, labels, camera)[:1]
+    size = sized_masks(gaussians, camera, mask, 96).sizes_m[0]
+    # The block before a far wall, and a third less solid.
+    ray = camera.T_world_cam[:3, 2]
+    far = np.stack(np.meshgrid(np.linspace(-3, 3, 40), np.linspace(-3, 3, 40)), -1).reshape(-1, 2)
+    wall = camera.center + 3 * ray + far @ camera.T_world_cam[:3, :2].T
+    both = Gaussians(
+        means=np.concatenate([gaussians.means, wall]).astype(np.float32),
+        quats=np.tile([1.0, 0, 0, 0], (len(gaussians) + len(wall), 1)).astype(np.float32),
+        scales=np.concatenate([gaussians.scales, np.full((len(wall), 3), 0.1)]).astype(np.float32),
+        opacities=np.concatenate([0.3 * gaussians.opacities, np.full(len(wall), 0.95)]).astype(np.float32),
+        sh=np.concatenate([gaussians.sh, np.zeros((len(wall), 1, 3))]).astype(np.float32),
+    )
+    assert sized_masks(both, camera, mask, 96).sizes_m[0] == pytest.approx(size, rel=0.25)
+
+
 def test_a_rim_of_background_hardly_changes_the_size():
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.1, 0.1, (1000, 3))
