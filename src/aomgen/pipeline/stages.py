@@ -59,7 +59,7 @@ STAGES: tuple[Stage, ...] = (
         title="aligning scene and robot, clock",
         needs=("capture", "structure"),
         settings=(),
-        version=5,
+        version=6,
         weight=30,
         function=lazily("recovery", "alignment"),
     ),

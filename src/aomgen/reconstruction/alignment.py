@@ -40,6 +40,7 @@ class AlignmentParams:
 
     Attributes:
         search: Effort of the search for likely places.
+        guesses: Factors of its guesses; each but the first is for when what was found is not confirmed.
         views: Scan images used, spread over the walk.
         width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
@@ -50,6 +51,7 @@ class AlignmentParams:
         distinct_m: Hypotheses whose robots are farther apart than this are different.
         max_joint_offset_rad: Largest offset of a joint that the images may ask for.
         joint_sds: An offset counts when it is this many of its standard deviations.
+        min_joint_move_px: And when it moves the outline more than edges are found apart anyway.
         max_sd_m: Largest standard deviation of the end effector.
     """
 
@@ -60,10 +62,12 @@ class AlignmentParams:
     min_lift: float = 0.2
     min_segment_lift: float = 0.1
     min_margin: float = 0.1
+    guesses: tuple[int, ...] = (1, 3)
     finalist_share: float = 0.5
     distinct_m: float = 0.05
     max_joint_offset_rad: float = float(np.radians(2.0))
     joint_sds: float = 4.0
+    min_joint_move_px: float = 0.5
     max_sd_m: float = 0.01
 
 
@@ -132,13 +136,18 @@ def align(
     views = [replace(view, camera_recon=camera_in_world(S_unit_recon, view.camera_recon)) for view in views]
     boxes = [replace(box, camera_recon=camera_in_world(S_unit_recon, box.camera_recon)) for box in boxes]
     views = [reduced(view, params.width) for view in views]
-    found = search(views, boxes, apply(S_unit_recon, points_recon), posture, rng, params.search)
-    progress(0.3, "looked for likely places")
-    starts = found.at_least(params.finalist_share)
+    points = apply(S_unit_recon, points_recon)
     width = max(view.camera_recon.width for view in views)
     height = max(view.camera_recon.height for view in views)
     with robot_drawing(posture, width, height) as drawing:
-        ranked = _refine_starts(starts.Ss_world_recon, views, drawing, part(progress, 0.3, 0.6))
+        ranked: list[tuple[Confirmation, Array]] = []
+        for factor in params.guesses:
+            effort = replace(params.search, guesses=factor * params.search.guesses)
+            found = search(views, boxes, points, posture, rng, effort).at_least(params.finalist_share)
+            progress(0.3, "looked for likely places")
+            ranked = _refine_starts(found.Ss_world_recon, views, drawing, part(progress, 0.3, 0.6))
+            if ranked[0][0].lift >= params.min_lift:
+                break
         first, S = ranked[0]
         if not first.lift >= params.min_lift / 2:
             raise _unconfirmed(first, params)
@@ -241,17 +250,20 @@ def _refuse_unconfirmed(
 def _refuse_wrong_joints(
     evidence: list[ViewEvidence], posture: RobotPosture, params: AlignmentParams
 ) -> Array:
-    offsets, sds = joint_offsets(evidence)
-    wrong = (np.abs(offsets) > params.max_joint_offset_rad) & (np.abs(offsets) > params.joint_sds * sds)
+    found = joint_offsets(evidence)
+    sizes = np.abs(found.offsets_rad)
+    wrong = (sizes > params.max_joint_offset_rad) & (sizes > params.joint_sds * found.sds_rad)
+    wrong &= found.moves_px > params.min_joint_move_px
     if wrong.any():
-        worst = int(np.argmax(np.where(wrong, np.abs(offsets), 0)))
+        worst = int(np.argmax(np.where(wrong, sizes, 0)))
+        offset_deg, sd_deg = np.degrees(found.offsets_rad[worst]), np.degrees(found.sds_rad[worst])
         raise AlignmentError(
             STAGE,
-            f"{posture.robot.joint_names[worst]} looks {np.degrees(offsets[worst]):+.0f} deg off in the "
-            f"images (+-{np.degrees(sds[worst]):.1f}, limit {np.degrees(params.max_joint_offset_rad):.0f})",
+            f"{posture.robot.joint_names[worst]} looks {offset_deg:+.0f} deg off in the images "
+            f"(+-{sd_deg:.1f}, limit {np.degrees(params.max_joint_offset_rad):.0f})",
             "check scan_state: the joint values must be those during the scan",
         )
-    return offsets
+    return found.offsets_rad
 
 
 def _refuse_vague(result: Alignment, params: AlignmentParams) -> None:

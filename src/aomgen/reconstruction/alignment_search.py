@@ -44,8 +44,8 @@ class SearchParams:
     Attributes:
         guesses: Places that are looked at first.
         max_misfit: Worse ones than the best by this share of a box are dropped.
-        width: Of the small images, [px].
-        views, first_views: How many of them, and how many for the first look.
+        width, first_width: Of the small images, and of those for the first look, [px].
+        views: How many of them.
         generations: Rounds; steps begin at the size of the basin, about a link's thickness.
         apart: The places returned differ by more than this share of the robot's size.
         kept: How many of them, at most.
@@ -54,8 +54,8 @@ class SearchParams:
     guesses: int = 2400
     max_misfit: float = 0.15
     width: int = 80
+    first_width: int = 48
     views: int = 8
-    first_views: int = 4
     generations: tuple[Generation, ...] = (
         Generation(parents=50, apart=0.08, children=6, step=0.06),
         Generation(parents=24, apart=0.06, children=8, step=0.04),
@@ -109,9 +109,8 @@ def search(
     Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + params.max_misfit]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(views, apply(Ss_recon_world, probe.mean(0)), params.views)
-    small = [reduced(view, params.width) for view in chosen]
-    first = color_score(small[: params.first_views], posture, rng)
-    score = color_score(small, posture, rng)
+    first = color_score([reduced(view, params.first_width) for view in chosen], posture, rng)
+    score = color_score([reduced(view, params.width) for view in chosen], posture, rng)
     parents = different(Found(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(params.generations[0]))
     parents = replace(parents, scores=score(parents.Ss_world_recon))
     looked_at = [parents]

@@ -5,10 +5,11 @@ off the number of points: groups of neighbouring views are left out in turn (jac
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.core.values import Array
+from aomgen.core.values import Array, freeze
 from aomgen.reconstruction.outline_evidence import ViewEvidence
 
 GROUPS = 8
@@ -25,16 +26,43 @@ def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
     return _jackknife(evidence, _similarity_step)
 
 
-def joint_offsets(evidence: list[ViewEvidence]) -> tuple[Array, Array]:
-    """What the images would add to each joint value: offsets (J,) and their deviations (J,), [rad].
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointOffsets:
+    """What the images would add to each of J joint values.
+
+    Attributes:
+        offsets_rad, sds_rad: Offsets (J,) and their standard deviations (J,).
+        moves_px: Root mean square (J,) of how far each offset moves the outline, where no motion of
+            the whole robot does the same: a turn about the axis of a round base moves next to nothing.
+    """
+
+    offsets_rad: Array
+    sds_rad: Array
+    moves_px: Array
+
+    def __post_init__(self) -> None:
+        for name in ("offsets_rad", "sds_rad", "moves_px"):
+            freeze(self, name, getattr(self, name), (None,))
+
+
+def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:
+    """Offsets that the images ask for, seen in at least one view.
 
     Joints and similarity are solved together, linearly about the drawn state, so that offsets of
     more than some ten degrees are only recognised as large.
     """
-    count = evidence[0].joint_jacobian.shape[1] if evidence else 0
-    offsets = _joint_step(evidence)[7:] if evidence else np.zeros(0)
-    covariance = _jackknife(evidence, _joint_step, 7 + count)
-    return offsets, np.sqrt(np.diag(covariance)[7:])
+    offsets = _joint_step(evidence)[7:]
+    covariance = _jackknife(evidence, _joint_step, 7 + len(offsets))
+    weights = np.concatenate([view.border_weights for view in evidence])
+    whole = np.concatenate([view.jacobian for view in evidence])
+    own = np.concatenate([view.joint_jacobian for view in evidence])
+    same = np.linalg.lstsq(np.sqrt(weights)[:, None] * whole, np.sqrt(weights)[:, None] * own, rcond=None)[0]
+    left = own - whole @ same
+    return JointOffsets(
+        offsets_rad=offsets,
+        sds_rad=np.sqrt(np.diag(covariance)[7:]),
+        moves_px=np.abs(offsets) * np.sqrt(weights @ left**2 / weights.sum()),
+    )
 
 
 def _jackknife(

@@ -1,5 +1,7 @@
 """Alignment finds a hidden similarity from drawn images, and refuses where no robot stands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -11,15 +13,20 @@ from aomgen.errors import AlignmentError
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment import AlignmentParams, align
+from aomgen.reconstruction.alignment_search import SearchParams
 from aomgen.reconstruction.alignment_stage import load_alignment, save_alignment
 from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
+from aomgen.reconstruction.outline_errors import joint_offsets
+from aomgen.reconstruction.outline_evidence import ViewEvidence
 from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
 from aomgen.reconstruction.upright import up_candidates
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
-PARAMS = AlignmentParams(views=6, contour_points=250)
+PARAMS = AlignmentParams(
+    views=6, contour_points=250, guesses=(1,), search=SearchParams(guesses=600, views=5, width=64)
+)
 
 
 @pytest.fixture(scope="module")
@@ -143,3 +150,58 @@ def test_a_camera_keeps_its_pixels_through_the_similarity():
     before, _ = camera.project(points_recon)
     after, _ = camera_in_world(S_WORLD_RECON, camera).project(apply(S_WORLD_RECON, points_recon))
     assert after == pytest.approx(before, abs=1e-6)
+
+
+def evidence_of(offsets_rad: np.ndarray, rng: np.random.Generator) -> list[ViewEvidence]:
+    """Nine views of an outline whose two joints are off; the first turns what the whole robot may."""
+    found = []
+    for number in range(9):
+        J = rng.normal(0, 100, (80, 7))
+        joints = np.stack([J[:, 2] + rng.normal(0, 0.5, 80), rng.normal(0, 100, 80)], 1)
+        shifts = joints @ offsets_rad + rng.normal(0, 0.3, 80)
+        found.append(
+            ViewEvidence(
+                name=f"{number}",
+                segments=np.ones(80, np.int64),
+                confirmed=np.ones(80, bool),
+                by_chance=np.zeros(80, bool),
+                edge_px=shifts,
+                edge_weights=np.ones(80),
+                border_px=shifts,
+                border_weights=np.ones(80),
+                jacobian=J,
+                joint_jacobian=joints,
+            )
+        )
+    return found
+
+
+def test_a_joint_that_is_off_is_measured():
+    found = joint_offsets(evidence_of(np.array([0.0, 0.1]), np.random.default_rng(8)))
+    assert found.offsets_rad[1] == pytest.approx(0.1, abs=0.003)
+    assert found.sds_rad[1] < 0.003
+    assert found.moves_px[1] == pytest.approx(10.0, rel=0.1)
+
+
+def test_a_joint_that_only_turns_the_whole_robot_moves_next_to_nothing():
+    found = joint_offsets(evidence_of(np.array([0.3, 0.0]), np.random.default_rng(9)))
+    assert found.moves_px[0] < 0.3
+    assert found.moves_px[1] < 0.3
+
+
+def test_the_answer_does_not_depend_on_scale_and_axes_of_the_structure(posture):
+    """The same scene in two frames: the robot comes to stand within a millimetre of the same place."""
+    rng = np.random.default_rng(3)
+    views, boxes = scene(posture, rng, robot=True)
+    points = ground_points(rng)
+    places = []
+    for scale in (0.05, 20.0):
+        S = similarity(
+            scale, matrix_from_rotvec([2.0, 0.1 * scale, -1.5]), scale * np.array([3.0, -1.0, 2.0])
+        )
+        moved = [replace(view, camera_recon=camera_in_world(S, view.camera_recon)) for view in views]
+        there = [replace(box, camera_recon=camera_in_world(S, box.camera_recon)) for box in boxes]
+        result = align(moved, there, apply(S, points), posture, silent, np.random.default_rng(0), PARAMS)
+        E = result.S_world_recon @ S @ np.linalg.inv(S_WORLD_RECON)
+        places.append(apply(E, posture.points_world(50)))
+    assert np.linalg.norm(places[0] - places[1], axis=1).max() < 0.001
