@@ -11,7 +11,6 @@ from aomgen.assets.check import require_usable
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
-from aomgen.conventions import MOVING, STATIC
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
@@ -35,7 +34,7 @@ from aomgen.motion.stage import load_motion
 from aomgen.physics.demonstration import demonstration_from
 from aomgen.physics.robot import RobotModel
 from aomgen.pipeline.fitted_store import load_fitted, save_fitted
-from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, surface_points
+from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, scanned_object
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.working import capture_of
 from aomgen.replacement.extent import free_rectangle
@@ -47,7 +46,7 @@ from aomgen.replacement.support import seen_from_above
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.store import load_twin, save_twin
-from aomgen.twin.twin import Twin, TwinState, posed
+from aomgen.twin.twin import Twin, TwinState
 
 SURFELS = 30_000
 NEW_CAMERA = "side"
@@ -69,7 +68,7 @@ def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     support = support_plane(cleared)
     (folder / "background").mkdir()
     save_twin(folder / "background", cleared.twin)
-    demo, recorded = recorded_demonstration(run, robot, twin, support)
+    demo, recorded = recorded_demonstration(run, robot, support)
     contact = recorded_contact(demo, recorded)
     names, residuals = [], []
     for index, spec in enumerate(run.project.assets):
@@ -106,7 +105,7 @@ def plans(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """New poses, retargeted, solved for the arm, and verified in physics."""
     robot = robot_of(capture_of(run))
     support = stored_support(run)
-    demo, _ = recorded_demonstration(run, robot, load_twin(run.folders["twin"]), support)
+    demo, _ = recorded_demonstration(run, robot, support)
     params = GenerationParams(
         count=run.project.poses,
         seed=run.project.seed,
@@ -244,16 +243,12 @@ def fitted_assets(run: Run) -> list[FittedAsset]:
 
 
 def recorded_demonstration(
-    run: Run, robot: RobotModel, twin: Twin, support: SupportPlane
+    run: Run, robot: RobotModel, support: SupportPlane
 ) -> tuple[Demonstration, RecordedObject]:
     """The recorded demonstration and object as later stages use them."""
     capture = capture_of(run)
     motion = load_motion(run.folders["motion"])
     demo = demonstration_from(motion, capture.joint_log, robot, demo_fps(run))
-    world = posed(twin, robot, twin.scan_state)
-    recorded = RecordedObject(
-        moving_points_world=surface_points(world, twin.labels, MOVING),
-        static_points_world=surface_points(world, twin.labels, STATIC),
-        support=support,
-    )
+    moving, static = scanned_object(run)
+    recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
     return demo, recorded

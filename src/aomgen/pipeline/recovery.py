@@ -43,6 +43,7 @@ from aomgen.reconstruction.settled_cameras import load_settled_cameras, save_set
 from aomgen.reconstruction.structure import Photographs
 from aomgen.reconstruction.structure_stage import load_structure, run_structure
 from aomgen.reconstruction.survey_stage import run_survey
+from aomgen.reconstruction.tray import with_tray
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.store import save_twin
 from aomgen.twin.twin import TwinState
@@ -252,6 +253,14 @@ def surface_points(world: Gaussians, labels: NDArray[np.uint8], label: int) -> A
     return np.asarray(world.means[(labels == label) & (world.opacities > SOLID_OPACITY)], np.float64)
 
 
+def scanned_object(run: Run) -> tuple[Array, Array]:
+    """Points of the moving and the static part (N, 3), (M, 3) as scanned, world frame, [m]."""
+    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
+    world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
+    labels = load_parts(run.folders["parts"]).labels
+    return surface_points(world, labels, MOVING), surface_points(world, labels, STATIC)
+
+
 def posture_of(capture: Capture) -> RobotPosture:
     """The robot as it stood during the scan."""
     return RobotPosture(
@@ -260,7 +269,7 @@ def posture_of(capture: Capture) -> RobotPosture:
 
 
 def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Every Gaussian bound to the body that carries it, and the robot seen from all sides."""
+    """Every Gaussian bound to the body that carries it; robot and drawers seen from all sides."""
     capture = capture_of(run)
     robot = robot_of(capture)
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
@@ -277,14 +286,19 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         theta=0.0,
         T_world_object=T_world_object,
     )
-    bound = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
+    scanned = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
+    film = demo_film(capture, demo_camera_world(run), motion, scanned, robot)
+    bound = with_tray(scanned, robot, film)
     progress(0.1, "the robot's surface")
-    films = scan_films(capture, scan_cameras_world(run), bound)
-    films.append(demo_film(capture, demo_camera_world(run), motion, bound, robot))
+    films = [*scan_films(capture, scan_cameras_world(run), bound), film]
     result = dressed(bound, robot, films, np.random.default_rng(0))
     save_twin(folder, result)
     save_robot(folder, capture.robot)
-    return {"gaussians": len(result.gaussians), "moving": int(np.sum(result.moves))}
+    return {
+        "gaussians": len(result.gaussians),
+        "moving": int(np.sum(result.moves)),
+        "tray": len(bound.gaussians) - len(scanned.gaussians),
+    }
 
 
 def demo_camera_world(run: Run) -> Camera:

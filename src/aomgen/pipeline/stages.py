@@ -90,7 +90,7 @@ STAGES: tuple[Stage, ...] = (
         title="binding the twin",
         needs=("capture", "structure", "gaussians", "alignment", "parts", "motion"),
         settings=(),
-        version=3,
+        version=4,
         weight=10,
         function=lazily("recovery", "twin"),
     ),
