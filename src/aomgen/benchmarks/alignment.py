@@ -25,7 +25,7 @@ from aomgen.errors import AlignmentError
 from aomgen.pipeline.project import Project, read_project
 from aomgen.pipeline.recovery import posture_of
 from aomgen.reconstruction.alignment import Alignment, align
-from aomgen.reconstruction.alignment_stage import boxes_of, views_of
+from aomgen.reconstruction.alignment_stage import boxes_of, camera_errors_of, views_of
 from aomgen.reconstruction.structure import Structure
 from aomgen.reconstruction.structure_stage import load_structure
 
@@ -148,7 +148,13 @@ def _try(case: Case) -> Outcome:
 
 def _align(scene: Scene) -> Alignment:
     return align(
-        scene.views, scene.robot_boxes, scene.points_recon, scene.posture, silent, np.random.default_rng(0)
+        scene.views,
+        scene.robot_boxes,
+        scene.points_recon,
+        scene.posture,
+        silent,
+        np.random.default_rng(0),
+        errors=scene.errors,
     )
 
 
@@ -207,4 +213,5 @@ def load_scene(capture: Capture, structure: Structure) -> Scene:
         points_recon=structure.points_recon,
         posture=posture_of(capture),
         S_world_recon=S_world_recon,
+        errors=camera_errors_of(structure),
     )

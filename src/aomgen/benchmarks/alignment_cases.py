@@ -12,6 +12,7 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, simila
 from aomgen.core.values import Array
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment_start import RobotBox
+from aomgen.reconstruction.camera_errors import CameraErrors
 from aomgen.reconstruction.contours import View
 from aomgen.reconstruction.outline_fit import camera_in_world
 from aomgen.reconstruction.posture import RobotPosture
@@ -33,6 +34,7 @@ class Scene:
         points_recon: Sparse points (P, 3).
         posture: The robot during the scan.
         S_world_recon: The true similarity (4, 4).
+        errors: How far the structure believes its cameras to be off.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Scene:
     points_recon: Array
     posture: RobotPosture
     S_world_recon: Array
+    errors: CameraErrors | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,6 +99,7 @@ def resimilated(scene: Scene, scale: float, R: Array, rng: np.random.Generator) 
         other_boxes=[_moved_box(box, S_new_recon) for box in scene.other_boxes],
         points_recon=apply(S_new_recon, scene.points_recon),
         S_world_recon=scene.S_world_recon @ np.linalg.inv(S_new_recon),
+        errors=scene.errors and scene.errors.seen_from(S_new_recon),
     )
 
 

@@ -16,8 +16,9 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import AlignmentError
 from aomgen.reconstruction.alignment_search import SearchParams, search
 from aomgen.reconstruction.alignment_start import RobotBox
+from aomgen.reconstruction.camera_errors import CameraErrors
 from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.outline_errors import joint_offsets, similarity_covariance
+from aomgen.reconstruction.outline_errors import covariance_from_cameras, joint_offsets, similarity_covariance
 from aomgen.reconstruction.outline_evidence import Confirmation, ViewEvidence, confirmation, look
 from aomgen.reconstruction.outline_fit import (
     FINE,
@@ -108,6 +109,7 @@ def align(
     progress: Progress,
     rng: np.random.Generator,
     params: AlignmentParams | None = None,
+    errors: CameraErrors | None = None,
 ) -> Alignment:
     """Find `S_world_recon` from the robot's outlines in the scan images.
 
@@ -119,6 +121,7 @@ def align(
         progress: Told after each hypothesis.
         rng: Random choices of the plane search.
         params: See `AlignmentParams`.
+        errors: How far the cameras may be off, recon frame; without, they are taken as exact.
 
     Raises:
         AlignmentError: No box, the outlines are not confirmed by the images, or two different
@@ -160,7 +163,15 @@ def align(
     runner_up = max(others, default=0.0)
     _refuse_unconfirmed(confirmed, runner_up, posture, params)
     offsets = _refuse_wrong_joints(evidence, posture, params)
-    result = replace(_summary(S @ S_unit_recon, evidence, confirmed, runner_up), joint_offsets_rad=offsets)
+    covariance = similarity_covariance(evidence)
+    if errors is not None:
+        covariance = covariance + covariance_from_cameras(evidence, errors.seen_from(S @ S_unit_recon))
+    ee_sd_m = float(np.sqrt(np.trace(covariance[3:6, 3:6])))
+    result = replace(
+        _summary(S @ S_unit_recon, evidence, confirmed, ee_sd_m),
+        runner_up_support=runner_up,
+        joint_offsets_rad=offsets,
+    )
     _refuse_vague(result, params)
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
@@ -196,22 +207,21 @@ def _refine_starts(
     return sorted(ranked, key=lambda item: -item[0].support)
 
 
-def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation, runner_up: float) -> Alignment:
+def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation, ee_sd_m: float) -> Alignment:
     of_view = {
         view.name: float(np.median(np.abs(view.edge_px[view.confirmed])))
         for view in evidence
         if view.confirmed.sum() >= 10
     }
     pooled = np.concatenate([view.edge_px[view.confirmed] for view in evidence])
-    covariance = similarity_covariance(evidence)
     return Alignment(
         S_world_recon=S,
         support=found.support,
         chance=found.chance,
-        runner_up_support=runner_up,
+        runner_up_support=0.0,
         residual_px=float(np.median(np.abs(pooled))),
         residual_px_of_view=of_view,
-        ee_sd_m=float(np.sqrt(np.trace(covariance[3:6, 3:6]))),
+        ee_sd_m=ee_sd_m,
     )
 
 

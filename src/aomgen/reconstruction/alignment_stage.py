@@ -14,6 +14,7 @@ from aomgen.io.images import read_image
 from aomgen.io.jsonfile import read_json
 from aomgen.reconstruction.alignment import Alignment, AlignmentParams, align
 from aomgen.reconstruction.alignment_start import RobotBox
+from aomgen.reconstruction.camera_errors import CameraErrors, camera_covariance
 from aomgen.reconstruction.contours import View
 from aomgen.reconstruction.gaussians import held_out
 from aomgen.reconstruction.outline_fit import RobotPosture
@@ -57,9 +58,23 @@ def run_alignment(
         progress,
         np.random.default_rng(seed),
         params,
+        camera_errors_of(structure),
     )
     save_alignment(result, folder)
     return result
+
+
+def camera_errors_of(structure: Structure) -> CameraErrors:
+    """How far the scan cameras may be off, by the structure's own observations, recon frame."""
+    return CameraErrors(
+        names=tuple(structure.cameras_recon),
+        covariance=camera_covariance(
+            list(structure.cameras_recon.values()),
+            structure.points_recon,
+            structure.observations,
+            structure.reprojection_error_px,
+        ),
+    )
 
 
 def views_of(

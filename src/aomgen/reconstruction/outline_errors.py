@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aomgen.core.values import Array, freeze
+from aomgen.reconstruction.camera_errors import CameraErrors
 from aomgen.reconstruction.outline_evidence import ViewEvidence
 
 GROUPS = 8
@@ -21,9 +22,41 @@ def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
     """Covariance (7, 7) of rotation vector [rad], end effector [m] and log scale.
 
     Infinite when fewer than three views say anything. Not checked: errors that all views share;
-    see `camera_errors`.
+    see `covariance_from_cameras`.
     """
     return _jackknife(evidence, _similarity_step)
+
+
+def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) -> Array:
+    """Covariance (7, 7) that errors of the cameras cause; parameters as `similarity_covariance`.
+
+    Where the outlines of single views are off by more than the cameras' covariance expects, it is
+    scaled up.
+
+    Args:
+        evidence: Of the aligned robot.
+        errors: Of the cameras, world frame; views that are not among them are taken as exact.
+    """
+    rows = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(errors.names)}
+    H, K = np.zeros((7, 7)), np.zeros((7, len(errors.covariance)))
+    seen, expected = [], []
+    for view in evidence:
+        weighted = view.jacobian.T * view.edge_weights
+        H += weighted @ view.jacobian
+        if view.name in rows:
+            own = rows[view.name]
+            K[:, own] = weighted @ view.camera_jacobian
+            pull = view.normals.T * view.edge_weights
+            shift = np.linalg.pinv(pull @ view.normals) @ pull
+            move = shift @ view.camera_jacobian
+            seen.append(float(np.sum((shift @ view.edge_px) ** 2)))
+            expected.append(float(np.trace(move @ errors.covariance[own, own] @ move.T)))
+    if not seen:
+        return np.zeros((7, 7))
+    # The median of a sum of two squares is ln 2 of its mean.
+    ratio = np.median(np.array(seen) / np.maximum(expected, 1e-12)) / np.log(2)
+    K = np.linalg.solve(H + 1e-12 * np.trace(H) * np.eye(7), K)
+    return np.asarray(max(1.0, float(ratio)) * K @ errors.covariance @ K.T, np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,6 +50,9 @@ class ViewEvidence:
         border_px, border_weights: The same for the border between two colors, farther reaching.
         jacobian: (C, 7), see `shift_jacobian`, about the end effector.
         joint_jacobian: (C, J), shift of the outline for a turn of each joint, [px/rad].
+        camera_jacobian: (C, 6), the shift that an error of the camera looks like: centre [m], then
+            rotation vector [rad], world frame.
+        normals: (C, 2), see `Contour`.
     """
 
     name: str
@@ -62,6 +65,8 @@ class ViewEvidence:
     border_weights: Array
     jacobian: Array
     joint_jacobian: Array
+    camera_jacobian: Array
+    normals: Array
 
     def __post_init__(self) -> None:
         count = len(self.segments)
@@ -69,6 +74,8 @@ class ViewEvidence:
             freeze(self, name, getattr(self, name), (count,))
         freeze(self, "jacobian", self.jacobian, (count, 7))
         freeze(self, "joint_jacobian", self.joint_jacobian, (count, None))
+        freeze(self, "camera_jacobian", self.camera_jacobian, (count, 6))
+        freeze(self, "normals", self.normals, (count, 2))
 
 
 def look(
@@ -120,6 +127,10 @@ def _evidence(S: Array, number: int, view: View, drawn: Drawn, drawing: RobotDra
         border_weights=region_weights(borders, variances, BORDER_REACH_PX),
         jacobian=shift_jacobian(camera, contour, drawing.posture.ee_world),
         joint_jacobian=np.stack(turned, 1),
+        camera_jacobian=np.asarray(
+            np.concatenate([gradient, np.cross(contour.points - camera.center, gradient)], axis=1), np.float64
+        ),
+        normals=contour.normals,
     )
 
 

@@ -171,6 +171,8 @@ def evidence_of(offsets_rad: np.ndarray, rng: np.random.Generator) -> list[ViewE
                 border_weights=np.ones(80),
                 jacobian=J,
                 joint_jacobian=joints,
+                camera_jacobian=np.zeros((80, 6)),
+                normals=np.tile([1.0, 0.0], (80, 1)),
             )
         )
     return found
