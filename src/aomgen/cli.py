@@ -249,6 +249,7 @@ def bench_accuracy(
     synthetic: Annotated[int, typer.Option(help="Instead: make and score so many synthetic captures.")] = 0,
     seed: Annotated[int, typer.Option(help="First seed of the synthetic captures.")] = 1000,
     saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
+    paper: Annotated[bool, typer.Option("--paper", help="Also score rigid ICP and link boxes.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
 ) -> None:
@@ -257,6 +258,7 @@ def bench_accuracy(
     With --synthetic N, N captures of different objects, rooms, cameras and noise are made, run and
     scored one after the other (about four minutes each): median and worst of every figure.
     """
+    from aomgen.benchmarks.alignment_methods import methods_table
     from aomgen.benchmarks.command import run_accuracy
     from aomgen.benchmarks.synthetic_captures import accuracy_table, run_synthetic, synthetic_table
 
@@ -266,10 +268,12 @@ def bench_accuracy(
         results = run_synthetic(synthetic, out, run_project, seed)
         table = synthetic_table(results)
     else:
-        results = run_accuracy(capture, out, run_project, saga=saga)
+        results = run_accuracy(capture, out, run_project, saga=saga, paper=paper)
         table = accuracy_table(results)
     _show(results, json_file)
     print(table)
+    if paper:
+        print(f"\n{methods_table(results)}")
 
 
 @bench_app.command("training")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.benchmarks.accuracy import score_estimates
+from aomgen.benchmarks.alignment_methods import paper_figures, paper_twin
 from aomgen.benchmarks.images import TrueMasks, pooled_ious, score_replay, score_scan
 from aomgen.benchmarks.saga import saga_twin
 from aomgen.benchmarks.truth import Truth, read_truth
@@ -31,7 +32,12 @@ STRUCTURE_FOLDER = "01_structure"
 
 
 def run_accuracy(
-    capture_folder: Path, out: Path | None, run_project: Callable[..., None], *, saga: bool = False
+    capture_folder: Path,
+    out: Path | None,
+    run_project: Callable[..., None],
+    *,
+    saga: bool = False,
+    paper: bool = False,
 ) -> dict[str, Any]:
     """Figures of one capture, by dotted name, as the capture format defines them.
 
@@ -40,6 +46,7 @@ def run_accuracy(
         out: Run folder, continued when it exists; a temporary one when None.
         run_project: Runs a project up to a stage.
         saga: Also find the parts with affinity features, and give the IoUs of both methods.
+        paper: Also align by the paper's rigid ICP and cut the robot by link boxes.
     """
     truth = read_truth(capture_folder)
     with tempfile.TemporaryDirectory() as scratch:
@@ -55,6 +62,11 @@ def run_accuracy(
         figures.update(_score_pictures(capture, estimates, out, video, truth, twin))
         if saga:
             figures.update(_beside_saga(capture, estimates, out, video, truth, figures))
+        if paper:
+            other, moved, seconds = paper_twin(out, capture, estimates)
+            scored = score_estimates(moved, truth, robot, video.times_s, name)
+            scored |= _score_pictures(capture, moved, out, video, truth, other)
+            figures.update(paper_figures(scored, seconds))
         figures["seconds"] = read_json(out / TIMINGS)
     return dict(sorted(figures.items()))
 

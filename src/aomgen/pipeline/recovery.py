@@ -29,8 +29,9 @@ from aomgen.pipeline.films import demo_film, scan_films
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
-from aomgen.reconstruction.alignment_stage import load_alignment, run_alignment, save_alignment, views_of
-from aomgen.reconstruction.camera_settling import Filmed, Scene, settle_fixed_cameras
+from aomgen.reconstruction.alignment_stage import (
+    load_alignment,
+)
 from aomgen.reconstruction.fixed_cameras import DemoView
 from aomgen.reconstruction.frames import extract_frames
 from aomgen.reconstruction.gaussians import GaussiansParams
@@ -39,7 +40,7 @@ from aomgen.reconstruction.parts import PartsParams
 from aomgen.reconstruction.parts_stage import load_parts, run_parts
 from aomgen.reconstruction.robot_surface import dressed
 from aomgen.reconstruction.segmenter import choose_segmenter
-from aomgen.reconstruction.settled_cameras import load_settled_cameras, save_settled_cameras
+from aomgen.reconstruction.settled_cameras import load_settled_cameras
 from aomgen.reconstruction.structure import Photographs
 from aomgen.reconstruction.structure_stage import load_structure, run_structure
 from aomgen.reconstruction.survey_stage import run_survey
@@ -117,53 +118,6 @@ def gaussians(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
-def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Scale and pose of the scene in the robot's base frame; poses and clocks of the fixed cameras."""
-    capture = capture_of(run)
-    videos = read_demo_videos(capture)
-    scene = load_structure(run.folders["structure"])
-    images = {path.name: path for path in capture.scan_images}
-    result = run_alignment(
-        scene,
-        images,
-        {name: video.frames_srgb[0] for name, video in videos.items()},
-        capture.prompts,
-        posture_of(capture),
-        folder,
-        part(progress, 0.0, 0.6),
-    )
-    settlement = settle_fixed_cameras(
-        Scene(
-            S_world_recon=result.S_world_recon,
-            views=views_of(scene, images, {}),
-            points_recon=scene.points_recon,
-            posture=posture_of(capture),
-            log=capture.joint_log,
-            clock_offset_s=capture.clock_offset_s,
-        ),
-        {
-            camera.name: Filmed(
-                video=videos[camera.name],
-                camera_recon=scene.demo_cameras_recon[camera.name],
-                T_world_cam=camera.T_world_cam,
-            )
-            for camera in capture.cameras
-            if camera.name in scene.demo_cameras_recon
-        },
-        part(progress, 0.6, 1.0),
-    )
-    save_alignment(replace(result, S_world_recon=settlement.S_world_recon), folder)
-    save_settled_cameras(settlement.cameras, folder)
-    return {
-        "support": result.support,
-        "runner_up_support": result.runner_up_support,
-        "residual_px": result.residual_px,
-        "end_effector_sd_mm": 1e3 * result.ee_sd_m,
-        "fixed_cameras": {name: camera.summary() for name, camera in settlement.cameras.items()},
-        WARNINGS: [warning for name, item in settlement.cameras.items() for warning in item.warnings(name)],
-    }
-
-
 def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """A part label for every Gaussian, the robot link that carries it, and which sides the scan saw."""
     capture = capture_of(run)
@@ -171,6 +125,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     gaussians_recon = load_gaussians(run.folders["gaussians"]).gaussians_recon
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     posture = posture_of(capture)
+    robot = "boxes" if run.project.alignment_method == "paper" else "links"
     result = run_parts(
         scene,
         gaussians_recon,
@@ -181,7 +136,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         posture,
         folder,
         progress,
-        PartsParams(method=run.project.parts_method),
+        PartsParams(method=run.project.parts_method, robot=robot),
     )
     found = run_survey(scene, gaussians_recon, S_world_recon, result, posture, folder)
     counts = np.bincount(result.labels, minlength=4)

@@ -23,7 +23,7 @@ from aomgen.reconstruction.clock import estimate_clock
 from aomgen.reconstruction.contours import View
 from aomgen.reconstruction.film_outlines import Arm, Film, film_of, misfit, no_film, spread_frames, trace
 from aomgen.reconstruction.joint_equations import FilmedCamera, JointParams, JointProblem
-from aomgen.reconstruction.joint_refinement import Refinement, refine_jointly
+from aomgen.reconstruction.joint_refinement import Refinement, drifts, refine_jointly
 from aomgen.reconstruction.outline_fit import camera_in_world, reduced, robot_drawing, spread
 from aomgen.reconstruction.posture import RobotPosture
 from aomgen.reconstruction.scan_information import scan_information
@@ -136,7 +136,7 @@ def settle_fixed_cameras(
         )
         progress(0.6, "refining cameras and clocks")
         refinement, takes = _judged(problem, takes)
-    cameras = {name: _settled(name, item, takes[name], refinement) for name, item in filmed.items()}
+    cameras = {name: _settled(name, item, takes[name], refinement, params) for name, item in filmed.items()}
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
     return Settlement(S_world_recon=refinement.S_world_recon, cameras=cameras)
 
@@ -183,6 +183,8 @@ def _take(S: Array, item: Filmed, clock: Clock | SyncError, arm: Arm, params: Jo
     empty, calibrated = no_film(), item.T_world_cam is not None
     if isinstance(clock, SyncError):
         return _Take(film=empty, judges=empty, clock=clock, reason=clock.problem, calibrated=calibrated)
+    if not params.frames:
+        return _Take(film=empty, judges=empty, clock=clock, reason="", calibrated=calibrated)
     frames = spread_frames(item.video, arm, clock, params.frames * _JUDGE_EVERY // (_JUDGE_EVERY - 1))
     judging = np.arange(len(frames)) % _JUDGE_EVERY == _JUDGE_EVERY // 2
     film, judges = (film_of(item.video, frames[chosen], params.width) for chosen in (~judging, judging))
@@ -247,7 +249,9 @@ def _complaint(
     return None
 
 
-def _settled(name: str, item: Filmed, take: _Take, refinement: Refinement) -> SettledCamera:
+def _settled(
+    name: str, item: Filmed, take: _Take, refinement: Refinement, params: JointParams
+) -> SettledCamera:
     state = refinement.cameras[name]
     used = bool(len(take.film.times_s))
     start = camera_in_world(refinement.S_world_recon, item.camera_recon)
@@ -255,7 +259,8 @@ def _settled(name: str, item: Filmed, take: _Take, refinement: Refinement) -> Se
     camera = item.camera_recon.moved(state.camera.T_world_cam) if known else start
     moved = deviation(start.T_world_cam, camera)
     figures = {"moved_mm": 1e3 * moved.distance_m, "moved_deg": float(np.degrees(moved.angle_rad))}
-    note = "refined on the moving arm" if used else f"as the scan placed it: {take.reason}"
+    note = "refined on the moving arm" if used else "as the scan placed it"
+    note += f": {take.reason}" if take.reason else ""
     if item.T_world_cam is not None:
         apart = deviation(item.T_world_cam, camera)
         figures |= {"calibration_mm": 1e3 * apart.distance_m}
@@ -266,14 +271,16 @@ def _settled(name: str, item: Filmed, take: _Take, refinement: Refinement) -> Se
     refusal: tuple[str, ...] = ()
     if isinstance(clock, SyncError):
         refusal = (clock.where, clock.problem, clock.remedy)
-    elif clock.rate:
+    elif drifts(clock, float(item.video.times_s[-1] - item.video.times_s[0]), params):
         refusal = _drift_refusal(name, clock, item.video)
+    else:
+        clock = replace(clock, rate=0.0)
     return SettledCamera(
         camera=camera,
         clock=clock if isinstance(clock, Clock) and not refusal else None,
         refusal=refusal,
         note=note,
-        trusted=used and take.calibrated == (item.T_world_cam is not None),
+        trusted=not take.reason and take.calibrated == (item.T_world_cam is not None),
         figures=figures,
     )
 

@@ -36,7 +36,7 @@ class JointParams:
     """Beliefs and effort.
 
     Attributes:
-        frames: Frames of each film.
+        frames: Frames of each film; 0 leaves cameras where the scan placed them.
         width: Pictures wider than this are reduced, [px].
         points: Outline points a frame.
         structure_points: Points that carry the camera's place in the structure.

@@ -27,6 +27,7 @@ from aomgen.reconstruction.joint_equations import (
     FIXED,
     Block,
     CameraState,
+    JointParams,
     JointProblem,
     assemble,
     camera_block,
@@ -126,10 +127,13 @@ def _solved(
 
 
 def _drifts(problem: JointProblem, name: str, clock: Clock) -> bool:
-    film, params = problem.cameras[name].film, problem.params
-    if not len(film.times_s):
-        return False
-    shift = abs(clock.rate) * float(film.times_s[-1] - film.times_s[0])
+    times = problem.cameras[name].film.times_s
+    return bool(len(times)) and drifts(clock, float(times[-1] - times[0]), problem.params)
+
+
+def drifts(clock: Clock, seconds: float, params: JointParams) -> bool:
+    """Whether a clock's drift matters over so many seconds, and is known well enough to say so."""
+    shift = abs(clock.rate) * seconds
     return shift > params.max_drift_s and abs(clock.rate) > params.drift_sds * clock.rate_sd
 
 

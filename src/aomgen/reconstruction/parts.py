@@ -23,6 +23,7 @@ from aomgen.errors import ReconstructionError, WrongPromptError
 from aomgen.reconstruction.affinity_parts import AffinityPartsParams, affinity_labels, masked_scan
 from aomgen.reconstruction.binding import MAX_DISTANCE_M, nearest_links
 from aomgen.reconstruction.enclosed import with_enclosed
+from aomgen.reconstruction.link_boxes import bodies_in_boxes
 from aomgen.reconstruction.outline_fit import RobotPosture
 from aomgen.reconstruction.panel_fit import fit_panel
 from aomgen.reconstruction.part_masks import ScanView, lift
@@ -52,6 +53,7 @@ class PartsParams:
     Attributes:
         method: "closed_form" or "saga".
         affinity: Effort of "saga".
+        robot: What labels the robot: "links", drawn masks and distance, or "boxes", the paper's way.
         robot_views: Views whose drawn robot masks vote.
         cut_views: Views whose pixels are cut into parts and vote.
         min_gaussians: Fewest Gaussians of a usable part.
@@ -60,6 +62,7 @@ class PartsParams:
 
     method: PartsMethod = "closed_form"
     affinity: AffinityPartsParams = field(default_factory=AffinityPartsParams)
+    robot: Literal["links", "boxes"] = "links"
     robot_views: int = 20
     cut_views: int = 20
     min_gaussians: int = 50
@@ -220,6 +223,9 @@ def _robot(
 ) -> tuple[NDArray[np.int32], Array]:
     """Bodies (N,) of the robot's Gaussians and the share of their weight inside drawn masks."""
     means = np.asarray(gaussians.means, np.float64)
+    if params.robot == "boxes":
+        bodies = bodies_in_boxes(means, posture)
+        return bodies, (bodies >= 0).astype(np.float64)
     near, distances = nearest_links(means, posture, rng, LOOSE_DISTANCE_M)
     inside, seen = np.zeros(len(gaussians)), np.zeros(len(gaussians))
     for view in views[:: max(1, len(views) // params.robot_views)]:

@@ -182,6 +182,19 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
     assert error_px(found.camera, FRONT.moved(FRONT.T_world_cam @ MISPLACED)) < 0.1
 
 
+def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> None:
+    empty = Video(times_s=np.zeros(1), frames_srgb=np.zeros((1, 240, 320, 3), np.uint8), fps=FPS)
+    found = settle_fixed_cameras(
+        stage.scene(clock_offset_s=0.2), {"front": filmed(FRONT, empty)}, silent, replace(PARAMS, frames=0)
+    )
+    camera = found.cameras["front"]
+    there = camera_in_world(S_WORLD_RECON, placed(FRONT))
+    assert camera.camera.T_world_cam == pytest.approx(there.T_world_cam, abs=1e-6)
+    assert found.S_world_recon == pytest.approx(S_WORLD_RECON, abs=1e-6)
+    assert camera.settled_clock().offset_s == 0.2
+    assert camera.warnings("front") == []
+
+
 @pytest.mark.parametrize(
     ("wrong", "hint"),
     [

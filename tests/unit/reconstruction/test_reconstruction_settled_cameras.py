@@ -9,6 +9,8 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.clock import Clock
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
 from aomgen.errors import MalformedFileError, MissingFileError, SyncError
+from aomgen.reconstruction.joint_equations import JointParams
+from aomgen.reconstruction.joint_refinement import drifts
 from aomgen.reconstruction.outline_fit import camera_in_world, moved_similarity
 from aomgen.reconstruction.scan_information import structure_rows
 from aomgen.reconstruction.settled_cameras import (
@@ -85,3 +87,20 @@ def test_structure_rows_match_finite_differences() -> None:
             moved, camera_recon, points_recon, moved_similarity(S, step[6:], pivot), pivot
         )[1]
         assert (shifted - r) / 1e-6 == pytest.approx(-J[:, column], rel=1e-3, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("rate", "rate_sd", "seconds", "drifting"),
+    [
+        (0.02, 0.001, 8.0, True),
+        (-0.02, 0.001, 8.0, True),
+        # Half a step between drifts tried is no knowledge.
+        (0.0114, 0.0057, 8.7, False),
+        # Too little to shift the ends of the film.
+        (0.004, 0.0001, 8.0, False),
+        (0.0, 0.0, 8.0, False),
+    ],
+)
+def test_a_drift_counts_when_it_matters_and_is_known(rate, rate_sd, seconds, drifting) -> None:
+    clock = Clock(offset_s=0.2, sd_s=0.001, rate=rate, rate_sd=rate_sd)
+    assert drifts(clock, seconds, JointParams()) is drifting

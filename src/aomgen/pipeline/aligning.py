@@ -1,0 +1,94 @@
+"""The stage that brings scan, robot and fixed cameras together. [paper 4.1]"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aomgen.capture.check import read_demo_videos
+from aomgen.core.progress import Progress, part
+from aomgen.core.recording import Capture
+from aomgen.io.video import Video
+from aomgen.pipeline.recovery import posture_of
+from aomgen.pipeline.stage import WARNINGS, Run
+from aomgen.pipeline.working import capture_of
+from aomgen.reconstruction.alignment import Alignment
+from aomgen.reconstruction.alignment_stage import boxes_of, run_alignment, save_alignment, views_of
+from aomgen.reconstruction.camera_settling import Filmed, Scene, settle_fixed_cameras
+from aomgen.reconstruction.gaussians_stage import load_gaussians
+from aomgen.reconstruction.joint_equations import JointParams
+from aomgen.reconstruction.paper_alignment import align_as_paper
+from aomgen.reconstruction.settled_cameras import save_settled_cameras
+from aomgen.reconstruction.structure import Structure
+from aomgen.reconstruction.structure_stage import load_structure
+
+
+def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Scale and pose of the scene in the robot's base frame; poses and clocks of the fixed cameras."""
+    capture = capture_of(run)
+    videos = read_demo_videos(capture)
+    scene = load_structure(run.folders["structure"])
+    paper = run.project.alignment_method == "paper"
+    if paper:
+        result = _by_paper(run, capture, scene)
+    else:
+        result = run_alignment(
+            scene,
+            {path.name: path for path in capture.scan_images},
+            {name: video.frames_srgb[0] for name, video in videos.items()},
+            capture.prompts,
+            posture_of(capture),
+            folder,
+            part(progress, 0.0, 0.6),
+        )
+    settlement = settle_fixed_cameras(
+        _start(capture, scene, result),
+        _filmed(capture, scene, videos),
+        part(progress, 0.6, 1.0),
+        # The paper leaves fixed cameras where the scan has them.
+        JointParams(frames=0) if paper else None,
+    )
+    save_alignment(replace(result, S_world_recon=settlement.S_world_recon), folder)
+    save_settled_cameras(settlement.cameras, folder)
+    return {
+        "support": result.support,
+        "runner_up_support": result.runner_up_support,
+        "residual_px": result.residual_px,
+        "end_effector_sd_mm": 1e3 * result.ee_sd_m,
+        "fixed_cameras": {name: camera.summary() for name, camera in settlement.cameras.items()},
+        WARNINGS: [warning for name, item in settlement.cameras.items() for warning in item.warnings(name)],
+    }
+
+
+def _by_paper(run: Run, capture: Capture, scene: Structure) -> Alignment:
+    return align_as_paper(
+        views_of(scene, {path.name: path for path in capture.scan_images}, {}),
+        boxes_of(scene, capture.prompts, ("robot",)),
+        load_gaussians(run.folders["gaussians"]).gaussians_recon,
+        posture_of(capture),
+        np.random.default_rng(0),
+    )
+
+
+def _start(capture: Capture, scene: Structure, result: Alignment) -> Scene:
+    return Scene(
+        S_world_recon=result.S_world_recon,
+        views=views_of(scene, {path.name: path for path in capture.scan_images}, {}),
+        points_recon=scene.points_recon,
+        posture=posture_of(capture),
+        log=capture.joint_log,
+        clock_offset_s=capture.clock_offset_s,
+    )
+
+
+def _filmed(capture: Capture, scene: Structure, videos: dict[str, Video]) -> dict[str, Filmed]:
+    return {
+        camera.name: Filmed(
+            video=videos[camera.name],
+            camera_recon=scene.demo_cameras_recon[camera.name],
+            T_world_cam=camera.T_world_cam,
+        )
+        for camera in capture.cameras
+        if camera.name in scene.demo_cameras_recon
+    }
