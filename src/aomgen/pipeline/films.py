@@ -1,20 +1,28 @@
 """The pictures of a capture with the state of the twin in each: what its looks are learned from."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from aomgen.capture.check import read_demo_videos
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
+from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.io.images import read_image
 from aomgen.physics.robot import RobotModel
 from aomgen.reconstruction.gaussians import held_out
+from aomgen.reconstruction.robot_surface import dressed
 from aomgen.reconstruction.robot_views import Film, matched_film
+from aomgen.reconstruction.twin_training import sharpened
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 # More pictures tell little more, and take as long again.
-SCAN_PICTURES = 40
-DEMO_PICTURES = 40
+SCAN_PICTURES = 80
+# Pictures of the video for each of the scan: more of one place make all others worse. But the whole
+# motion has to be seen.
+DEMO_SHARE = 0.5
+MIN_DEMO_PICTURES = 16
 
 
 def scan_films(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -> list[Film]:
@@ -37,7 +45,8 @@ def demo_film(
 ) -> Film:
     """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
     video = read_demo_videos(capture)[capture.cameras[0].name]
-    chosen = np.unique(np.linspace(0, len(video.times_s) - 1, DEMO_PICTURES).astype(int))
+    count = max(int(DEMO_SHARE * min(len(capture.scan_images), SCAN_PICTURES)), MIN_DEMO_PICTURES)
+    chosen = np.unique(np.linspace(0, len(video.times_s) - 1, count).astype(int))
     times = video.times_s[chosen]
     joints, gripper = capture.joint_log.at(times + motion.clock_offset_s)
     states = tuple(
@@ -47,3 +56,12 @@ def demo_film(
     film = Film(camera=camera_world, images_srgb=tuple(video.frames_srgb[i] for i in chosen), states=states)
     first = render_state(twin, robot, states[0], camera_world, features=(~twin.moves)[:, None] * 1.0)
     return matched_film(film, np.asarray(first.rgb, np.float64), np.asarray(first.features)[..., 0] > 0.95)
+
+
+def with_looks(twin: Twin, robot: RobotModel, films: Sequence[Film], progress: Progress) -> Twin:
+    """The twin as all pictures show it: its robot dressed in the model's surface, then everything fitted."""
+    rng = np.random.default_rng(0)
+    progress(0.1, "the robot's surface")
+    clad = dressed(twin, robot, films, rng)
+    progress(0.4, "pictures in every posture")
+    return sharpened(clad, robot, films, rng)

@@ -25,7 +25,7 @@ from aomgen.motion.stage import load_motion, run_motion
 from aomgen.physics.robot import RobotModel, chosen_robot
 from aomgen.physics.robot_store import save_robot
 from aomgen.pipeline.estimates import estimates_of
-from aomgen.pipeline.films import demo_film, scan_films
+from aomgen.pipeline.films import demo_film, scan_films, with_looks
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
@@ -38,7 +38,6 @@ from aomgen.reconstruction.gaussians import GaussiansParams
 from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.parts import PartsParams
 from aomgen.reconstruction.parts_stage import load_parts, run_parts
-from aomgen.reconstruction.robot_surface import dressed
 from aomgen.reconstruction.segmenter import choose_segmenter
 from aomgen.reconstruction.settled_cameras import load_settled_cameras
 from aomgen.reconstruction.structure import Photographs
@@ -224,7 +223,7 @@ def posture_of(capture: Capture) -> RobotPosture:
 
 
 def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Every Gaussian bound to the body that carries it; robot and drawers seen from all sides."""
+    """Every Gaussian bound to the body that carries it, and everything fitted to scan and video."""
     capture = capture_of(run)
     robot = robot_of(capture)
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
@@ -244,9 +243,8 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     scanned = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
     film = demo_film(capture, demo_camera_world(run), motion, scanned, robot)
     bound = with_tray(scanned, robot, film)
-    progress(0.1, "the robot's surface")
     films = [*scan_films(capture, scan_cameras_world(run), bound), film]
-    result = dressed(bound, robot, films, np.random.default_rng(0))
+    result = with_looks(bound, robot, films, progress)
     save_twin(folder, result)
     save_robot(folder, capture.robot)
     return {

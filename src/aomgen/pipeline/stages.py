@@ -90,8 +90,8 @@ STAGES: tuple[Stage, ...] = (
         title="binding the twin",
         needs=("capture", "structure", "gaussians", "alignment", "parts", "motion"),
         settings=(),
-        version=4,
-        weight=10,
+        version=5,
+        weight=25,
         function=lazily("recovery", "twin"),
     ),
     Stage(

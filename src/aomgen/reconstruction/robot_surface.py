@@ -19,11 +19,10 @@ from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.core.values import Array
 from aomgen.physics.robot import RobotModel
 from aomgen.reconstruction.robot_colors import robot_colors
-from aomgen.reconstruction.robot_training import sharpened
-from aomgen.reconstruction.robot_views import Film, Sightings, sightings_of
+from aomgen.reconstruction.robot_views import Film, Sightings, pixel_size, sightings_of
 from aomgen.splatting.surfels import Surfels, open_surfels_of
 from aomgen.twin.relit import Relit
-from aomgen.twin.twin import Twin, body_poses
+from aomgen.twin.twin import Twin
 
 # Discs lie this far apart in the pictures, [px], within limits that keep episodes fast.
 SPACING_PX: Final = 2.0
@@ -63,7 +62,7 @@ def dressed(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random
     """
     if not robot.meshes or not films:
         return twin
-    pixel_m = _pixel_size(robot, twin, films)
+    pixel_m = pixel_size(robot, twin, films)
     cover = _cover(robot, pixel_m, rng)
     bare = _with_cover(twin, cover)
     sightings = sightings_of(bare, robot, films)
@@ -76,7 +75,7 @@ def dressed(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random
     count = len(bare.gaussians) - len(cover.bodies)
     sh = np.array(bare.gaussians.with_sh_degree(max(bare.gaussians.sh_degree, 2)).sh)
     sh[count:, 1:9] = colors.glare_sh
-    colored = replace(
+    return replace(
         bare,
         gaussians=bare.gaussians.with_sh(sh),
         relit=Relit(
@@ -88,17 +87,6 @@ def dressed(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random
             remembered=colors.remembered,
         ),
     )
-    return sharpened(colored, robot, films, pixel_m, rng)
-
-
-def _pixel_size(robot: RobotModel, twin: Twin, films: Sequence[Film]) -> float:
-    """Size of a pixel at the robot in the usual picture, [m]."""
-    places = body_poses(twin, robot, twin.scan_state)[1 : 1 + len(robot.body_names), :3, 3]
-    sizes = [
-        np.median(np.linalg.norm(places - film.camera.center, axis=1)) / max(film.camera.fx, film.camera.fy)
-        for film in films
-    ]
-    return float(np.median(sizes))
 
 
 def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cover:

@@ -138,6 +138,16 @@ def matched_film(film: Film, drawn_srgb: Array, compared: NDArray[np.bool_]) -> 
     return Film(camera=film.camera, images_srgb=images, states=film.states)
 
 
+def pixel_size(robot: RobotModel, twin: Twin, films: Sequence[Film]) -> float:
+    """Size of a pixel at the robot in the usual picture, [m]."""
+    places = body_poses(twin, robot, twin.scan_state)[1 : 1 + len(robot.body_names), :3, 3]
+    sizes = [
+        np.median(np.linalg.norm(places - film.camera.center, axis=1)) / max(film.camera.fx, film.camera.fy)
+        for film in films
+    ]
+    return float(np.median(sizes))
+
+
 def _discs_of_moving(twin: Twin, moving: MovingLayer) -> NDArray[np.int64]:
     """Row among the relit Gaussians of every Gaussian of a moving layer, -1 for what is not lit."""
     rows = np.concatenate([surface.rows for surface in moving.surfaces] or [np.zeros(0, np.int64)])

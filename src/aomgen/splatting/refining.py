@@ -15,7 +15,7 @@ from aomgen.splatting import native
 from aomgen.splatting.compute import NativeCompute
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
 from aomgen.splatting.loss import image_loss
-from aomgen.splatting.optimizer import NAMES, Parameters, gaussians_of, parameters_of
+from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.training import one_torch_thread
 
 
@@ -27,7 +27,7 @@ class Lesson:
         camera: Where it was taken.
         image_srgb: (H, W, 3) uint8.
         Ts_world_part: Poses of the parts (P, 4, 4).
-        colors_srgb: Colors (M, 3) of the free Gaussians in this posture, in the place of their
+        colors_srgb: Colors (M, 3) of the last Gaussians in this posture, in the place of their
             harmonics' constant term.
         recall: Share (M,) of the learned difference in color that is seen in this posture.
     """
@@ -35,8 +35,8 @@ class Lesson:
     camera: Camera
     image_srgb: NDArray[np.uint8]
     Ts_world_part: Array
-    colors_srgb: Array
-    recall: Array
+    colors_srgb: NDArray[np.float32]
+    recall: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class RefiningParams:
         dssim_weight: Share of the structural part in the loss.
     """
 
-    rounds: int = 3
+    rounds: int = 2
     rate_means: float = 1e-4
     rate_quats: float = 4e-3
     rate_log_scales: float = 2e-2
@@ -62,8 +62,7 @@ class RefiningParams:
 
 
 def refined(
-    still: Gaussians,
-    free: Gaussians,
+    gaussians: Gaussians,
     parts: NDArray[np.int32],
     lessons: Sequence[Lesson],
     params: RefiningParams,
@@ -72,23 +71,23 @@ def refined(
     """Fit Gaussians of moving parts to pictures.
 
     Args:
-        still: What else is in the pictures (N), each in its part's frame; it stays as it is.
-        free: What is fitted (M), in the frames of its parts.
-        parts: Part of every Gaussian (N + M,), the still ones first.
+        gaussians: N, in the frames of their parts; the last M are those with colors in lessons.
+        parts: Part of every Gaussian (N,).
         lessons: At least one.
         params: Length and rates.
         rng: Order of the pictures.
 
     Returns:
-        The fitted Gaussians (M), their constant term as it was, and differences in color (M, 3),
-        sRGB, that `Lesson.recall` weighs.
+        The fitted Gaussians (N), the constant term of the last M as it was, and differences in
+        color (M, 3), sRGB, that `Lesson.recall` weighs.
 
     Raises:
         BackendError: The splatting engine is missing or refuses the scene.
     """
-    degree = max(still.sh_degree, free.sh_degree)
-    backdrop, parameters = parameters_of(still, degree).values, parameters_of(free, degree)
-    parameters.values["sh"][:, 0] = 0
+    degree, lit = gaussians.sh_degree, len(lessons[0].recall)
+    parameters = parameters_of(gaussians, degree)
+    first = len(gaussians) - lit
+    parameters.values["sh"][first:, 0] = 0
     steps, order = params.rounds * len(lessons), np.zeros(0, np.int64)
     compute, contexts = NativeCompute(), (native.Context(), native.Context(threads=1))
     indices = torch.tensor(np.asarray(parts, np.int32))
@@ -97,21 +96,20 @@ def refined(
             if not len(order):
                 order = rng.permutation(len(lessons))
             lesson, order = lessons[int(order[0])], order[1:]
-            gradients = _gradients(backdrop, parameters, indices, lesson, params.dssim_weight, contexts)
+            gradients = _gradients(parameters, indices, lesson, params.dssim_weight, contexts)
             parameters.step(gradients, _rates(params, step / steps, degree), compute)
     result = gaussians_of(parameters)
     sh = np.array(result.sh)
-    difference = sh[:, 0].astype(np.float64) * SH_C0
-    sh[:, 0] = free.sh[:, 0]
+    difference = sh[first:, 0].astype(np.float64) * SH_C0
+    sh[first:, 0] = gaussians.sh[first:, 0]
     # Exactly as they came: a logit and back rounds.
     kept = Gaussians(
-        means=result.means, quats=result.quats, scales=result.scales, opacities=free.opacities, sh=sh
+        means=result.means, quats=result.quats, scales=result.scales, opacities=gaussians.opacities, sh=sh
     )
     return kept, difference
 
 
 def _gradients(
-    backdrop: dict[str, Tensor],
     parameters: Parameters,
     indices: Tensor,
     lesson: Lesson,
@@ -120,25 +118,27 @@ def _gradients(
 ) -> dict[str, Tensor]:
     """Gradients of one picture's loss, by name; `contexts` of the rasterizer and of the loss."""
     leaves = parameters.leaves()
-    scene = _scene(backdrop, leaves, lesson)
     Ts_world_part = torch.tensor(lesson.Ts_world_part, dtype=torch.float32)
     options = RasterOptions(sh_degree=int(np.sqrt(leaves["sh"].shape[1])) - 1)
     drawn = CpuRasterizer(contexts[0])(
-        scene, lesson.camera, options, parts=PartTensors(indices=indices, Ts_world_part=Ts_world_part)
+        GaussianTensors(**{**leaves, "sh": _harmonics(leaves["sh"], lesson)}),
+        lesson.camera,
+        options,
+        parts=PartTensors(indices=indices, Ts_world_part=Ts_world_part),
     )
     target = torch.tensor(np.ascontiguousarray(lesson.image_srgb.transpose(2, 0, 1))).float() / 255
     image_loss(drawn.rgb, target, dssim_weight=dssim_weight, context=contexts[1]).backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
 
 
-def _scene(backdrop: dict[str, Tensor], leaves: dict[str, Tensor], lesson: Lesson) -> GaussianTensors:
-    constant = torch.tensor((np.asarray(lesson.colors_srgb) - 0.5) / SH_C0, dtype=torch.float32)
-    recall = torch.tensor(np.asarray(lesson.recall), dtype=torch.float32)
-    free = dict(leaves)
-    learned = leaves["sh"]
-    first = constant + recall[:, None] * learned[:, 0]
-    free["sh"] = torch.cat([first[:, None], learned[:, 1:]], 1)
-    return GaussianTensors(**{name: torch.cat([backdrop[name], free[name]]) for name in NAMES})
+def _harmonics(learned: Tensor, lesson: Lesson) -> Tensor:
+    """Harmonics (N, K, 3) of a posture: the last M are lit, and differ by what is recalled."""
+    constant = torch.tensor((lesson.colors_srgb - 0.5) / SH_C0, dtype=torch.float32)
+    recall = torch.tensor(lesson.recall, dtype=torch.float32)
+    first = len(learned) - len(recall)
+    lit = constant + recall[:, None] * learned[first:, 0]
+    constants = torch.cat([learned[:first, 0], lit])
+    return torch.cat([constants[:, None], learned[:, 1:]], 1)
 
 
 def _rates(params: RefiningParams, share: float, degree: int) -> dict[str, Tensor]:
