@@ -25,6 +25,7 @@ from aomgen.errors import AlignmentError
 from aomgen.pipeline.project import Project, read_project
 from aomgen.pipeline.recovery import posture_of
 from aomgen.reconstruction.alignment import Alignment, align
+from aomgen.reconstruction.alignment_search import Scan
 from aomgen.reconstruction.alignment_stage import boxes_of, camera_errors_of, views_of
 from aomgen.reconstruction.structure import Structure
 from aomgen.reconstruction.structure_stage import load_structure
@@ -147,15 +148,13 @@ def _try(case: Case) -> Outcome:
 
 
 def _align(scene: Scene) -> Alignment:
-    return align(
-        scene.views,
-        scene.robot_boxes,
-        scene.points_recon,
-        scene.posture,
-        silent,
-        np.random.default_rng(0),
+    scan = Scan(
+        views=scene.views,
+        boxes=scene.robot_boxes,
+        points_recon=scene.points_recon,
         errors=scene.errors,
     )
+    return align(scan, scene.posture, silent, np.random.default_rng(0))
 
 
 def _error_m(S_world_recon: np.ndarray, scene: Scene) -> float:

@@ -14,8 +14,7 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AlignmentError
-from aomgen.reconstruction.alignment_search import SearchParams, search
-from aomgen.reconstruction.alignment_start import RobotBox
+from aomgen.reconstruction.alignment_search import Scan, SearchParams, search
 from aomgen.reconstruction.camera_errors import CameraErrors
 from aomgen.reconstruction.contours import View
 from aomgen.reconstruction.outline_errors import covariance_from_cameras, joint_offsets, similarity_covariance
@@ -25,11 +24,13 @@ from aomgen.reconstruction.outline_fit import (
     MIDDLE,
     RobotDrawing,
     RobotPosture,
-    camera_in_world,
     reduced,
     refine,
     robot_drawing,
     spread,
+)
+from aomgen.reconstruction.outline_fit import (
+    camera_in_world as camera_in_world,
 )
 
 STAGE = "alignment"
@@ -102,79 +103,92 @@ class Alignment:
 
 
 def align(
-    views: list[View],
-    boxes: list[RobotBox],
-    points_recon: Array,
+    scan: Scan,
     posture: RobotPosture,
     progress: Progress,
     rng: np.random.Generator,
     params: AlignmentParams | None = None,
-    errors: CameraErrors | None = None,
 ) -> Alignment:
     """Find `S_world_recon` from the robot's outlines in the scan images.
 
     Args:
-        views: Images that show the robot in `posture` (scan, first frames of fixed cameras).
-        boxes: Prompted boxes around the robot, at least one; two far apart are better.
-        points_recon: Sparse points (P, 3), for the up direction only.
+        scan: Images that show the robot in `posture`, with at least one prompted box.
         posture: Robot and its joint values during the scan.
         progress: Told after each hypothesis.
-        rng: Random choices of the plane search.
+        rng: Random choices of the search.
         params: See `AlignmentParams`.
-        errors: How far the cameras may be off, recon frame; without, they are taken as exact.
 
     Raises:
         AlignmentError: No box, the outlines are not confirmed by the images, or two different
             hypotheses are confirmed equally well.
 
-    Not checked: camera poses and intrinsics are taken as given, and the robot's base must stand
-    within about 30 degrees of upright.
+    Not checked: intrinsics are taken as given, and the robot's base must stand within about 30
+    degrees of upright.
     """
     params = params or AlignmentParams()
-    if not boxes:
+    if not scan.boxes:
         raise AlignmentError(
             STAGE, "no prompt gives a box around the robot", "add a robot box to capture.toml"
         )
-    S_unit_recon = unit_frame([view.camera_recon.center for view in views], views[0].camera_recon.T_world_cam)
-    views = [replace(view, camera_recon=camera_in_world(S_unit_recon, view.camera_recon)) for view in views]
-    boxes = [replace(box, camera_recon=camera_in_world(S_unit_recon, box.camera_recon)) for box in boxes]
-    views = [reduced(view, params.width) for view in views]
-    points = apply(S_unit_recon, points_recon)
-    width = max(view.camera_recon.width for view in views)
-    height = max(view.camera_recon.height for view in views)
+    cameras = [view.camera_recon for view in scan.views]
+    S_unit_recon = unit_frame([camera.center for camera in cameras], cameras[0].T_world_cam)
+    scan = scan.seen_from(S_unit_recon)
+    scan = replace(scan, views=[reduced(view, params.width) for view in scan.views])
+    width = max(view.camera_recon.width for view in scan.views)
+    height = max(view.camera_recon.height for view in scan.views)
     with robot_drawing(posture, width, height) as drawing:
-        ranked: list[tuple[Confirmation, Array]] = []
-        for factor in params.guesses:
-            effort = replace(params.search, guesses=factor * params.search.guesses)
-            found = search(views, boxes, points, posture, rng, effort).at_least(params.finalist_share)
-            progress(0.3, "looked for likely places")
-            ranked = _refine_starts(found.Ss_world_recon, views, drawing, part(progress, 0.3, 0.6))
-            if ranked[0][0].lift >= params.min_lift:
-                break
-        first, S = ranked[0]
-        if not first.lift >= params.min_lift / 2:
-            raise _unconfirmed(first, params)
-        others = [other.support for other, T in ranked[1:] if _distance(S, T, posture) > params.distinct_m]
-        chosen = spread(views, S, drawing, params.views)
+        S, runner_up = _likeliest(scan, drawing, part(progress, 0.0, 0.6), rng, params)
+        chosen = spread(scan.views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
         evidence = look(S, chosen, drawing, params.contour_points)
     confirmed = confirmation(evidence)
-    runner_up = max(others, default=0.0)
     _refuse_unconfirmed(confirmed, runner_up, posture, params)
-    offsets = _refuse_wrong_joints(evidence, posture, params)
-    covariance = similarity_covariance(evidence)
-    if errors is not None:
-        covariance = covariance + covariance_from_cameras(evidence, errors.seen_from(S @ S_unit_recon))
-    ee_sd_m = float(np.sqrt(np.trace(covariance[3:6, 3:6])))
+    offsets_rad = _refuse_wrong_joints(evidence, posture, params)
     result = replace(
-        _summary(S @ S_unit_recon, evidence, confirmed, ee_sd_m),
+        _summary(S @ S_unit_recon, evidence, confirmed),
         runner_up_support=runner_up,
-        joint_offsets_rad=offsets,
+        joint_offsets_rad=offsets_rad,
+        ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
     )
     _refuse_vague(result, params)
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
+
+
+def _likeliest(
+    scan: Scan, drawing: RobotDrawing, progress: Progress, rng: np.random.Generator, params: AlignmentParams
+) -> tuple[Array, float]:
+    """The best place on coarse images, and the support of the best different one; 0 without one.
+
+    Raises:
+        AlignmentError: Images confirm nothing that was found.
+    """
+    best: list[tuple[Confirmation, Array]] = []
+    for number, factor in enumerate(params.guesses):
+        effort = replace(params.search, guesses=factor * params.search.guesses)
+        found = search(scan, drawing.posture, rng, effort).at_least(params.finalist_share)
+        now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
+        now(0.5, "looked for likely places")
+        ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
+        best = max(best, ranked, key=lambda places: places[0][0].lift if places else -1.0)
+        if best and best[0][0].lift >= params.min_lift:
+            break
+    if not best:
+        raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
+    first, S = best[0]
+    if not first.lift >= params.min_lift / 2:
+        raise _unconfirmed(first, params)
+    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > params.distinct_m]
+    return S, max(others, default=0.0)
+
+
+def _ee_sd_m(evidence: list[ViewEvidence], errors: CameraErrors | None) -> float:
+    """Standard deviation of the end effector; errors of the cameras in the world frame."""
+    covariance = similarity_covariance(evidence)
+    if errors is not None:
+        covariance = covariance + covariance_from_cameras(evidence, errors)
+    return float(np.sqrt(np.trace(covariance[3:6, 3:6])))
 
 
 def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
@@ -202,12 +216,10 @@ def _refine_starts(
             S = refine(start, chosen, drawing, MIDDLE, 200)
             ranked.append((confirmation(look(S, chosen, drawing, 200)), S))
         progress((index + 1) / len(starts), f"place {index + 1} of {len(starts)}")
-    if not ranked:
-        raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
     return sorted(ranked, key=lambda item: -item[0].support)
 
 
-def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation, ee_sd_m: float) -> Alignment:
+def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation) -> Alignment:
     of_view = {
         view.name: float(np.median(np.abs(view.edge_px[view.confirmed])))
         for view in evidence
@@ -221,7 +233,7 @@ def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation, ee_sd_
         runner_up_support=0.0,
         residual_px=float(np.median(np.abs(pooled))),
         residual_px_of_view=of_view,
-        ee_sd_m=ee_sd_m,
+        ee_sd_m=0.0,
     )
 
 

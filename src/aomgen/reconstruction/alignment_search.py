@@ -13,9 +13,10 @@ import numpy as np
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.reconstruction.alignment_start import RobotBox, places_in_boxes
+from aomgen.reconstruction.camera_errors import CameraErrors
 from aomgen.reconstruction.color_score import color_score
 from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.outline_fit import reduced
+from aomgen.reconstruction.outline_fit import camera_in_world, reduced
 from aomgen.reconstruction.posture import RobotPosture
 from aomgen.reconstruction.upright import up_candidates
 
@@ -67,6 +68,41 @@ class SearchParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """What a structure and the prompts give the alignment.
+
+    Attributes:
+        views: Images that show the robot as it stood during the scan.
+        boxes: Prompted boxes around the robot; two far apart are better than one.
+        points_recon: Sparse points (P, 3).
+        errors: How far the cameras may be off; without, they are taken as exact.
+    """
+
+    views: list[View]
+    boxes: list[RobotBox]
+    points_recon: Array
+    errors: CameraErrors | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "points_recon", self.points_recon, (None, 3))
+
+    def seen_from(self, S_other_recon: Array) -> "Scan":
+        """The same in another frame."""
+        return Scan(
+            views=[
+                replace(view, camera_recon=camera_in_world(S_other_recon, view.camera_recon))
+                for view in self.views
+            ],
+            boxes=[
+                replace(box, camera_recon=camera_in_world(S_other_recon, box.camera_recon))
+                for box in self.boxes
+            ],
+            points_recon=apply(S_other_recon, self.points_recon),
+            errors=self.errors and self.errors.seen_from(S_other_recon),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
     """Places of the robot, best first: `S_world_recon` (H, 4, 4) and their color scores (H,)."""
 
@@ -84,19 +120,12 @@ class Found:
 
 
 def search(
-    views: list[View],
-    boxes: list[RobotBox],
-    points_recon: Array,
-    posture: RobotPosture,
-    rng: np.random.Generator,
-    params: SearchParams | None = None,
+    scan: Scan, posture: RobotPosture, rng: np.random.Generator, params: SearchParams | None = None
 ) -> Found:
     """Likely places of the robot, best first and far from one another.
 
     Args:
-        views: Images.
-        boxes: Prompted boxes around the robot, at least one.
-        points_recon: Sparse points (P, 3).
+        scan: Images with cameras, one prompted box or more.
         posture: The robot during the scan.
         rng: Makes guesses and children.
         params: Effort.
@@ -104,11 +133,11 @@ def search(
     params = params or SearchParams()
     vertices = posture.points_world()
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
-    ups = up_candidates([view.camera_recon for view in views], points_recon, rng)
-    places = places_in_boxes(boxes, vertices, ups, points_recon, rng, params.guesses)
+    ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
+    places = places_in_boxes(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
     Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + params.max_misfit]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
-    chosen = _views_on(views, apply(Ss_recon_world, probe.mean(0)), params.views)
+    chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
     first = color_score([reduced(view, params.first_width) for view in chosen], posture, rng)
     score = color_score([reduced(view, params.width) for view in chosen], posture, rng)
     parents = different(Found(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(params.generations[0]))

@@ -13,6 +13,7 @@ from aomgen.io.atomic import write_json
 from aomgen.io.images import read_image
 from aomgen.io.jsonfile import read_json
 from aomgen.reconstruction.alignment import Alignment, AlignmentParams, align
+from aomgen.reconstruction.alignment_search import Scan
 from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.camera_errors import CameraErrors, camera_covariance
 from aomgen.reconstruction.contours import View
@@ -50,16 +51,13 @@ def run_alignment(
     Raises:
         AlignmentError: See `align`.
     """
-    result = align(
-        views_of(structure, images, demo_first_srgb),
-        boxes_of(structure, prompts, ("robot",)),
-        structure.points_recon,
-        posture,
-        progress,
-        np.random.default_rng(seed),
-        params,
-        camera_errors_of(structure),
+    scan = Scan(
+        views=views_of(structure, images, demo_first_srgb),
+        boxes=boxes_of(structure, prompts, ("robot",)),
+        points_recon=structure.points_recon,
+        errors=camera_errors_of(structure),
     )
+    result = align(scan, posture, progress, np.random.default_rng(seed), params)
     save_alignment(result, folder)
     return result
 

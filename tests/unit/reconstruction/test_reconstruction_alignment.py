@@ -1,7 +1,5 @@
 """Alignment finds a hidden similarity from drawn images, and refuses where no robot stands."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -13,7 +11,7 @@ from aomgen.errors import AlignmentError
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment import AlignmentParams, align
-from aomgen.reconstruction.alignment_search import SearchParams
+from aomgen.reconstruction.alignment_search import Scan, SearchParams
 from aomgen.reconstruction.alignment_stage import load_alignment, save_alignment
 from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
@@ -66,6 +64,10 @@ def scene(
     return views, boxes
 
 
+def scan_of(views: list[View], boxes: list[RobotBox], points_recon: np.ndarray) -> Scan:
+    return Scan(views=views, boxes=boxes, points_recon=points_recon)
+
+
 def ground_points(rng: np.random.Generator) -> np.ndarray:
     floor = np.concatenate([rng.uniform(-2, 2, (400, 2)), rng.normal(0, 0.003, (400, 1))], 1)
     return apply(np.linalg.inv(S_WORLD_RECON), np.concatenate([floor, rng.uniform(-1, 1, (80, 3))]))
@@ -74,7 +76,7 @@ def ground_points(rng: np.random.Generator) -> np.ndarray:
 def test_a_hidden_similarity_is_found_to_millimetres(posture, tmp_path):
     rng = np.random.default_rng(3)
     views, boxes = scene(posture, rng, robot=True)
-    result = align(views, boxes, ground_points(rng), posture, silent, rng, PARAMS)
+    result = align(scan_of(views, boxes, ground_points(rng)), posture, silent, rng, PARAMS)
     moved = apply(result.S_world_recon @ np.linalg.inv(S_WORLD_RECON), posture.ee_world)
     assert np.linalg.norm(moved - posture.ee_world) < 0.004
     assert similarity_parts(result.S_world_recon)[0] == pytest.approx(0.37, rel=0.005)
@@ -87,12 +89,12 @@ def test_images_without_the_robot_are_refused(posture):
     rng = np.random.default_rng(4)
     views, boxes = scene(posture, rng, robot=False)
     with pytest.raises(AlignmentError, match="confirm"):
-        align(views, boxes, ground_points(rng), posture, silent, rng, PARAMS)
+        align(scan_of(views, boxes, ground_points(rng)), posture, silent, rng, PARAMS)
 
 
 def test_no_box_is_refused(posture):
     with pytest.raises(AlignmentError, match="robot box"):
-        align([], [], np.zeros((0, 3)), posture, silent, np.random.default_rng(0))
+        align(scan_of([], [], np.zeros((0, 3))), posture, silent, np.random.default_rng(0))
 
 
 def test_the_floor_gives_up_within_a_degree():
@@ -201,9 +203,8 @@ def test_the_answer_does_not_depend_on_scale_and_axes_of_the_structure(posture):
         S = similarity(
             scale, matrix_from_rotvec([2.0, 0.1 * scale, -1.5]), scale * np.array([3.0, -1.0, 2.0])
         )
-        moved = [replace(view, camera_recon=camera_in_world(S, view.camera_recon)) for view in views]
-        there = [replace(box, camera_recon=camera_in_world(S, box.camera_recon)) for box in boxes]
-        result = align(moved, there, apply(S, points), posture, silent, np.random.default_rng(0), PARAMS)
+        scan = scan_of(views, boxes, points).seen_from(S)
+        result = align(scan, posture, silent, np.random.default_rng(0), PARAMS)
         E = result.S_world_recon @ S @ np.linalg.inv(S_WORLD_RECON)
         places.append(apply(E, posture.points_world(50)))
     assert np.linalg.norm(places[0] - places[1], axis=1).max() < 0.001

@@ -8,7 +8,7 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
-from aomgen.reconstruction.alignment_search import Found, SearchParams, different, search
+from aomgen.reconstruction.alignment_search import Found, Scan, SearchParams, different, search
 from aomgen.reconstruction.alignment_start import RobotBox, places_in_boxes
 from aomgen.reconstruction.color_score import color_score, divergence
 from aomgen.reconstruction.contours import View
@@ -135,7 +135,12 @@ def test_the_search_ends_near_the_robot(posture, views, careless):
         boxes = [RobotBox(camera_recon=boxes[0].camera_recon, box_px=boxes[0].box_px + [4, 3, 4, 3])]
     rng = np.random.default_rng(6)
     points = apply(S_RECON_WORLD, rng.uniform(-1, 1, (300, 3)))
-    found = search(views, boxes, points, posture, rng, SearchParams(guesses=1200 if len(boxes) > 1 else 2400))
+    found = search(
+        Scan(views=views, boxes=boxes, points_recon=points),
+        posture,
+        rng,
+        SearchParams(guesses=1200 if len(boxes) > 1 else 2400),
+    )
     assert off_m(found.Ss_world_recon[:1], posture)[0] < 0.06
 
 
