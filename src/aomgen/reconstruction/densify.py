@@ -12,9 +12,17 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import resize
 from aomgen.reconstruction.backdrop import dominant_planes, explain, far_shell
-from aomgen.reconstruction.fusion import DepthMap, Samples, confirmations, confirmed_samples, thin
+from aomgen.reconstruction.fusion import (
+    DepthMap,
+    Samples,
+    confirmations,
+    confirmed_samples,
+    settled_depth,
+    thin,
+)
 from aomgen.reconstruction.plane_sweep import SweepParams, plane_sweep
 from aomgen.reconstruction.structure import Structure
+from aomgen.splatting.surfaces import in_free_space
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +133,8 @@ def densify(
     planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon)
     filled, rays = explain(maps, votes, planes)
     kept = thin(surfaces.with_points(filled), params.target_points)
+    settled = [settled_depth(one, own) for one, own in zip(maps, votes, strict=True)]
+    kept = kept.select(~in_free_space(kept.points_recon, settled))
     centers = np.array([camera.center for camera, _ in views])
     shell = far_shell(rays, kept.points_recon, centers, params.shell_points)
     return DensePoints(

@@ -1,6 +1,6 @@
 """From depth maps to points: what other views confirm, thinned evenly, and a far shell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from scipy import ndimage
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.splatting.surfaces import ViewDepth
 
 # A depth is confirmed by a view whose own depth there differs by at most this many planes.
 MAX_PLANES_APART = 1.5
@@ -60,21 +61,28 @@ class Samples:
     detail: Array
     weights: Array
 
+    def select(self, which: NDArray[np.bool_]) -> "Samples":
+        """The samples of a mask (P,)."""
+        return Samples(**{name: getattr(self, name)[which] for name in SAMPLE_FIELDS})
+
     def with_points(self, other: "Samples") -> "Samples":
         """Both sets, one after the other."""
         return joined([self, other])
 
 
+SAMPLE_FIELDS = tuple(field.name for field in fields(Samples))
+
+
 def joined(parts: list[Samples]) -> Samples:
     """All samples in order."""
-    return Samples(
-        points_recon=np.concatenate([p.points_recon for p in parts]),
-        normals_recon=np.concatenate([p.normals_recon for p in parts]),
-        colors_srgb=np.concatenate([p.colors_srgb for p in parts]),
-        footprints=np.concatenate([p.footprints for p in parts]),
-        detail=np.concatenate([p.detail for p in parts]),
-        weights=np.concatenate([p.weights for p in parts]),
-    )
+    return Samples(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in SAMPLE_FIELDS})
+
+
+def settled_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
+    """What a view sees where its neighbours confirm it (H, W); unknown elsewhere."""
+    known = (votes >= MIN_CONFIRMATIONS) & (depth_map.inverse_depth > depth_map.step)
+    depth = np.where(known, 1.0 / np.maximum(depth_map.inverse_depth, depth_map.step), np.nan)
+    return ViewDepth(camera=depth_map.camera, depth=depth.astype(np.float32))
 
 
 def confirmed_samples(maps: list[DepthMap], votes: list[NDArray[np.int32]]) -> Samples:

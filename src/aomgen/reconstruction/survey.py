@@ -14,9 +14,10 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
-from aomgen.reconstruction.coverage import MIN_VIEWS, PARALLAX_DEG, Coverage, ViewDepth, coverage_of
+from aomgen.reconstruction.coverage import MIN_VIEWS, Coverage, coverage_of
 from aomgen.reconstruction.enclosed import QUANTILES, upright_box_axes
 from aomgen.reconstruction.outline_fit import RobotPosture
+from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
 # Points along each edge of a side.
 GRID = 12

@@ -9,12 +9,13 @@ from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
 from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes
-from aomgen.reconstruction.coverage import Coverage, view_depths
+from aomgen.reconstruction.coverage import Coverage
 from aomgen.reconstruction.gaussians import held_out
 from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
 from aomgen.reconstruction.parts import Parts
 from aomgen.reconstruction.structure import Structure
 from aomgen.reconstruction.survey import Survey, survey
+from aomgen.splatting.surfaces import view_depths
 
 COVERAGE_FILE = "coverage.npz"
 SEED = 0

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from aomgen.core.camera import Camera
@@ -35,8 +36,9 @@ def relocate_and_grow(
     count: int,
     min_opacity: float,
     rng: np.random.Generator,
+    dropped: NDArray[np.bool_] | None = None,
 ) -> Parameters:
-    """Drop faint Gaussians and split others, until there are `count`.
+    """Drop faint and unwanted Gaussians and split others, until there are `count`.
 
     Parents are drawn with a probability proportional to their share of the error. A lower
     `count` than what is left after dropping adds nothing.
@@ -47,11 +49,14 @@ def relocate_and_grow(
         count: Number of Gaussians wanted.
         min_opacity: Fainter ones are dropped.
         rng: Source of the draw.
+        dropped: Gaussians (N,) to drop however opaque they are.
 
     Source: relocation within a fixed budget follows Kheradmand et al., "3D Gaussian splatting as
     Markov chain Monte Carlo", 2024; drawing by error and splitting the longest axis are ours.
     """
     alive = (parameters.opacities() >= min_opacity).cpu().numpy()
+    if dropped is not None:
+        alive &= ~dropped
     weights = np.where(alive, shares, 0.0)
     wanted = min(count - int(alive.sum()), int((weights > 0).sum()))
     if wanted <= 0:

@@ -21,6 +21,7 @@ from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.photographs import Exposure, View, reduced, within_range
 from aomgen.splatting.poses import PoseIncrements
 from aomgen.splatting.state import TrainingState
+from aomgen.splatting.surfaces import in_free_space, view_depths
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +38,8 @@ class TrainingParams:
         grow_every: Iterations between relocations.
         grow_window: Shares of the iterations between which Gaussians are relocated and added.
         error_views: Images of which the error is looked at for a relocation.
+        clear_at: Shares of the iterations from which on, at the next relocation, Gaussians in free
+            space are dropped once.
         min_opacity: Fainter Gaussians are relocated.
         dssim_weight: Share of the structural part in the loss.
         opacity_weight, scale_weight: Pull on mean opacity and on mean scale over extent.
@@ -59,6 +62,7 @@ class TrainingParams:
     grow_every: int = 100
     grow_window: tuple[float, float] = (0.1, 0.75)
     error_views: int = 8
+    clear_at: tuple[float, ...] = (0.45, 0.65)
     min_opacity: float = 0.01
     dssim_weight: float = 0.2
     opacity_weight: float = 0.002
@@ -261,8 +265,12 @@ def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Pa
     count = max(
         len(parameters), round(len(parameters) * (params.max_gaussians / len(parameters)) ** (1 / left))
     )
+    dropped = None
+    if _clears(params, state.iteration):
+        everywhere = [state.poses.corrected(i, view.camera) for i, view in enumerate(views)]
+        dropped = in_free_space(gaussians.means.astype(np.float64), view_depths(gaussians, everywhere))
     return relocate_and_grow(
-        parameters, shares, min(count, params.max_gaussians), params.min_opacity, state.rng
+        parameters, shares, min(count, params.max_gaussians), params.min_opacity, state.rng, dropped
     )
 
 
@@ -275,6 +283,11 @@ def looked_at(views: int, count: int, turn: int) -> NDArray[np.int64]:
 def _grows(params: TrainingParams, iteration: int) -> bool:
     first, last = (round(share * params.iterations) for share in params.grow_window)
     return first <= iteration < last and iteration % params.grow_every == params.grow_every - 1
+
+
+def _clears(params: TrainingParams, iteration: int) -> bool:
+    starts = [round(share * params.iterations) for share in params.clear_at]
+    return any(start <= iteration < start + params.grow_every for start in starts)
 
 
 def _factor(params: TrainingParams, share: float) -> int:
