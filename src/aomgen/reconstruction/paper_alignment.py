@@ -16,7 +16,7 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
 from aomgen.reconstruction.alignment import Alignment, unit_frame
-from aomgen.reconstruction.alignment_search import different, search
+from aomgen.reconstruction.alignment_search import Scan, different, search
 from aomgen.reconstruction.alignment_start import RobotBox
 from aomgen.reconstruction.contours import View
 from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
@@ -208,5 +208,6 @@ def _starts(
     params: PaperParams,
 ) -> Array:
     """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
-    found = search(views, boxes, points, posture, rng).at_least(params.start_share)
+    scan = Scan(views=views, boxes=boxes, points_recon=points)
+    found = search(scan, posture, rng).at_least(params.start_share)
     return different(found, posture.points_world(60), params.apart, params.starts).Ss_world_recon
