@@ -20,6 +20,7 @@ from aomgen.core.recording import Capture
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import Video
 from aomgen.physics.robot import chosen_robot
+from aomgen.pipeline.films import fitted_frames
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
@@ -98,7 +99,8 @@ def _score_pictures(
         for q, g, value in zip(joints, gripper, thetas, strict=True)
     ]
     demo_masks = TrueMasks(folder=masks / name, lens=structure.demo_lenses.get(name))
-    replay, demo_ious = score_replay(video, camera, states, demo_masks, render)
+    fitted = fitted_frames(capture, len(video.times_s)).tolist()
+    replay, demo_ious = score_replay(video, camera, states, demo_masks, render, fitted)
     return figures | replay | pooled_ious(scan_ious, demo_ious)
 
 

@@ -1,6 +1,6 @@
 """Scores renders of a finished run's twin against the capture's own pictures and true masks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,9 +96,15 @@ def score_scan(
 
 
 def score_replay(
-    video: Video, camera: Camera, states: list[TwinState], masks: TrueMasks, render: RenderTwin
+    video: Video,
+    camera: Camera,
+    states: list[TwinState],
+    masks: TrueMasks,
+    render: RenderTwin,
+    fitted: Collection[int],
 ) -> tuple[dict[str, Any], dict[str, list[float]]]:
-    """PSNR of the twin's replay against the video, split by true masks; IoUs on every 5th frame.
+    """PSNR of the twin's replay against frames it was not fitted to, split by true masks; IoUs on
+    every 5th frame.
 
     Args:
         video: The demonstration video.
@@ -106,7 +112,9 @@ def score_replay(
         states: Estimated state at every frame.
         masks: True masks of its frames.
         render: Draws the twin.
+        fitted: Frames that the twin's looks were fitted to.
     """
+    unseen = sorted(set(range(len(states))) - set(fitted))
     errors: dict[str, list[NDArray]] = {"robot": [], "moving": [], "rest": []}
     ious: dict[str, list[float]] = {part: [] for part in PARTS}
     for index, state in enumerate(states):
@@ -116,15 +124,16 @@ def score_replay(
         squared = ((image.astype(np.float64) - real) / 255) ** 2
         robot = binary_dilation(true == ROBOT, iterations=ROBOT_MARGIN_PX)
         moving = (true == MOVING) & ~robot
-        for key, mask in (("robot", robot), ("moving", moving), ("rest", ~robot & ~moving)):
-            errors[key].append(squared[mask].ravel())
+        if index in unseen:
+            for key, mask in (("robot", robot), ("moving", moving), ("rest", ~robot & ~moving)):
+                errors[key].append(squared[mask].ravel())
         if index % 5 == 0:
             add_ious(ious, labels, true)
     figures = {
         f"images.replay_psnr_{key}": float(-10 * np.log10(np.concatenate(parts).mean()))
         for key, parts in errors.items()
     }
-    return figures, ious
+    return figures | {"images.replay_unseen_frames": len(unseen)}, ious
 
 
 def pooled_ious(*sources: dict[str, list[float]]) -> dict[str, float | None]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.capture.check import read_demo_videos
 from aomgen.core.camera import Camera
@@ -40,13 +41,18 @@ def scan_films(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -
     ]
 
 
+def fitted_frames(capture: Capture, frames: int) -> NDArray[np.int64]:
+    """Which of the first fixed camera's frames the twin is fitted to; the others stay unseen."""
+    count = max(int(DEMO_SHARE * min(len(capture.scan_images), SCAN_PICTURES)), MIN_DEMO_PICTURES)
+    return np.unique(np.linspace(0, frames - 1, count).astype(np.int64))
+
+
 def demo_film(
     capture: Capture, camera_world: Camera, motion: MotionEstimate, twin: Twin, robot: RobotModel
 ) -> Film:
     """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
     video = read_demo_videos(capture)[capture.cameras[0].name]
-    count = max(int(DEMO_SHARE * min(len(capture.scan_images), SCAN_PICTURES)), MIN_DEMO_PICTURES)
-    chosen = np.unique(np.linspace(0, len(video.times_s) - 1, count).astype(int))
+    chosen = fitted_frames(capture, len(video.times_s))
     times = video.times_s[chosen]
     joints, gripper = capture.joint_log.at(times + motion.clock_offset_s)
     states = tuple(
