@@ -152,14 +152,16 @@ def query_parts(
     gaussians: Gaussians, affinity: Affinity, prompted: Sequence[PromptedImage], params: AffinityPartsParams
 ) -> dict[int, QueryAnswer]:
     """How well every Gaussian fits the prompted object (`STATIC`) and its moving part (`MOVING`)."""
-    answers = {}
+    answers: dict[int, QueryAnswer] = {}
     for value in (STATIC, MOVING):
         queries = [
             Query(camera=item.view.camera, mask=item.best_mask, ignored=item.view.robot)
             for item in prompted
             if item.part == value
         ]
-        answers[value] = answer_query(gaussians, affinity, queries, params.training.width)
+        whole = answers.get(STATIC)
+        within = None if whole is None else whole.similarities > whole.threshold
+        answers[value] = answer_query(gaussians, affinity, queries, params.training.width, within)
     return answers
 
 

@@ -2,6 +2,9 @@
 
 The prompt's mask in its own view says how large the thing is and what its features look like; the
 similarity above which a Gaussian belongs to it is the one that paints the prompt's mask best.
+A part of a known thing may be told from the rest of that thing instead: views of the thing's other
+sides train what belongs to it, but hardly how far they are from the part. What paints the prompt's mask
+better is taken.
 Source: SAGA (Cen et al., AAAI 2025), sec. 3.4; there the size and the threshold are set by hand.
 """
 
@@ -43,7 +46,7 @@ class QueryAnswer:
     """How well every Gaussian fits the thing.
 
     Attributes:
-        similarities: (N,) cosine, -1..1.
+        similarities: (N,) cosine with the thing, or with the way from the rest to it, -1..1.
         threshold: Similarity from which on a Gaussian belongs to the thing.
         iou: Agreement with the prompts' masks of what the Gaussians above it paint there.
         size_m: Size asked for, [m].
@@ -56,7 +59,11 @@ class QueryAnswer:
 
 
 def answer_query(
-    gaussians: Gaussians, affinity: Affinity, queries: Sequence[Query], width: int
+    gaussians: Gaussians,
+    affinity: Affinity,
+    queries: Sequence[Query],
+    width: int,
+    within: NDArray[np.bool_] | None = None,
 ) -> QueryAnswer:
     """Similarity of all Gaussians to a prompted thing, and where to cut.
 
@@ -65,6 +72,8 @@ def answer_query(
         affinity: Their features.
         queries: The thing in one or more views.
         width: Width at which features are drawn, [px].
+        within: (N,), the Gaussians of a larger thing that this one is a part of; None when it
+            stands alone.
 
     Raises:
         ReconstructionError: No query shows anything.
@@ -90,9 +99,18 @@ def answer_query(
         weights = contribution_weights(gaussians, sized.camera, np.stack([mask, other]).astype(np.float32))
         painted += weights[:, 0]
         rest += weights[:, 1]
-    similarities = features @ unit(np.mean(seen, axis=0))
-    threshold, iou = best_threshold(similarities, painted, rest)
-    return QueryAnswer(similarities=similarities, threshold=threshold, iou=iou, size_m=size_m)
+    directions = [unit(np.mean(seen, axis=0))]
+    if within is not None:
+        painted, rest = painted * within, rest * within
+        inside, outside = (unit(np.asarray(weights @ features, np.float32)) for weights in (painted, rest))
+        directions.append(unit(inside - outside))
+    answers = []
+    for direction in directions:
+        fit = features @ direction
+        similarities = fit if within is None else np.where(within, fit, -1).astype(np.float32)
+        threshold, iou = best_threshold(similarities, painted, rest)
+        answers.append(QueryAnswer(similarities=similarities, threshold=threshold, iou=iou, size_m=size_m))
+    return max(answers, key=lambda answer: answer.iou)
 
 
 def best_threshold(similarities: NDArray[np.float32], inside: Array, outside: Array) -> tuple[float, float]:

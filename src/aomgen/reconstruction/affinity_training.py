@@ -98,7 +98,8 @@ def train_affinity(
     sum_of_losses = 0.0
     for step in range(params.iterations):
         view = views[int(rng.integers(len(views)))]
-        size = float(rng.choice(sizes))
+        # A size of the view's own masks: other sizes have little to tell apart there.
+        size = float(rng.choice(view.sizes_m))
         gate = torch.sigmoid(slopes * float(relative_sizes(np.array([size]), sizes)[0]) + offsets)
         pixels = _sample_pixels(view, size, params, rng)
         seen = _drawn(draw, scene, view, mean(features))[pixels]

@@ -18,7 +18,7 @@ from aomgen.reconstruction.affinity_parts import (
     masked_scan,
     spread_views,
 )
-from aomgen.reconstruction.affinity_query import best_threshold
+from aomgen.reconstruction.affinity_query import Query, answer_query, best_threshold
 from aomgen.reconstruction.affinity_training import AffinityParams, pair_evidence, train_affinity
 from aomgen.reconstruction.automatic_masks import (
     AutomaticMasksParams,
@@ -254,6 +254,26 @@ def test_the_cut_lies_between_thing_and_rest():
     cut, iou = best_threshold(similarities, inside, 1 - inside)
     assert iou == pytest.approx(1)
     assert 0.2 < cut < 0.95
+
+
+def test_a_part_is_told_from_the_rest_of_its_thing():
+    gaussians, labels = scene()
+    rng = np.random.default_rng(0)
+    # What the features of the object have in common, what tells lid from body, and what says nothing.
+    features = np.stack(
+        [np.ones(len(labels)), np.where(labels == 2, 0.3, -0.3), rng.normal(size=len(labels))], 1
+    ).astype(np.float32)
+    gates = {"gate_slopes": np.zeros(3), "gate_offsets": np.zeros(3), "sizes_m": np.array([0.1, 1.0])}
+    affinity = Affinity(features=features, **gates)
+    view = scan_views(gaussians)[1]
+    query = Query(camera=view.camera, mask=true_masks(gaussians, labels, view.camera)[1], ignored=view.robot)
+    alone = answer_query(gaussians, affinity, [query], 96)
+    within = answer_query(gaussians, affinity, [query], 96, labels >= 1)
+    found = within.similarities > within.threshold
+    assert alone.iou < 0.8
+    assert within.iou > 0.9
+    assert np.mean(found == (labels == 2)) > 0.98
+    assert np.all(within.similarities[labels == 0] == -1)
 
 
 def test_similarity_does_not_depend_on_the_length_of_features():
