@@ -15,9 +15,9 @@ from aomgen.core.camera import Camera
 from aomgen.io.colmap import ColmapView, read_colmap
 from aomgen.io.images import read_image, resize
 from aomgen.io.ply import write_gaussians
-from aomgen.reconstruction.densify import DensifyParams, densify
-from aomgen.reconstruction.gaussians import held_out, initial_gaussians, judge
-from aomgen.reconstruction.structure import Structure
+from aomgen.reconstruction.cameras.structure import Structure
+from aomgen.reconstruction.surfaces.densify import DensifyParams, densify
+from aomgen.reconstruction.surfaces.gaussians import held_out, initial_gaussians, judge
 from aomgen.splatting.initialization import gaussians_from_points
 from aomgen.splatting.training import TrainingParams, train
 

@@ -51,7 +51,7 @@ def _gl_problem() -> str:
 
 
 def _weights_problem() -> str:
-    from aomgen.reconstruction.weights import find_weights
+    from aomgen.reconstruction.masks.weights import find_weights
 
     try:
         find_weights()

@@ -24,11 +24,11 @@ from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.errors import AlignmentError
 from aomgen.pipeline.project import Project, read_project
 from aomgen.pipeline.recovery import posture_of
-from aomgen.reconstruction.alignment import Alignment, align
-from aomgen.reconstruction.alignment_search import Scan
-from aomgen.reconstruction.alignment_stage import boxes_of, camera_errors_of, views_of
-from aomgen.reconstruction.structure import Structure
-from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.reconstruction.alignment.search import Scan
+from aomgen.reconstruction.alignment.similarity import Alignment, align
+from aomgen.reconstruction.alignment.stage import boxes_of, camera_errors_of, views_of
+from aomgen.reconstruction.cameras.stage import load_structure
+from aomgen.reconstruction.cameras.structure import Structure
 
 TOLERANCE_M = 0.006
 STRUCTURE_FOLDER = "01_structure"

@@ -11,11 +11,11 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts
 from aomgen.core.values import Array
 from aomgen.physics.silhouette import SilhouetteRenderer
-from aomgen.reconstruction.alignment_start import RobotBox
-from aomgen.reconstruction.camera_errors import CameraErrors
-from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.outline_fit import camera_in_world
-from aomgen.reconstruction.posture import RobotPosture
+from aomgen.reconstruction.alignment.camera_errors import CameraErrors
+from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world
+from aomgen.reconstruction.alignment.posture import RobotPosture
+from aomgen.reconstruction.alignment.start import RobotBox
 
 SCALES = (0.05, 20.0)
 # Kinds without a right answer, and how they differ from a solvable case.

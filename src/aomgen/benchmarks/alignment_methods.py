@@ -13,14 +13,14 @@ from aomgen.core.recording import Capture
 from aomgen.motion.stage import load_motion
 from aomgen.pipeline.recovery import posture_of, surface_points
 from aomgen.pipeline.stages import STAGES
-from aomgen.reconstruction.alignment_stage import boxes_of, views_of
-from aomgen.reconstruction.gaussians_stage import load_gaussians
-from aomgen.reconstruction.outline_fit import camera_in_world
-from aomgen.reconstruction.paper_alignment import align_as_paper
-from aomgen.reconstruction.parts import PartsParams, find_parts
-from aomgen.reconstruction.parts_stage import scan_views
-from aomgen.reconstruction.segmenter import choose_segmenter
-from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world
+from aomgen.reconstruction.alignment.paper import align_as_paper
+from aomgen.reconstruction.alignment.stage import boxes_of, views_of
+from aomgen.reconstruction.cameras.stage import load_structure
+from aomgen.reconstruction.masks.segmenter import choose_segmenter
+from aomgen.reconstruction.parts.lifting import PartsParams, find_parts
+from aomgen.reconstruction.parts.stage import scan_views
+from aomgen.reconstruction.surfaces.stage import load_gaussians
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.twin import Twin, TwinState
 

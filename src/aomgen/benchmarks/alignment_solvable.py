@@ -3,10 +3,10 @@
 import numpy as np
 
 from aomgen.core.values import Array
-from aomgen.reconstruction.alignment_start import RobotBox
-from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.outline_fit import camera_in_world
-from aomgen.reconstruction.posture import RobotPosture
+from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world
+from aomgen.reconstruction.alignment.posture import RobotPosture
+from aomgen.reconstruction.alignment.start import RobotBox
 
 MIN_VIEWS, MIN_ANGLE_DEG = 6, 30.0
 

@@ -25,7 +25,7 @@ from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.working import working_capture
-from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.reconstruction.cameras.stage import load_structure
 from aomgen.twin.twin import Twin, TwinState
 
 LAST_STAGE = "twin"

@@ -9,14 +9,14 @@ from aomgen.core.recording import Capture
 from aomgen.motion.stage import load_motion
 from aomgen.pipeline.recovery import posture_of, surface_points
 from aomgen.pipeline.stages import STAGES
-from aomgen.reconstruction.affinity_parts import AffinityPartsParams, masked_scan
-from aomgen.reconstruction.alignment_stage import load_alignment
-from aomgen.reconstruction.gaussians_stage import load_gaussians
-from aomgen.reconstruction.parts import PartsParams, find_parts
-from aomgen.reconstruction.parts_stage import MASKS_FOLDER, scan_views
-from aomgen.reconstruction.prompted import ask_prompts
-from aomgen.reconstruction.segmenter import choose_segmenter
-from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.reconstruction.alignment.stage import load_alignment
+from aomgen.reconstruction.cameras.stage import load_structure
+from aomgen.reconstruction.masks.segmenter import choose_segmenter
+from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams, masked_scan
+from aomgen.reconstruction.parts.lifting import PartsParams, find_parts
+from aomgen.reconstruction.parts.prompted import ask_prompts
+from aomgen.reconstruction.parts.stage import MASKS_FOLDER, scan_views
+from aomgen.reconstruction.surfaces.stage import load_gaussians
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.twin import Twin, TwinState
 

@@ -15,8 +15,14 @@ from aomgen.core.camera import Camera
 from aomgen.core.progress import silent
 from aomgen.io.images import read_image
 from aomgen.pipeline.project import Project
-from aomgen.reconstruction.gaussians import GaussiansParams, Lesson, judge, lesson_of, without_floaters
-from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.reconstruction.cameras.stage import load_structure
+from aomgen.reconstruction.surfaces.gaussians import (
+    GaussiansParams,
+    Lesson,
+    judge,
+    lesson_of,
+    without_floaters,
+)
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.state import TrainingState
 from aomgen.splatting.training import finished, learning, scene_extent, started

@@ -13,15 +13,15 @@ from aomgen.io.video import Video
 from aomgen.pipeline.recovery import posture_of
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
-from aomgen.reconstruction.alignment import Alignment
-from aomgen.reconstruction.alignment_stage import boxes_of, run_alignment, save_alignment, views_of
-from aomgen.reconstruction.camera_settling import Filmed, Scene, settle_fixed_cameras
-from aomgen.reconstruction.gaussians_stage import load_gaussians
-from aomgen.reconstruction.joint_equations import JointParams
-from aomgen.reconstruction.paper_alignment import align_as_paper
-from aomgen.reconstruction.settled_cameras import save_settled_cameras
-from aomgen.reconstruction.structure import Structure
-from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.reconstruction.alignment.camera_settling import Filmed, Scene, settle_fixed_cameras
+from aomgen.reconstruction.alignment.joint_equations import JointParams
+from aomgen.reconstruction.alignment.paper import align_as_paper
+from aomgen.reconstruction.alignment.settled_cameras import save_settled_cameras
+from aomgen.reconstruction.alignment.similarity import Alignment
+from aomgen.reconstruction.alignment.stage import boxes_of, run_alignment, save_alignment, views_of
+from aomgen.reconstruction.cameras.stage import load_structure
+from aomgen.reconstruction.cameras.structure import Structure
+from aomgen.reconstruction.surfaces.stage import load_gaussians
 
 
 def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:

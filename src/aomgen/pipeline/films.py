@@ -12,10 +12,10 @@ from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.io.images import read_image
 from aomgen.physics.robot import RobotModel
-from aomgen.reconstruction.gaussians import held_out
-from aomgen.reconstruction.robot_surface import dressed
-from aomgen.reconstruction.robot_views import Film, matched_film
-from aomgen.reconstruction.twin_training import sharpened
+from aomgen.reconstruction.looks.robot_surface import dressed
+from aomgen.reconstruction.looks.robot_views import Film, matched_film
+from aomgen.reconstruction.looks.twin_training import sharpened
+from aomgen.reconstruction.surfaces.gaussians import held_out
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 # More pictures tell little more, and take as long again.

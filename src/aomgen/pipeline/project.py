@@ -42,7 +42,7 @@ class Project(BaseModel):
         image_size: Size of the episodes' images, [px].
         iterations: Training steps.
         gaussians: Cap on the number of Gaussians in the scene.
-        segmenter: What makes masks; see `reconstruction.segmenter.choose_segmenter`.
+        segmenter: What makes masks; see `reconstruction.masks.segmenter.choose_segmenter`.
         alignment_method: How scan and robot are brought together; "paper" is there to compare with.
         parts_method: How the object's parts are found; see `reconstruction.parts`.
     """

@@ -28,22 +28,22 @@ from aomgen.pipeline.estimates import estimates_of
 from aomgen.pipeline.films import demo_film, scan_films, with_looks
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
-from aomgen.reconstruction.alignment import RobotPosture, camera_in_world
-from aomgen.reconstruction.alignment_stage import (
+from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
+from aomgen.reconstruction.alignment.similarity import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment.stage import (
     load_alignment,
 )
-from aomgen.reconstruction.fixed_cameras import DemoView
-from aomgen.reconstruction.frames import extract_frames
-from aomgen.reconstruction.gaussians import GaussiansParams
-from aomgen.reconstruction.gaussians_stage import load_gaussians, run_gaussians
-from aomgen.reconstruction.parts import PartsParams
-from aomgen.reconstruction.parts_stage import load_parts, run_parts
-from aomgen.reconstruction.segmenter import choose_segmenter
-from aomgen.reconstruction.settled_cameras import load_settled_cameras
-from aomgen.reconstruction.structure import Photographs
-from aomgen.reconstruction.structure_stage import load_structure, run_structure
-from aomgen.reconstruction.survey_stage import run_survey
-from aomgen.reconstruction.tray import with_tray
+from aomgen.reconstruction.cameras.fixed_cameras import DemoView
+from aomgen.reconstruction.cameras.frames import extract_frames
+from aomgen.reconstruction.cameras.stage import load_structure, run_structure
+from aomgen.reconstruction.cameras.structure import Photographs
+from aomgen.reconstruction.looks.tray import with_tray
+from aomgen.reconstruction.masks.segmenter import choose_segmenter
+from aomgen.reconstruction.parts.lifting import PartsParams
+from aomgen.reconstruction.parts.stage import load_parts, run_parts
+from aomgen.reconstruction.surfaces.gaussians import GaussiansParams
+from aomgen.reconstruction.surfaces.stage import load_gaussians, run_gaussians
+from aomgen.reconstruction.surfaces.survey_stage import run_survey
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.store import save_twin
 from aomgen.twin.twin import TwinState

@@ -6,9 +6,9 @@ from pathlib import Path
 from aomgen.capture.read import read_capture
 from aomgen.core.recording import Capture
 from aomgen.pipeline.stage import Run
-from aomgen.reconstruction.frames import extracted_frames
-from aomgen.reconstruction.straight import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
-from aomgen.reconstruction.structure_stage import load_structure
+from aomgen.reconstruction.cameras.frames import extracted_frames
+from aomgen.reconstruction.cameras.stage import load_structure
+from aomgen.reconstruction.cameras.straight import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
 
 
 def capture_of(run: Run) -> Capture:

@@ -20,8 +20,8 @@ from aomgen.pipeline.recovery import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.working import capture_of
-from aomgen.reconstruction.gaussians import held_out
-from aomgen.reconstruction.survey_stage import load_survey
+from aomgen.reconstruction.surfaces.gaussians import held_out
+from aomgen.reconstruction.surfaces.survey_stage import load_survey
 from aomgen.report.drawing import map_from_above, overlay_joint, overlay_labels, overlay_outline, sheet
 from aomgen.twin.twin import Twin, TwinState
 

@@ -19,10 +19,10 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_rotvec, similarity, similarity_parts
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
-from aomgen.reconstruction.alignment_start import RobotBox
-from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.outline_fit import camera_in_world
-from aomgen.reconstruction.posture import RobotPosture
+from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world
+from aomgen.reconstruction.alignment.posture import RobotPosture
+from aomgen.reconstruction.alignment.start import RobotBox
 
 S_WORLD_RECON = similarity(0.6, matrix_from_rotvec([0.3, -0.5, 0.8]), [0.3, 0.1, -0.4])
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])

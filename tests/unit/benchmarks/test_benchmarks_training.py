@@ -10,8 +10,8 @@ from aomgen.benchmarks.training import Clock, gain_fitted_psnr, training_curve
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
-from aomgen.reconstruction.densify import DensePoints
-from aomgen.reconstruction.gaussians import GaussiansParams, Lesson, coarse, initial_gaussians, judge
+from aomgen.reconstruction.surfaces.densify import DensePoints
+from aomgen.reconstruction.surfaces.gaussians import GaussiansParams, Lesson, coarse, initial_gaussians, judge
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.training import train
 

@@ -13,10 +13,10 @@ from aomgen.core.recording import frame_name
 from aomgen.errors import MissingFileError
 from aomgen.io.atomic import write_json
 from aomgen.pipeline.working import working_capture
-from aomgen.reconstruction.frames import FRAMES_FOLDER, LISTING
-from aomgen.reconstruction.straight import IMAGES_FOLDER, MASKS_FOLDER
-from aomgen.reconstruction.structure import Structure
-from aomgen.reconstruction.structure_stage import save_structure
+from aomgen.reconstruction.cameras.frames import FRAMES_FOLDER, LISTING
+from aomgen.reconstruction.cameras.stage import save_structure
+from aomgen.reconstruction.cameras.straight import IMAGES_FOLDER, MASKS_FOLDER
+from aomgen.reconstruction.cameras.structure import Structure
 
 BENT = Lens(fx=600, fy=600, cx=320, cy=240, width=640, height=480, k1=-0.2)
 

@@ -11,16 +11,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.errors import MalformedFileError, ReconstructionError
-from aomgen.reconstruction.affinity import Affinity, mask_size, relative_sizes, sized_masks
-from aomgen.reconstruction.affinity_parts import (
-    AffinityPartsParams,
-    affinity_labels,
-    masked_scan,
-    spread_views,
-)
-from aomgen.reconstruction.affinity_query import Query, answer_query, best_threshold
-from aomgen.reconstruction.affinity_training import AffinityParams, pair_evidence, train_affinity
-from aomgen.reconstruction.automatic_masks import (
+from aomgen.reconstruction.masks.automatic_masks import (
     AutomaticMasksParams,
     ViewMasks,
     best_masks,
@@ -29,9 +20,18 @@ from aomgen.reconstruction.automatic_masks import (
     masks_of_views,
     save_masks,
 )
-from aomgen.reconstruction.part_masks import ScanView
-from aomgen.reconstruction.prompted import ask_prompts
-from aomgen.reconstruction.segmenter import ColorCut, PointMasks, given_masks, masks_of_logits
+from aomgen.reconstruction.masks.segmenter import ColorCut, PointMasks, given_masks, masks_of_logits
+from aomgen.reconstruction.parts.affinity import Affinity, mask_size, relative_sizes, sized_masks
+from aomgen.reconstruction.parts.affinity_parts import (
+    AffinityPartsParams,
+    affinity_labels,
+    masked_scan,
+    spread_views,
+)
+from aomgen.reconstruction.parts.affinity_query import Query, answer_query, best_threshold
+from aomgen.reconstruction.parts.affinity_training import AffinityParams, pair_evidence, train_affinity
+from aomgen.reconstruction.parts.part_masks import ScanView
+from aomgen.reconstruction.parts.prompted import ask_prompts
 from aomgen.splatting.rasterizer import render
 
 TRAINING = AffinityParams(channels=8, iterations=40, pixels=200, width=96)

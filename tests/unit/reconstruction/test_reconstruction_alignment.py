@@ -10,15 +10,15 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, simila
 from aomgen.errors import AlignmentError
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
-from aomgen.reconstruction.alignment import AlignmentParams, align
-from aomgen.reconstruction.alignment_search import Scan, SearchParams
-from aomgen.reconstruction.alignment_stage import load_alignment, save_alignment
-from aomgen.reconstruction.alignment_start import RobotBox
-from aomgen.reconstruction.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
-from aomgen.reconstruction.outline_errors import joint_offsets
-from aomgen.reconstruction.outline_evidence import ViewEvidence
-from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
-from aomgen.reconstruction.upright import up_candidates
+from aomgen.reconstruction.alignment.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
+from aomgen.reconstruction.alignment.outline_errors import joint_offsets
+from aomgen.reconstruction.alignment.outline_evidence import ViewEvidence
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment.search import Scan, SearchParams
+from aomgen.reconstruction.alignment.similarity import AlignmentParams, align
+from aomgen.reconstruction.alignment.stage import load_alignment, save_alignment
+from aomgen.reconstruction.alignment.start import RobotBox
+from aomgen.reconstruction.alignment.upright import up_candidates
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])

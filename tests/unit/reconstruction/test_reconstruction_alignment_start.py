@@ -8,11 +8,11 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
-from aomgen.reconstruction.alignment_search import Found, Scan, SearchParams, different, search
-from aomgen.reconstruction.alignment_start import RobotBox, places_in_boxes
-from aomgen.reconstruction.color_score import color_score, divergence
-from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment.color_score import color_score, divergence
+from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment.search import Found, Scan, SearchParams, different, search
+from aomgen.reconstruction.alignment.start import RobotBox, places_in_boxes
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.8, matrix_from_rotvec([0.4, -0.7, 1.0]), [0.4, -0.2, 0.9])

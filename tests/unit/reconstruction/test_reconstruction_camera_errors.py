@@ -5,11 +5,11 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
-from aomgen.reconstruction.camera_errors import CameraErrors, camera_covariance
-from aomgen.reconstruction.contours import Contour, shift_gradient, shift_jacobian
-from aomgen.reconstruction.outline_errors import covariance_from_cameras
-from aomgen.reconstruction.outline_evidence import ViewEvidence
-from aomgen.reconstruction.outline_fit import camera_in_world
+from aomgen.reconstruction.alignment.camera_errors import CameraErrors, camera_covariance
+from aomgen.reconstruction.alignment.contours import Contour, shift_gradient, shift_jacobian
+from aomgen.reconstruction.alignment.outline_errors import covariance_from_cameras
+from aomgen.reconstruction.alignment.outline_evidence import ViewEvidence
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world
 
 S_OTHER_WORLD = similarity(4.0, matrix_from_rotvec([0.5, -1.0, 2.0]), [3.0, 1.0, -2.0])
 PIVOT = np.array([0.1, 0.0, 0.2])

@@ -14,10 +14,10 @@ from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
-from aomgen.reconstruction.camera_settling import Filmed, Scene, Settlement, settle_fixed_cameras
-from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.joint_equations import JointParams
-from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment.camera_settling import Filmed, Scene, Settlement, settle_fixed_cameras
+from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.joint_equations import JointParams
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
 
 SCAN_JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])

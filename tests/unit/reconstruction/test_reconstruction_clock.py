@@ -9,8 +9,8 @@ from aomgen.errors import SyncError
 from aomgen.io.video import Video
 from aomgen.physics.robot import load_robot
 from aomgen.physics.robot_masks import MasksAt, robot_masks
-from aomgen.reconstruction.clock import estimate_clock
-from aomgen.reconstruction.clock_frames import ClockParams
+from aomgen.reconstruction.alignment.clock import estimate_clock
+from aomgen.reconstruction.alignment.clock_frames import ClockParams
 
 FPS, COUNT = 10.0, 80
 TIMES = np.arange(COUNT) / FPS

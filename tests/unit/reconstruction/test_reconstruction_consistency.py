@@ -5,7 +5,7 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import transform
-from aomgen.reconstruction.consistency import Pair, epipolar_errors_px, misregistered
+from aomgen.reconstruction.cameras.consistency import Pair, epipolar_errors_px, misregistered
 
 
 def _world(seed: int, views: int = 12):

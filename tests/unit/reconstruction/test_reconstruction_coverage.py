@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, similarity
 from aomgen.errors import MalformedFileError
-from aomgen.reconstruction.coverage import Coverage, coverage_of
-from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
-from aomgen.reconstruction.survey import Survey, object_sides, survey, table_sides
-from aomgen.reconstruction.survey_stage import load_survey, save_survey
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.surfaces.coverage import Coverage, coverage_of
+from aomgen.reconstruction.surfaces.survey import Survey, object_sides, survey, table_sides
+from aomgen.reconstruction.surfaces.survey_stage import load_survey, save_survey
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 
 MIDDLE = np.array([0.45, -0.05, 0.15])

@@ -9,19 +9,19 @@ from scipy import ndimage
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.errors import BackendError, ReconstructionError
-from aomgen.reconstruction.backdrop import (
+from aomgen.reconstruction.cameras.mapping import choose_pairs
+from aomgen.reconstruction.cameras.structure import Structure
+from aomgen.reconstruction.surfaces.backdrop import (
     EXPLAINED_WEIGHT,
     OPEN_WEIGHT,
     dominant_planes,
     explain,
     far_shell,
 )
-from aomgen.reconstruction.densify import DensePoints, nearest_depth
-from aomgen.reconstruction.fusion import DepthMap, Samples, confirmations, thin
-from aomgen.reconstruction.gaussians import held_out, initial_gaussians
-from aomgen.reconstruction.mapping import choose_pairs
-from aomgen.reconstruction.plane_sweep import SweepParams, plane_sweep
-from aomgen.reconstruction.structure import Structure
+from aomgen.reconstruction.surfaces.densify import DensePoints, nearest_depth
+from aomgen.reconstruction.surfaces.fusion import DepthMap, Samples, confirmations, thin
+from aomgen.reconstruction.surfaces.gaussians import held_out, initial_gaussians
+from aomgen.reconstruction.surfaces.plane_sweep import SweepParams, plane_sweep
 
 TEXTURE = ndimage.gaussian_filter(np.random.default_rng(0).random((512, 512)), 1.5, mode="wrap")
 TEXTURE = ((TEXTURE - TEXTURE.min()) / np.ptp(TEXTURE)).astype(np.float32)

@@ -4,7 +4,7 @@ import numpy as np
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.transforms import matrix_from_rotvec
-from aomgen.reconstruction.enclosed import upright_box_axes, with_enclosed
+from aomgen.reconstruction.parts.enclosed import upright_box_axes, with_enclosed
 
 SIZE = np.array([0.5, 0.4, 0.3])
 

@@ -11,15 +11,15 @@ from aomgen.core.recording import frame_name
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.io.images import read_image
 from aomgen.io.video import encode_video
-from aomgen.reconstruction import frames as frames_module
-from aomgen.reconstruction.frames import (
+from aomgen.reconstruction.cameras import frames as frames_module
+from aomgen.reconstruction.cameras.frames import (
     FrameParams,
     choose_frames,
     extract_frames,
     extracted_frames,
     sharpness_of,
 )
-from aomgen.reconstruction.tracking import follow, new_tracks, pyramid
+from aomgen.reconstruction.cameras.tracking import follow, new_tracks, pyramid
 
 WIDTH, HEIGHT = 160, 120
 # A walk at 30 frames a second: 3 px a frame, two seconds of trembling on the spot, on again.

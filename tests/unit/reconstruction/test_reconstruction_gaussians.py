@@ -14,11 +14,11 @@ from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages
 from aomgen.pipeline.stage import Run, Stage
 from aomgen.pipeline.stages import STAGES
-from aomgen.reconstruction import gaussians as module
-from aomgen.reconstruction.densify import DensePoints
-from aomgen.reconstruction.gaussians import GaussiansParams, coarse
-from aomgen.reconstruction.gaussians_stage import CHECKPOINT_FILE, load_gaussians, run_gaussians
-from aomgen.reconstruction.structure import Structure
+from aomgen.reconstruction.cameras.structure import Structure
+from aomgen.reconstruction.surfaces import gaussians as module
+from aomgen.reconstruction.surfaces.densify import DensePoints
+from aomgen.reconstruction.surfaces.gaussians import GaussiansParams, coarse
+from aomgen.reconstruction.surfaces.stage import CHECKPOINT_FILE, load_gaussians, run_gaussians
 from aomgen.splatting.rasterizer import render
 
 VIEWS = 6

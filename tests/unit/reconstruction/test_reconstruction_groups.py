@@ -5,8 +5,8 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.reconstruction.consistency import Pair, misregistered
-from aomgen.reconstruction.groups import Views, duplicates, wrong_groups
+from aomgen.reconstruction.cameras.consistency import Pair, misregistered
+from aomgen.reconstruction.cameras.groups import Views, duplicates, wrong_groups
 
 COUNT = 24
 

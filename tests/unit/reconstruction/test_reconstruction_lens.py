@@ -7,16 +7,16 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
-from aomgen.reconstruction.lens_choice import choose_lens, compare
-from aomgen.reconstruction.mapped import adjust
-from aomgen.reconstruction.resection import (
+from aomgen.reconstruction.cameras.lens_choice import choose_lens, compare
+from aomgen.reconstruction.cameras.mapped import adjust
+from aomgen.reconstruction.cameras.resection import (
     OWN_LENS_SIGNIFICANCE,
     Links,
     choose_view_lens,
     own_lens_significance,
     resect,
 )
-from aomgen.reconstruction.straight import straight_prompts
+from aomgen.reconstruction.cameras.straight import straight_prompts
 
 SIZE = {"width": 640, "height": 480}
 OPTICS = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0}

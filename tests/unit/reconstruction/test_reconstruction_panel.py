@@ -7,9 +7,9 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.errors import ReconstructionError
-from aomgen.reconstruction.panel import Panel
-from aomgen.reconstruction.panel_fit import PromptedView, box_misfit, fit_panel, iou
-from aomgen.reconstruction.panel_front import panel_frame
+from aomgen.reconstruction.parts.panel import Panel
+from aomgen.reconstruction.parts.panel_fit import PromptedView, box_misfit, fit_panel, iou
+from aomgen.reconstruction.parts.panel_front import panel_frame
 
 # Cabinet frame: x along the front, y into the room, z up; the front is at y = 0, the body behind it.
 BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.3]])

@@ -11,13 +11,13 @@ from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import AlignmentError
 from aomgen.physics.robot import load_robot
-from aomgen.reconstruction import paper_alignment
-from aomgen.reconstruction.alignment_start import RobotBox
-from aomgen.reconstruction.contours import View
-from aomgen.reconstruction.link_boxes import bodies_in_boxes
-from aomgen.reconstruction.outline_fit import RobotPosture, camera_in_world
-from aomgen.reconstruction.paper_alignment import PaperParams, align_as_paper, model_points, robot_points
-from aomgen.reconstruction.rigid_icp import rigid_icp, weighted_rigid
+from aomgen.reconstruction.alignment import paper as paper_alignment
+from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.link_boxes import bodies_in_boxes
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment.paper import PaperParams, align_as_paper, model_points, robot_points
+from aomgen.reconstruction.alignment.rigid_icp import rigid_icp, weighted_rigid
+from aomgen.reconstruction.alignment.start import RobotBox
 
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])
 S_RECON_WORLD = np.array(np.linalg.inv(S_WORLD_RECON), np.float64)

@@ -16,13 +16,13 @@ from aomgen.errors import BackendError, MalformedFileError, ReconstructionError,
 from aomgen.io.images import read_labels, write_image
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
-from aomgen.reconstruction.binding import nearest_links
-from aomgen.reconstruction.outline_fit import RobotPosture
-from aomgen.reconstruction.part_masks import ScanView
-from aomgen.reconstruction.parts import Parts, find_parts
-from aomgen.reconstruction.parts_stage import load_parts, save_parts
-from aomgen.reconstruction.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter, clean
-from aomgen.reconstruction.weights import find_weights
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture
+from aomgen.reconstruction.masks.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter, clean
+from aomgen.reconstruction.masks.weights import find_weights
+from aomgen.reconstruction.parts.binding import nearest_links
+from aomgen.reconstruction.parts.lifting import Parts, find_parts
+from aomgen.reconstruction.parts.part_masks import ScanView
+from aomgen.reconstruction.parts.stage import load_parts, save_parts
 from aomgen.splatting.rasterizer import render
 
 JOINTS = np.array([0.3, -1.6, 1.9, -0.4, 1.2, 0.1])

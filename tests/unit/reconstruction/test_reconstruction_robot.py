@@ -8,10 +8,10 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import open_transfer, shaded_srgb
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.reconstruction.robot_colors import robot_colors
-from aomgen.reconstruction.robot_surface import dressed
-from aomgen.reconstruction.robot_views import Film, Sightings, matched_film
-from aomgen.reconstruction.twin_training import sharpened
+from aomgen.reconstruction.looks.robot_colors import robot_colors
+from aomgen.reconstruction.looks.robot_surface import dressed
+from aomgen.reconstruction.looks.robot_views import Film, Sightings, matched_film
+from aomgen.reconstruction.looks.twin_training import sharpened
 from aomgen.twin.relit import Remembered, orientation_weights
 from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import render_state

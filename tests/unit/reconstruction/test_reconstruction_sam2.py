@@ -12,10 +12,10 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.errors import BackendError, InputError
-from aomgen.reconstruction.sam2 import Sam2, input_points, input_prompt, load_pretrained, pixel_values
-from aomgen.reconstruction.sam2_video import carry_prompts, load_tracker
-from aomgen.reconstruction.sam2_weights import find_sam2, install_sam2, installed_names, main
-from aomgen.reconstruction.segmenter import MasksOnDisk, choose_segmenter, clean, masks_of_logits
+from aomgen.reconstruction.masks.sam2 import Sam2, input_points, input_prompt, load_pretrained, pixel_values
+from aomgen.reconstruction.masks.sam2_video import carry_prompts, load_tracker
+from aomgen.reconstruction.masks.sam2_weights import find_sam2, install_sam2, installed_names, main
+from aomgen.reconstruction.masks.segmenter import MasksOnDisk, choose_segmenter, clean, masks_of_logits
 
 SIDE = 64
 

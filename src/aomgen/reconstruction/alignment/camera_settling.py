@@ -1,0 +1,303 @@
+"""The fixed cameras of the demonstration: poses and clocks, refined together with the alignment.
+
+Each camera starts where structure from motion and the alignment put it; the silhouettes give a first
+guess of its clock, and the moving arm refines all of it (`joint_refinement`). What cannot be refined
+keeps its place, with the reason.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
+from aomgen.core.joint_log import JointLog
+from aomgen.core.progress import Progress
+from aomgen.core.values import Array, freeze
+from aomgen.errors import SyncError
+from aomgen.io.video import Video
+from aomgen.physics.robot_masks import robot_masks
+from aomgen.reconstruction.alignment.calibration import deviation, refuse_gross
+from aomgen.reconstruction.alignment.clock import estimate_clock
+from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.film_outlines import (
+    Arm,
+    Film,
+    film_of,
+    misfit,
+    no_film,
+    spread_frames,
+    trace,
+)
+from aomgen.reconstruction.alignment.joint_equations import FilmedCamera, JointParams, JointProblem
+from aomgen.reconstruction.alignment.joint_refinement import Refinement, drifts, refine_jointly
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world, reduced, robot_drawing, spread
+from aomgen.reconstruction.alignment.posture import RobotPosture
+from aomgen.reconstruction.alignment.scan_information import scan_information
+from aomgen.reconstruction.alignment.settled_cameras import SettledCamera
+
+# Scan views that say how well the alignment is known.
+_VIEWS = 24
+# Every fourth frame is left out of the refinement and judges it.
+_JUDGE_EVERY = 4
+# Frames that must show the arm, of those chosen.
+_MIN_FRAMES = 8
+# Edges that have nothing to do with the arm lie anywhere in reach of its outline, at a misfit of 2/3.
+_MAX_MISFIT = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Filmed:
+    """What a capture holds of one fixed camera.
+
+    Attributes:
+        video: Its film of the demonstration.
+        camera_recon: As structure from motion placed it, recon frame, the video's size.
+        T_world_cam: Hand-eye calibration (4, 4), or None.
+    """
+
+    video: Video
+    camera_recon: Camera
+    T_world_cam: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.T_world_cam is not None:
+            freeze(self, "T_world_cam", self.T_world_cam, (4, 4))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """What the refinement starts from.
+
+    Attributes:
+        S_world_recon: The alignment's answer (4, 4).
+        views: Scan images it may look at.
+        points_recon: Sparse points (P, 3) of the structure.
+        posture: Robot during the scan.
+        log: Joint log of the demonstration.
+        clock_offset_s: Log time minus video time when it is known.
+    """
+
+    S_world_recon: Array
+    views: list[View]
+    points_recon: Array
+    posture: RobotPosture
+    log: JointLog
+    clock_offset_s: float | None
+
+    def __post_init__(self) -> None:
+        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settlement:
+    """Similarity and fixed cameras after the refinement."""
+
+    S_world_recon: Array
+    cameras: dict[str, SettledCamera]
+
+    def __post_init__(self) -> None:
+        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+
+
+def settle_fixed_cameras(
+    scene: Scene, filmed: Mapping[str, Filmed], progress: Progress, params: JointParams | None = None
+) -> Settlement:
+    """Pose and clock of every fixed camera, and the similarity that fits them.
+
+    Args:
+        scene: Alignment, scan and robot.
+        filmed: Fixed cameras by name.
+        progress: Told after each step.
+        params: Beliefs and effort.
+
+    Raises:
+        AlignmentError: A calibrated camera grossly contradicts the scan.
+
+    A clock that is not determined, or that drifts, is kept as refused with its reason.
+    """
+    params = params or JointParams()
+    S = scene.S_world_recon
+    for name, item in filmed.items():
+        if item.T_world_cam is not None:
+            placed = camera_in_world(S, item.camera_recon)
+            refuse_gross(name, item.T_world_cam, placed, scene.posture.points_world(300))
+    clocks: dict[str, Clock | SyncError] = {}
+    for index, (name, item) in enumerate(filmed.items()):
+        clocks[name] = _first_clock(scene, item)
+        progress(0.5 * (index + 1) / len(filmed), f"clock of camera '{name}'")
+    views = [reduced(view, params.width) for view in scene.views]
+    pictures = [view.camera_recon for view in views] + [_small(item, params) for item in filmed.values()]
+    width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
+    with robot_drawing(scene.posture, width, height) as drawing:
+        arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine)
+        takes = {name: _take(S, item, clocks[name], arm, params) for name, item in filmed.items()}
+        problem = JointProblem(
+            S_world_recon=S,
+            information=scan_information(S, spread(views, S, drawing, _VIEWS), drawing),
+            pivot=drawing.pivot,
+            points_recon=scene.points_recon,
+            arm=arm,
+            cameras={name: _in_problem(filmed[name], take, params) for name, take in takes.items()},
+            params=params,
+        )
+        progress(0.6, "refining cameras and clocks")
+        refinement, takes = _judged(problem, takes)
+    cameras = {name: _settled(name, item, takes[name], refinement, params) for name, item in filmed.items()}
+    progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
+    return Settlement(S_world_recon=refinement.S_world_recon, cameras=cameras)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Take:
+    """One film, cut.
+
+    Attributes:
+        film: Frames to learn from; empty when the film cannot be used.
+        judges: Frames that judge the answer.
+        clock: First guess, or why there is none.
+        reason: Why the film cannot be used, or was not believed; empty otherwise.
+        calibrated: Whether the hand-eye calibration is leant on.
+    """
+
+    film: Film
+    judges: Film
+    clock: Clock | SyncError
+    reason: str
+    calibrated: bool
+
+
+def _small(item: Filmed, params: JointParams) -> Camera:
+    camera = item.camera_recon
+    width = min(camera.width, params.width)
+    return camera.resized(width, round(camera.height * width / camera.width))
+
+
+def _first_clock(scene: Scene, item: Filmed) -> Clock | SyncError:
+    times = item.video.times_s
+    if scene.clock_offset_s is not None:
+        return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
+    camera = camera_in_world(scene.S_world_recon, item.camera_recon)
+    with robot_masks(scene.posture.robot, camera, scene.log) as masks_at:
+        try:
+            return estimate_clock(item.video, scene.log.times_s, masks_at)
+        except SyncError as error:
+            return error
+
+
+def _take(S: Array, item: Filmed, clock: Clock | SyncError, arm: Arm, params: JointParams) -> _Take:
+    """Frames to learn from and to judge by, if enough of them show the arm."""
+    empty, calibrated = no_film(), item.T_world_cam is not None
+    if isinstance(clock, SyncError):
+        return _Take(film=empty, judges=empty, clock=clock, reason=clock.problem, calibrated=calibrated)
+    if not params.frames:
+        return _Take(film=empty, judges=empty, clock=clock, reason="", calibrated=calibrated)
+    frames = spread_frames(item.video, arm, clock, params.frames * _JUDGE_EVERY // (_JUDGE_EVERY - 1))
+    judging = np.arange(len(frames)) % _JUDGE_EVERY == _JUDGE_EVERY // 2
+    film, judges = (film_of(item.video, frames[chosen], params.width) for chosen in (~judging, judging))
+    camera = camera_in_world(S, _small(item, params))
+    shown = len(trace(film, camera, clock, arm, params.points))
+    if shown >= _MIN_FRAMES:
+        return _Take(film=film, judges=judges, clock=clock, reason="", calibrated=calibrated)
+    reason = f"{shown} of {len(film.times_s)} frames show the arm, want {_MIN_FRAMES}"
+    return _Take(film=empty, judges=empty, clock=clock, reason=reason, calibrated=calibrated)
+
+
+def _in_problem(item: Filmed, take: _Take, params: JointParams) -> FilmedCamera:
+    return FilmedCamera(
+        camera_recon=_small(item, params),
+        film=take.film,
+        clock=take.clock if isinstance(take.clock, Clock) and len(take.film.times_s) else Clock(offset_s=0.0),
+        T_world_cam=item.T_world_cam if take.calibrated else None,
+    )
+
+
+def _judged(problem: JointProblem, takes: dict[str, _Take]) -> tuple[Refinement, dict[str, _Take]]:
+    """The refinement with every film that its left-out frames confirm.
+
+    A calibration that the answer contradicts, or a film whose answer is no better than the question,
+    is left out, and the rest is solved again.
+    """
+    takes, empty = dict(takes), no_film()
+    while True:
+        refinement = refine_jointly(problem)
+        complaint = _complaint(problem, takes, refinement)
+        if complaint is None:
+            return refinement, takes
+        name, reason, calibrated = complaint
+        take, camera = takes[name], problem.cameras[name]
+        if calibrated:
+            takes[name] = replace(take, calibrated=False)
+            camera = replace(camera, T_world_cam=None)
+        else:
+            takes[name] = replace(take, film=empty, judges=empty, reason=reason)
+            camera = replace(camera, film=empty, clock=Clock(offset_s=0.0))
+        problem = replace(problem, cameras=problem.cameras | {name: camera})
+
+
+def _complaint(
+    problem: JointProblem, takes: dict[str, _Take], refinement: Refinement
+) -> tuple[str, str, bool] | None:
+    """The first camera that has to be solved without something: name, reason, whether calibration."""
+    for name, take in takes.items():
+        camera, state = problem.cameras[name], refinement.cameras[name]
+        if camera.T_world_cam is not None and not deviation(camera.T_world_cam, state.camera).within(
+            3 * problem.params.calibration_sd_m, 3 * problem.params.calibration_sd_rad
+        ):
+            return name, "", True
+        if len(take.judges.times_s) and isinstance(take.clock, Clock):
+            start = camera_in_world(problem.S_world_recon, camera.camera_recon)
+            before = misfit(take.judges, start, take.clock, problem.arm)
+            after = misfit(take.judges, state.camera, state.clock, problem.arm)
+            if not after < before:
+                return name, f"frames left out fit worse than before ({after:.3f}, was {before:.3f})", False
+            if not after <= _MAX_MISFIT:
+                return name, f"its film does not show the arm's outlines ({after:.2f} off)", False
+    return None
+
+
+def _settled(
+    name: str, item: Filmed, take: _Take, refinement: Refinement, params: JointParams
+) -> SettledCamera:
+    state = refinement.cameras[name]
+    used = bool(len(take.film.times_s))
+    start = camera_in_world(refinement.S_world_recon, item.camera_recon)
+    known = used or take.calibrated
+    camera = item.camera_recon.moved(state.camera.T_world_cam) if known else start
+    moved = deviation(start.T_world_cam, camera)
+    figures = {"moved_mm": 1e3 * moved.distance_m, "moved_deg": float(np.degrees(moved.angle_rad))}
+    note = "refined on the moving arm" if used else "as the scan placed it"
+    note += f": {take.reason}" if take.reason else ""
+    if item.T_world_cam is not None:
+        apart = deviation(item.T_world_cam, camera)
+        figures |= {"calibration_mm": 1e3 * apart.distance_m}
+        figures |= {"calibration_deg": float(np.degrees(apart.angle_rad))}
+        verdict = "agrees" if take.calibrated else "contradicts the evidence and is not used"
+        note += f"; its calibration {verdict} ({apart})"
+    clock = state.clock if used else take.clock
+    refusal: tuple[str, ...] = ()
+    if isinstance(clock, SyncError):
+        refusal = (clock.where, clock.problem, clock.remedy)
+    elif drifts(clock, float(item.video.times_s[-1] - item.video.times_s[0]), params):
+        refusal = _drift_refusal(name, clock, item.video)
+    else:
+        clock = replace(clock, rate=0.0)
+    return SettledCamera(
+        camera=camera,
+        clock=clock if isinstance(clock, Clock) and not refusal else None,
+        refusal=refusal,
+        note=note,
+        trusted=not take.reason and take.calibrated == (item.T_world_cam is not None),
+        figures=figures,
+    )
+
+
+def _drift_refusal(name: str, clock: Clock, video: Video) -> tuple[str, ...]:
+    length = float(video.times_s[-1] - video.times_s[0])
+    return (
+        f"clock of camera '{name}'",
+        f"the joint log counts {1 + clock.rate:.4f} s (+-{clock.rate_sd:.4f}) while the video counts 1 s, "
+        f"{abs(clock.rate) * length:.2f} s over the demonstration",
+        f"export the video with its true frame times, or multiply time_s of the log by {1 / (1 + clock.rate):.4f}",
+    )

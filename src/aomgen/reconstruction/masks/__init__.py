@@ -1,0 +1,1 @@
+"""Segmenters: which pixels belong together, asked by points and boxes or everywhere."""

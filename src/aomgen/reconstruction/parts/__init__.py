@@ -1,0 +1,1 @@
+"""Which Gaussians belong to robot, static and moving part."""

@@ -1,0 +1,155 @@
+"""What the prompted images show: surface points, and the segmenter's answers to each box."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.recording import Prompt
+from aomgen.core.values import Array
+from aomgen.errors import BackendError, ReconstructionError
+from aomgen.reconstruction.masks.segmenter import Mask, PreparedImage, Segmenter
+from aomgen.reconstruction.parts.panel_fit import PromptedView, box_misfit, iou
+from aomgen.reconstruction.parts.part_masks import ScanView, drawn_parts
+from aomgen.splatting.rasterizer import render
+
+STAGE = "parts"
+# Accumulated alpha from which a pixel shows a surface.
+SURFACE_ALPHA = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptedImage:
+    """One box on one scan image, and the masks that answer it; none of them is empty.
+
+    Attributes:
+        view: The image.
+        prepared: The image, ready for more questions.
+        part: `STATIC` or `MOVING`.
+        box: (4,) x0, y0, x1, y1, [px].
+        masks: Answers (H, W), robot left out.
+    """
+
+    view: ScanView
+    prepared: PreparedImage
+    part: int
+    box: Array
+    masks: tuple[Mask, ...]
+
+    @property
+    def best_mask(self) -> Mask:
+        """The answer whose extent is most like the box."""
+        empty = np.zeros_like(self.view.robot)
+        return min(self.masks, key=lambda mask: box_misfit(mask, self.box), default=empty)
+
+    def on_surface(self, gaussians: Gaussians) -> PromptedView:
+        """The same with the surface that the Gaussians show there."""
+        points = surface_seen(gaussians, self.view.camera, self.view.robot)
+        return PromptedView(
+            part=self.part, camera=self.view.camera, points_world=points, box=self.box, masks=self.masks
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectLabels:
+    """Labels of the object's parts by one method, and how well they explain the prompts.
+
+    Attributes:
+        labels: (N,) `STATIC`, `MOVING`, else `BACKGROUND`.
+        confidence: (N,) share of the painted weight that agrees, 0 for unseen ones.
+        views: Names of the images that voted.
+        method: "panel" or "vote".
+        misfit: `box_misfit` of the drawn labels, mean over the prompts.
+        disagreement: `misfit`, and the distance to the mask that agrees best.
+    """
+
+    labels: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+    views: tuple[str, ...]
+    method: str
+    misfit: float
+    disagreement: float
+
+    @classmethod
+    def judged(
+        cls,
+        gaussians: Gaussians,
+        prompted: list[PromptedImage],
+        labels: NDArray[np.uint8],
+        confidence: NDArray[np.floating],
+        views: tuple[str, ...],
+        method: str,
+    ) -> Self:
+        """Draw labels into the prompted images and compare them with boxes and masks there."""
+        misfits, distances = [], []
+        for item in prompted:
+            drawn = drawn_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
+            misfits.append(box_misfit(drawn, item.box))
+            distances.append(min((1 - iou(drawn, mask) for mask in item.masks), default=1.0))
+        misfit = float(np.mean(misfits))
+        return cls(
+            labels=labels,
+            confidence=confidence.astype(np.float32),
+            views=views,
+            method=method,
+            misfit=misfit,
+            disagreement=misfit + float(np.mean(distances)),
+        )
+
+
+def ask_prompts(
+    views: list[ScanView], prompts: tuple[Prompt, ...], segmenter: Segmenter
+) -> list[PromptedImage]:
+    """Ask the segmenter about every box of the object's parts, with and without its points.
+
+    A point may pull a mask to a detail (a label, a window), its absence to a neighbor.
+
+    Raises:
+        ReconstructionError: A part has no box on an image that has a camera.
+    """
+    by_name = {view.name: view for view in views}
+    prepared: dict[str, PreparedImage] = {}
+    answers = []
+    for part, value in (("static", STATIC), ("moving", MOVING)):
+        asked = [p for p in prompts if p.part == part and len(p.box) == 4 and p.image in by_name]
+        if not asked:
+            raise ReconstructionError(STAGE, f"no box prompts the {part} part", "add one to capture.toml")
+        for prompt in asked:
+            view = by_name[prompt.image]
+            if view.name not in prepared:
+                prepared[view.name] = segmenter.prepare(view.name, view.image_srgb)
+            image = prepared[view.name]
+            clicks = [np.zeros((0, 3)), prompt.points] if len(prompt.points) else [prompt.points]
+            masks = [image.mask(part, prompt.box, points) & ~view.robot for points in clicks]
+            answers.append(
+                PromptedImage(
+                    view=view,
+                    prepared=image,
+                    part=value,
+                    box=np.asarray(prompt.box, np.float64),
+                    masks=tuple(mask for mask in masks if mask.any()),
+                )
+            )
+    return answers
+
+
+def surface_seen(gaussians: Gaussians, camera: Camera, robot: NDArray[np.bool_]) -> Array:
+    """World points (H, W, 3) of the surface at each pixel; NaN where there is none, and on the robot.
+
+    Args:
+        gaussians: World frame.
+        camera: World frame.
+        robot: Pixels (H, W) left out.
+    """
+    drawn = render(gaussians, camera, with_ids=True)
+    if drawn.median_depth is None:
+        raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
+    shown = (drawn.alpha > SURFACE_ALPHA) & (drawn.median_depth > 0) & ~robot
+    depth = np.where(shown, drawn.median_depth, np.nan).astype(np.float64)
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+    return (rays * depth[..., None]) @ camera.T_world_cam[:3, :3].T + camera.center

@@ -1,0 +1,131 @@
+"""Loading and saving of the parts stage."""
+
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.progress import Progress, part
+from aomgen.core.recording import Prompt
+from aomgen.core.values import Array
+from aomgen.errors import MalformedFileError, MissingFileError
+from aomgen.io.atomic import write_bytes
+from aomgen.io.images import read_image
+from aomgen.physics.silhouette import SilhouetteRenderer
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.cameras.structure import Structure
+from aomgen.reconstruction.masks.segmenter import Segmenter
+from aomgen.reconstruction.parts.lifting import Parts, PartsParams, find_parts
+from aomgen.reconstruction.parts.part_masks import ScanView
+from aomgen.reconstruction.surfaces.gaussians import held_out
+
+PARTS_FILE = "parts.npz"
+MASKS_FOLDER = "automatic_masks"
+
+
+def run_parts(
+    structure: Structure,
+    gaussians_recon: Gaussians,
+    S_world_recon: Array,
+    images: Mapping[str, Path],
+    prompts: tuple[Prompt, ...],
+    segmenter: Segmenter,
+    posture: RobotPosture,
+    folder: Path,
+    progress: Progress,
+    params: PartsParams | None = None,
+) -> Parts:
+    """Label the Gaussians (see `find_parts`) and write `parts.npz`.
+
+    Args:
+        structure: Cameras, recon frame.
+        gaussians_recon: The trained scene, recon frame.
+        S_world_recon: The alignment.
+        images: All scan images by file name; held-out ones are not looked at.
+        prompts: Of the capture.
+        segmenter: See `segmenter.choose_segmenter`.
+        posture: Robot as scanned.
+        folder: Receives the result.
+        progress: Told about each step.
+        params: Effort and limits.
+
+    Raises:
+        ReconstructionError: See `find_parts`.
+    """
+    views = scan_views(structure, S_world_recon, images, posture)
+    progress(0.05, "robot drawn into the scan")
+    gaussians = gaussians_recon.transformed(S_world_recon)
+    params = params or PartsParams()
+    params = replace(params, affinity=replace(params.affinity, masks_folder=folder / MASKS_FOLDER))
+    result = find_parts(gaussians, views, prompts, segmenter, posture, part(progress, 0.05, 1.0), params)
+    save_parts(result, folder)
+    return result
+
+
+def scan_views(
+    structure: Structure, S_world_recon: Array, images: Mapping[str, Path], posture: RobotPosture
+) -> list[ScanView]:
+    """The scan images that are not held out, world frame, with the robot drawn into them.
+
+    Args:
+        structure: Cameras, recon frame.
+        S_world_recon: The alignment.
+        images: All scan images by file name.
+        posture: Robot as scanned.
+    """
+    withheld = set(held_out(list(images)))
+    cameras = {n: camera_in_world(S_world_recon, c) for n, c in structure.cameras_recon.items()}
+    width = max(camera.width for camera in cameras.values())
+    height = max(camera.height for camera in cameras.values())
+    views = []
+    with SilhouetteRenderer(posture.robot, max_width=width, max_height=height) as renderer:
+        for name, camera in cameras.items():
+            if name not in withheld:
+                bodies, _ = renderer.draw(camera, posture.joints, posture.gripper)
+                image = read_image(images[name])
+                views.append(ScanView(name=name, camera=camera, image_srgb=image, robot=bodies >= 0))
+    return views
+
+
+def save_parts(parts: Parts, folder: Path) -> None:
+    """Write labels into a folder."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        labels=parts.labels,
+        confidence=parts.confidence,
+        robot_bodies=parts.robot_bodies,
+        views=np.array(parts.views, dtype=np.str_),
+        method=np.str_(parts.method),
+        box_misfit=np.float64(parts.box_misfit),
+    )
+    write_bytes(folder / PARTS_FILE, buffer.getvalue())
+
+
+def load_parts(folder: Path) -> Parts:
+    """Read what `save_parts` wrote.
+
+    Raises:
+        MissingFileError, MalformedFileError: As their names say.
+    """
+    path = folder / PARTS_FILE
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "run the parts stage again")
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return Parts(
+                labels=arrays["labels"],
+                confidence=arrays["confidence"],
+                robot_bodies=arrays["robot_bodies"],
+                views=tuple(str(name) for name in arrays["views"]),
+                method=str(arrays["method"]),
+                box_misfit=float(arrays["box_misfit"]),
+            )
+    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
+        raise MalformedFileError(
+            path, f"does not hold part labels ({error})", "run the stage again"
+        ) from error

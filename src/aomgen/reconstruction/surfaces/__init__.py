@@ -1,0 +1,1 @@
+"""The scene as 3D Gaussians: dense start, training, and what the scan saw."""
