@@ -17,6 +17,8 @@ LAYERS = [
     {"pipeline"},
     {"report", "benchmarks"},
     {"cli_display", "cli_doctor"},
+    {"cli_run"},
+    {"cli_bench"},
     {"cli"},
 ]
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}

@@ -1,0 +1,108 @@
+"""`aomgen bench`: every number in README and docs comes from here."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aomgen.cli_run import run_project
+from aomgen.errors import ConfigError
+
+bench_app = typer.Typer(no_args_is_help=True, help="Measure: every number in the README comes from here.")
+
+
+@bench_app.command("accuracy")
+def bench_accuracy(
+    capture: Annotated[Path | None, typer.Argument(help="A capture with truth/.")] = None,
+    synthetic: Annotated[int, typer.Option(help="Instead: make and score so many synthetic captures.")] = 0,
+    seed: Annotated[int, typer.Option(help="First seed of the synthetic captures.")] = 1000,
+    saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
+    paper: Annotated[bool, typer.Option("--paper", help="Also score rigid ICP and link boxes.")] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
+) -> None:
+    """Run a capture up to its twin and score estimates and renders against its ground truth.
+
+    With --synthetic N, N captures of different objects, rooms, cameras and noise are made, run and
+    scored one after the other (about four minutes each): median and worst of every figure.
+    """
+    from aomgen.benchmarks.alignment_methods import methods_table
+    from aomgen.benchmarks.command import run_accuracy
+    from aomgen.benchmarks.synthetic_captures import accuracy_table, run_synthetic, synthetic_table
+
+    if (capture is None) == (synthetic == 0):
+        raise ConfigError("bench accuracy", "wants a capture or --synthetic N", "give one of the two")
+    if capture is None:
+        results = run_synthetic(synthetic, out, run_project, seed)
+        table = synthetic_table(results)
+    else:
+        results = run_accuracy(capture, out, run_project, saga=saga, paper=paper)
+        table = accuracy_table(results)
+    _show(results, json_file)
+    print(table)
+    if paper:
+        print(f"\n{methods_table(results)}")
+
+
+@bench_app.command("training")
+def bench_training(
+    capture: Annotated[Path, typer.Argument(help="A capture; truth/ is not needed.")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
+    iterations: Annotated[int, typer.Option(help="Training steps; 0 for the project's own number.")] = 0,
+) -> None:
+    """Train a capture's scene and print PSNR of the held-out views over the seconds of training."""
+    from aomgen.benchmarks.training import run_training
+
+    _show(run_training(capture, out, run_project, iterations=iterations), json_file)
+
+
+@bench_app.command("alignment")
+def bench_alignment(
+    paths: Annotated[list[Path], typer.Argument(help="Captures with truth/, or finished runs of such.")],
+    starts: Annotated[int, typer.Option(help="Good and bad starts, over all paths; some 10 s each.")] = 200,
+    seed: Annotated[int, typer.Option(help="Same seed, same starts.")] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write figures and rows here.")] = None,
+) -> None:
+    """Disturb frames, prompts, cameras and joint values: what is answered, how well, what is refused.
+
+    Six of ten starts have an answer; in the others the robot is gone, stands elsewhere than the
+    prompts say, has other joint values than the log says, or is mirrored.
+    """
+    from aomgen.benchmarks.alignment import run_alignment_bench
+
+    def tell(row: dict) -> None:
+        print("  ".join(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
+
+    figures = run_alignment_bench(paths, starts, seed, run_project, tell)
+    _show({name: value for name, value in figures.items() if name != "rows"}, None)
+    if json_file:
+        from aomgen.io.atomic import write_json
+
+        write_json(json_file, figures)
+
+
+@bench_app.command("splatting")
+def bench_splatting(
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Time the rasterizer, forward and backward, on a table-top scene, and compare it with float64."""
+    from aomgen.benchmarks.splatting import Effort, default_cases, measure
+    from aomgen.benchmarks.table import as_table
+    from aomgen.io.atomic import write_json
+
+    figures = measure(default_cases(), Effort())
+    for name, rows in figures.items():
+        shown = as_table(rows) if isinstance(rows, list) else json.dumps(rows, indent=1)
+        print(f"\n{name}\n{shown}")
+    if json_file:
+        write_json(json_file, figures)
+
+
+def _show(figures: dict, json_file: Path | None) -> None:
+    from aomgen.io.atomic import write_json
+
+    print(json.dumps(figures, indent=1))
+    if json_file:
+        write_json(json_file, figures)
