@@ -75,7 +75,7 @@ $(VENV)/demo.stamp: $(VENV)/pip.stamp pyproject.toml $(CONSTRAINTS) CMakeLists.t
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/demo.stamp
-	$(BIN)/pip install -q -c $(CONSTRAINTS) -e ".[reconstruct,dev]"
+	$(BIN)/pip install -q -c $(CONSTRAINTS) -e ".[reconstruct,dev,sam2]"
 	@touch $@
 
 weights: $(VENV)/demo.stamp
