@@ -228,7 +228,7 @@ def test_label_images_of_another_size_are_refused(tmp_path):
 
 def test_missing_or_foreign_weights_name_the_command(tmp_path, monkeypatch):
     monkeypatch.setenv("AOMGEN_WEIGHTS", str(tmp_path))
-    with pytest.raises(BackendError, match=r"python -m aomgen\.reconstruction\.weights"):
+    with pytest.raises(BackendError, match=r"python -m aomgen\.reconstruction\.masks\.weights"):
         choose_segmenter({})
     for name in ("encoder.onnx", "sam.onnx"):
         (tmp_path / name).write_bytes(b"something else")
