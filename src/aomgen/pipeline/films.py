@@ -6,17 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.capture.check import read_demo_videos
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
+from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.physics.robot import RobotModel
+from aomgen.reconstruction.looks.lamp_search import found_lamp, without_shadow
 from aomgen.reconstruction.looks.robot_surface import dressed
 from aomgen.reconstruction.looks.robot_views import Film, matched_film
 from aomgen.reconstruction.looks.twin_training import sharpened
 from aomgen.reconstruction.surfaces.gaussians import held_out
-from aomgen.twin.twin import Twin, TwinState, render_state
+from aomgen.replacement.support import find_support
+from aomgen.twin.lamp import Lamp
+from aomgen.twin.twin import Twin, TwinState, posed, render_state
 
 # More pictures tell little more, and take as long again.
 SCAN_PICTURES = 80
@@ -65,9 +70,36 @@ def demo_film(
 
 
 def with_looks(twin: Twin, robot: RobotModel, films: Sequence[Film], progress: Progress) -> Twin:
-    """The twin as all pictures show it: its robot dressed in the model's surface, then everything fitted."""
+    """The twin as all pictures show it.
+
+    Its robot is dressed in the model's surface, shadows that move are told from the surface they fall
+    on, then everything is fitted.
+
+    Args:
+        twin: The scan bound to its bodies.
+        robot: Its robot.
+        films: Of the scan, and last of a fixed camera.
+        progress: Told how far it has come.
+    """
     rng = np.random.default_rng(0)
     progress(0.1, "the robot's surface")
     clad = dressed(twin, robot, films, rng)
+    progress(0.3, "the lamp that throws its shadow")
+    lamp = _lamp(clad, robot, films[-1])
+    lit = clad if lamp is None else without_shadow(clad, robot, lamp)
     progress(0.4, "pictures in every posture")
-    return sharpened(clad, robot, films, rng)
+    return sharpened(lit, robot, films, rng)
+
+
+def _lamp(twin: Twin, robot: RobotModel, film: Film) -> Lamp | None:
+    """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
+    world = posed(twin, robot, twin.scan_state)
+    of_object = np.isin(twin.labels, (STATIC, MOVING))
+    scene = (twin.labels == BACKGROUND) & (twin.bodies == 0)
+    try:
+        support = find_support(
+            world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
+        )
+    except ReconstructionError:
+        return None
+    return found_lamp(twin, robot, film, support.T_world_plane)

@@ -30,6 +30,8 @@ class Lesson:
         colors_srgb: Colors (M, 3) of the last Gaussians in this posture, in the place of their
             harmonics' constant term.
         recall: Share (M,) of the learned difference in color that is seen in this posture.
+        shade: Factors (H, W, 3) on the drawn colors, for shadows that are not the Gaussians' own.
+        unsure: Pixels (H, W) that nothing is learned from.
     """
 
     camera: Camera
@@ -37,6 +39,8 @@ class Lesson:
     Ts_world_part: Array
     colors_srgb: NDArray[np.float32]
     recall: NDArray[np.float32]
+    shade: NDArray[np.float32] | None = None
+    unsure: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +131,12 @@ def _gradients(
         parts=PartTensors(indices=indices, Ts_world_part=Ts_world_part),
     )
     target = torch.tensor(np.ascontiguousarray(lesson.image_srgb.transpose(2, 0, 1))).float() / 255
-    image_loss(drawn.rgb, target, dssim_weight=dssim_weight, context=contexts[1]).backward()
+    rgb = drawn.rgb
+    if lesson.shade is not None:
+        rgb = rgb * torch.tensor(np.ascontiguousarray(lesson.shade.transpose(2, 0, 1)))
+    if lesson.unsure is not None:
+        target = torch.where(torch.tensor(lesson.unsure), rgb.detach(), target)
+    image_loss(rgb, target, dssim_weight=dssim_weight, context=contexts[1]).backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
 
 

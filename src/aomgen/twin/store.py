@@ -13,12 +13,14 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
+from aomgen.twin.lamp import Lamp
 from aomgen.twin.relit import Relit, Remembered
 from aomgen.twin.twin import Twin, TwinState
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 _GAUSSIANS: Final = ("means", "quats", "scales", "opacities", "sh")
 _RELIT: Final = ("indices", "albedo_linear", "transfer", "light_of")
+_LAMP: Final = ("direction", "T_world_plane", "shade")
 _REMEMBERED: Final = ("rows", "Rs_world_body", "difference_srgb")
 
 
@@ -42,6 +44,7 @@ def save_twin(folder: Path, twin: Twin) -> None:
         "scan_state": {
             name: getattr(state, name) for name in ("joints", "gripper", "theta", "T_world_object")
         },
+        "lamp": None if twin.lamp is None else {name: getattr(twin.lamp, name) for name in _LAMP},
     }
     write_bytes(folder / "twin.npz", npz_bytes(arrays))
     write_json(folder / "twin.json", header)
@@ -69,6 +72,7 @@ def load_twin(folder: Path) -> Twin:
             T_world_object=header["T_world_object"],
             scan_state=TwinState(**header["scan_state"]),
             relit=_relit(arrays, len(header["body_names"])),
+            lamp=None if header["lamp"] is None else Lamp(**header["lamp"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise MalformedFileError(where, f"is not complete ({error!r})", "run the stage again") from error

@@ -18,6 +18,7 @@ from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
+from aomgen.twin.lamp import MOVES, SCENE, STANDS, Lamp, darkened, draw_lit
 from aomgen.twin.relit import Relit, Surface, surfaces_of
 
 WORLD: Final = "world"
@@ -60,6 +61,8 @@ class Twin:
         T_world_object: Object pose (4, 4) in the scan.
         scan_state: The state that was scanned.
         relit: Surfaces that are lit per frame; None when all colors come from the scan.
+        lamp: What throws the shadow of moving bodies on the surface they work over, whose own colors
+            are those in light; None when shadows are as they were scanned.
     """
 
     robot: str
@@ -71,6 +74,7 @@ class Twin:
     T_world_object: Array
     scan_state: TwinState
     relit: Relit | None = None
+    lamp: Lamp | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "bodies", self.bodies, (len(self.gaussians),), np.int32)
@@ -201,8 +205,25 @@ def posed_by(twin: Twin, Ts_world_body: Array) -> Gaussians:
 def render_state(
     twin: Twin, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
 ) -> Rendering:
-    """Draw a state; `options` go to `splatting.rasterizer.render`."""
-    return render(posed(twin, robot, state), camera, **options)
+    """Draw a state with its shadows; `options` go to `splatting.rasterizer.render`."""
+    world = posed(twin, robot, state)
+    if twin.lamp is None:
+        return render(world, camera, **options)
+    drawn, surface, taken = draw_lit(twin.lamp, world, shadow_roles(twin, robot), camera, **options)
+    return replace(drawn, rgb=drawn.rgb * darkened(twin.lamp, surface * taken))
+
+
+def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
+    """What each Gaussian (N,) does for shadows, see `twin.lamp`.
+
+    The object's static part and the robot's base stand where they were scanned, with their shadows.
+    """
+    rest = twin.scan_state
+    turned = replace(rest, joints=rest.joints + 1.0)
+    stand = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned)).all((1, 2))
+    roles = np.where(stand, STANDS, MOVES).astype(np.uint8)
+    roles[0], roles[twin.body(PART)] = SCENE, MOVES
+    return roles[twin.bodies]
 
 
 def body_list(robot: RobotModel) -> tuple[str, ...]:

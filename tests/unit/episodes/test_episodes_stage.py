@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from aomgen.io.atomic import STAGING_PREFIX
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import read_video
 from aomgen.twin.binding import with_object
+from aomgen.twin.lamp import Lamp
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 FRAMES = 4
@@ -226,3 +228,29 @@ def test_no_usable_view_is_refused(toy_scene):
         choose_viewpoint({}, *arguments)
     with pytest.raises(ReconstructionError, match="sees the action"):
         choose_viewpoint({"looks_away": scan_cameras(toy_scene)["looks_away"]}, *arguments)
+
+
+def test_the_arm_throws_its_shadow_in_episodes_as_in_the_twin(toy_scene):
+    direction = np.array([0.2, -0.3, 1.0])
+    lamp = Lamp(
+        direction=direction / np.linalg.norm(direction), T_world_plane=np.eye(4), shade=np.full(3, 0.6)
+    )
+    plain, lit = toy_scene.twin, replace(toy_scene.twin, lamp=lamp)
+    rest = plain.scan_state
+    states = [replace(rest, joints=rest.joints + share) for share in (0.0, 0.2)]
+    trajectory = Trajectory(
+        joints=np.stack([state.joints for state in states]),
+        gripper=np.zeros(2),
+        thetas=np.zeros(2),
+        T_world_object=rest.T_world_object,
+    )
+    layers = static_layers(plain, {"front": toy_scene.camera})
+    drawn, without = (
+        render_frames(twin, toy_scene.robot, trajectory, layers)["front"].astype(float) / 255
+        for twin in (lit, plain)
+    )
+    for index, state in enumerate(states):
+        wanted = render_state(lit, toy_scene.robot, state, toy_scene.camera).rgb
+        missing = np.abs(without[index] - wanted).mean()
+        assert missing > 0.002
+        assert np.abs(drawn[index] - wanted).mean() < 0.3 * missing

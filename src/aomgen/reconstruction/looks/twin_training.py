@@ -11,16 +11,24 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from aomgen.core.values import Array
 from aomgen.physics.robot import RobotModel
 from aomgen.reconstruction.looks.robot_views import Film, pixel_size
 from aomgen.splatting.refining import Lesson, RefiningParams, refined
+from aomgen.twin.lamp import darkened, draw_lit
 from aomgen.twin.relit import Relit, Surface, surfaces_of
-from aomgen.twin.twin import Twin, body_poses
+from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
 
 # Gaussians move this much in a step, [px] of the usual picture at the robot.
 STEP_PX: Final = 0.1
+# Shadows are drawn a pixel or two beside where they are: nothing is learned where the share of light
+# that is taken changes by this much, on pixels that are mostly the surface.
+EDGE_PX: Final = 5
+EDGE_STEP: Final = 0.1
+MOSTLY: Final = 0.5
 
 
 def sharpened(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random.Generator) -> Twin:
@@ -40,8 +48,11 @@ def sharpened(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.rand
         return twin
     surfaces = surfaces_of(twin.relit, twin.bodies)
     nearest = _scan_orientations(twin, robot)
+    roles = shadow_roles(twin, robot)
     lessons = [
-        _lesson(twin, body_poses(twin, robot, state), surfaces, nearest, (film, index))
+        _with_shadows(
+            _lesson(twin, body_poses(twin, robot, state), surfaces, nearest, (film, index)), twin, roles
+        )
         for film in films
         for index, state in enumerate(film.states)
     ]
@@ -74,6 +85,16 @@ def _lesson(
         colors_srgb=colors,
         recall=recall,
     )
+
+
+def _with_shadows(lesson: Lesson, twin: Twin, roles: NDArray[np.uint8]) -> Lesson:
+    """A lesson whose drawn picture is darkened by the shadows of its posture."""
+    if twin.lamp is None:
+        return lesson
+    world = posed_by(twin, lesson.Ts_world_part)
+    _, surface, taken = draw_lit(twin.lamp, world, roles, lesson.camera)
+    edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
+    return replace(lesson, shade=darkened(twin.lamp, surface * taken), unsure=edge & (surface > MOSTLY))
 
 
 def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
