@@ -1,5 +1,7 @@
 """Alignment finds a hidden similarity from drawn images, and refuses where no robot stands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -11,9 +13,10 @@ from aomgen.errors import AlignmentError
 from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
+from aomgen.reconstruction.alignment.hand_turn import best_hand_turn
 from aomgen.reconstruction.alignment.outline_errors import joint_offsets
 from aomgen.reconstruction.alignment.outline_evidence import ViewEvidence
-from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
+from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world, robot_drawing
 from aomgen.reconstruction.alignment.search import Scan, SearchParams
 from aomgen.reconstruction.alignment.similarity import AlignmentParams, align
 from aomgen.reconstruction.alignment.stage import load_alignment, save_alignment
@@ -32,24 +35,24 @@ def posture() -> RobotPosture:
     return RobotPosture(robot=load_robot("ur5e_2f85"), joints=JOINTS, gripper=0.1)
 
 
-def recon_camera(angle: float, height: float) -> Camera:
+def recon_camera(angle: float, height: float, focal_px: float = 260.0) -> Camera:
     eye = [-0.2 + 1.9 * np.cos(angle), 1.9 * np.sin(angle), height]
     world = Camera(
-        fx=260.0, fy=260.0, cx=160.0, cy=120.0, width=320, height=240,
+        fx=focal_px, fy=focal_px, cx=160.0, cy=120.0, width=320, height=240,
         T_world_cam=look_at(eye, [-0.2, 0.0, 0.35]),
     )  # fmt: skip
     return camera_in_world(np.array(np.linalg.inv(S_WORLD_RECON), np.float64), world)
 
 
 def scene(
-    posture: RobotPosture, rng: np.random.Generator, *, robot: bool
+    posture: RobotPosture, rng: np.random.Generator, *, robot: bool, focal_px: float = 260.0
 ) -> tuple[list[View], list[RobotBox]]:
     """Flat-colored robot bodies before a cloudy background, with sensor noise."""
     colors = rng.uniform(60, 220, (len(posture.robot.body_names), 1)) + rng.normal(0, 15, (1, 3))
     views, boxes = [], []
     with SilhouetteRenderer(posture.robot, max_width=320, max_height=240) as renderer:
         for index in range(6):
-            camera = recon_camera(2 * np.pi * index / 8, 0.5 + 0.06 * index)
+            camera = recon_camera(2 * np.pi * index / 8, 0.5 + 0.06 * index, focal_px)
             bodies, _ = renderer.draw(camera_in_world(S_WORLD_RECON, camera), JOINTS, 0.1)
             clouds = np.stack([gaussian_filter(rng.normal(0, 500, (240, 320)), 6) for _ in range(3)], -1)
             image = 120 + clouds
@@ -90,6 +93,17 @@ def test_images_without_the_robot_are_refused(posture):
     views, boxes = scene(posture, rng, robot=False)
     with pytest.raises(AlignmentError, match="confirm"):
         align(scan_of(views, boxes, ground_points(rng)), posture, silent, rng, PARAMS)
+
+
+@pytest.mark.parametrize("off_deg", [0.0, -60.0, 60.0])
+def test_a_hand_turned_against_the_log_is_noticed(posture, off_deg):
+    views, _ = scene(posture, np.random.default_rng(5), robot=True, focal_px=600.0)
+    joints = JOINTS.copy()
+    joints[-1] += np.radians(off_deg)
+    with robot_drawing(replace(posture, joints=joints), 320, 240) as drawing:
+        found = best_hand_turn(S_WORLD_RECON, views, drawing, 400)
+    assert found.clear == (off_deg != 0)
+    assert np.degrees(found.turn_rad) == pytest.approx(-off_deg, abs=1e-6)
 
 
 def test_no_box_is_refused(posture):

@@ -16,6 +16,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import AlignmentError
 from aomgen.reconstruction.alignment.camera_errors import CameraErrors
 from aomgen.reconstruction.alignment.contours import View
+from aomgen.reconstruction.alignment.hand_turn import HandTurn, best_hand_turn
 from aomgen.reconstruction.alignment.outline_errors import (
     covariance_from_cameras,
     joint_offsets,
@@ -146,8 +147,9 @@ def align(
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
         evidence = look(S, chosen, drawing, params.contour_points)
-    confirmed = confirmation(evidence)
-    _refuse_unconfirmed(confirmed, runner_up, posture, params)
+        confirmed = confirmation(evidence)
+        _refuse_unconfirmed(confirmed, runner_up, posture, params)
+        _refuse_turned_hand(best_hand_turn(S, chosen[::2], drawing, params.contour_points), posture)
     offsets_rad = _refuse_wrong_joints(evidence, posture, params)
     result = replace(
         _summary(S @ S_unit_recon, evidence, confirmed),
@@ -290,6 +292,16 @@ def _refuse_wrong_joints(
             "check scan_state: the joint values must be those during the scan",
         )
     return found.offsets_rad
+
+
+def _refuse_turned_hand(found: HandTurn, posture: RobotPosture) -> None:
+    if found.clear:
+        raise AlignmentError(
+            STAGE,
+            f"{posture.robot.joint_names[-1]} looks {np.degrees(found.turn_rad):+.0f} deg off in the images "
+            f"(they confirm {found.gain:.0%} more of the hand there)",
+            "check scan_state: the joint values must be those during the scan",
+        )
 
 
 def _refuse_vague(result: Alignment, params: AlignmentParams) -> None:
