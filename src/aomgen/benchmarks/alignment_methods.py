@@ -7,22 +7,19 @@ from typing import Any
 import numpy as np
 
 from aomgen.benchmarks.table import as_table
-from aomgen.conventions import MOVING, STATIC
 from aomgen.core.progress import silent
 from aomgen.core.recording import Capture
 from aomgen.motion.stage import load_motion
-from aomgen.pipeline.recovery import posture_of, surface_points
+from aomgen.pipeline.aligning import align_by_paper
+from aomgen.pipeline.recovery import posture_of, scanned_twin
 from aomgen.pipeline.stages import STAGES
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world
-from aomgen.reconstruction.alignment.paper import align_as_paper
-from aomgen.reconstruction.alignment.stage import boxes_of, views_of
 from aomgen.reconstruction.cameras.stage import load_structure
 from aomgen.reconstruction.masks.segmenter import choose_segmenter
 from aomgen.reconstruction.parts.lifting import PartsParams, find_parts
 from aomgen.reconstruction.parts.stage import scan_views
 from aomgen.reconstruction.surfaces.stage import load_gaussians
-from aomgen.twin.binding import bind, object_frame
-from aomgen.twin.twin import Twin, TwinState
+from aomgen.twin.twin import Twin
 
 PREFIX = "paper."
 # What the two methods are compared in.
@@ -49,29 +46,15 @@ def paper_twin(out: Path, capture: Capture, estimates: dict[str, Any]) -> tuple[
     images = {path.name: path for path in capture.scan_images}
     gaussians_recon = load_gaussians(folders["gaussians"]).gaussians_recon
     started = time.monotonic()
-    S_world_recon = align_as_paper(
-        views_of(structure, images, {}),
-        boxes_of(structure, capture.prompts, ("robot",)),
-        gaussians_recon,
-        posture,
-        np.random.default_rng(0),
-    ).S_world_recon
+    S_world_recon = align_by_paper(capture, structure, gaussians_recon).S_world_recon
     seconds = time.monotonic() - started
     world = gaussians_recon.transformed(S_world_recon)
     views = scan_views(structure, S_world_recon, images, posture)
     segmenter = choose_segmenter(capture.mask_folders)
     parts = find_parts(world, views, capture.prompts, segmenter, posture, silent, PartsParams(robot="boxes"))
     joint = load_motion(folders["motion"]).joint
-    static, moving = (surface_points(world, parts.labels, label) for label in (STATIC, MOVING))
-    state = TwinState(
-        joints=posture.joints,
-        gripper=posture.gripper,
-        theta=0.0,
-        T_world_object=object_frame(static, joint, moving),
-    )
-    twin = bind(world, parts.labels, parts.robot_bodies, posture.robot, joint, state)
     return (
-        twin,
+        scanned_twin(world, parts, joint, posture),
         _with_alignment(estimates, structure.cameras_recon, structure.demo_cameras_recon, S_world_recon),
         seconds,
     )

@@ -3,11 +3,10 @@
 import time
 from pathlib import Path
 
-from aomgen.conventions import MOVING, STATIC
 from aomgen.core.progress import silent
 from aomgen.core.recording import Capture
 from aomgen.motion.stage import load_motion
-from aomgen.pipeline.recovery import posture_of, surface_points
+from aomgen.pipeline.recovery import posture_of, scanned_twin, scanned_world
 from aomgen.pipeline.stages import STAGES
 from aomgen.reconstruction.alignment.stage import load_alignment
 from aomgen.reconstruction.cameras.stage import load_structure
@@ -16,9 +15,7 @@ from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams, mask
 from aomgen.reconstruction.parts.lifting import PartsParams, find_parts
 from aomgen.reconstruction.parts.prompted import ask_prompts
 from aomgen.reconstruction.parts.stage import MASKS_FOLDER, scan_views
-from aomgen.reconstruction.surfaces.stage import load_gaussians
-from aomgen.twin.binding import bind, object_frame
-from aomgen.twin.twin import Twin, TwinState
+from aomgen.twin.twin import Twin
 
 FOLDER = "saga"
 
@@ -35,7 +32,7 @@ def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
     """
     folders = {stage.name: out / stage.folder for stage in STAGES}
     S_world_recon = load_alignment(folders["alignment"]).S_world_recon
-    world = load_gaussians(folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
+    world = scanned_world(folders)
     posture = posture_of(capture)
     images = {path.name: path for path in capture.scan_images}
     views = scan_views(load_structure(folders["structure"]), S_world_recon, images, posture)
@@ -48,13 +45,5 @@ def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
     params = PartsParams(method="saga", affinity=affinity)
     parts = find_parts(world, views, capture.prompts, segmenter, posture, silent, params)
     seconds = {"masks": masked - started, "features": time.monotonic() - masked}
-    joint = load_motion(folders["motion"]).joint
-    static, moving = (surface_points(world, parts.labels, label) for label in (STATIC, MOVING))
-    state = TwinState(
-        joints=posture.joints,
-        gripper=posture.gripper,
-        theta=0.0,
-        T_world_object=object_frame(static, joint, moving),
-    )
-    twin = bind(world, parts.labels, parts.robot_bodies, posture.robot, joint, state)
+    twin = scanned_twin(world, parts, load_motion(folders["motion"]).joint, posture)
     return twin, {step: round(value, 1) for step, value in seconds.items()}

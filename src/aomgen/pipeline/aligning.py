@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from aomgen.capture.check import read_demo_videos
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
 from aomgen.io.video import Video
@@ -31,7 +32,7 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     scene = load_structure(run.folders["structure"])
     paper = run.project.alignment_method == "paper"
     if paper:
-        result = _by_paper(run, capture, scene)
+        result = align_by_paper(capture, scene, load_gaussians(run.folders["gaussians"]).gaussians_recon)
     else:
         result = run_alignment(
             scene,
@@ -61,11 +62,12 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
-def _by_paper(run: Run, capture: Capture, scene: Structure) -> Alignment:
+def align_by_paper(capture: Capture, scene: Structure, gaussians_recon: Gaussians) -> Alignment:
+    """The paper's alignment of a capture, see `align_as_paper`."""
     return align_as_paper(
         views_of(scene, {path.name: path for path in capture.scan_images}, {}),
         boxes_of(scene, capture.prompts, ("robot",)),
-        load_gaussians(run.folders["gaussians"]).gaussians_recon,
+        gaussians_recon,
         posture_of(capture),
         np.random.default_rng(0),
     )

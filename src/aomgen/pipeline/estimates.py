@@ -6,7 +6,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import Capture
 from aomgen.core.values import Array
-from aomgen.reconstruction.alignment.similarity import camera_in_world
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world
 
 
 def estimates_of(

@@ -1,5 +1,6 @@
 """Stages from the recording to the twin: what was there, and how it moved. [paper 4.1, 4.2]"""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from aomgen.capture.read import read_capture
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
@@ -28,25 +30,24 @@ from aomgen.pipeline.estimates import estimates_of
 from aomgen.pipeline.films import demo_film, scan_films, with_looks
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
+from aomgen.reconstruction.alignment.outline_fit import camera_in_world
+from aomgen.reconstruction.alignment.posture import RobotPosture
 from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
-from aomgen.reconstruction.alignment.similarity import RobotPosture, camera_in_world
-from aomgen.reconstruction.alignment.stage import (
-    load_alignment,
-)
+from aomgen.reconstruction.alignment.stage import load_alignment
 from aomgen.reconstruction.cameras.fixed_cameras import DemoView
 from aomgen.reconstruction.cameras.frames import extract_frames
 from aomgen.reconstruction.cameras.stage import load_structure, run_structure
 from aomgen.reconstruction.cameras.structure import Photographs
 from aomgen.reconstruction.looks.tray import with_tray
 from aomgen.reconstruction.masks.segmenter import choose_segmenter
-from aomgen.reconstruction.parts.lifting import PartsParams
+from aomgen.reconstruction.parts.lifting import Parts, PartsParams
 from aomgen.reconstruction.parts.stage import load_parts, run_parts
 from aomgen.reconstruction.surfaces.gaussians import GaussiansParams
 from aomgen.reconstruction.surfaces.stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.surfaces.survey_stage import run_survey
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.store import save_twin
-from aomgen.twin.twin import TwinState
+from aomgen.twin.twin import Twin, TwinState
 
 ESTIMATES = "estimates.json"
 # Gaussians that count as surface.
@@ -162,7 +163,7 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     settled = load_settled_cameras(run.folders["alignment"])
     cameras_world = {name: item.camera for name, item in settled.items()}
-    world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
+    world = scanned_world(run.folders)
     parts = load_parts(run.folders["parts"])
 
     def write_estimates(estimate: MotionEstimate | None, refusals: list[dict[str, str]]) -> None:
@@ -202,6 +203,12 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
+def scanned_world(folders: Mapping[str, Path]) -> Gaussians:
+    """The trained Gaussians in the world frame, from the folders of finished stages."""
+    S_world_recon = load_alignment(folders["alignment"]).S_world_recon
+    return load_gaussians(folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
+
+
 def surface_points(world: Gaussians, labels: NDArray[np.uint8], label: int) -> Array:
     """Centres (N, 3) of a part's solid Gaussians."""
     return np.asarray(world.means[(labels == label) & (world.opacities > SOLID_OPACITY)], np.float64)
@@ -209,9 +216,7 @@ def surface_points(world: Gaussians, labels: NDArray[np.uint8], label: int) -> A
 
 def scanned_object(run: Run) -> tuple[Array, Array]:
     """Points of the moving and the static part (N, 3), (M, 3) as scanned, world frame, [m]."""
-    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
-    world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
-    labels = load_parts(run.folders["parts"]).labels
+    world, labels = scanned_world(run.folders), load_parts(run.folders["parts"]).labels
     return surface_points(world, labels, MOVING), surface_points(world, labels, STATIC)
 
 
@@ -222,25 +227,33 @@ def posture_of(capture: Capture) -> RobotPosture:
     )
 
 
+def scanned_twin(world: Gaussians, parts: Parts, joint: Joint, posture: RobotPosture) -> Twin:
+    """The scan bound to the bodies that carry it, in the scan's state.
+
+    Args:
+        world: Gaussians, world frame.
+        parts: Of these Gaussians.
+        joint: Of the moving part.
+        posture: The robot during the scan.
+    """
+    static, moving = (surface_points(world, parts.labels, label) for label in (STATIC, MOVING))
+    state = TwinState(
+        joints=posture.joints,
+        gripper=posture.gripper,
+        theta=0.0,
+        T_world_object=object_frame(static, joint, moving),
+    )
+    return bind(world, parts.labels, parts.robot_bodies, posture.robot, joint, state)
+
+
 def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """Every Gaussian bound to the body that carries it, and everything fitted to scan and video."""
     capture = capture_of(run)
-    robot = robot_of(capture)
-    S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
-    world = load_gaussians(run.folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
-    parts = load_parts(run.folders["parts"])
-    motion = load_motion(run.folders["motion"])
-    joint = motion.joint
-    T_world_object = object_frame(
-        surface_points(world, parts.labels, STATIC), joint, surface_points(world, parts.labels, MOVING)
+    posture, motion = posture_of(capture), load_motion(run.folders["motion"])
+    robot = posture.robot
+    scanned = scanned_twin(
+        scanned_world(run.folders), load_parts(run.folders["parts"]), motion.joint, posture
     )
-    state = TwinState(
-        joints=capture.robot.scan_joints,
-        gripper=capture.robot.scan_gripper,
-        theta=0.0,
-        T_world_object=T_world_object,
-    )
-    scanned = bind(world, parts.labels, parts.robot_bodies, robot, joint, state)
     film = demo_film(capture, demo_camera_world(run), motion, scanned, robot)
     bound = with_tray(scanned, robot, film)
     films = [*scan_films(capture, scan_cameras_world(run), bound), film]

@@ -15,7 +15,7 @@ from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
 from aomgen.reconstruction.alignment.hand_turn import best_hand_turn
 from aomgen.reconstruction.alignment.outline_errors import joint_offsets
-from aomgen.reconstruction.alignment.outline_evidence import ViewEvidence
+from aomgen.reconstruction.alignment.outline_evidence import ViewEvidence, look
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world, robot_drawing
 from aomgen.reconstruction.alignment.search import Scan, SearchParams
 from aomgen.reconstruction.alignment.similarity import AlignmentParams, align
@@ -101,7 +101,8 @@ def test_a_hand_turned_against_the_log_is_noticed(posture, off_deg):
     joints = JOINTS.copy()
     joints[-1] += np.radians(off_deg)
     with robot_drawing(replace(posture, joints=joints), 320, 240) as drawing:
-        found = best_hand_turn(S_WORLD_RECON, views, drawing, 400)
+        logged = look(S_WORLD_RECON, views, drawing, 400)
+        found = best_hand_turn(S_WORLD_RECON, views, drawing, 400, logged)
     assert found.clear == (off_deg != 0)
     assert np.degrees(found.turn_rad) == pytest.approx(-off_deg, abs=1e-6)
 

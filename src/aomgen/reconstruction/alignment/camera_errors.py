@@ -51,8 +51,8 @@ def camera_covariance(
 ) -> Array:
     """Covariance (6 N, 6 N) of the poses of N cameras: centre, then rotation vector, for each.
 
-    Errors are counted after the similarity that fits the camera centres best, which is how a
-    structure is compared with the truth.
+    Errors are counted after the similarity that fits the camera centres best: a
+    structure has no position, direction and size of its own.
 
     Args:
         cameras: In any frame; lengths of the result are in its unit.

@@ -12,7 +12,7 @@ import numpy as np
 
 from aomgen.core.values import Array
 from aomgen.reconstruction.alignment.contours import View
-from aomgen.reconstruction.alignment.outline_evidence import look
+from aomgen.reconstruction.alignment.outline_evidence import ViewEvidence, look
 from aomgen.reconstruction.alignment.outline_fit import RobotDrawing
 
 # Beyond the reach of edges, and close enough together that one of them is near any turn. A parallel
@@ -43,7 +43,9 @@ class HandTurn:
         return self.gain > CLEAR_SDS * self.gain_sd
 
 
-def best_hand_turn(S: Array, views: list[View], drawing: RobotDrawing, contour_points: int) -> HandTurn:
+def best_hand_turn(
+    S: Array, views: list[View], drawing: RobotDrawing, contour_points: int, logged: list[ViewEvidence]
+) -> HandTurn:
     """Draw the hand turned by the last joint and compare what images confirm of it.
 
     Args:
@@ -51,21 +53,26 @@ def best_hand_turn(S: Array, views: list[View], drawing: RobotDrawing, contour_p
         views: Images.
         drawing: Draws the robot as logged.
         contour_points: Outline points a view.
+        logged: What the images say of the robot as logged; of these views and perhaps more.
 
     Not checked: the last joint turns (one that slides finds no better turn).
     """
     hand = len(drawing.posture.joints)
 
-    def confirmed(turn_deg: float) -> tuple[float, int]:
-        joints = drawing.posture.joints.copy()
-        joints[-1] += np.radians(turn_deg)
-        turned = replace(drawing, posture=replace(drawing.posture, joints=joints))
-        seen = [view.confirmed[view.segments == hand] for view in look(S, views, turned, contour_points)]
+    names = {view.name for view in views}
+
+    def confirmed(evidence: list[ViewEvidence]) -> tuple[float, int]:
+        seen = [view.confirmed[view.segments == hand] for view in evidence if view.name in names]
         points = np.concatenate(seen) if seen else np.zeros(0, np.bool_)
         return (float(points.mean()), len(points)) if len(points) else (0.0, 0)
 
-    own, count = confirmed(0.0)
-    shares = [confirmed(turn)[0] for turn in TURNS_DEG]
+    def turned(turn_deg: float) -> RobotDrawing:
+        joints = drawing.posture.joints.copy()
+        joints[-1] += np.radians(turn_deg)
+        return replace(drawing, posture=replace(drawing.posture, joints=joints))
+
+    own, count = confirmed(logged)
+    shares = [confirmed(look(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
     best = int(np.argmax(shares))
     if count == 0 or shares[best] <= own:
         return HandTurn(turn_rad=0.0, gain=0.0, gain_sd=0.0)

@@ -33,9 +33,6 @@ from aomgen.reconstruction.alignment.outline_fit import (
     robot_drawing,
     spread,
 )
-from aomgen.reconstruction.alignment.outline_fit import (
-    camera_in_world as camera_in_world,
-)
 from aomgen.reconstruction.alignment.search import Scan, SearchParams, search
 
 STAGE = "alignment"
@@ -149,7 +146,8 @@ def align(
         evidence = look(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
         _refuse_unconfirmed(confirmed, runner_up, posture, params)
-        _refuse_turned_hand(best_hand_turn(S, chosen[::2], drawing, params.contour_points), posture)
+        hand = best_hand_turn(S, chosen[::2], drawing, params.contour_points, evidence)
+        _refuse_turned_hand(hand, posture)
     offsets_rad = _refuse_wrong_joints(evidence, posture, params)
     result = replace(
         _summary(S @ S_unit_recon, evidence, confirmed),
