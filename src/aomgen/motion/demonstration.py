@@ -2,8 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
+from aomgen.core.part_points import surface_points
 from aomgen.core.values import Array, freeze
 from aomgen.io.video import Video
 from aomgen.physics.robot import RobotModel
@@ -18,9 +24,8 @@ class Demonstration:
         camera: Its pose and intrinsics, world frame.
         log: The robot's joint log, own clock.
         robot: Kinematics, meshes and finger pads.
-        points_moving: Points of the moving part at its scanned place (N, 3), world frame, [m].
-        points_static: Points of the standing part (M, 3), world frame, [m].
-        points_other: Points of everything else but the robot (K, 3), world frame, [m].
+        scene: The scene as scanned, world frame.
+        labels: Part label of every Gaussian of the scene (G,), see `conventions`.
         clock_offset_s: Log time minus video time.
         clock_sd_s: Its standard deviation, [s].
     """
@@ -29,13 +34,25 @@ class Demonstration:
     camera: Camera
     log: JointLog
     robot: RobotModel
-    points_moving: Array
-    points_static: Array
-    points_other: Array
+    scene: Gaussians
+    labels: NDArray[np.uint8]
     clock_offset_s: float
     clock_sd_s: float
 
     def __post_init__(self) -> None:
-        freeze(self, "points_moving", self.points_moving, (None, 3))
-        freeze(self, "points_static", self.points_static, (None, 3))
-        freeze(self, "points_other", self.points_other, (None, 3))
+        freeze(self, "labels", self.labels, (len(self.scene),), np.uint8)
+
+    @property
+    def points_moving(self) -> Array:
+        """Points of the moving part at its scanned place (N, 3), world frame, [m]."""
+        return surface_points(self.scene, self.labels, MOVING)
+
+    @property
+    def points_static(self) -> Array:
+        """Points of the standing part (M, 3), world frame, [m]."""
+        return surface_points(self.scene, self.labels, STATIC)
+
+    @property
+    def points_other(self) -> Array:
+        """Points of everything else but the robot (K, 3), world frame, [m]."""
+        return surface_points(self.scene, self.labels, BACKGROUND)

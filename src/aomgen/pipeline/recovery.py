@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
@@ -15,6 +14,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
+from aomgen.core.part_points import surface_points
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
 from aomgen.core.values import Array
@@ -50,8 +50,6 @@ from aomgen.twin.store import save_twin
 from aomgen.twin.twin import Twin, TwinState
 
 ESTIMATES = "estimates.json"
-# Gaussians that count as surface.
-SOLID_OPACITY = 0.3
 # The temporal median needs no more frames than this.
 MEDIAN_FRAMES = 48
 
@@ -158,32 +156,19 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     A refused motion is written there as refused before the error goes on.
     """
     capture = capture_of(run)
-    camera = capture.cameras[0]
-    scene = load_structure(run.folders["structure"])
+    structure = load_structure(run.folders["structure"])
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     settled = load_settled_cameras(run.folders["alignment"])
     cameras_world = {name: item.camera for name, item in settled.items()}
-    world = scanned_world(run.folders)
-    parts = load_parts(run.folders["parts"])
 
     def write_estimates(estimate: MotionEstimate | None, refusals: list[dict[str, str]]) -> None:
-        content = estimates_of(capture, scene.cameras_recon, cameras_world, S_world_recon, estimate, refusals)
+        content = estimates_of(
+            capture, structure.cameras_recon, cameras_world, S_world_recon, estimate, refusals
+        )
         write_json(run.out / ESTIMATES, content)
 
     try:
-        clock = settled[camera.name].settled_clock()
-        demonstration = MotionInput(
-            video=read_demo_videos(capture)[camera.name],
-            camera=settled[camera.name].camera,
-            log=capture.joint_log,
-            robot=robot_of(capture),
-            points_moving=surface_points(world, parts.labels, MOVING),
-            points_static=surface_points(world, parts.labels, STATIC),
-            points_other=surface_points(world, parts.labels, BACKGROUND),
-            clock_offset_s=clock.offset_s,
-            clock_sd_s=clock.sd_s,
-        )
-        estimate = run_motion(demonstration, folder, progress)
+        estimate = run_motion(motion_input(run), folder, progress)
     except EstimationError as error:
         write_estimates(None, [{"quantity": "motion", "reason": str(error)}])
         raise
@@ -203,15 +188,32 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
+def motion_input(run: Run) -> MotionInput:
+    """What AOMotion looks at: the first fixed camera's film, the log, and the scan in its parts.
+
+    Raises:
+        SyncError: The clock offset is unknown.
+    """
+    capture = capture_of(run)
+    name = capture.cameras[0].name
+    settled = load_settled_cameras(run.folders["alignment"])[name]
+    clock = settled.settled_clock()
+    return MotionInput(
+        video=read_demo_videos(capture)[name],
+        camera=settled.camera,
+        log=capture.joint_log,
+        robot=robot_of(capture),
+        scene=scanned_world(run.folders),
+        labels=load_parts(run.folders["parts"]).labels,
+        clock_offset_s=clock.offset_s,
+        clock_sd_s=clock.sd_s,
+    )
+
+
 def scanned_world(folders: Mapping[str, Path]) -> Gaussians:
     """The trained Gaussians in the world frame, from the folders of finished stages."""
     S_world_recon = load_alignment(folders["alignment"]).S_world_recon
     return load_gaussians(folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
-
-
-def surface_points(world: Gaussians, labels: NDArray[np.uint8], label: int) -> Array:
-    """Centres (N, 3) of a part's solid Gaussians."""
-    return np.asarray(world.means[(labels == label) & (world.opacities > SOLID_OPACITY)], np.float64)
 
 
 def scanned_object(run: Run) -> tuple[Array, Array]:

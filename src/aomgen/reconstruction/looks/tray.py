@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from aomgen.conventions import MOVING, ROBOT
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import BackendError
@@ -43,7 +44,6 @@ SPACING_PX = 1.0
 SPREAD = 0.7
 THICKNESS = 0.05
 MAX_DISCS = 20_000
-SOLID_OPACITY = 0.3
 ROBOT_MARGIN_PX = 3
 
 

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze
@@ -42,8 +43,6 @@ DOUBTED_MISFIT = 0.2
 # Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
 # captures with right prompts, 0.6 and more with boxes around a neighbor).
 MAX_APART_SHARE = 0.2
-# Gaussians that count as surface.
-SOLID_OPACITY = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture
@@ -25,8 +26,6 @@ GRID = 12
 ROBOT_POINTS = 6000
 # A side counts as seen when at least this share of its points is.
 MIN_SHARE = 0.5
-# Gaussians that count as surface.
-SOLID_OPACITY = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
