@@ -131,6 +131,52 @@ def upright_box(points_world: Array, yaw: float) -> Box:
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgeTerms:
+    """What is measured of every pair (static edge, moving edge), as costs are made of it.
+
+    Attributes:
+        score: 0 for parallel edges on top of each other (12, 12); the paper's `edge_score`.
+        along: |cos| between each moving edge and the hand's direction (12,).
+        reach: Distance from the contact to each moving edge's line, in diagonals of the part (12,).
+    """
+
+    score: Array
+    along: Array
+    reach: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "score", self.score, (12, 12))
+        freeze(self, "along", self.along, (12,))
+        freeze(self, "reach", self.reach, (12,))
+
+
+def edge_terms(static: Box, moving: Box, contact_world: Array, direction_world: Array) -> EdgeTerms:
+    """Measure every pair of edges; distances are divided by the moving part's diagonal.
+
+    Args:
+        static: Box of the part that stands.
+        moving: Box of the part that moves.
+        contact_world: Contact point (3,), [m].
+        direction_world: Unit vector (3,): approach of the hand, or its displacement.
+
+    Source: AOMGen, sec. 4.2, "Articulated Object Modeling", with twelve edges instead of eight, and the
+    mean of the sampled distances instead of their sum, so that their number does not count.
+    """
+    edges_static, edges_moving = static.edges(), moving.edges()
+    size = moving.diagonal_m
+    unit_static, unit_moving = (_units(edges) for edges in (edges_static, edges_moving))
+    parallel = np.abs(unit_static @ unit_moving.T)
+    samples_static, samples_moving = (_samples(edges) for edges in (edges_static, edges_moving))
+    gaps = samples_static[:, None, :, None] - samples_moving[None, :, None, :]
+    distance = np.linalg.norm(gaps, axis=-1).min(-1).mean(-1) / size
+    return EdgeTerms(
+        score=(1 - parallel) * 0.8 + distance * 0.2,
+        along=np.abs(unit_moving @ direction_world),
+        reach=_line_distances(contact_world, edges_moving) / size,
+    )
+
+
 def edge_costs(
     static: Box,
     moving: Box,
@@ -142,34 +188,19 @@ def edge_costs(
     """Cost (12, 12) of every pair (static edge, moving edge) to lie along the joint.
 
     Parallel and close edges are cheap. A revolute joint lies across the hand's approach and far from
-    the contact; a prismatic edge points along the hand's motion. Distances are divided by the moving
-    part's diagonal.
+    the contact; a prismatic edge points along the hand's motion.
 
-    Args:
-        static: Box of the part that stands.
-        moving: Box of the part that moves.
-        contact_world: Contact point (3,), [m].
-        direction_world: Unit vector (3,): approach of the hand (revolute) or its displacement (prismatic).
-        joint_type: Which hypothesis is scored.
-        weights: Weights of the terms.
+    The direction is the hand's approach (revolute) or its displacement (prismatic); see `edge_terms`.
 
-    Source: AOMGen, sec. 4.2, "Articulated Object Modeling", with twelve edges instead of eight and the
-    sign of the contact term turned (the text asks for the far side, the printed formula for the near one).
+    Source: AOMGen, sec. 4.2, "Articulated Object Modeling", with the sign of the contact term turned
+    (the text asks for the far side, the printed formula for the near one).
     """
     weights = weights or EdgeWeights()
-    edges_static, edges_moving = static.edges(), moving.edges()
-    size = moving.diagonal_m
-    unit_static, unit_moving = (_units(edges) for edges in (edges_static, edges_moving))
-    parallel = np.abs(unit_static @ unit_moving.T)
-    samples_static, samples_moving = (_samples(edges) for edges in (edges_static, edges_moving))
-    gaps = samples_static[:, None, :, None] - samples_moving[None, :, None, :]
-    distance = np.linalg.norm(gaps, axis=-1).min(-1).mean(-1) / size
-    along = np.abs(unit_moving @ direction_world)
-    reach = _line_distances(contact_world, edges_moving) / size
-    cost = weights.shape * ((1 - parallel) * 0.8 + distance * 0.2)
+    terms = edge_terms(static, moving, contact_world, direction_world)
+    cost = weights.shape * terms.score
     if joint_type == "revolute":
-        return cost + weights.direction * along[None] - weights.contact * reach[None]
-    return cost - weights.direction * along[None]
+        return cost + weights.direction * terms.along[None] - weights.contact * terms.reach[None]
+    return cost - weights.direction * terms.along[None]
 
 
 def edge_prior(
@@ -197,7 +228,7 @@ def edge_prior(
     yaw = footprint_yaw(np.concatenate([points_static, points_moving]))
     static, moving = upright_box(points_static, yaw), upright_box(points_moving, yaw)
     axes = moving.T_world_box[:3, :3].T
-    normal = _face_normal(static, moving)
+    normal = face_normal(static, moving)
     best_revolute = _best_pair(edge_costs(static, moving, contact_world, normal, "revolute", weights))
     best_prismatic = _best_pair(
         edge_costs(static, moving, contact_world, displacement_world, "prismatic", weights)
@@ -206,7 +237,7 @@ def edge_prior(
     return EdgePrior(
         axes=axes,
         revolute_axis=_units(edge_moving[None])[0],
-        revolute_origin=_pair_center(
+        revolute_origin=pair_center(
             points_static, points_moving, edge_static, edge_moving, weights.nearest_pairs
         ),
         prismatic_axis=_units(moving.edges()[best_prismatic[1]][None])[0],
@@ -215,7 +246,7 @@ def edge_prior(
     )
 
 
-def _face_normal(static: Box, moving: Box) -> Array:
+def face_normal(static: Box, moving: Box) -> Array:
     """Box axis along which the moving part sticks out of the static one most, for its size."""
     offset = apply(invert(moving.T_world_box), static.T_world_box[:3, 3])
     depth = np.abs(offset) / (static.half_extents + moving.half_extents)
@@ -223,10 +254,15 @@ def _face_normal(static: Box, moving: Box) -> Array:
     return -np.sign(offset[axis]) * moving.T_world_box[:3, axis]
 
 
-def _pair_center(
+def pair_center(
     points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array, count: int
 ) -> Array:
-    """Mean midpoint of the `count` nearest point pairs near a pair of edges; the edges' middle without any."""
+    """Mean midpoint (3,) of the `count` nearest point pairs near a pair of edges; the edges' middle without any.
+
+    Points (N, 3), (M, 3) and the end points (2, 3) of the edges share a frame, [m].
+
+    Source: AOMGen, sec. 4.2, "Articulated Object Modeling", with a share of the edge's length as epsilon.
+    """
     near = 0.15 * float(np.linalg.norm(edge_moving[1] - edge_moving[0]))
     close_moving = points_moving[_line_distances_many(points_moving, edge_moving) < near]
     close_static = points_static[_line_distances_many(points_static, edge_static) < near]
