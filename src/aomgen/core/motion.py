@@ -74,6 +74,9 @@ class MotionEstimate:
         joint: Value 0 is the scanned state, axis positive in the demonstrated direction.
         axis_sd_rad: Standard deviation of the axis direction, [rad].
         origin_sd_m: Standard deviation of the axis line where it passes the contact, [m].
+        axis_ci95_rad: The true direction lies within this angle of `joint.axis` with 95 %, [rad].
+        origin_ci95_m: The true axis line passes within this of `joint`'s, where that passes the
+            contact, with 95 %, [m]; 0 for a prismatic joint, which has no place.
         type_margin: BIC of the rejected joint type minus that of the chosen one.
         ee_turn_ratio: Turn of the end effector over turn of the part (1: rigid grasp; 0: the
             handle turns in the fingers; NaN-free: 0 for a prismatic joint).
@@ -94,6 +97,8 @@ class MotionEstimate:
     joint: Joint
     axis_sd_rad: float
     origin_sd_m: float
+    axis_ci95_rad: float
+    origin_ci95_m: float
     type_margin: float
     ee_turn_ratio: float
     times_s: Array

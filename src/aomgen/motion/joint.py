@@ -51,6 +51,7 @@ class JointEstimate:
         grasp_ee: The held point (3,), end-effector frame, refined, [m].
         axis_sd_rad: Standard deviation of the direction, [rad].
         origin_sd_m: Standard deviation of the axis line near the contact, [m].
+        axis_ci95_rad, origin_ci95_m: Radii around direction and line that hold the true ones with 95 %.
         residual_m: RMS distance of the path from the model, [m].
         turn_ratio: Turn of the hand over turn of the part; 0 for a prismatic joint.
         margin: BIC of the other type minus BIC of this one.
@@ -60,6 +61,8 @@ class JointEstimate:
     grasp_ee: Array
     axis_sd_rad: float
     origin_sd_m: float
+    axis_ci95_rad: float
+    origin_ci95_m: float
     residual_m: float
     turn_ratio: float
     margin: float
@@ -120,6 +123,8 @@ def estimate_joint(
     return _estimate(path, best, "revolute" if best is revolute else "prismatic", margin)
 
 
+# Radius that holds 95 % of a round Gaussian in the plane, over the root of its variance's trace.
+_RADIUS_95 = float(np.sqrt(-np.log(0.05)))
 _REMEDY = "record a longer demonstration"
 
 
@@ -161,6 +166,8 @@ def _estimate(path: HandPath, solution: Solution, joint_type: JointType, margin:
         grasp_ee=solution.grasp_ee,
         axis_sd_rad=solution.axis_sd_rad,
         origin_sd_m=solution.origin_sd_m,
+        axis_ci95_rad=_RADIUS_95 * solution.axis_sd_rad,
+        origin_ci95_m=_RADIUS_95 * solution.origin_sd_m,
         residual_m=solution.residual_m,
         turn_ratio=ratio,
         margin=margin,

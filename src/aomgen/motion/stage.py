@@ -11,7 +11,8 @@ from aomgen.errors import CorruptArtifactError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.demonstration import Demonstration
-from aomgen.motion.estimate import MotionParams, estimate_motion
+from aomgen.motion.estimate import estimate_motion
+from aomgen.motion.params import MotionParams
 
 FILE_NAME = "motion.json"
 

@@ -57,6 +57,8 @@ def estimates_of(
             "observed_range": [joint.lower, joint.upper],
             "axis_sd_rad": motion.axis_sd_rad,
             "origin_sd_m": motion.origin_sd_m,
+            "axis_ci95_rad": motion.axis_ci95_rad,
+            "origin_ci95_m": motion.origin_ci95_m,
         },
         "theta": {
             "times_s": motion.times_s.tolist(),

@@ -181,8 +181,8 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         "end_s": estimate.end_s,
         "joint": estimate.joint.type,
         f"opened_{unit}": factor * float(estimate.thetas.max()),
-        "axis_sd_deg": float(np.degrees(estimate.axis_sd_rad)),
-        "origin_sd_mm": 1e3 * estimate.origin_sd_m,
+        "axis_ci95_deg": float(np.degrees(estimate.axis_ci95_rad)),
+        "origin_ci95_mm": 1e3 * estimate.origin_ci95_m,
         "part_odds": estimate.part_odds,
         WARNINGS: doubts(estimate.part_odds),
     }

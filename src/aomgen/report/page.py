@@ -202,8 +202,8 @@ def _motion(motion: MotionEstimate) -> list[str]:
     )
     sentence = (
         f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s. It is a {motion.joint.type} joint, axis "
-        f"known to {np.degrees(motion.axis_sd_rad):.1f} deg, its place to {1e3 * motion.origin_sd_m:.0f} mm (one "
-        f"standard deviation); the hand turned {motion.ee_turn_ratio:.2f} times as far as the part."
+        f"known to {np.degrees(motion.axis_ci95_rad):.1f} deg, its place to {1e3 * motion.origin_ci95_m:.0f} mm "
+        f"(with 95 %); the hand turned {motion.ee_turn_ratio:.2f} times as far as the part."
     )
     return [paragraph(sentence), draw_chart(score), draw_chart(theta)]
 

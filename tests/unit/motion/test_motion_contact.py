@@ -73,7 +73,7 @@ def estimate() -> MotionEstimate:
     patch = ContactPatch(finger="left", point=[0.5, 0, 0.2], normal=[0, 1, 0], spread_m=0.004, gap_m=0.001)
     return MotionEstimate(
         clock_offset_s=0.7, clock_offset_sd_s=0.002, start_s=0.1, end_s=0.3, curve=curve, contacts=(patch,),
-        grasp_ee=[0, 0, 0.005], axis_sd_rad=0.01, origin_sd_m=0.004, type_margin=30.0, ee_turn_ratio=0.9,
+        grasp_ee=[0, 0, 0.005], axis_sd_rad=0.01, origin_sd_m=0.004, axis_ci95_rad=0.017, origin_ci95_m=0.007, type_margin=30.0, ee_turn_ratio=0.9,
         joint=Joint(type="revolute", axis=[0, 0, -1], origin=[0.6, 0.2, 0], lower=0, upper=1.1),
         times_s=times, thetas=times * 2, theta_sd=times, slip_m=times * 0, part_odds=9.0,
     )  # fmt: skip

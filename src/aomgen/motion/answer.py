@@ -1,0 +1,73 @@
+"""The answer of AOMotion from its pieces: values at the video's frames and how well they are known."""
+
+import numpy as np
+
+from aomgen.core.joint import Joint
+from aomgen.core.motion import MotionCurve, MotionEstimate
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.recovery import Recovery, poses_at
+from aomgen.motion.theta import values_at_frames
+
+
+def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: float) -> MotionEstimate:
+    """The estimate as the rest of the pipeline reads it."""
+    frames = demo.video.times_s
+    estimate = recovery.estimate
+    thetas = values_at_frames(frames, recovery.times_s, recovery.values, recovery.interval, recovery.levels)
+    moving = (frames >= recovery.interval[0]) & (frames <= recovery.interval[1])
+    slip = np.interp(frames, recovery.times_s, recovery.slip_m)
+    joint = Joint(
+        type=recovery.joint.type,
+        axis=recovery.joint.axis,
+        origin=recovery.joint.origin,
+        lower=0.0,
+        upper=float(thetas.max()),
+    )
+    return MotionEstimate(
+        clock_offset_s=demo.clock_offset_s,
+        clock_offset_sd_s=demo.clock_sd_s,
+        start_s=_first_frame(frames, recovery.interval[0]),
+        end_s=_last_frame(frames, recovery.interval[1]),
+        curve=curve,
+        contacts=recovery.contacts.patches,
+        grasp_ee=estimate.grasp_ee,
+        joint=joint,
+        axis_sd_rad=estimate.axis_sd_rad,
+        origin_sd_m=estimate.origin_sd_m,
+        axis_ci95_rad=estimate.axis_ci95_rad,
+        origin_ci95_m=estimate.origin_ci95_m,
+        type_margin=estimate.margin,
+        ee_turn_ratio=estimate.turn_ratio,
+        times_s=frames,
+        thetas=thetas,
+        theta_sd=_theta_sd(demo, recovery, thetas, frames),
+        slip_m=np.where(moving, slip, 0.0),
+        part_odds=odds,
+    )
+
+
+def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Array) -> Array:
+    """Path error, axis error and clock error of the values, [rad] or [m]."""
+    estimate, joint = recovery.estimate, recovery.joint
+    speed = np.abs(np.interp(frames, recovery.times_s, np.gradient(recovery.values, recovery.times_s)))
+    clock_part = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
+    if joint.type == "prismatic":
+        return np.sqrt(estimate.residual_m**2 + (thetas * estimate.axis_sd_rad**2 / 2) ** 2 + clock_part**2)
+    held = apply(poses_at(demo, np.array([recovery.interval[0] + demo.clock_offset_s])), estimate.grasp_ee)[0]
+    offset = held - joint.origin
+    radius = float(np.linalg.norm(offset - (offset @ joint.axis) * joint.axis))
+    path = estimate.residual_m / radius
+    axis = estimate.origin_sd_m / radius * 2 * np.abs(np.sin(thetas / 2))
+    return np.sqrt(path**2 + axis**2 + clock_part**2)
+
+
+def _first_frame(frames: Array, moment_s: float) -> float:
+    later = frames[frames >= moment_s - 1e-6]
+    return float(later[0]) if len(later) else float(frames[-1])
+
+
+def _last_frame(frames: Array, moment_s: float) -> float:
+    earlier = frames[frames <= moment_s + 1e-6]
+    return float(earlier[-1]) if len(earlier) else float(frames[0])

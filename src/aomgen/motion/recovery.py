@@ -1,0 +1,95 @@
+"""Contact, joint and joint values from the hand's path during the touch."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.motion.contact import Contacts, find_contacts
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.edges import EdgePrior, edge_prior
+from aomgen.motion.filters import smooth
+from aomgen.motion.joint import JointEstimate, estimate_joint
+from aomgen.motion.keyframe_view import KeyframeView
+from aomgen.motion.params import MotionParams
+from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values
+
+_DENSE_STEP_S = 0.01
+_SMOOTH_S = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovery:
+    """Joint and values along the touch, with the refined interval."""
+
+    contacts: Contacts
+    estimate: JointEstimate
+    joint: Joint
+    interval: tuple[float, float]
+    levels: tuple[float, float]
+    times_s: Array
+    values: Array
+    slip_m: Array
+
+
+def recover(
+    demo: Demonstration, view: KeyframeView, seen: tuple[float, float], params: MotionParams
+) -> Recovery:
+    """Contact, joint and values, twice: the second round uses the interval that the first one felt."""
+    touch, frame_times, offset_s = view.touch, view.signals.times_s, demo.clock_offset_s
+    touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
+    if not touch.gripped:
+        touch_s = (touch_s[0], min(touch_s[1], seen[1] + 0.5))
+    interval = seen
+    for _ in range(2):
+        contacts = find_contacts(
+            demo.robot, demo.log, demo.points_moving, interval[0] + offset_s, params.contact
+        )
+        edges = _edges(demo, contacts, interval, offset_s)
+        held = _dense(interval)
+        estimate = estimate_joint(poses_at(demo, held + offset_s), contacts.grasp_ee, edges, params.joint)
+        times = _dense(touch_s)
+        reference = int(np.argmin(np.abs(times - interval[0])))
+        poses = poses_at(demo, times + offset_s)
+        path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, edges.face_normal)
+        values = smooth(path.values, _DENSE_STEP_S, _SMOOTH_S)
+        leave = LEAVE_RAD if estimate.joint.type == "revolute" else LEAVE_M
+        felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=touch.gripped)
+        interval = (_nearby(felt[0], seen[0], params.agree_s), _nearby(felt[1], seen[1], params.agree_s))
+    return Recovery(
+        contacts=contacts,
+        estimate=estimate,
+        joint=estimate.joint,
+        interval=interval,
+        levels=levels,
+        times_s=times,
+        values=values,
+        slip_m=path.slip_m,
+    )
+
+
+def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:
+    """The moment felt by the hand, unless the picture contradicts it."""
+    return felt_s if abs(felt_s - seen_s) <= limit_s else seen_s
+
+
+def _edges(
+    demo: Demonstration, contacts: Contacts, interval: tuple[float, float], offset_s: float
+) -> EdgePrior:
+    first_third = interval[0] + np.array([0.0, (interval[1] - interval[0]) / 3]) + offset_s
+    begin, later = apply(poses_at(demo, first_third), contacts.grasp_ee)
+    step = later - begin
+    unit = step / max(float(np.linalg.norm(step)), 1e-9)
+    return edge_prior(demo.points_static, demo.points_moving, begin, unit)
+
+
+def _dense(interval: tuple[float, float]) -> Array:
+    count = max(2, round((interval[1] - interval[0]) / _DENSE_STEP_S) + 1)
+    return np.linspace(interval[0], interval[1], count, dtype=np.float64)
+
+
+def poses_at(demo: Demonstration, log_times_s: Array) -> Array:
+    """End-effector poses (T, 4, 4), world frame, at times (T,) of the log's clock."""
+    return demo.robot.ee_poses(demo.log.at(log_times_s)[0])
