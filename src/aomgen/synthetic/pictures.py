@@ -46,6 +46,14 @@ class Painter:
         colors = self._render(camera, qpos, ids=True)
         return values_of_geoms(colors, self._scene, self._labels, nothing=0)
 
+    def depths(self, camera: Camera, qpos: Array) -> NDArray[np.float64]:
+        """Depth along the optical axis (H, W), [m]; FAR_M where nothing is."""
+        self._place(camera, qpos, ids=True)
+        rect = mujoco.MjrRect(0, 0, camera.width, camera.height)
+        buffer = np.empty((camera.height, camera.width), np.float32)
+        mujoco.mjr_readPixels(None, buffer, rect, self._renderer)
+        return NEAR_M / (1.0 - buffer[::-1].astype(np.float64) * (1.0 - NEAR_M / FAR_M))
+
     def close(self) -> None:
         """Free the OpenGL context."""
         if self._context is not None:
@@ -62,6 +70,14 @@ class Painter:
         self.close()
 
     def _render(self, camera: Camera, qpos: Array, *, ids: bool) -> NDArray[np.uint8]:
+        self._place(camera, qpos, ids=ids)
+        rect = mujoco.MjrRect(0, 0, camera.width, camera.height)
+        picture = np.empty((camera.height, camera.width, 3), np.uint8)
+        mujoco.mjr_readPixels(picture, None, rect, self._renderer)
+        return picture[::-1]
+
+    def _place(self, camera: Camera, qpos: Array, *, ids: bool) -> None:
+        """Draw a state into the buffers."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -79,9 +95,6 @@ class Painter:
         self._context.make_current()
         rect = mujoco.MjrRect(0, 0, camera.width, camera.height)
         mujoco.mjr_render(rect, self._scene, self._renderer)
-        picture = np.empty((camera.height, camera.width, 3), np.uint8)
-        mujoco.mjr_readPixels(picture, None, rect, self._renderer)
-        return picture[::-1]
 
 
 def exposed(

@@ -1,0 +1,181 @@
+"""What the stages before the motion get wrong, as measured, and how it is put onto a true world."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
+
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import matrix_from_rotvec, similarity, transform
+from aomgen.core.values import Array
+
+# Shares at which the tables below are given.
+QUANTILES: Final = (0.01, 0.05, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SolidStatistics:
+    """Shapes of Gaussians and their distances from the true surface.
+
+    Attributes:
+        offsets_mm: Distance along the outward normal at `QUANTILES`; inside is negative.
+        opacity: At `QUANTILES`.
+        scales_m: Median standard deviations, thinnest first, [m].
+        size_log_sd: Spread of the size, in logarithms.
+        tilt_rad: Spread of the disc's normal about each axis, [rad].
+    """
+
+    offsets_mm: tuple[float, ...]
+    opacity: tuple[float, ...] = (0.03, 0.05, 0.13, 0.24, 0.39, 0.54, 0.63, 0.78)
+    scales_m: tuple[float, float, float] = (0.0009, 0.0032, 0.0066)
+    size_log_sd: float = 0.6
+    tilt_rad: float = 0.35
+
+    def offsets_m(self, scores: Array) -> Array:
+        """Offsets (N,), [m], of normal scores (N,)."""
+        return 1e-3 * np.interp(ndtr(scores), QUANTILES, self.offsets_mm)
+
+    def opacities(self, shares: Array) -> Array:
+        """Opacities (N,) of shares (N,), 0..1."""
+        return np.interp(shares, QUANTILES, self.opacity)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Upstream:
+    """Errors of scene, camera and clock that AOMotion is given, one standard deviation where not said otherwise.
+
+    Measured on seven finished runs (synthetic captures of 320x240 to 640x480 px, three arms): the scene's
+    similarity against the true one, the fixed camera against the scene, the clock against the true one,
+    and solid Gaussians of both parts against the true meshes.
+
+    Attributes:
+        rotation_deg: Of scene against world, about each axis; measured size .01-.12, rms .073 in all.
+        scale_pct: Of scene against world; measured .01-.12, rms .061.
+        shift_mm: Of scene against world at the object, along each axis; measured size .5-2.6, rms 1.6 in all.
+        camera_deg, camera_mm: Of the camera against the scene, each axis; measured .02-.22 deg, .4-2.6 mm.
+        clock_ms: Of the offset between video and log; measured .03-2.1, rms .98.
+        clock_sd_ms: What the alignment states; 1.0 on six runs, 1.4 on one.
+        walls, bars: Where and how large Gaussians are, on walls and on handles.
+        patch_m, patch_share: Width of patches that are off alike, and their share of the variance:
+            neighbors within 6 mm correlate by .3-.5, beyond 25 mm not at all.
+        border_mm: How far the border between the labels moving and static is moved, all along and locally.
+        strip_share: Chance that a strip of the other part along the border is taken along.
+        strip_mm: Width of that strip, uniform.
+        strangers: Share of the object's Gaussians that are labelled background.
+        floaters: Share of a part's solid Gaussians that float further than 10 mm from any surface.
+    """
+
+    rotation_deg: float = 0.042
+    scale_pct: float = 0.061
+    shift_mm: float = 0.95
+    camera_deg: float = 0.067
+    camera_mm: float = 0.79
+    clock_ms: float = 0.98
+    clock_sd_ms: float = 1.0
+    walls: SolidStatistics = field(
+        default_factory=lambda: SolidStatistics(offsets_mm=(-15.0, -8.0, -4.6, -2.4, 0.2, 4.4, 9.5, 22.0))
+    )
+    bars: SolidStatistics = field(
+        default_factory=lambda: SolidStatistics(offsets_mm=(-6.0, -5.4, -4.1, -3.0, -1.5, 0.9, 1.9, 4.5))
+    )
+    patch_m: float = 0.010
+    patch_share: float = 0.5
+    border_mm: float = 3.0
+    strip_share: float = 0.35
+    strip_mm: float = 30.0
+    strangers: float = 0.03
+    floaters: float = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Misplacement:
+    """One draw of how scene, camera and clock are off.
+
+    Attributes:
+        S_given_world: Similarity (4, 4) from the true scene to the one given.
+        T_camera: Error (4, 4) of the camera in its own frame.
+        clock_s: Of the offset, [s].
+    """
+
+    S_given_world: Array
+    T_camera: Array
+    clock_s: float
+
+    def camera_pose(self, T_world_cam: Array) -> Array:
+        """Where the camera is given (4, 4), for its true pose."""
+        moved = self.S_given_world @ T_world_cam
+        moved[:3, :3] /= np.cbrt(np.linalg.det(moved[:3, :3]))
+        return moved @ self.T_camera
+
+
+def draw_misplacement(upstream: Upstream, middle: Array, rng: np.random.Generator) -> Misplacement:
+    """Draw errors of scene, camera and clock.
+
+    Args:
+        upstream: How large they are.
+        middle: The object's place (3,), world frame, [m]; the scene turns about it.
+        rng: Draws.
+    """
+    R = matrix_from_rotvec(np.deg2rad(upstream.rotation_deg) * rng.standard_normal(3))
+    scale = 1 + upstream.scale_pct / 100 * rng.standard_normal()
+    shift = 1e-3 * upstream.shift_mm * rng.standard_normal(3)
+    R_camera = matrix_from_rotvec(np.deg2rad(upstream.camera_deg) * rng.standard_normal(3))
+    return Misplacement(
+        S_given_world=similarity(scale, R, middle + shift - scale * R @ middle),
+        T_camera=transform(R_camera, 1e-3 * upstream.camera_mm * rng.standard_normal(3)),
+        clock_s=1e-3 * upstream.clock_ms * rng.standard_normal(),
+    )
+
+
+def mislabelled(
+    points: Array, labels: NDArray[np.uint8], upstream: Upstream, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Labels (N,) as masks and votes give them: the border is moved, strips are taken along, some are lost.
+
+    Args:
+        points: True places (N, 3), world frame, [m].
+        labels: True labels (N,).
+        upstream: How much is wrong.
+        rng: Draws.
+    """
+    result = labels.copy()
+    ours, others = np.flatnonzero(labels == MOVING), np.flatnonzero(labels == STATIC)
+    both = np.concatenate([ours, others])
+    if not len(ours) or not len(others):
+        return result
+    to_moving = cKDTree(points[ours]).query(points[others])[0]
+    to_static = cKDTree(points[others]).query(points[ours])[0]
+    # Positive inside the moving part, negative outside.
+    depth = np.concatenate([to_static, -to_moving])
+    border = 1e-3 * upstream.border_mm * (rng.standard_normal() + _waves(points[both], rng))
+    if rng.random() < upstream.strip_share:
+        border = border + _strip(points[both], upstream, rng)
+    result[both] = np.where(depth > border, MOVING, STATIC)
+    lost = _waves(points[both], rng) > 2.0
+    lost &= rng.random(len(both)) < upstream.strangers / 0.023
+    result[both[lost]] = BACKGROUND
+    return result
+
+
+def _strip(points: Array, upstream: Upstream, rng: np.random.Generator) -> Array:
+    """How far the border is moved (N,), [m]: to one side along half of it."""
+    direction = rng.standard_normal(3)
+    heights = (points - points.mean(0)) @ (direction / np.linalg.norm(direction))
+    sign = 1.0 if rng.random() < 0.5 else -1.0
+    return np.where(heights > 0, sign * 1e-3 * rng.uniform(0, upstream.strip_mm), 0.0)
+
+
+def _waves(points: Array, rng: np.random.Generator) -> Array:
+    """A smooth random field (N,) of unit variance; waves of some 5 to 20 cm."""
+    waves = rng.standard_normal((16, 3)) * (2 * np.pi / rng.uniform(0.05, 0.20, (16, 1)))
+    phases = rng.uniform(0, 2 * np.pi, 16)
+    return np.sqrt(2 / 16) * np.cos(points @ waves.T + phases).sum(1)
+
+
+def given_scene(gaussians: Gaussians, misplacement: Misplacement) -> Gaussians:
+    """The scene where AOMotion is told that it is."""
+    return gaussians.transformed(misplacement.S_given_world)
