@@ -40,13 +40,25 @@ def score_estimates(
     figures.update(_demo_camera(estimates, truth, camera))
     offset = estimates["clock_offset_s"]
     figures["clock_offset_ms_error"] = None if offset is None else 1e3 * abs(offset - truth.clock_offset_s)
+    figures.update(score_motion(estimates, truth, times_s, camera))
+    figures["refused"] = sorted(name for name, value in figures.items() if value is None)
+    return figures
+
+
+def score_motion(estimates: dict[str, Any], truth: Truth, times_s: Array, camera: str) -> dict[str, Any]:
+    """The figures of `score_estimates` that tell of the part's motion: interval, contact, joint, values.
+
+    Args:
+        estimates: Its `start_s`, `end_s`, `contacts`, `joint` and `theta` are read.
+        truth, times_s, camera: See `score_estimates`.
+    """
+    figures: dict[str, Any] = {}
     for name, frame in (("start", truth.start_frame), ("end", truth.end_frame)):
         value = estimates[f"{name}_s"]
         figures[f"keyframes.{name}_error_s"] = None if value is None else abs(value - times_s[frame])
     figures["contact_mm"] = _contact(estimates, truth, times_s)
     figures.update(_joint(estimates, truth))
     figures.update(_theta(estimates, truth, times_s, camera))
-    figures["refused"] = sorted(name for name, value in figures.items() if value is None)
     return figures
 
 

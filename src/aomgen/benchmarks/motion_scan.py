@@ -73,7 +73,9 @@ def seen_surface(
     pieces, images = [], []
     for camera in cameras:
         images.append(painter.draw(camera, qpos))
-        pieces.append(_unprojected(camera, images[-1], painter.labels(camera, qpos), painter.depths(camera, qpos)))
+        pieces.append(
+            _unprojected(camera, images[-1], painter.labels(camera, qpos), painter.depths(camera, qpos))
+        )
     joined = Surface(
         points=np.concatenate([piece.points for piece in pieces]),
         normals=np.concatenate([piece.normals for piece in pieces]),
@@ -102,7 +104,10 @@ def _unprojected(
 def _slope(points: Array, depths: Array, axis: int) -> Array:
     """Difference to the neighbor (H, W, 3) on that side where the depth changes less."""
     ahead, behind = np.roll(points, -1, axis) - points, points - np.roll(points, 1, axis)
-    step_ahead, step_behind = np.abs(np.roll(depths, -1, axis) - depths), np.abs(depths - np.roll(depths, 1, axis))
+    step_ahead, step_behind = (
+        np.abs(np.roll(depths, -1, axis) - depths),
+        np.abs(depths - np.roll(depths, 1, axis)),
+    )
     slope = np.where((step_ahead <= step_behind)[..., None], ahead, behind)
     flat = np.minimum(step_ahead, step_behind) < OUTLINE_SHARE * depths
     return np.where(flat[..., None], slope, 0.0)
@@ -123,8 +128,10 @@ def _thinned(surface: Surface, middle: Array, rng: np.random.Generator) -> Surfa
     points, labels = surface.points[order], surface.labels[order]
     steps = np.round(np.log(spacings(points, labels, middle)) / np.log(1.2))
     cells = np.floor((points - middle) / (1.2**steps)[:, None]).astype(np.int64)
-    keys = np.column_stack([cells, steps.astype(np.int64), labels.astype(np.int64)])
-    _, first = np.unique(keys, axis=0, return_index=True)
+    # One number a cell: 2^17 cells along each axis, 2^8 steps and labels.
+    kinds = 4 * (steps - steps.min()).astype(np.int64) + labels
+    keys = ((cells + (1 << 16)) << np.array([0, 17, 34])).sum(1) + (kinds << 51)
+    _, first = np.unique(keys, return_index=True)
     return surface.select(order[first])
 
 
@@ -161,9 +168,7 @@ def _on_bars(surface: Surface) -> NDArray[np.bool_]:
     return result
 
 
-def raw_gaussians(
-    surface: Surface, middle: Array, upstream: Upstream, rng: np.random.Generator
-) -> Gaussians:
+def raw_gaussians(surface: Surface, middle: Array, upstream: Upstream, rng: np.random.Generator) -> Gaussians:
     """Gaussians (N) of the measured shapes and opacities at displaced points."""
     count = len(surface.points)
     statistics: SolidStatistics = upstream.walls

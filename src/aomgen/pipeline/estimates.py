@@ -44,8 +44,13 @@ def estimates_of(
     if motion is None:
         nothing = ("clock_offset_s", "clock_offset_sd_s", "start_s", "end_s", "joint", "theta")
         return common | dict.fromkeys(nothing) | {"contacts": []}
+    return common | motion_estimates(motion)
+
+
+def motion_estimates(motion: MotionEstimate) -> dict[str, Any]:
+    """What `estimates.json` says of a recovered motion."""
     joint = motion.joint
-    return common | {
+    return {
         "clock_offset_s": motion.clock_offset_s,
         "clock_offset_sd_s": motion.clock_offset_sd_s,
         "start_s": motion.start_s,
