@@ -214,7 +214,7 @@ def doctor() -> None:
 
 @assets_app.command("make")
 def assets_make(
-    category: Annotated[str, typer.Argument(help="microwave or drawer.")],
+    category: Annotated[str, typer.Argument(help="cabinet, drawer, laptop, microwave or toolbox.")],
     path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
     seed: Annotated[int, typer.Option(help="Same seed, same asset.")] = 0,
 ) -> None:
@@ -229,7 +229,9 @@ def assets_make(
 @app.command()
 def synthetic(
     folder: Annotated[Path, typer.Argument(help="Capture folder to write; must not exist.")],
-    category: Annotated[str, typer.Option(help="microwave or drawer.")] = "microwave",
+    category: Annotated[
+        str, typer.Option(help="cabinet, drawer, laptop, microwave or toolbox.")
+    ] = "microwave",
     seed: Annotated[int, typer.Option(help="Same seed, same capture.")] = 0,
     robot: Annotated[Path | None, typer.Option(help="URDF or MJCF of another arm with a gripper.")] = None,
 ) -> None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aomgen.assets.check import outward_normal
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import sample_surface
@@ -77,9 +78,11 @@ def canonical_transform(asset: ArticulatedAsset) -> Array:
     """Rigid transform (4, 4) to the asset frame: front towards -y, on z = 0, centred in x and y.
 
     The front is turned by whole quarter turns, as files are drawn along their axes; a part that
-    opens upwards (a lid) keeps its heading. An asset that stands so already gives the identity.
+    opens upwards (a lid) keeps its heading. Where the file names its handle, the face that
+    carries it is the front. An asset that stands so already gives the identity.
     """
-    outward = opening_direction(asset.moving, asset.joint)
+    named = asset.handle_bar is not None
+    outward = outward_normal(asset) if named else opening_direction(asset.moving, asset.joint)
     turns = 0
     if np.hypot(outward[0], outward[1]) > 0.5:
         angle = np.arctan2(-1.0, 0.0) - np.arctan2(outward[1], outward[0])

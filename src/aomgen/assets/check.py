@@ -46,12 +46,24 @@ def require_usable(asset: ArticulatedAsset) -> None:
 
 
 def outward_normal(asset: ArticulatedAsset) -> Array:
-    """Unit normal (3,) of the front at the handle, away from the body.
+    """Unit normal (3,) of the face that carries the handle, away from the body.
 
-    The handle starts to move roughly along it; of the axes of the moving colliders the one
-    nearest to that motion is taken, because a hinge lies a little behind the front.
+    A handle stands off its part. Where its colliders are named, the part's nearest other
+    collider is what it stands on, and the normal is that box's axis towards the handle; so a
+    sliding panel and a lid held at its front edge have theirs too. Otherwise the handle is
+    taken to start roughly along it: of the axes of the moving colliders the one nearest to that
+    motion is taken, because a hinge lies a little behind the front.
     """
     joint = asset.joint
+    body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
+    if body and asset.handle_bar is not None:
+        distances = distance_to_boxes(asset.handle_point[None], *stacked(body))[0]
+        T = body[int(np.argmin(distances))].T_asset_box
+        half = body[int(np.argmin(distances))].half_extents
+        local = T[:3, :3].T @ (asset.handle_point - T[:3, 3])
+        beyond = np.abs(local) - half
+        best = int(np.argmax(beyond))
+        return np.asarray(T[:3, best] * np.sign(local[best]), np.float64)
     if joint.type == "prismatic":
         return joint.axis
     motion = np.cross(joint.axis, asset.handle_point - joint.origin)

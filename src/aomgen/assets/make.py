@@ -5,14 +5,22 @@ from typing import Final
 
 import numpy as np
 
+from aomgen.assets.cabinet import make_cabinet
 from aomgen.assets.drawer import make_drawer
+from aomgen.assets.laptop import make_laptop
 from aomgen.assets.microwave import make_microwave
+from aomgen.assets.toolbox import make_toolbox
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import ConfigError
 
-MAKERS: Final[dict[str, Callable[[str, np.random.Generator], ArticulatedAsset]]] = {
+Maker = Callable[[str, np.random.Generator], ArticulatedAsset]
+# The categories of the benchmark.
+MAKERS: Final[dict[str, Maker]] = {
+    "cabinet": make_cabinet,
     "drawer": make_drawer,
+    "laptop": make_laptop,
     "microwave": make_microwave,
+    "toolbox": make_toolbox,
 }
 
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from aomgen.assets.check import outward_normal
 from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
-from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_looks import add_robot_looks
@@ -18,6 +19,13 @@ from aomgen.synthetic.room import Room, add_room
 ROBOT_CELL_M = 0.0025
 # The passive joint: (damping, dry friction) in [N m s/rad], [N m] or [N s/m], [N].
 RESISTANCE = {"revolute": (0.35, 0.25), "prismatic": (4.0, 2.0)}
+# A friction hinge holds a lid wherever it is left: it bears this many times its weight.
+HOLDS = 1.3
+# MuJoCo's default dry friction creeps by degrees a second under a load; this stands still.
+HARD_FRICTION = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+GRAVITY = 9.81
+# The arm follows the handle over about this much of the joint, [rad] or [m].
+FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +62,7 @@ def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
     R = matrix_from_rotvec([0.0, 0.0, yaw])
     # The handle is put where the arm can follow it; the object follows from that.
     handle = np.array([rng.uniform(-0.28, 0.28), rng.uniform(0.56, 0.70), 0.0])
-    centre = handle - R @ (asset.handle_point * [1, 1, 0])
+    centre = handle - R @ (_held_place(asset) * [1, 1, 0])
     T_room_object = transform(R, centre + [0.0, 0.0, table_z])
     room = Room(
         T_world_room=T_world_room,
@@ -72,19 +80,41 @@ def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
     )
 
 
+def _held_place(asset: ArticulatedAsset) -> Array:
+    """Point (3,) of the asset frame that is put before the arm.
+
+    A part that opens towards the robot is met at its closed handle. A lid or a sliding panel
+    carries the handle away or aside, so that the middle of its way counts.
+    """
+    joint = asset.joint
+    way = (
+        apply(joint.motion(np.linspace(0.0, min(FOLLOWED[joint.type], joint.upper), 9)), asset.handle_point)
+        - asset.handle_point
+    )
+    opens_forward = float(way[-1] @ outward_normal(asset)) > 0.25 * float(np.linalg.norm(way[-1]))
+    return asset.handle_point if opens_forward else asset.handle_point + (way.min(0) + way.max(0)) / 2
+
+
+def weight_on_joint(asset: ArticulatedAsset) -> float:
+    """Largest load of the moving part's weight on its joint, anywhere in its range, [N m] or [N].
+
+    Exactly 0 for upright hinges and level slides. The asset stands upright.
+    """
+    joint, colliders = asset.joint, asset.moving.colliders
+    volumes = np.array([box.half_extents.prod() for box in colliders])
+    middle = volumes @ np.array([box.T_asset_box[:3, 3] for box in colliders]) / volumes.sum()
+    weight = np.array([0.0, 0.0, -GRAVITY * asset.moving.mass])
+    if joint.type == "prismatic":
+        return abs(float(weight @ joint.axis))
+    arms = apply(joint.motion(np.linspace(joint.lower, joint.upper, 40)), middle) - joint.origin
+    return float(np.abs(np.cross(arms, weight) @ joint.axis).max())
+
+
 def _footprint(asset: ArticulatedAsset, T_room_object: Array) -> tuple[float, float, float, float]:
     """Part of the table (room frame) that the object covers, open or closed, with some margin."""
-    colliders = [*asset.static.colliders, *asset.moving.colliders]
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
-    points = []
+    points = [box.corners for box in asset.static.colliders]
     for theta in np.linspace(0.0, asset.joint.upper, 6):
-        for box in colliders:
-            pose = (
-                box.T_asset_box
-                if box in asset.static.colliders
-                else asset.joint.motion(theta) @ box.T_asset_box
-            )
-            points.append((corners * box.half_extents) @ pose[:3, :3].T + pose[:3, 3])
+        points += [apply(asset.joint.motion(theta), box.corners) for box in asset.moving.colliders]
     placed = np.concatenate(points) @ T_room_object[:3, :3].T + T_room_object[:3, 3]
     low, high = placed.min(0) - 0.04, placed.max(0) + 0.04
     # Before the front the gripper needs room as well.
@@ -109,9 +139,17 @@ def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
         spec.body(name).gravcomp = 1.0
     add_room(spec, setting.room, np.random.default_rng(setting.room_seed), visual=visual)
     damping, friction = RESISTANCE[setting.asset.joint.type]
+    load = weight_on_joint(setting.asset)
     names = add_asset(
-        spec, setting.asset, setting.T_world_object, damping=damping, frictionloss=friction, visual=visual
+        spec,
+        setting.asset,
+        setting.T_world_object,
+        damping=damping,
+        frictionloss=friction + HOLDS * load,
+        visual=visual,
     )
+    if load > 0:
+        spec.joint(names.joint).solimp_friction = HARD_FRICTION
     if visual:
         add_robot_looks(spec, robot, ROBOT_CELL_M)
         spec.stat.extent, spec.stat.center = 1.6, [0.0, 0.0, 0.0]

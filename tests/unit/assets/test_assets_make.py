@@ -10,9 +10,13 @@ from aomgen.assets.check import check_asset, outward_normal, require_usable
 from aomgen.assets.make import MAKERS, make_asset
 from aomgen.assets.mjcf import add_asset
 from aomgen.core.asset import BoxCollider
-from aomgen.core.transforms import transform
+from aomgen.core.transforms import apply, transform
 from aomgen.errors import AssetError, ConfigError
 
+# What seed 5 has always been.
+MICROWAVE_5 = [0.10559253173070661, -0.23164226529445808, 0.138446210038801]
+DRAWER_5 = [0.0, -0.2570228811938371, 0.21471920659513716]
+MICROWAVE_5_TEXTURES = 54386905
 ALL = [(category, seed) for category in sorted(MAKERS) for seed in range(4)]
 
 
@@ -20,8 +24,55 @@ ALL = [(category, seed) for category in sorted(MAKERS) for seed in range(4)]
 def test_made_asset_has_no_problems(category: str, seed: int) -> None:
     asset = make_asset(category, seed)
     assert check_asset(asset) == []
-    assert asset.joint.type == ("revolute" if category == "microwave" else "prismatic")
+    assert asset.category == category
     assert outward_normal(asset) @ [0, -1, 0] > 0.99
+
+
+# First motion of the handle: out of the front, up, or to the right or the left.
+OPENS = {
+    "cabinet": ("prismatic", [[1, 0, 0], [-1, 0, 0]]),
+    "drawer": ("prismatic", [[0, -1, 0]]),
+    "laptop": ("revolute", [[0, 0, 1]]),
+    "microwave": ("revolute", [[0, -1, 0]]),
+    "toolbox": ("revolute", [[0, 0, 1]]),
+}
+
+
+@pytest.mark.parametrize("category", sorted(MAKERS))
+def test_joint_type_and_first_motion_are_the_category(category: str) -> None:
+    kind, directions = OPENS[category]
+    seen = set()
+    for seed in range(6):
+        asset = make_asset(category, seed)
+        step = 0.02
+        way = apply(asset.joint.motion(step), asset.handle_point) - asset.handle_point
+        alignments = np.array(directions) @ way / np.linalg.norm(way)
+        assert asset.joint.type == kind
+        assert alignments.max() > np.cos(np.deg2rad(25))
+        seen.add(int(np.argmax(alignments)))
+    assert seen == set(range(len(directions)))
+
+
+@pytest.mark.parametrize("category", ["laptop", "toolbox"])
+def test_lid_hinges_at_the_back_and_clears_what_is_below(category: str) -> None:
+    asset = make_asset(category, 3)
+    _, high = asset.static.bounds
+    assert np.abs(asset.joint.axis) == pytest.approx([1, 0, 0])
+    assert asset.joint.origin[1] == pytest.approx(high[1], abs=0.005)
+    assert asset.joint.upper >= np.deg2rad(100)
+    opened = np.concatenate(
+        [apply(asset.joint.motion(asset.joint.upper), box.corners) for box in asset.moving.colliders]
+    )
+    assert opened[:, 2].min() > 0.05
+
+
+def test_microwave_and_drawer_of_a_seed_stay_what_they_are() -> None:
+    """Runs name assets by category and seed, so that these values may not change."""
+    microwave, drawer = make_asset("microwave", 5), make_asset("drawer", 5)
+    assert microwave.handle_point == pytest.approx(MICROWAVE_5, abs=1e-12)
+    assert drawer.handle_point == pytest.approx(DRAWER_5, abs=1e-12)
+    total = sum(int(mesh.texture_srgb.sum(dtype=np.int64)) for mesh in microwave.moving.meshes)
+    assert total == MICROWAVE_5_TEXTURES
 
 
 def test_same_seed_same_asset() -> None:
@@ -36,7 +87,7 @@ def test_microwaves_come_with_both_hinge_sides() -> None:
 
 
 def test_unknown_category_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="drawer, microwave"):
+    with pytest.raises(ConfigError, match="cabinet, drawer, laptop, microwave, toolbox"):
         make_asset("toaster", 0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aomgen.assets.archive import load_asset
-from aomgen.assets.make import make_asset
+from aomgen.assets.make import MAKERS, make_asset
 from aomgen.benchmarks.truth import read_truth
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
@@ -37,7 +37,7 @@ def robot() -> RobotModel:
     return load_robot("ur5e_2f85")
 
 
-@pytest.fixture(scope="module", params=["microwave", "drawer"])
+@pytest.fixture(scope="module", params=sorted(MAKERS))
 def performance(robot: RobotModel, request: pytest.FixtureRequest) -> Performance:
     return perform(robot, make_asset(request.param, 2), np.random.default_rng(2))
 
@@ -87,6 +87,15 @@ def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performan
         world.model.geom(name).conaffinity = 0
     shown = simulate(robot, world, open_hand)
     assert abs(shown.theta[-1]) < 0.05 * performance.script.theta_goal
+
+
+def test_the_part_stays_where_it_is_left(performance: Performance) -> None:
+    """Also a lid, whose weight pulls at it."""
+    shown = performance.demonstration
+    last = max(step for step, touches in enumerate(shown.contacts) if touches)
+    assert last < len(shown.theta) - 300
+    limit = {"revolute": np.deg2rad(0.2), "prismatic": 0.001}[performance.setting.asset.joint.type]
+    assert np.ptp(shown.theta[last:]) < limit
 
 
 def test_arm_follows_its_script_closely(performance: Performance) -> None:
