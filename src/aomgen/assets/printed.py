@@ -81,7 +81,7 @@ def keyboard(rng: np.random.Generator, color_srgb: ArrayLike, width: int = 512, 
     ground = tinted(color_srgb, 0.03 * noise(rng, width, 0.8) + 0.02 * noise(rng, width, 18))
     image = Image.fromarray(ground[:height])
     draw = ImageDraw.Draw(image)
-    dark = float(np.mean(color_srgb)) > 0.4
+    dark = float(np.mean(color_srgb_list(color_srgb))) > 0.4
     key, ink = ((32, 32, 36), (225, 225, 225)) if dark else ((205, 205, 205), (25, 25, 30))
     left, top = 0.05 * width, 0.07 * height
     pitch = 0.9 * width / 13.5
@@ -104,7 +104,7 @@ def knobs(rng: np.random.Generator, color_srgb: ArrayLike, width: int = 512, hei
     """Control strip of an oven: three dials with their scales, a clock, a name."""
     image = Image.new("RGB", (width, height), tuple(int(255 * c) for c in color_srgb_list(color_srgb)))
     draw = ImageDraw.Draw(image)
-    ink = (235, 235, 230) if float(np.mean(color_srgb)) < 0.5 else (30, 30, 34)
+    ink = (235, 235, 230) if float(np.mean(color_srgb_list(color_srgb))) < 0.5 else (30, 30, 34)
     for number in range(3):
         x, y, radius = width * (0.10 + 0.15 * number), height * 0.5, 0.27 * height
         for mark in range(9):
