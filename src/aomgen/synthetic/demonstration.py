@@ -9,8 +9,8 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import ConfigError
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_parts import HandDrive
-from aomgen.synthetic.planning import CONTROL_STEP_S, Script
 from aomgen.synthetic.setting import World
+from aomgen.synthetic.timing import CONTROL_STEP_S, Script
 
 SETTLE_S = 0.3
 
@@ -76,11 +76,14 @@ def simulate(robot: RobotModel, world: World, script: Script) -> Demonstration:
     model = world.model
     model.opt.timestep = CONTROL_STEP_S
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    model.actuator_forcerange[model.actuator(_drive(robot).actuator).id] *= script.grip
     data = mujoco.MjData(model)
-    data.qpos[: len(robot.qpos(script.joints[0], 0.0)[0])] = robot.qpos(script.joints[0], 0.0)[0]
+    at_rest = robot.qpos(script.joints[0], script.gripper[0])[0]
+    data.qpos[: len(at_rest)] = at_rest
+    data.joint(world.names.joint).qpos[0] = script.theta_start
     control = _Control(robot, model)
     velocities = np.gradient(script.joints, CONTROL_STEP_S, axis=0)
-    control.apply(data, script.joints[0], velocities[0] * 0, 0.0)
+    control.apply(data, script.joints[0], velocities[0] * 0, script.gripper[0])
     for _ in range(round(SETTLE_S / CONTROL_STEP_S)):
         mujoco.mj_step(model, data)
     hand = _Hand(robot, world)

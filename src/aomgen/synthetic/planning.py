@@ -1,25 +1,23 @@
-"""How the robot of a synthetic capture opens the object: grasp, path, timing."""
+"""How the robot of a synthetic capture moves the object: grasp, joint path, what it may touch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
-from aomgen.assets.check import outward_normal
-from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.values import Array
 from aomgen.physics.robot import RobotModel
+from aomgen.synthetic.grasp import draw_style, hold_poses, pinch, usual
 from aomgen.synthetic.inverse import Arm
+from aomgen.synthetic.manner import Manner
 from aomgen.synthetic.setting import Setting, World
+from aomgen.synthetic.timing import Script, Way, timed
 
-# Seconds of each phase: rest, reach, approach, close, open the object, release, retreat, rest.
-PHASES_S = (1.0, 1.8, 1.0, 0.7, 3.0, 0.6, 0.9, 0.5)
-CONTROL_STEP_S = 0.002
 PREGRASP_M = 0.09
 MAX_KNOT_STEP_RAD = 0.20
+KNOTS = 40
 SEEDS = 14
 # Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
 POSTURES = {
@@ -27,118 +25,64 @@ POSTURES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Script:
-    """What the robot is told to do.
-
-    Attributes:
-        times_s: (T,), every CONTROL_STEP_S from 0.
-        joints: Desired joints (T, J), [rad].
-        gripper: Commanded closing (T,), 0..1.
-        theta_goal: Joint value the object should reach, [rad] or [m].
-    """
-
-    times_s: Array
-    joints: Array
-    gripper: Array
-    theta_goal: float
-
-    def __post_init__(self) -> None:
-        for name in ("times_s", "gripper"):
-            freeze(self, name, getattr(self, name), (None,))
-        freeze(self, "joints", self.joints, (len(self.times_s), None))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GraspStyle:
-    """How the hand holds the handle and follows it.
-
-    Attributes:
-        flip: Whether the fingers are exchanged.
-        tilt_rad: Downward tilt of the approach direction.
-        follow: Share of the object's turn that the hand turns with, 0..1.
-        theta_goal: Joint value to reach.
-    """
-
-    flip: bool
-    tilt_rad: float
-    follow: float
-    theta_goal: float
-
-
-def draw_style(setting: Setting, rng: np.random.Generator) -> GraspStyle:
-    """A random way to open the object, far enough to be a demonstration."""
-    upper = setting.asset.joint.upper
-    if setting.asset.joint.type == "revolute":
-        goal = min(np.deg2rad(rng.uniform(48, 70)), 0.8 * upper)
-    else:
-        goal = min(rng.uniform(0.15, 0.22), 0.9 * upper)
-    tilt = np.deg2rad(rng.uniform(4, 24))
-    return GraspStyle(
-        flip=bool(rng.random() < 0.5), tilt_rad=tilt, follow=rng.uniform(0.6, 1.0), theta_goal=float(goal)
-    )
-
-
-def grasp_poses(robot: RobotModel, setting: Setting, style: GraspStyle, thetas: ArrayLike) -> Array:
-    """Poses T_world_ee (N, 4, 4) of the hand while the object's joint has the given values.
-
-    The hand approaches the front, and its fingers close across the handle's bar.
-    """
-    asset = setting.asset
-    approach = -outward_normal(asset)
-    along = asset.handle_axis * (-1.0 if style.flip else 1.0)
-    R = np.stack([along, np.cross(approach, along), approach], 1)
-    # The hand comes from above: turn about the horizontal axis of the front, right of approach.
-    sideways = np.cross(approach, [0.0, 0.0, 1.0])
-    R_ee_hand = np.stack(
-        [np.cross(robot.closing_ee, robot.approach_ee), robot.closing_ee, robot.approach_ee], 1
-    )
-    R = matrix_from_rotvec(-style.tilt_rad * sideways) @ R @ R_ee_hand.T
-    T_asset_grasp = transform(R, asset.handle_point)
-    poses = []
-    for theta in np.asarray(thetas, np.float64):
-        T_held = asset.joint.motion(theta) @ T_asset_grasp
-        if asset.joint.type == "revolute":
-            lag = matrix_from_rotvec(-(1.0 - style.follow) * theta * asset.joint.axis)
-            T_held = transform(lag @ T_held[:3, :3], T_held[:3, 3])
-        poses.append(setting.T_world_object @ T_held)
-    return np.array(poses)
-
-
-def plan(robot: RobotModel, world: World, setting: Setting, rng: np.random.Generator) -> Script | None:
+def plan(
+    robot: RobotModel,
+    world: World,
+    setting: Setting,
+    rng: np.random.Generator,
+    manner: Manner | None = None,
+) -> tuple[Manner, Script] | None:
     """Joint path and timing of one demonstration; None where this setting and style cannot be reached.
+
+    Args:
+        manner: How it is done; the usual pinch that opens the object when None.
 
     Checked: residuals, joint steps, contact of anything but the fingers with handle. Not
     checked: dynamics (see `demonstration.py`).
     """
-    style = draw_style(setting, rng)
+    asset = setting.asset
+    manner, style = (manner, draw_style(rng, manner)) if manner else usual(asset, rng)
+    hold = pinch(robot, asset, style)
     arm = Arm(world.model, robot)
-    thetas = np.linspace(0.0, style.theta_goal, 40)
-    held = grasp_poses(robot, setting, style, thetas)
-    approach_ee = robot.approach_ee
-    before = _withdrawn(held[0], approach_ee, np.linspace(PREGRASP_M, 0.0, 10))
-    after = _withdrawn(held[-1], approach_ee, np.linspace(0.0, PREGRASP_M, 10))
+    progress = np.linspace(0.0, 1.0, KNOTS)
+    held = setting.T_world_object @ hold_poses(asset, hold, manner, progress)
+    before = _withdrawn(held[0], robot.approach_ee, np.linspace(PREGRASP_M, 0.0, 10))
+    after = _withdrawn(held[-1], robot.approach_ee, np.linspace(0.0, PREGRASP_M, 10))
     low, high = POSTURES.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
+    values = manner.start + manner.sign * manner.travel * progress
     for _ in range(SEEDS):
         start = rng.uniform(low, high)
         grasp = arm.solve(held[0], start)
         if not grasp.exact:
             continue
         approach = _tracked(arm, before[::-1], grasp.joints)
-        opening = _tracked(arm, held, grasp.joints)
-        if approach is None or opening is None:
+        motion = _tracked(arm, held, grasp.joints)
+        if approach is None or motion is None:
             continue
-        retreat = _tracked(arm, after, opening[-1])
-        rest = _rest(arm, setting, before[0], approach_ee, approach[-1], rng)
+        retreat = _tracked(arm, after, motion[-1])
+        rest = _rest(arm, setting, before[0], robot.approach_ee, approach[-1], rng)
         if retreat is None or rest is None:
             continue
         approach = approach[::-1]
         reach = rest + np.linspace(0, 1, 12)[:, None] * (approach[0] - rest)
-        if not _free(robot, world, [*reach, *approach, *retreat], 0.0) or not _free(
-            robot, world, opening, 0.6, style, thetas
+        away = _Free(robot, world, gripper=hold.gripper[0], touching=False)
+        holding = _Free(robot, world, gripper=0.6, touching=True)
+        if not (
+            away.along([*reach, *approach], values[:1])
+            and away.along(retreat, values[-1:])
+            and holding.along(motion, values)
         ):
             continue
-        return _timed(rest, approach, opening, retreat, style)
+        way = Way(
+            rest=rest,
+            approach=approach,
+            hold=np.repeat(approach[-1:], 2, 0),
+            motion=motion,
+            release=np.repeat(motion[-1:], 2, 0),
+            retreat=retreat,
+            gripper=hold.gripper,
+        )
+        return manner, timed(way, manner)
     return None
 
 
@@ -182,67 +126,36 @@ def _rest(
     return reach.joints
 
 
-def _free(
-    robot: RobotModel,
-    world: World,
-    path: Sequence[Array] | Array,
-    gripper: float,
-    style: GraspStyle | None = None,
-    thetas: ArrayLike | None = None,
-) -> bool:
-    """Whether the arm touches nothing along a path; with `style`, the hand may touch the moving part."""
-    model = world.model
-    data = mujoco.MjData(model)
-    values = np.zeros(len(path)) if thetas is None else np.asarray(thetas, np.float64)
-    robot_size = len(robot.qpos(path[0], 0.0)[0])
-    for index in range(0, len(path), 2):
-        data.qpos[:robot_size] = robot.qpos(path[index], gripper)[0]
-        data.joint(world.names.joint).qpos[0] = values[index]
-        mujoco.mj_forward(model, data)
-        for contact in data.contact:
-            if contact.dist < 0 and not _allowed(robot, model, contact.geom, world, style is not None):
+class _Free:
+    """Tells whether the arm touches nothing along a path."""
+
+    def __init__(self, robot: RobotModel, world: World, *, gripper: float, touching: bool) -> None:
+        """With `touching` the hand may touch the moving part."""
+        self._robot, self._model, self._gripper = robot, world.model, gripper
+        self._joint = world.names.joint
+        bodies = [world.model.body(b).name for b in world.model.geom_bodyid]
+        self._ours = np.array([name in robot.body_names for name in bodies])
+        self._hand = np.array([name in robot.hand_bodies for name in bodies])
+        self._part = np.array([touching and name == world.names.moving_body for name in bodies])
+
+    def along(self, path: Sequence[Array] | Array, values: ArrayLike) -> bool:
+        """Joints (N, J) and the part's joint values (N,), or one for all."""
+        data = mujoco.MjData(self._model)
+        values = np.broadcast_to(np.asarray(values, np.float64), len(path))
+        size = len(self._robot.qpos(path[0], 0.0)[0])
+        for index in range(0, len(path), 2):
+            data.qpos[:size] = self._robot.qpos(path[index], self._gripper)[0]
+            data.joint(self._joint).qpos[0] = values[index]
+            mujoco.mj_forward(self._model, data)
+            geoms = data.contact.geom[data.contact.dist < 0]
+            if not all(self._allowed(a, b) for a, b in geoms):
                 return False
-    return True
-
-
-def _allowed(robot: RobotModel, model: mujoco.MjModel, geoms: Array, world: World, holding: bool) -> bool:
-    bodies = [model.body(model.geom_bodyid[g]).name for g in geoms]
-    ours = [name in robot.body_names for name in bodies]
-    if not any(ours):
         return True
-    hand = [name in robot.hand_bodies for name in bodies]
-    if all(ours):
-        return all(hand)
-    other = bodies[0] if ours[1] else bodies[1]
-    return holding and any(hand) and other == world.names.moving_body
 
-
-def _timed(rest: Array, approach: Array, opening: Array, retreat: Array, style: GraspStyle) -> Script:
-    """Minimum-jerk timing of every phase."""
-    still_before, still_after = np.repeat(approach[-1:], 2, 0), np.repeat(opening[-1:], 2, 0)
-    paths = [
-        np.repeat(rest[None], 2, 0), np.stack([rest, approach[0]]), approach, still_before,
-        opening, still_after, retreat, np.repeat(retreat[-1:], 2, 0),
-    ]  # fmt: skip
-    grips = [(0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0), (0.0, 0.0)]
-    joints, gripper = [], []
-    for path, (first, last), seconds in zip(paths, grips, PHASES_S, strict=True):
-        count = round(seconds / CONTROL_STEP_S)
-        share = _minimum_jerk(np.arange(count) / count)
-        joints.append(CubicSpline(np.linspace(0, 1, len(path)), path)(share) if len(path) > 2 else
-                      path[0] + share[:, None] * (path[1] - path[0]))  # fmt: skip
-        gripper.append(first + (last - first) * np.clip(np.arange(count) / (0.7 * count), 0, 1))
-    joints.append(retreat[-1:])
-    gripper.append(np.zeros(1))
-    stacked = np.concatenate(joints)
-    return Script(
-        times_s=np.arange(len(stacked), dtype=np.float64) * CONTROL_STEP_S,
-        joints=stacked,
-        gripper=np.concatenate(gripper),
-        theta_goal=style.theta_goal,
-    )
-
-
-def _minimum_jerk(u: Array) -> Array:
-    """Smooth progress 0..1. Source: Flash and Hogan, 1985."""
-    return u**3 * (10 - 15 * u + 6 * u**2)
+    def _allowed(self, a: int, b: int) -> bool:
+        if not (self._ours[a] or self._ours[b]):
+            return True
+        if self._ours[a] and self._ours[b]:
+            return bool(self._hand[a] and self._hand[b])
+        ours, other = (a, b) if self._ours[a] else (b, a)
+        return bool(self._hand[ours] and self._part[other])

@@ -19,14 +19,13 @@ from aomgen.core.values import Array
 from aomgen.io.atomic import write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.io.video import encode_video
+from aomgen.synthetic.manner import MOVED
 
 if TYPE_CHECKING:
     from aomgen.synthetic.world import Recording
 
 CAMERA = "front"
 PROMPT_IMAGES = 2
-# The part's value has left its ends when it differs by this much, [rad] or [m].
-MOVED = {"revolute": np.deg2rad(0.5), "prismatic": 0.002}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}
 
 
@@ -43,9 +42,10 @@ def write_recording(folder: Path, recording: Recording, robot: str, hand: HandCh
     for number, image in enumerate(recording.scan_images):
         write_bytes(folder / "scan" / f"{number:04d}.jpg", encode_jpeg(image, 93))
     write_bytes(
-        folder / "demo" / f"{CAMERA}.mp4", encode_video(recording.frames, recording.conditions.fps, crf=17)
+        folder / "demo" / f"{CAMERA}.mp4",
+        encode_video(recording.film.frames, recording.conditions.fps, crf=17),
     )
-    write_text(folder / "demo" / "joints.csv", _joints_csv(recording.log))
+    write_text(folder / "demo" / "joints.csv", _joints_csv(recording.film.take.log))
     write_text(folder / "capture.toml", _capture_toml(recording, robot, hand))
 
 
@@ -55,7 +55,7 @@ def write_truth(folder: Path, recording: Recording) -> None:
     Raises:
         StorageError: The disk refuses.
     """
-    for name, labels in (("scan", recording.scan_labels), (CAMERA, recording.frame_labels)):
+    for name, labels in (("scan", recording.scan_labels), (CAMERA, recording.film.labels)):
         for number, image in enumerate(labels):
             write_bytes(folder / "masks" / name / f"{number:04d}.png", encode_png(image))
     save_asset(recording.performance.setting.asset, folder / "asset.npz")
@@ -63,11 +63,12 @@ def write_truth(folder: Path, recording: Recording) -> None:
 
 
 def _answers(recording: Recording) -> dict[str, Any]:
-    setting, demonstration = recording.performance.setting, recording.performance.demonstration
-    steps = recording.frame_steps
-    joint, theta = setting.joint_world, demonstration.theta[steps]
+    performance = recording.performance
+    setting, demonstration = performance.setting, performance.demonstration
+    steps = recording.film.take.steps
+    joint, theta = performance.joint, performance.theta[steps]
     start, end = moved_range(theta, joint)
-    Ts_world_moving = joint.motion(theta) @ setting.T_world_object
+    Ts_world_moving = setting.joint_world.motion(demonstration.theta[steps]) @ setting.T_world_object
     contacts = [
         [
             {"finger": c.finger, "point": c.point, "normal": c.normal, "force": c.force}
@@ -79,8 +80,8 @@ def _answers(recording: Recording) -> dict[str, Any]:
         "format": 1,
         "world": "root frame of the robot model (ROS base_link): metres, z up",
         "scan": {f"{i:04d}.jpg": camera.T_world_cam for i, camera in enumerate(recording.scan_cameras)},
-        "demo_cameras": {CAMERA: recording.demo_camera.T_world_cam},
-        "intrinsics": {"scan": _intrinsics(recording.scan_cameras[0]), CAMERA: _intrinsics(recording.demo_camera)},
+        "demo_cameras": {CAMERA: recording.film.camera.T_world_cam},
+        "intrinsics": {"scan": _intrinsics(recording.scan_cameras[0]), CAMERA: _intrinsics(recording.film.camera)},
         "joint": {"type": joint.type, "axis": joint.axis, "origin": joint.origin, "lower": joint.lower, "upper": joint.upper},
         "theta": {CAMERA: theta},
         "start_frame": start,
@@ -88,7 +89,7 @@ def _answers(recording: Recording) -> dict[str, Any]:
         "start_end_rule": f"first frame more than {MOVED_TEXT[joint.type]} from the first value, last frame that far from the last",
         "contacts": contacts,
         "contacts_rule": "contacts of the hand with the moving part; normal from the hand into the part, force its component [N]",
-        "clock_offset_s": recording.clock_offset_s,
+        "clock_offset_s": recording.film.take.clock_offset_s,
         "object": {"asset": "asset.npz", "T_world_object": setting.T_world_object, "scale": 1.0},
         "qpos": demonstration.joints[steps],
         "gripper": demonstration.gripper[steps],
@@ -112,7 +113,7 @@ def _joints_csv(log: JointLog) -> str:
 
 
 def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
-    names = ", ".join(f'"{name}"' for name in recording.log.joint_names)
+    names = ", ".join(f'"{name}"' for name in recording.film.take.log.joint_names)
     lines = [
         "format = 1",
         f'name = "{recording.name}"',
@@ -133,7 +134,7 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
         "[[demo.cameras]]",
         f'name = "{CAMERA}"',
         f'video = "demo/{CAMERA}.mp4"',
-        *_stated(recording, recording.demo_camera),
+        *_stated(recording, recording.film.camera),
         "",
         "[demo]",
         'joints = "demo/joints.csv"',

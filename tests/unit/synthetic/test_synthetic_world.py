@@ -23,8 +23,9 @@ from aomgen.io.video import read_video
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration import simulate
+from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.setting import build_world
-from aomgen.synthetic.world import Performance, make_capture, perform
+from aomgen.synthetic.world import make_capture
 from aomgen.synthetic.write import moved_range, prompt_of
 
 SIZE = (128, 96)

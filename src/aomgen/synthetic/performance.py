@@ -1,0 +1,75 @@
+"""A demonstration that succeeded: drawn, planned, simulated and judged until one does."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.joint import Joint
+from aomgen.core.values import Array
+from aomgen.errors import ConfigError
+from aomgen.physics.robot import RobotModel
+from aomgen.synthetic.demonstration import Demonstration, simulate
+from aomgen.synthetic.manner import Manner
+from aomgen.synthetic.planning import plan
+from aomgen.synthetic.setting import Setting, build_world, draw_setting
+from aomgen.synthetic.timing import Script
+
+MAX_TRIES = 80
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Performance:
+    """A demonstration that succeeded, in its setting and manner."""
+
+    setting: Setting
+    manner: Manner
+    script: Script
+    demonstration: Demonstration
+
+    @property
+    def joint(self) -> Joint:
+        """The joint as demonstrated, world frame: axis in the demonstrated direction, 0 = scanned state."""
+        joint, manner = self.setting.joint_world, self.manner
+        return demonstrated(joint, manner.start, manner.sign)
+
+    @property
+    def theta(self) -> Array:
+        """Demonstrated joint value at each step (T,), [rad] or [m]."""
+        return self.manner.sign * (self.demonstration.theta - self.manner.start)
+
+
+def demonstrated(joint: Joint, start: float, sign: float) -> Joint:
+    """A joint whose value counts from `start`, in the direction of `sign`."""
+    ends = sorted((sign * (joint.lower - start), sign * (joint.upper - start)))
+    return Joint(type=joint.type, axis=sign * joint.axis, origin=joint.origin, lower=ends[0], upper=ends[1])
+
+
+def perform(
+    robot: RobotModel, asset: ArticulatedAsset, rng: np.random.Generator, manner: Manner | None = None
+) -> Performance:
+    """Draw settings until one demonstration moves the object by contact with the handle alone.
+
+    Args:
+        manner: How it is done; a random pinch that opens the object when None.
+
+    Raises:
+        ConfigError: None of MAX_TRIES does.
+    """
+    for _ in range(MAX_TRIES):
+        setting = draw_setting(asset, rng)
+        world = build_world(robot, setting, visual=False)
+        planned = plan(robot, world, setting, rng, manner)
+        if planned is None:
+            continue
+        shown = simulate(robot, world, planned[1])
+        performance = Performance(setting=setting, manner=planned[0], script=planned[1], demonstration=shown)
+        if not shown.diverged and not shown.foreign and _succeeded(performance):
+            return performance
+    raise ConfigError(asset.name, f"no demonstration succeeds in {MAX_TRIES} settings", "choose another seed")
+
+
+def _succeeded(performance: Performance) -> bool:
+    """Whether at least 90 % of the travel is reached, and kept within 10 % after release."""
+    theta, travel = performance.theta, performance.manner.travel
+    return bool(theta.max() >= 0.9 * travel and abs(theta[-1] - travel) <= 0.1 * travel)
