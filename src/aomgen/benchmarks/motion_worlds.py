@@ -27,20 +27,13 @@ from aomgen.motion.demonstration import Demonstration as MotionInput
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.conditions import Conditions, draw_conditions
+from aomgen.synthetic.film import GRIPPER_NOISE, JOINT_NOISE_RAD, LEAD_S, LOG_RATE_HZ, TAIL_S
+from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.pictures import Painter, exposed
-from aomgen.synthetic.planning import CONTROL_STEP_S
 from aomgen.synthetic.setting import build_world
+from aomgen.synthetic.timing import CONTROL_STEP_S
 from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
-from aomgen.synthetic.world import (
-    DEFAULT_ROBOT,
-    GRIPPER_NOISE,
-    JOINT_NOISE_RAD,
-    LEAD_S,
-    LOG_RATE_HZ,
-    TAIL_S,
-    Performance,
-    perform,
-)
+from aomgen.synthetic.world import DEFAULT_ROBOT
 from aomgen.synthetic.write import moved_range
 
 CAMERA: Final = "front"
