@@ -1,4 +1,9 @@
-"""Where the fingers touch the part when the motion begins: one patch a finger."""
+"""Where the hand touches the part when the motion begins: one patch a finger.
+
+A part that is between the fingers is held: the patches lie on the pads, where their faces come nearest
+to each other over the part. Any other touch pushes: it lies where the hand's surface is near the part
+and faces the way the part goes.
+"""
 
 from dataclasses import dataclass
 
@@ -9,8 +14,11 @@ from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.hand import box_faces, pad_face
-from aomgen.physics.robot import FingerPad, RobotModel
+from aomgen.motion.grip import Patch, held_patches
+from aomgen.motion.path import mean_pose
+from aomgen.motion.push import pushing_patches
+from aomgen.physics.hand_surface import hand_surface
+from aomgen.physics.robot import RobotModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,14 +26,37 @@ class ContactParams:
     """How patches are cut out.
 
     Attributes:
-        window_s: The patch is followed this long after the start of the motion, [s].
+        window_s: Patches are followed this long after the start of the motion, [s].
         steps: Moments in that window.
-        patch_sd_m: Pad points count by their distance to the part, with this spread, [m].
+        spacing_m: Distance of the points that stand for the part's surface, [m].
     """
 
     window_s: float = 0.3
     steps: int = 7
-    patch_sd_m: float = 0.004
+    spacing_m: float = 0.002
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartPath:
+    """The part during the first moments of a touch.
+
+    Attributes:
+        times_log_s: Moments (K,), log clock, [s].
+        Ts_world_part: Transforms (K, 4, 4) that carry the part from its scanned place to where it is then.
+    """
+
+    times_log_s: Array
+    Ts_world_part: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "times_log_s", self.times_log_s, (None,))
+        freeze(self, "Ts_world_part", self.Ts_world_part, (len(self.times_log_s), 4, 4))
+
+    @staticmethod
+    def carried(robot: RobotModel, log: JointLog, resting_log_s: float, times_log_s: Array) -> "PartPath":
+        """The part as if the hand held it firmly at times (K,) since a time at which it rested."""
+        Ts_world_ee = robot.ee_poses(log.at(np.append(resting_log_s, times_log_s))[0])
+        return PartPath(times_log_s=times_log_s, Ts_world_part=Ts_world_ee[1:] @ invert(Ts_world_ee[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,110 +66,72 @@ class Contacts:
     Attributes:
         patches: One a finger; one named "hand" for a robot without known pads.
         grasp_ee: Middle of the patches (3,), end-effector frame, [m].
+        grasp_sd_m: Its standard deviation in each direction, [m].
     """
 
     patches: tuple[ContactPatch, ...]
     grasp_ee: Array
+    grasp_sd_m: float
 
     def __post_init__(self) -> None:
         freeze(self, "grasp_ee", self.grasp_ee, (3,))
 
 
-def find_contacts(
-    robot: RobotModel,
-    log: JointLog,
-    points_moving: Array,
-    start_log_s: float,
-    params: ContactParams | None = None,
-) -> Contacts:
-    """Patches of all fingers over the first moments of the motion.
+def find_contacts(robot: RobotModel, log: JointLog, points_moving: Array, path: PartPath) -> Contacts:
+    """Patches of all fingers that touch, over the first moments of the motion.
 
-    The patch is found at the start, when the part still stands where it was scanned, on the finger's
-    surface (known to a millimetre) rather than on the reconstructed part; then the finger carries it.
+    The part is put where the hand has it: averaged over the path's moments, its place is known better
+    than at any one of them, and no patch is sought where the part was a moment ago.
 
     Args:
-        robot: Kinematics and pads.
+        robot: Kinematics, pads and meshes.
         log: The joint log.
-        points_moving: Points of the part at its scanned place (N, 3), world frame, [m].
-        start_log_s: Start of the motion, log clock, [s].
-        params: Sizes.
+        points_moving: Dense points of the part at its scanned place (N, 3), world frame, [m].
+        path: Where the part is at these moments.
 
-    Source: AOMGen, sec. 4.2, "Contact Point Detection", with a patch in place of one nearest pair.
-    Not checked: that a finger without a part near it touches at all; `gap_m` tells.
+    Source: AOMGen, sec. 4.2, "Contact Point Detection", with patches in place of one nearest pair.
+    Not checked: that anything touches at all; `gap_m` tells.
     """
-    params = params or ContactParams()
-    joints, gripper = log.at(start_log_s + np.linspace(0, params.window_s, params.steps))
+    joints, gripper = log.at(path.times_log_s)
     Ts_world_ee = robot.ee_poses(joints)
-    tree = cKDTree(points_moving)
-    if not robot.pads:
-        return _hand_contact(Ts_world_ee, tree, points_moving)
-    bodies = robot.link_poses(joints, gripper)
-    between = _holds_something(robot, bodies[0], points_moving)
-    patches = tuple(_patch(pad, bodies[:, pad.body], tree, between, params) for pad in robot.pads)
-    middles = [_start_point(pad, bodies[0, pad.body], tree, between, params) for pad in robot.pads]
-    grasp_world = np.mean(middles, axis=0)
-    return Contacts(patches=patches, grasp_ee=apply(invert(Ts_world_ee[0]), grasp_world))
+    T_ee_part = mean_pose(invert(Ts_world_ee) @ path.Ts_world_part)
+    points_ee = apply(T_ee_part, points_moving)
+    middle = len(gripper) // 2
+    Ts_ee_body = invert(Ts_world_ee[middle]) @ robot.link_poses(joints, gripper)[middle]
+    patches = held_patches(robot.pads, Ts_ee_body, points_ee)
+    if not patches and robot.hand_bodies:
+        points, normals = (surface := hand_surface(robot)).posed(Ts_ee_body)
+        patches = pushing_patches((points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee))
+    if not patches:
+        patches = (_nearest(points_ee),)
+    sd_m = float(np.sqrt(np.mean([patch.covariance.trace() / 3 for patch in patches])))
+    return Contacts(
+        patches=tuple(_carried(patch, Ts_world_ee) for patch in patches),
+        grasp_ee=np.mean([patch.point for patch in patches], axis=0),
+        grasp_sd_m=sd_m,
+    )
 
 
-def _patch(
-    pad: FingerPad, Ts_world_pad: Array, tree: cKDTree, inner: bool, params: ContactParams
-) -> ContactPatch:
-    points, normals, weights, gap = _weighted_surface(pad, Ts_world_pad[0], tree, inner, params)
-    middle = weights @ points
-    normal = weights @ normals
-    spread = float(np.sqrt(weights @ ((points - middle) ** 2).sum(1)))
-    world = apply(Ts_world_pad, middle).mean(0)
-    turned = (Ts_world_pad[:, :3, :3] @ normal).mean(0)
+def _way_ee(Ts_world_ee: Array) -> Array:
+    """The hand's displacement (3,) over the path, end-effector frame, [m]."""
+    return Ts_world_ee[0, :3, :3].T @ (Ts_world_ee[-1, :3, 3] - Ts_world_ee[0, :3, 3])
+
+
+def _carried(patch: Patch, Ts_world_ee: Array) -> ContactPatch:
+    """The patch in the world, averaged over the moments in which the hand carries it."""
+    normal = (Ts_world_ee[:, :3, :3] @ patch.normal).mean(0)
     return ContactPatch(
-        finger=pad.finger, point=world, normal=turned / np.linalg.norm(turned), spread_m=spread, gap_m=gap
+        finger=patch.finger,
+        point=apply(Ts_world_ee, patch.point).mean(0),
+        normal=normal / np.linalg.norm(normal),
+        spread_m=patch.spread_m,
+        gap_m=patch.gap_m,
     )
 
 
-def _start_point(
-    pad: FingerPad, T_world_pad: Array, tree: cKDTree, inner: bool, params: ContactParams
-) -> Array:
-    points, _, weights, _ = _weighted_surface(pad, T_world_pad, tree, inner, params)
-    return apply(T_world_pad, weights @ points)
-
-
-def _weighted_surface(
-    pad: FingerPad, T_world_pad: Array, tree: cKDTree, inner: bool, params: ContactParams
-) -> tuple[Array, Array, Array, float]:
-    """Surface points (G, 3), normals (G, 3), weights (G,) summing to one, and the smallest gap [m]."""
-    if inner:
-        points, normal = pad_face(pad)
-        normals = np.broadcast_to(normal, points.shape)
-    else:
-        points, normals = box_faces(pad)
-    distances = tree.query(apply(T_world_pad, points))[0]
-    nearest = float(distances.min())
-    weights = np.exp(-0.5 * (distances**2 - nearest**2) / params.patch_sd_m**2)
-    return points, normals, weights / weights.sum(), nearest
-
-
-def _holds_something(robot: RobotModel, bodies: Array, points_moving: Array) -> bool:
-    """Whether part points lie in the space between the pads' inner faces."""
-    if len(robot.pads) < 2:
-        return False
-    first, other = robot.pads
-    T_pad_world = invert(bodies[first.body] @ first.T_body_pad)
-    top = first.half_extents[2]
-    across = apply(T_pad_world @ bodies[other.body], other.face_body)[2] - top
-    if not across > 1e-6:
-        return False
-    local = apply(T_pad_world, points_moving)
-    inside = np.all(np.abs(local[:, :2]) < first.half_extents[:2], axis=1)
-    return bool((inside & (local[:, 2] > top) & (local[:, 2] < top + across)).any())
-
-
-def _hand_contact(Ts_world_ee: Array, tree: cKDTree, points_moving: Array) -> Contacts:
-    gap, index = tree.query(Ts_world_ee[0, :3, 3])
-    point = points_moving[index]
-    held = apply(invert(Ts_world_ee[0]), point)
-    offset = point - Ts_world_ee[0, :3, 3]
-    length = float(np.linalg.norm(offset))
-    normal = offset / length if length > 1e-6 else Ts_world_ee[0, :3, 2]
-    patch = ContactPatch(
-        finger="hand", point=apply(Ts_world_ee, held).mean(0), normal=normal, spread_m=0.0, gap_m=float(gap)
-    )
-    return Contacts(patches=(patch,), grasp_ee=held)
+def _nearest(points_ee: Array) -> Patch:
+    """The part's point nearest to the end effector, for a robot whose hand is not known."""
+    gap, index = cKDTree(points_ee).query(np.zeros(3))
+    point = points_ee[index]
+    normal = point / gap if gap > 1e-6 else np.array([0.0, 0.0, 1.0])
+    return Patch(finger="hand", point=point, normal=normal, covariance=np.eye(3) * gap**2, gap_m=float(gap))

@@ -9,7 +9,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
-from aomgen.core.part_points import surface_points
+from aomgen.core.part_points import spread_points, surface_points
 from aomgen.core.values import Array, freeze
 from aomgen.io.video import Video
 from aomgen.physics.robot import RobotModel
@@ -56,3 +56,7 @@ class Demonstration:
     def points_other(self) -> Array:
         """Points of everything else but the robot (K, 3), world frame, [m]."""
         return surface_points(self.scene, self.labels, BACKGROUND)
+
+    def surface_moving(self, spacing_m: float) -> Array:
+        """Points of the moving part (N, 3) that leave no gaps along thin things, world frame, [m]."""
+        return spread_points(self.scene, self.labels, MOVING, spacing_m)

@@ -69,11 +69,12 @@ def thin(Ts_world_ee: Array, grasp_ee: Array, *, nodes: int, smooth: int) -> Han
     lead = (len(points) - len(travel)) // 2
     travel = np.pad(travel, (lead, len(points) - len(travel) - lead), mode="edge")
     bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
-    poses = [_mean_pose(Ts_world_ee[bins == k]) for k in np.unique(bins)]
+    poses = [mean_pose(Ts_world_ee[bins == k]) for k in np.unique(bins)]
     return HandPath(Ts_world_ee=np.stack(poses), grasp_ee=grasp_ee, length_m=float(travel[-1]))
 
 
-def _mean_pose(Ts: Array) -> Array:
+def mean_pose(Ts: Array) -> Array:
+    """The mean (4, 4) of poses (K, 4, 4) that are close to each other."""
     mean = Ts.mean(0)
     U, _, Vt = np.linalg.svd(mean[:3, :3])
     mean[:3, :3] = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt

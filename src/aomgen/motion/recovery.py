@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.contact import Contacts, find_contacts
+from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.edges import EdgePrior, edge_prior
 from aomgen.motion.filters import smooth
@@ -43,10 +43,15 @@ def recover(
     if not touch.gripped:
         touch_s = (touch_s[0], min(touch_s[1], seen[1] + 0.5))
     interval = seen
+    surface = demo.surface_moving(params.contact.spacing_m)
+    begin = PartPath.carried(
+        demo.robot,
+        demo.log,
+        (touch_s if touch.gripped else interval)[0] + offset_s,
+        _begin(interval, demo, params),
+    )
     for _ in range(2):
-        contacts = find_contacts(
-            demo.robot, demo.log, demo.points_moving, interval[0] + offset_s, params.contact
-        )
+        contacts = find_contacts(demo.robot, demo.log, surface, begin)
         edges = _edges(demo, contacts, interval, offset_s)
         held = _dense(interval)
         estimate = estimate_joint(poses_at(demo, held + offset_s), contacts.grasp_ee, edges, params.joint)
@@ -58,6 +63,9 @@ def recover(
         leave = LEAVE_RAD if estimate.joint.type == "revolute" else LEAVE_M
         felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=touch.gripped)
         interval = (_nearby(felt[0], seen[0], params.agree_s), _nearby(felt[1], seen[1], params.agree_s))
+        moments = _begin(interval, demo, params)
+        thetas = np.interp(moments - offset_s, times, values) - levels[0]
+        begin = PartPath(times_log_s=moments, Ts_world_part=estimate.joint.motion(thetas))
     return Recovery(
         contacts=contacts,
         estimate=estimate,
@@ -68,6 +76,12 @@ def recover(
         values=values,
         slip_m=path.slip_m,
     )
+
+
+def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:
+    """First moments of the motion, log clock (K,), [s]."""
+    contact = params.contact
+    return interval[0] + demo.clock_offset_s + np.linspace(0, contact.window_s, contact.steps)
 
 
 def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:

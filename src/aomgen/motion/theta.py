@@ -12,7 +12,7 @@ from aomgen.core.values import Array, freeze
 _MAX_FACE_SHARE = 0.7
 # The part has left its first state when its value differs by this much.
 LEAVE_RAD = float(np.radians(0.5))
-LEAVE_M = 0.001
+LEAVE_M = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

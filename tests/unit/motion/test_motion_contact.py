@@ -9,10 +9,10 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
 from aomgen.errors import CorruptArtifactError, InputError, MissingFileError
 from aomgen.io.atomic import write_json
-from aomgen.motion.contact import find_contacts
+from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.stage import FILE_NAME, load_motion
 from aomgen.physics.robot import RobotModel, load_robot
 
@@ -31,32 +31,140 @@ def still_log(robot: RobotModel, gripper: float) -> JointLog:
     )  # fmt: skip
 
 
-def bar(length_m: float, radius_m: float, along_m: float) -> np.ndarray:
+def bar(length_m: float, radius_m: float, along_m: float, lean: float = 0.0) -> np.ndarray:
     """Points of a bar across the fingers, `along_m` beyond the pinch point, end-effector frame."""
     rng = np.random.default_rng(0)
-    angle, height = rng.uniform(0, 2 * np.pi, 3000), rng.uniform(-length_m / 2, length_m / 2, 3000)
-    return np.stack([height, radius_m * np.cos(angle), along_m + radius_m * np.sin(angle)], 1)
+    angle, height = rng.uniform(0, 2 * np.pi, 6000), rng.uniform(-length_m / 2, length_m / 2, 6000)
+    points = np.stack([height, radius_m * np.cos(angle), radius_m * np.sin(angle)], 1)
+    return points @ matrix_from_rotvec([0, -lean, 0]).T + [0, 0, along_m]
+
+
+def resting(robot: RobotModel, log: JointLog, at_s: float = 0.5) -> PartPath:
+    return PartPath.carried(robot, log, at_s, at_s + np.linspace(0, 0.3, 4))
+
+
+def middle_ee(robot: RobotModel, contacts: Contacts) -> np.ndarray:
+    T_world_ee = robot.ee_poses(JOINTS[None])[0]
+    return apply(invert(T_world_ee), np.mean([patch.point for patch in contacts.patches], axis=0))
 
 
 @pytest.mark.parametrize("along_m", [0.0, 0.008])
 def test_both_fingers_touch_the_bar_where_it_is(robot: RobotModel, along_m: float) -> None:
-    T_world_ee = robot.ee_poses(JOINTS[None])[0]
-    points = apply(T_world_ee, bar(0.1, 0.012, along_m))
-    contacts = find_contacts(robot, still_log(robot, 0.68), points, 0.5)
-    middle = np.mean([patch.point for patch in contacts.patches], axis=0)
+    points = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, along_m))
+    log = still_log(robot, 0.857)
+    contacts = find_contacts(robot, log, points, resting(robot, log))
     assert {patch.finger for patch in contacts.patches} == {"left", "right"}
-    assert np.linalg.norm(middle - apply(T_world_ee, [0, 0, along_m])) < 0.004
-    assert contacts.grasp_ee == pytest.approx([0, 0, along_m], abs=0.004)
+    assert middle_ee(robot, contacts) == pytest.approx([0, 0, along_m], abs=0.006)
+    assert contacts.grasp_ee == pytest.approx(middle_ee(robot, contacts), abs=1e-9)
+    assert 0.002 < contacts.grasp_sd_m < 0.008
+    middle = np.mean([patch.point for patch in contacts.patches], axis=0)
     for patch in contacts.patches:
         assert patch.normal @ (middle - patch.point) > 0
         assert np.linalg.norm(patch.normal) == pytest.approx(1)
 
 
-def test_a_gap_shows_how_far_the_alignment_is_off(robot: RobotModel) -> None:
+def test_a_leaning_bar_is_pressed_where_the_pads_come_nearest(robot: RobotModel) -> None:
+    """Loaded in MuJoCo, this gripper's pads meet tips first: at (-10, 4) mm for a round bar leaning by 20 deg."""
+    points = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, 0.0, lean=-np.radians(20)))
+    log = still_log(robot, 0.857)
+    middle = middle_ee(robot, find_contacts(robot, log, points, resting(robot, log)))
+    assert middle[0] < -0.004
+    assert middle[2] > 0.003
+
+
+def test_strays_behind_the_bar_draw_nothing(robot: RobotModel) -> None:
     T_world_ee = robot.ee_poses(JOINTS[None])[0]
-    far = apply(T_world_ee, bar(0.1, 0.012, 0.05))
-    contacts = find_contacts(robot, still_log(robot, 0.68), far, 0.5)
+    log = still_log(robot, 0.857)
+    points = bar(0.1, 0.006, 0.0)
+    strays = np.random.default_rng(1).uniform([-0.01, -0.004, 0.012], [0.01, 0.004, 0.018], (12, 3))
+    clean, dirty = (
+        middle_ee(robot, find_contacts(robot, log, apply(T_world_ee, item), resting(robot, log)))
+        for item in (points, np.concatenate([points, strays]))
+    )
+    assert dirty == pytest.approx(clean, abs=0.001)
+
+
+def test_the_part_is_sought_where_it_is_and_not_where_it_was(robot: RobotModel) -> None:
+    """A part that has gone 15 mm with the hand since the scan is held where it is now."""
+    T_world_ee = robot.ee_poses(JOINTS[None])[0]
+    log = still_log(robot, 0.857)
+    gone = transform(np.eye(3), T_world_ee[:3, :3] @ [0, 0, -0.015])
+    scanned = apply(invert(gone), apply(T_world_ee, bar(0.1, 0.006, 0.0)))
+    path = PartPath(times_log_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([gone, gone]))
+    assert middle_ee(robot, find_contacts(robot, log, scanned, path)) == pytest.approx([0, 0, 0], abs=0.006)
+    held = find_contacts(robot, log, scanned, resting(robot, log))
+    assert middle_ee(robot, held)[2] > 0.01
+
+
+def test_a_hand_turned_in_the_world_takes_its_patches_along(robot: RobotModel) -> None:
+    other = JOINTS + [0.7, 0.1, -0.2, 0.3, 0.2, 0.4]
+    points, found = bar(0.1, 0.006, 0.003), []
+    for joints in (JOINTS, other):
+        log = JointLog(
+            times_s=np.array([0.0, 2.0]), joints=np.stack([joints] * 2), gripper=np.full(2, 0.857),
+            joint_names=robot.joint_names,
+        )  # fmt: skip
+        T_world_ee = robot.ee_poses(joints[None])[0]
+        contacts = find_contacts(robot, log, apply(T_world_ee, points), resting(robot, log))
+        found.append([apply(invert(T_world_ee), patch.point) for patch in contacts.patches])
+    assert np.array(found[0]) == pytest.approx(np.array(found[1]), abs=1e-5)
+
+
+def moving_log(robot: RobotModel, gripper: float, way_ee: np.ndarray) -> JointLog:
+    """The hand goes about `way_ee` within 0.3 s from 0.5 s."""
+    step = 1e-4
+    base = robot.ee_poses(JOINTS[None])[0]
+    moved = robot.ee_poses(JOINTS + step * np.eye(6))
+    slope = np.concatenate(
+        [(moved[:, :3, 3] - base[:3, 3]), rotvec_from_matrix(moved[:, :3, :3] @ base[:3, :3].T)], 1
+    ).T / step  # fmt: skip
+    turn = np.linalg.lstsq(slope, np.concatenate([base[:3, :3] @ way_ee, np.zeros(3)]), rcond=None)[0]
+    return JointLog(
+        times_s=np.array([0.0, 0.5, 0.8, 2.0]), joints=np.stack([JOINTS, JOINTS, JOINTS + turn, JOINTS + turn]),
+        gripper=np.full(4, gripper), joint_names=robot.joint_names,
+    )  # fmt: skip
+
+
+def test_a_closed_gripper_pushes_with_its_tips(robot: RobotModel) -> None:
+    u, v = (grid.ravel() for grid in np.meshgrid(*[np.linspace(-0.1, 0.1, 101)] * 2))
+    tip = tip_m(robot)
+    door = np.stack([u, v, np.full(len(u), tip + 0.002)], 1)
+    log = moving_log(robot, 1.0, np.array([0, 0, 0.02]))
+    contacts = find_contacts(robot, log, apply(robot.ee_poses(JOINTS[None])[0], door), resting(robot, log))
+    assert {patch.finger for patch in contacts.patches} == {"left", "right"}
+    assert contacts.grasp_ee == pytest.approx([0, 0, tip], abs=0.006)
+    assert min(patch.gap_m for patch in contacts.patches) < 0.005
+
+
+def tip_m(robot: RobotModel) -> float:
+    from aomgen.physics.hand_surface import hand_surface
+
+    bodies = robot.link_poses(JOINTS[None], np.array([1.0]))[0]
+    points, _ = hand_surface(robot).posed(invert(robot.ee_poses(JOINTS[None])[0]) @ bodies)
+    return float(points[:, 2].max())
+
+
+@pytest.mark.parametrize(("way", "finger"), [(-0.02, "left"), (0.02, "right")])
+def test_a_hook_pulls_with_the_finger_that_faces_its_way(robot: RobotModel, way: float, finger: str) -> None:
+    """An open hand goes sideways with a post on the outside of each finger: one of them is pushed."""
+    log = moving_log(robot, 0.0, np.array([0, way, 0]))
+    bodies = robot.link_poses(JOINTS[None], np.array([0.0]))[0]
+    T_ee_world = invert(robot.ee_poses(JOINTS[None])[0])
+    faces = {pad.finger: apply(T_ee_world @ bodies[pad.body], pad.face_body)[1] for pad in robot.pads}
+    posts = [bar(0.1, 0.005, 0.0) + [0, y + np.sign(y) * 0.03, 0] for y in faces.values()]
+    contacts = find_contacts(
+        robot, log, apply(invert(T_ee_world), np.concatenate(posts)), resting(robot, log)
+    )
+    assert [patch.finger for patch in contacts.patches] == [finger]
+    assert np.sign(faces[finger]) == np.sign(way)
+
+
+def test_a_gap_shows_how_far_the_alignment_is_off(robot: RobotModel) -> None:
+    far = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, 0.06))
+    log = still_log(robot, 0.857)
+    contacts = find_contacts(robot, log, far, resting(robot, log))
     assert min(patch.gap_m for patch in contacts.patches) > 0.01
+    assert contacts.grasp_sd_m > 0.005
 
 
 def estimate() -> MotionEstimate:

@@ -1,0 +1,165 @@
+"""Patches of a part that is between the pads of a gripper."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array, freeze
+from aomgen.physics.robot_parts import FingerPad
+
+# Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
+SURFACE_SD_M = 0.002
+# Pads give way by this much where they press: 40 N on 3 cm^2 of a rubber of 5 MPa, 4 mm thick, [m].
+SOFT_M = 1e-4
+# What is between the pads may look thinner than their opening by this much on each side, [m].
+_THINNER_M = 0.01
+_GRID = 23
+# Places with less than this share of the most matter hold strays of the surface behind.
+_INSIDE = 0.3
+# Of what is between the pads, this much is in front of its surface by chance, [%].
+_NEAR_PERCENT = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patch:
+    """A touch of one finger, end-effector frame.
+
+    Attributes:
+        finger: Its name.
+        point: Middle on the finger's surface (3,), [m].
+        normal: Unit direction from the finger into the part (3,).
+        covariance: Of the true middle about `point` (3, 3), [m^2].
+        gap_m: Distance between finger and reconstructed part, [m].
+    """
+
+    finger: str
+    point: Array
+    normal: Array
+    covariance: Array
+    gap_m: float
+
+    def __post_init__(self) -> None:
+        for name in ("point", "normal"):
+            freeze(self, name, getattr(self, name), (3,))
+        freeze(self, "covariance", self.covariance, (3, 3))
+
+    @property
+    def spread_m(self) -> float:
+        """Root mean square distance of the place from its middle, [m]."""
+        return float(np.sqrt(np.trace(self.covariance)))
+
+
+def held_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
+    """One patch on each pad of a gripper that holds the part; none if the part is not between its pads.
+
+    The pads of a closing gripper are not quite parallel, so they press where the part reaches into the
+    narrowest of the space between them, as far as they give way. Where the part is comes from its
+    points; how thick it is there does not, as thin things are reconstructed too thin.
+
+    Args:
+        pads: Of the hand; fewer than two hold nothing.
+        Ts_ee_body: Poses (B, 4, 4) of all bodies, end-effector frame.
+        points_ee: Dense points of the part (N, 3), same frame, [m].
+
+    Not checked: a part whose thickness varies within the pads more than their opening does.
+    """
+    if len(pads) < 2:
+        return ()
+    faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
+    patches = []
+    for face, other in zip(faces, faces[::-1], strict=True):
+        openings = face.openings(face.grid, other)
+        between = face.between(points_ee, other)
+        if not (len(between) and openings.min() > 0):
+            return ()
+        covered = face.covered(between)
+        inside = covered > _INSIDE
+        if not (inside.any() and openings[inside].min() <= _thickness(face, between) + 2 * _THINNER_M):
+            return ()
+        patches.append(_pressed(face, openings, covered, inside, points_ee))
+    return tuple(patches)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Face:
+    """The inner face of a pad in the end-effector frame, and a grid (G, 3) over it."""
+
+    finger: str
+    T_face_ee: Array
+    half: Array
+    grid: Array
+
+    @staticmethod
+    def of(pad: FingerPad, T_ee_body: Array) -> "_Face":
+        T_ee_face = T_ee_body @ pad.T_body_pad
+        T_ee_face[:3, 3] = apply(T_ee_body, pad.face_body)
+        steps = np.linspace(-1, 1, _GRID)
+        u, v = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
+        flat = np.stack([u * pad.half_extents[0], v * pad.half_extents[1], np.zeros(len(u))], 1)
+        return _Face(
+            finger=pad.finger,
+            T_face_ee=invert(T_ee_face),
+            half=pad.half_extents[:2],
+            grid=apply(T_ee_face, flat),
+        )
+
+    @property
+    def normal(self) -> Array:
+        """Towards the other pad (3,)."""
+        return self.T_face_ee[2, :3]
+
+    @property
+    def middle(self) -> Array:
+        """Of the face (3,), [m]."""
+        return invert(self.T_face_ee)[:3, 3]
+
+    def plane(self, points_ee: Array) -> Array:
+        """Places (N, 2) in the face's plane, [m]."""
+        return apply(self.T_face_ee, points_ee)[:, :2]
+
+    def openings(self, points_ee: Array, other: "_Face") -> Array:
+        """Distance (N,) between both faces where points (N, 3) project on this one, [m]."""
+        heights = apply(self.T_face_ee, points_ee)[:, 2]
+        on_face = points_ee - heights[:, None] * self.normal
+        return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
+
+    def between(self, points_ee: Array, other: "_Face") -> Array:
+        """The points (N, 3) that lie between both faces, or beside them by the surface's error."""
+        local = apply(self.T_face_ee, points_ee)
+        margin = 2 * SURFACE_SD_M
+        beside = np.all(np.abs(local[:, :2]) < self.half + margin, axis=1)
+        inside = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
+        return points_ee[beside & inside]
+
+    def covered(self, between: Array) -> Array:
+        """How much of the near side of points (N, 3) is in front of the grid (G,), as a share of the most, 0..1."""
+        local = apply(self.T_face_ee, between)
+        behind = np.maximum(local[:, 2] - np.percentile(local[:, 2], _NEAR_PERCENT), 0)
+        sides2 = ((self.plane(self.grid)[:, None] - local[None, :, :2]) ** 2).sum(-1)
+        density = np.exp(-0.5 * (sides2 + behind**2) / SURFACE_SD_M**2).sum(1)
+        return density / density.max()
+
+
+def _thickness(face: _Face, between: Array) -> float:
+    heights = apply(face.T_face_ee, between)[:, 2]
+    low, high = np.percentile(heights, [5, 95])
+    return float(high - low)
+
+
+def _pressed(
+    face: _Face, openings: Array, covered: Array, inside: NDArray[np.bool_], points_ee: Array
+) -> Patch:
+    """The patch where the part is (covered) and the pads are close, as far as both give way."""
+    slack = openings - openings[inside].min()
+    weights = covered * np.clip(1 - slack / (2 * SOFT_M), 0, 1)
+    weights /= weights.sum()
+    point = weights @ face.grid
+    # The pads may give way more than assumed: the middle of all that is covered is as possible.
+    spread = face.grid - point
+    covariance = (spread * (covered / covered.sum())[:, None]).T @ spread + SURFACE_SD_M**2 * np.eye(3)
+    gap = float(cKDTree(points_ee).query(face.grid[inside])[0].min())
+    return Patch(finger=face.finger, point=point, normal=face.normal, covariance=covariance, gap_m=gap)
