@@ -14,7 +14,7 @@ class ContactPatch:
     """Where one finger touched the moving part when the motion began.
 
     Attributes:
-        finger: "left" or "right".
+        finger: "left", "right", "palm"; "hand" where the fingers are not known.
         point: Middle of the patch on the finger's surface (3,), world frame, [m].
         normal: Unit direction from the finger into the part (3,), world frame.
         spread_m: RMS distance of the patch from its middle, [m].

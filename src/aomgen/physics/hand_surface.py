@@ -55,7 +55,9 @@ def hand_surface(robot: RobotModel) -> HandSurface:
     rng = np.random.default_rng(0)
     meshes = [mesh for mesh in robot.meshes if mesh.body in sides]
     areas = [float(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum()) for mesh in meshes]
-    points, normals, bodies = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.int64)]
+    points: list[Array] = [np.zeros((0, 3))]
+    normals: list[Array] = [np.zeros((0, 3))]
+    bodies: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
     for mesh, area in zip(meshes, areas, strict=True):
         count = round(POINTS * area / sum(areas))
         if count == 0:

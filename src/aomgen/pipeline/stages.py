@@ -80,7 +80,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=(),
-        version=4,
+        version=5,
         weight=10,
         function=lazily("recovery", "motion"),
     ),
