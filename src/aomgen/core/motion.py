@@ -1,12 +1,15 @@
 """What the demonstration tells about the object: when, where and how its part moved."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array, freeze
+
+Direction = Literal["opening", "closing"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +86,9 @@ class MotionEstimate:
         times_s: Video frame times (T,).
         thetas: Joint value at each (T,), [rad] or [m].
         theta_sd: Standard deviation (T,), same unit.
-        slip_m: Change of the contact's distance from the axis since the start (T,), [m].
+        slip_m: How far the held point has slid along the part since the start (T,), [m]; 0 outside the motion.
+        pivot_rad: How far the hand has turned against the part since the start (T,), [rad]; likewise.
+        direction: Whether the part ends more open than it was scanned, or more closed.
         part_odds: How many times better contact and video fit the prompted part than anything else.
     """
 
@@ -105,12 +110,14 @@ class MotionEstimate:
     thetas: Array
     theta_sd: Array
     slip_m: Array
+    pivot_rad: Array
+    direction: Direction
     part_odds: float
 
     def __post_init__(self) -> None:
         freeze(self, "grasp_ee", self.grasp_ee, (3,))
         count = len(self.times_s)
-        for name in ("times_s", "thetas", "theta_sd", "slip_m"):
+        for name in ("times_s", "thetas", "theta_sd", "slip_m", "pivot_rad"):
             freeze(self, name, getattr(self, name), (count,))
 
     def theta_at(self, times_s: ArrayLike) -> Array:

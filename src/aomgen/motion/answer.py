@@ -7,6 +7,8 @@ from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.direction import direction_of
+from aomgen.motion.drift import hand_drift
 from aomgen.motion.recovery import Recovery, poses_at
 from aomgen.motion.theta import values_at_frames
 
@@ -17,7 +19,6 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
     estimate = recovery.estimate
     thetas = values_at_frames(frames, recovery.times_s, recovery.values, recovery.interval, recovery.levels)
     moving = (frames >= recovery.interval[0]) & (frames <= recovery.interval[1])
-    slip = np.interp(frames, recovery.times_s, recovery.slip_m)
     joint = Joint(
         type=recovery.joint.type,
         axis=recovery.joint.axis,
@@ -25,6 +26,8 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
         lower=0.0,
         upper=float(thetas.max()),
     )
+    poses = poses_at(demo, frames + demo.clock_offset_s)
+    drift = hand_drift(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
     return MotionEstimate(
         clock_offset_s=demo.clock_offset_s,
         clock_offset_sd_s=demo.clock_sd_s,
@@ -43,7 +46,9 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
         times_s=frames,
         thetas=thetas,
         theta_sd=_theta_sd(demo, recovery, thetas, frames),
-        slip_m=np.where(moving, slip, 0.0),
+        slip_m=np.where(moving, drift.slip_m, 0.0),
+        pivot_rad=np.where(moving, drift.pivot_rad, 0.0),
+        direction=direction_of(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
         part_odds=odds,
     )
 

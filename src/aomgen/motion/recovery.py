@@ -31,7 +31,6 @@ class Recovery:
     levels: tuple[float, float]
     times_s: Array
     values: Array
-    slip_m: Array
 
 
 def recover(
@@ -74,14 +73,14 @@ def recover(
         levels=levels,
         times_s=times,
         values=values,
-        slip_m=path.slip_m,
     )
 
 
 def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:
     """First moments of the motion, log clock (K,), [s]."""
     contact = params.contact
-    return interval[0] + demo.clock_offset_s + np.linspace(0, contact.window_s, contact.steps)
+    steps = np.linspace(0.0, contact.window_s, contact.steps, dtype=np.float64)
+    return steps + (interval[0] + demo.clock_offset_s)
 
 
 def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:

@@ -42,7 +42,7 @@ def estimates_of(
         "refusals": refusals,
     }
     if motion is None:
-        nothing = ("clock_offset_s", "clock_offset_sd_s", "start_s", "end_s", "joint", "theta")
+        nothing = ("clock_offset_s", "clock_offset_sd_s", "start_s", "end_s", "joint", "direction", "theta")
         return common | dict.fromkeys(nothing) | {"contacts": []}
     return common | motion_estimates(motion)
 
@@ -65,6 +65,7 @@ def motion_estimates(motion: MotionEstimate) -> dict[str, Any]:
             "axis_ci95_rad": motion.axis_ci95_rad,
             "origin_ci95_m": motion.origin_ci95_m,
         },
+        "direction": motion.direction,
         "theta": {
             "times_s": motion.times_s.tolist(),
             "values": motion.thetas.tolist(),

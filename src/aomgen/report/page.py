@@ -201,9 +201,12 @@ def _motion(motion: MotionEstimate) -> list[str]:
         band=(motion.times_s, values - 2 * spread, values + 2 * spread),
     )
     sentence = (
-        f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s. It is a {motion.joint.type} joint, axis "
+        f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s, {motion.direction}. It is a "
+        f"{motion.joint.type} joint, axis "
         f"known to {np.degrees(motion.axis_ci95_rad):.1f} deg, its place to {1e3 * motion.origin_ci95_m:.0f} mm "
-        f"(with 95 %); the hand turned {motion.ee_turn_ratio:.2f} times as far as the part."
+        f"(with 95 %); the hand turned {motion.ee_turn_ratio:.2f} times as far as the part, "
+        f"slid up to {1e3 * motion.slip_m.max():.0f} mm along it and turned up to "
+        f"{np.degrees(motion.pivot_rad.max()):.0f} deg against it."
     )
     return [paragraph(sentence), draw_chart(score), draw_chart(theta)]
 

@@ -183,7 +183,8 @@ def estimate() -> MotionEstimate:
         clock_offset_s=0.7, clock_offset_sd_s=0.002, start_s=0.1, end_s=0.3, curve=curve, contacts=(patch,),
         grasp_ee=[0, 0, 0.005], axis_sd_rad=0.01, origin_sd_m=0.004, axis_ci95_rad=0.017, origin_ci95_m=0.007, type_margin=30.0, ee_turn_ratio=0.9,
         joint=Joint(type="revolute", axis=[0, 0, -1], origin=[0.6, 0.2, 0], lower=0, upper=1.1),
-        times_s=times, thetas=times * 2, theta_sd=times, slip_m=times * 0, part_odds=9.0,
+        times_s=times, thetas=times * 2, theta_sd=times, slip_m=times * 0, pivot_rad=times * 0, direction="closing",
+        part_odds=9.0,
     )  # fmt: skip
 
 
@@ -191,6 +192,7 @@ def test_an_estimate_survives_the_disk(tmp_path: Path) -> None:
     write_json(tmp_path / FILE_NAME, asdict(estimate()))
     loaded = load_motion(tmp_path)
     assert loaded.contacts[0].finger == "left"
+    assert loaded.direction == "closing"
     assert loaded.joint.axis == pytest.approx([0, 0, -1])
     assert loaded.thetas == pytest.approx(estimate().thetas)
     assert loaded.theta_at([0.05, 9.0]) == pytest.approx([0.1, 0.8])

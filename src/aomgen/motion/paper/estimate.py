@@ -11,6 +11,7 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.direction import direction_of
 from aomgen.motion.hand import hand_signals
 from aomgen.motion.moved_part import MIN_ODDS
 from aomgen.motion.paper.contact import NearestPair, contact_path, nearest_pair
@@ -121,6 +122,8 @@ def _assemble(
         thetas=values,
         theta_sd=nothing,
         slip_m=nothing,
+        pivot_rad=nothing,
+        direction=direction_of(joint, float(values[-1]), demo.points_static, demo.points_moving),
         part_odds=MIN_ODDS,
     )
 
