@@ -6,9 +6,11 @@ from typing import Final
 import numpy as np
 
 from aomgen.assets.cabinet import make_cabinet
+from aomgen.assets.cupboard import make_cupboard
 from aomgen.assets.drawer import make_drawer
 from aomgen.assets.laptop import make_laptop
 from aomgen.assets.microwave import make_microwave
+from aomgen.assets.oven import make_oven
 from aomgen.assets.toolbox import make_toolbox
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import ConfigError
@@ -22,13 +24,15 @@ MAKERS: Final[dict[str, Maker]] = {
     "microwave": make_microwave,
     "toolbox": make_toolbox,
 }
+# Made by name as well, to see whether methods hold beyond those five.
+OTHER_MAKERS: Final[dict[str, Maker]] = {"cupboard": make_cupboard, "oven": make_oven}
 
 
 def make_asset(category: str, seed: int) -> ArticulatedAsset:
     """A new asset of a category; the same seed gives the same asset.
 
     Args:
-        category: One of `MAKERS`.
+        category: One of `MAKERS` or `OTHER_MAKERS`.
         seed: Chooses sizes, colors, prints and the hinge side.
 
     Returns:
@@ -38,8 +42,9 @@ def make_asset(category: str, seed: int) -> ArticulatedAsset:
     Raises:
         ConfigError: The category is unknown.
     """
-    if category not in MAKERS:
-        raise ConfigError("category", f"{category!r} is unknown", f"choose one of {', '.join(MAKERS)}")
+    makers = MAKERS | OTHER_MAKERS
+    if category not in makers:
+        raise ConfigError("category", f"{category!r} is unknown", f"choose one of {', '.join(makers)}")
     # The name's letters enter the seed, so that categories do not share random numbers.
     rng = np.random.default_rng([seed, *category.encode()])
-    return MAKERS[category](f"{category}-{seed}", rng)
+    return makers[category](f"{category}-{seed}", rng)
