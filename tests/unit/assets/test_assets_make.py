@@ -45,8 +45,8 @@ OPENS = {
 def test_joint_type_and_first_motion_are_the_category(category: str) -> None:
     seen = set()
     for seed in range(6):
-        joint = make_asset(category, seed).joint
-        handle = make_asset(category, seed).handle_point
+        asset = make_asset(category, seed)
+        joint, handle = asset.joint, asset.handle_point
         way = apply(joint.motion(0.02), handle) - handle
         way /= np.linalg.norm(way)
         for number, (kind, axis, direction) in enumerate(OPENS[category]):
