@@ -32,11 +32,13 @@ def estimate_motion(
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         progress(0.0, "keyframes")
         view = KeyframeView.of(demo, masks_at, params)
+    seen, interval = view.interval(params.keyframes)
+    signs = view.signs(demo, interval, params.keyframes)
     moved = view.moved_part(demo, params.keyframes)
-    moved.check()
-    scores, interval = view.interval(params.keyframes)
+    if moved.gripped or signs.log_odds > 0:
+        moved.check()
+    signs.check()
     progress(0.85, "joint")
-    seen = (float(view.signals.times_s[interval.first]), float(view.signals.times_s[interval.last]))
-    recovery = recover(demo, view, seen, params)
+    recovery = recover(demo, view, (interval.start.time_s, interval.end.time_s), params)
     progress(0.95, "joint values")
-    return assemble(demo, view.curve(scores, interval), recovery, moved.odds)
+    return assemble(demo, view.curve(seen, interval), recovery, moved.odds)

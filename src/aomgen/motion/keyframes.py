@@ -1,8 +1,9 @@
 """When the part starts and stops moving.
 
-The score of a frame is the share of the part's visible picture that shows neither the part's first
-place nor its last one. It rests near zero before the motion and after it, and slow motion adds up
-instead of drowning in noise. Every comparison leaves out the robot as it stands in both pictures.
+A frame's departure from the part's first place is the share of its visible picture that does not show
+that place any more; likewise from its last place. Slow motion adds up instead of drowning in noise, and
+a motion backwards gives the same curves exchanged. Every comparison leaves out the robot as it stands in
+both pictures. The score, the smaller of the two, rests near zero before the motion and after it.
 """
 
 from dataclasses import dataclass
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
-from aomgen.errors import NoMotionError
-from aomgen.motion.filters import closed, filled, grown, runs, smooth, touching, without_glitches
+from aomgen.motion.ends import Moment, Way, arriving, leaving
+from aomgen.motion.filters import closed, filled, grown, smooth, touching, without_glitches
 from aomgen.motion.hand import Touch
 
 
@@ -26,12 +27,7 @@ class KeyframeParams:
         dilate_px: Margin around the robot's masks, [px].
         reference_s: Length of the still stretches at the beginning and the end of the touch, [s].
         smooth_s: Savitzky-Golay window, [s].
-        baseline_percent: Percentile of the still stretches' scores that counts as stillness.
-        open_sd, keep_sd: Hysteresis in noise units above the baseline.
-        open_share, keep_share: Hysteresis as share of the highest score.
-        min_score: Smallest highest score that is a motion.
-        min_length_s: Shortest motion, [s].
-        merge_gap_s: Pauses shorter than this belong to the motion, [s].
+        least_noise: Smallest noise of a departure; video compression makes still pictures too equal.
     """
 
     low_change: float = 14.0
@@ -39,14 +35,25 @@ class KeyframeParams:
     dilate_px: int = 3
     reference_s: float = 0.25
     smooth_s: float = 0.3
-    baseline_percent: float = 20.0
-    open_sd: float = 6.0
-    keep_sd: float = 3.0
-    open_share: float = 0.15
-    keep_share: float = 0.05
-    min_score: float = 0.03
-    min_length_s: float = 0.2
-    merge_gap_s: float = 0.7
+    least_noise: float = 0.004
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departures:
+    """Shares 0..1 of the part's picture that show another place; 0 outside the touch.
+
+    Attributes:
+        left: Not its first place any more (T,).
+        ahead: Not its last place yet (T,).
+    """
+
+    left: Array
+    ahead: Array
+
+    @property
+    def scores(self) -> Array:
+        """Share (T,) that shows neither."""
+        return np.minimum(self.left, self.ahead)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,13 +61,13 @@ class Interval:
     """Start and end of the motion with the curve they were read from.
 
     Attributes:
-        first, last: Frame indices of the motion.
+        start, end: First and last moment of the motion.
         smoothed: Score after smoothing (T,).
-        threshold: Score that opens the interval.
+        threshold: Score that stillness hardly ever reaches.
     """
 
-    first: int
-    last: int
+    start: Moment
+    end: Moment
     smoothed: Array
     threshold: float
 
@@ -75,18 +82,18 @@ def part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
     return filled(closed(region, 3))
 
 
-def motion_scores(
+def departures(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     region: NDArray[np.bool_],
     touch: Touch,
     reference_frames: int,
     params: KeyframeParams | None = None,
-) -> Array:
-    """Score (T,), 0..1, of every frame; 0 outside the touch, where nothing can move the part.
+) -> Departures:
+    """Compare every frame of the touch with the two states at its ends.
 
     Args:
-        frames_srgb: Small frames (T, H, W, 3).
+        frames_srgb: Small frames (T, H, W, 3), one exposure.
         robot: The robot's masks (T, H, W) in them.
         region: The part's pixels (H, W) at its scanned place.
         touch: When the hand can move the part. The two states are taken from its ends, so that the
@@ -98,21 +105,17 @@ def motion_scores(
     neighbouring frames; here the picture itself is compared with the first and the last state.
     """
     params = params or KeyframeParams()
-    hidden = np.stack([grown(mask, params.dilate_px) for mask in robot])
-    first, last = touch.first, touch.last
-    begin, finish = (
-        slice(first, first + reference_frames),
-        slice(max(first, last + 1 - reference_frames), last + 1),
-    )
-    before, before_seen = _reference(frames_srgb[begin], hidden[begin])
-    after, after_seen = _reference(frames_srgb[finish], hidden[finish])
+    inside = slice(touch.first, touch.last + 1)
+    frames = frames_srgb[inside]
+    hidden = np.stack([grown(mask, params.dilate_px) for mask in robot[inside]])
+    before, before_seen = _reference(frames[:reference_frames], hidden[:reference_frames])
+    after, after_seen = _reference(frames[-reference_frames:], hidden[-reference_frames:])
     moved = before_seen & after_seen & (_change(before, after, params) > 0.5)
     footprint = touching(closed(moved, 1) | region, region)
-    left = _departures(frames_srgb, hidden, before, footprint & before_seen, params)
-    ahead = _departures(frames_srgb, hidden, after, footprint & after_seen, params)
-    scores = np.minimum(left, ahead)
-    scores[:first], scores[last + 1 :] = 0.0, 0.0
-    return scores
+    left, ahead = np.zeros(len(frames_srgb)), np.zeros(len(frames_srgb))
+    left[inside] = _departures(frames, hidden, before, footprint & before_seen, params)
+    ahead[inside] = _departures(frames, hidden, after, footprint & after_seen, params)
+    return Departures(left=left, ahead=ahead)
 
 
 def change_over(
@@ -136,44 +139,39 @@ def change_over(
 
 
 def find_interval(
-    times_s: Array, scores: Array, touch: Touch, params: KeyframeParams | None = None
+    times_s: Array, seen: Departures, way: Way, touch: Touch, params: KeyframeParams | None = None
 ) -> Interval:
-    """First and last moving frame from a score (T,), during the touch.
+    """First and last moment of the motion.
 
-    Raises:
-        NoMotionError: The score never rises clearly above its stillness.
+    Args:
+        times_s: Times of the frames (T,), [s].
+        seen: The part's departures in them.
+        way: The hand, over more than the touch.
+        touch: When the hand can move the part.
+        params: Thresholds.
 
-    Source: AOMGen, sec. 4.2, threshold B + 3 sigma. Repaired: sigma is the robust spread of the
-    score about its smooth course (the spread of the scores themselves grows with the motion until
-    nothing passes), with hysteresis and a shortest length instead of single flagged frames.
+    Source: AOMGen, sec. 4.2, threshold B + 3 sigma. Instead of the first and last frame above a
+    threshold, the departures' rise and fall are followed back to where they come out of the noise;
+    pauses, single bad frames and the share of moving frames make no difference to that.
     """
     params = params or KeyframeParams()
     step = float(np.median(np.diff(times_s)))
-    smoothed = smooth(without_glitches(scores), step, params.smooth_s)
-    first, last = touch.first, touch.last
-    count = reference_count(times_s, params)
-    still = np.concatenate(
-        [smoothed[first : first + count], smoothed[max(first, last + 1 - count) : last + 1]]
-    )
-    base = float(np.percentile(still, params.baseline_percent))
-    rough = (scores - smoothed)[first : last + 1]
-    noise = 1.4826 * float(np.median(np.abs(rough - np.median(rough))))
-    allowed = np.zeros(len(times_s), bool)
-    allowed[first : last + 1] = True
-    top = float(smoothed[allowed].max()) - base
-    opening = base + max(params.open_sd * noise, params.open_share * top)
-    keeping = base + max(params.keep_sd * noise, params.keep_share * top)
-    moving = _merge(_hysteresis(smoothed, opening, keeping, allowed), params.merge_gap_s / step)
-    moving = [run for run in moving if (run[1] - run[0] + 1) * step >= params.min_length_s]
-    if not (moving and top >= params.min_score):
-        raise NoMotionError(
-            "demonstration video",
-            f"the part does not move: its score stays below {smoothed[allowed].max():.3f}, a motion needs "
-            f"{max(opening, base + params.min_score):.3f}",
-            "check the 'moving' prompts, the camera pose and that the video shows the opening",
-        )
-    begin, finish = max(moving, key=lambda run: float((smoothed[run[0] : run[1] + 1] - base).sum()))
-    return Interval(first=begin, last=finish, smoothed=smoothed, threshold=opening)
+    inside = slice(touch.first, touch.last + 1)
+    times = times_s[inside]
+    noise = [
+        max(params.least_noise, _noise(values[inside], step, params)) for values in (seen.left, seen.ahead)
+    ]
+    held = way.between(float(times[0]), float(times[-1]))
+    start = leaving(held, times, seen.left[inside], noise[0], held=touch.gripped)
+    end = arriving(held, times, seen.ahead[inside], noise[1], held=touch.gripped)
+    smoothed = smooth(without_glitches(seen.scores), step, params.smooth_s)
+    return Interval(start=start, end=end, smoothed=smoothed, threshold=3.0 * max(noise))
+
+
+def _noise(values: Array, step_s: float, params: KeyframeParams) -> float:
+    """Robust standard deviation of a series (T,) about its smooth course."""
+    rough = values - smooth(values, step_s, params.smooth_s)
+    return 1.4826 * float(np.median(np.abs(rough - np.median(rough))))
 
 
 def reference_count(times_s: Array, params: KeyframeParams) -> int:
@@ -214,21 +212,3 @@ def _departures(
         area = max(int(visible.sum()), 0.25 * int(region.sum()), 1)
         shares[k] = float(_change(frame.astype(np.float32), reference, params)[visible].sum()) / area
     return shares
-
-
-def _hysteresis(
-    scores: Array, opening: float, keeping: float, allowed: NDArray[np.bool_]
-) -> list[tuple[int, int]]:
-    """Runs of frames above `keeping` that somewhere exceed `opening`."""
-    stretches = runs((scores > keeping) & allowed)
-    return [(int(run[0]), int(run[-1])) for run in stretches if scores[run].max() > opening]
-
-
-def _merge(runs: list[tuple[int, int]], gap: float) -> list[tuple[int, int]]:
-    merged: list[tuple[int, int]] = []
-    for run in runs:
-        if merged and run[0] - merged[-1][1] <= gap:
-            merged[-1] = (merged[-1][0], run[1])
-        else:
-            merged.append(run)
-    return merged

@@ -52,11 +52,16 @@ class MovedPart:
     """The three candidates: prompted as moving, prompted as static, everything else.
 
     Of everything else only the contact speaks; its change is taken to be a standing part's.
+
+    Attributes:
+        moving, static, other: Their signs.
+        gripped: The hand closed near one of them.
     """
 
     moving: PartSigns
     static: PartSigns
     other: PartSigns
+    gripped: bool
 
     @property
     def odds(self) -> float:
@@ -137,7 +142,7 @@ def moved_part(
         PartSigns(gap_m=gap, changed=changed)
         for gap, changed in zip(gaps, (*shares, STILL_SHARE), strict=True)
     )
-    return MovedPart(moving=moving, static=static, other=other)
+    return MovedPart(moving=moving, static=static, other=other, gripped=touch.gripped)
 
 
 def _touch(signals: tuple[HandSignals, ...]) -> Touch:

@@ -1,0 +1,101 @@
+"""When a motion begins and ends, between frames: the picture says how far along the hand's way, the hand says when."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aomgen.core.values import Array
+from aomgen.motion.filters import without_glitches
+
+# Share of the largest departure up to which the picture changes in proportion to the hand's way.
+_EARLY = 0.4
+# What proportion misses: occlusion and edges make the departure a slightly bent function of the way.
+_BENT = 0.15
+# Way of the hand within which a part counts as still: half a degree of a door of 0.3 m, and what closing
+# fingers push a hand around, [m].
+STILL_M = 0.0025
+# Fingers that hold slide or give way about this far before the part follows, [m].
+_SLACK_M = 0.01
+_CANDIDATES = 101
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """A time with its standard deviation, [s]."""
+
+    time_s: float
+    sd_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """The hand over dense times.
+
+    Attributes:
+        times_s: (D,), increasing, [s].
+        points: Place of the hand (D, 3), smooth, world frame, [m].
+    """
+
+    times_s: Array
+    points: Array
+
+    def between(self, first_s: float, last_s: float) -> "Way":
+        """The part of the way inside an interval."""
+        inside = (self.times_s >= first_s - 1e-9) & (self.times_s <= last_s + 1e-9)
+        return Way(times_s=self.times_s[inside], points=self.points[inside])
+
+    def reversed(self) -> "Way":
+        """The way gone backwards, with negative times."""
+        return Way(times_s=-self.times_s[::-1], points=self.points[::-1])
+
+    @property
+    def travel(self) -> Array:
+        """Farthest distance (D,) from the first point so far, [m]."""
+        return np.maximum.accumulate(np.linalg.norm(self.points - self.points[0], axis=1))
+
+
+def leaving(way: Way, times_s: Array, departures: Array, noise: float, *, held: bool) -> Moment:
+    """When the part leaves its first place.
+
+    The departure is taken to be `k max(0, u - u0)` with u the hand's travel: 0 while the hand comes or
+    slides, then in proportion. k is fitted, u0 has a posterior; the moment is when the hand passes u0.
+
+    Args:
+        way: The hand during the touch.
+        times_s: Times of the frames (T,), within the way's.
+        departures: Share (T,) of the part's picture that does not show its first place.
+        noise: Standard deviation of a still part's departure.
+        held: Fingers hold the part, so that it follows at once or nearly so.
+    """
+    if len(way.times_s) < 2 or len(times_s) < 2:
+        return Moment(time_s=float(times_s[0]), sd_s=float(np.inf))
+    clean = without_glitches(departures)
+    clean = clean - float(np.median(clean[:2]))
+    middle = int(np.argmax(clean >= _EARLY * clean.max()))
+    early = slice(0, min(max(middle, 2), len(times_s) - 1) + 1)
+    travel = way.travel
+    along = np.interp(times_s[early], way.times_s, travel)
+    offsets = np.linspace(0.0, float(along[-1]), _CANDIDATES)
+    ramps = np.maximum(0.0, along - offsets[:, None])
+    weights = 1.0 / (noise**2 + (_BENT * clean[early]) ** 2)
+    slopes = (ramps * weights) @ clean[early] / np.maximum((ramps**2 * weights).sum(1), 1e-12)
+    misfit = (weights * (clean[early] - np.maximum(slopes, 0.0)[:, None] * ramps) ** 2).sum(1)
+    doubt = misfit / 2 + (offsets / _SLACK_M if held else 0.0)
+    odds = np.exp(-(doubt - doubt.min()))
+    odds /= odds.sum()
+    passed = np.searchsorted(travel, offsets + STILL_M, side="right").clip(max=len(travel) - 1)
+    moments = way.times_s[passed]
+    mean = float(odds @ moments)
+    spread = float(odds @ (moments - mean) ** 2)
+    return Moment(time_s=mean, sd_s=float(np.sqrt(spread + np.median(np.diff(way.times_s)) ** 2)))
+
+
+def arriving(way: Way, times_s: Array, ahead: Array, noise: float, *, held: bool) -> Moment:
+    """When the part reaches its last place: `leaving` of the film shown backwards.
+
+    Args:
+        ahead: Share (T,) of the part's picture that does not show its last place.
+        way, times_s, noise, held: As in `leaving`.
+    """
+    moment = leaving(way.reversed(), -times_s[::-1], ahead[::-1], noise, held=held)
+    return Moment(time_s=-moment.time_s, sd_s=moment.sd_s)
