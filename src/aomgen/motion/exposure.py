@@ -51,7 +51,7 @@ def matched_frames(
     small = frames_srgb[:, ::_STRIDE, ::_STRIDE][:, still].astype(np.float32)
     small[hidden[:, ::_STRIDE, ::_STRIDE][:, still]] = np.nan
     chosen = np.linspace(0, len(small) - 1, min(_SAMPLES, len(small))).astype(int)
-    common = _median(small[chosen], 0)
+    common = _median(small[chosen], 0, otherwise=0.0)
     usable = (common > _DARK) & (common < _BRIGHT)
     small[~((small > _DARK) & (small < _BRIGHT))] = np.nan
     ratios = np.where(usable, common, np.nan) / small
@@ -64,8 +64,8 @@ def matched_frames(
     return MatchedFrames(frames_srgb=matched, bad=bad)
 
 
-def _median(values: NDArray[np.float32], axis: int, otherwise: float = np.nan) -> Array:
-    """Median along an axis without NaN; `otherwise` where there is nothing."""
+def _median(values: NDArray[np.float32], axis: int, otherwise: float) -> Array:
+    """Median along an axis, NaN left out; `otherwise` where nothing is left."""
     empty = np.isnan(values).all(axis=axis, keepdims=True)
     filled = np.where(empty, otherwise, values)
     return np.asarray(np.nanmedian(filled, axis=axis), np.float64)

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionCurve
-from aomgen.core.values import Array
 from aomgen.errors import NoMotionError
 from aomgen.io.images import resize
 from aomgen.motion.demonstration import Demonstration

@@ -2,18 +2,23 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.errors import NoMotionError
+from aomgen.motion.ends import Way
 from aomgen.motion.hand import HandSignals, Touch, touch_interval
-from aomgen.motion.keyframes import KeyframeParams, find_interval, motion_scores, part_region
+from aomgen.motion.keyframes import Departures, Interval, departures, find_interval, part_region
 
 COUNT, FPS = 90, 10.0
-TIMES = np.arange(COUNT) / FPS
+TIMES = np.arange(COUNT, dtype=np.float64) / FPS
+DENSE = np.linspace(0.0, 8.9, 891, dtype=np.float64)
 WHOLE = Touch(first=0, last=COUNT - 1, gripped=True)
 
+# Frames, robot masks, part region.
+Film = tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]
 
-def film(part_left: np.ndarray, *, growth: np.ndarray | None = None, seed: int = 0) -> tuple:
+
+def film(part_left: np.ndarray, *, growth: np.ndarray | None = None, seed: int = 0) -> Film:
     """A bright part on a dark table; a gray arm sweeps over it. Frames, robot masks, part region."""
     rng = np.random.default_rng(seed)
     frames = np.full((COUNT, 60, 80, 3), 60.0) + rng.normal(size=(COUNT, 60, 80, 3)) * 2
@@ -34,65 +39,97 @@ def moves(start_s: float, end_s: float, by_px: float = 18) -> np.ndarray:
     return 22 + np.interp(TIMES, [start_s, end_s], [0, by_px])
 
 
-@pytest.mark.parametrize(("start", "end"), [(3.0, 5.0), (1.0, 8.0), (4.0, 4.6)])
+def way(start_s: float, end_s: float, length_m: float = 0.2) -> Way:
+    """A hand that goes straight on from start to end."""
+    points = np.zeros((len(DENSE), 3))
+    points[:, 0] = np.interp(DENSE, [start_s, end_s], [0.0, length_m])
+    return Way(times_s=DENSE, points=points)
+
+
+def found(frames: Film, hand: Way, touch: Touch = WHOLE) -> Interval:
+    return find_interval(TIMES, departures(*frames, touch, 3), hand, touch)
+
+
+@pytest.mark.parametrize(
+    ("start", "end"), [(3.0, 5.0), (0.6, 8.2), (4.0, 4.3), (2.0, 2.5), (1.0, 7.0)]
+)  # 3 to 85 % of the film
 def test_start_and_end_are_found_for_short_and_long_motions(start: float, end: float) -> None:
-    scores = motion_scores(*film(moves(start, end)), WHOLE, 3)
-    interval = find_interval(TIMES, scores, WHOLE)
-    assert TIMES[interval.first] == pytest.approx(start, abs=0.35)
-    assert TIMES[interval.last] == pytest.approx(end, abs=0.35)
+    interval = found(film(moves(start, end)), way(start, end))
+    pixel_s = (end - start) / 18
+    assert interval.start.time_s == pytest.approx(start, abs=0.1 + pixel_s / 2)
+    assert interval.end.time_s == pytest.approx(end, abs=0.1 + pixel_s / 2)
 
 
 def test_a_part_that_only_grows_is_seen() -> None:
     growth = np.interp(TIMES, [3.0, 6.0], [0, 15])
-    scores = motion_scores(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
-    interval = find_interval(TIMES, scores, WHOLE)
-    assert TIMES[interval.first] == pytest.approx(3.0, abs=0.5)
-    assert TIMES[interval.last] == pytest.approx(6.0, abs=0.5)
+    seen = departures(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
+    assert seen.scores[45] > 0.1
+    interval = find_interval(TIMES, seen, way(3.0, 6.0), WHOLE)
+    assert interval.start.time_s == pytest.approx(3.0, abs=0.2)
+    assert interval.end.time_s == pytest.approx(6.0, abs=0.2)
+
+
+def test_the_film_backwards_gives_the_curves_exchanged() -> None:
+    frames, robot, region = film(moves(3.0, 5.0))
+    region = region | np.roll(region, 18, axis=1)
+    forwards = departures(frames, robot, region, WHOLE, 3)
+    backwards = departures(frames[::-1], robot[::-1], region, WHOLE, 3)
+    assert backwards.left[::-1] == pytest.approx(forwards.ahead, abs=1e-6)
+    assert backwards.scores[::-1] == pytest.approx(forwards.scores, abs=1e-6)
 
 
 def test_the_film_backwards_gives_the_interval_backwards() -> None:
     frames, robot, region = film(moves(3.0, 5.0))
     region = region | np.roll(region, 18, axis=1)
-    forwards = motion_scores(frames, robot, region, WHOLE, 3)
-    backwards = motion_scores(frames[::-1], robot[::-1], region, WHOLE, 3)
-    assert backwards[::-1] == pytest.approx(forwards, abs=1e-6)
+    hand, last = way(3.0, 5.0), TIMES[-1]
+    back = Way(times_s=DENSE, points=np.stack([np.interp(last - DENSE, DENSE, c) for c in hand.points.T], 1))
+    forwards = found((frames, robot, region), hand)
+    backwards = found((frames[::-1], robot[::-1], region), back)
+    assert last - backwards.end.time_s == pytest.approx(forwards.start.time_s, abs=0.02)
+    assert last - backwards.start.time_s == pytest.approx(forwards.end.time_s, abs=0.02)
 
 
-def test_the_moving_arm_alone_is_no_motion() -> None:
-    scores = motion_scores(*film(np.full(COUNT, 22.0)), WHOLE, 3)
-    with pytest.raises(NoMotionError, match="the part does not move"):
-        find_interval(TIMES, scores, WHOLE)
+def test_a_pause_in_the_middle_belongs_to_the_motion() -> None:
+    times, place = [3.0, 4.0, 5.5, 6.5], [0.0, 0.5, 0.5, 1.0]
+    points = np.zeros((len(DENSE), 3))
+    points[:, 1] = 0.2 * np.interp(DENSE, times, place)
+    interval = found(film(22 + 18 * np.interp(TIMES, times, place)), Way(times_s=DENSE, points=points))
+    assert interval.start.time_s == pytest.approx(3.0, abs=0.1)
+    assert interval.end.time_s == pytest.approx(6.5, abs=0.1)
 
 
-def test_a_single_bad_frame_does_not_open_an_interval() -> None:
-    frames, robot, region = film(np.full(COUNT, 22.0))
+def test_single_bad_frames_do_not_move_the_interval() -> None:
+    frames, robot, region = film(moves(4.0, 6.0))
     bad = frames.copy()
-    bad[40, 15:45, 20:50] = 255
-    with pytest.raises(NoMotionError):
-        find_interval(TIMES, motion_scores(bad, robot, region, WHOLE, 3), WHOLE)
+    bad[20, 15:45, 20:50] = 255
+    bad[75] = frames[10]
+    interval = found((bad, robot, region), way(4.0, 6.0))
+    assert interval.start.time_s == pytest.approx(4.0, abs=0.1)
+    assert interval.end.time_s == pytest.approx(6.0, abs=0.1)
 
 
-def test_the_noise_of_a_long_motion_does_not_raise_its_own_threshold() -> None:
-    rng = np.random.default_rng(1)
-    scores = np.where((TIMES > 2) & (TIMES < 7), 0.3, 0.0) + np.abs(rng.normal(size=COUNT)) * 0.004
-    interval = find_interval(TIMES, scores, WHOLE)
-    assert interval.threshold < 0.1
-    assert TIMES[interval.first] == pytest.approx(2.0, abs=0.3)
-    assert TIMES[interval.last] == pytest.approx(7.0, abs=0.3)
+def test_a_hand_that_slides_before_the_part_follows_does_not_start_the_motion() -> None:
+    """The hand goes from 2 to 6 s, the part only from 4 s on."""
+    interval = found(film(moves(4.0, 6.0)), way(2.0, 6.0, 0.4))
+    assert interval.start.time_s == pytest.approx(4.0, abs=0.3)
 
 
-def test_motion_outside_the_touch_does_not_count() -> None:
-    scores = np.where((TIMES > 1) & (TIMES < 2), 0.5, 0.0) + np.where((TIMES > 5) & (TIMES < 6), 0.3, 0.0)
-    interval = find_interval(TIMES, scores, Touch(first=30, last=80, gripped=True), KeyframeParams())
-    assert TIMES[interval.first] == pytest.approx(5.0, abs=0.3)
+def test_the_moving_arm_alone_changes_nothing() -> None:
+    assert departures(*film(np.full(COUNT, 22.0)), WHOLE, 3).scores.max() < 0.02
 
 
 def test_frames_outside_the_touch_score_nothing() -> None:
-    touch = Touch(first=25, last=70, gripped=True)
-    scores = motion_scores(*film(moves(3.0, 5.0)), touch, 3)
-    assert scores[:25].max() == 0
-    assert scores[71:].max() == 0
-    assert scores[40] > 0.2
+    seen = departures(*film(moves(3.0, 5.0)), Touch(first=25, last=70, gripped=True), 3)
+    assert seen.scores[:25].max() == 0
+    assert seen.scores[71:].max() == 0
+    assert seen.scores[40] > 0.2
+
+
+def test_noise_is_measured_about_the_smooth_course_and_not_about_the_mean() -> None:
+    rng = np.random.default_rng(1)
+    left = np.interp(TIMES, [2, 7], [0, 0.6]) + rng.normal(size=COUNT) * 0.004
+    interval = find_interval(TIMES, Departures(left=left, ahead=left[::-1]), way(2.0, 7.0), WHOLE)
+    assert interval.threshold < 0.02
 
 
 def signals(gripper: np.ndarray, distances: np.ndarray) -> HandSignals:

@@ -110,7 +110,7 @@ def test_a_handle_missing_from_the_moving_part_is_doubted_or_passed_but_not_refu
 
 def test_doubtful_prompts_are_told() -> None:
     near = PartSigns(gap_m=0.01, changed=0.1)
-    moved = MovedPart(moving=near, static=near, other=PartSigns(gap_m=9.0, changed=0.05))
+    moved = MovedPart(moving=near, static=near, other=PartSigns(gap_m=9.0, changed=0.05), gripped=True)
     moved.check()
     assert moved.odds == pytest.approx(1.0)
     assert doubts(moved.odds) == [
