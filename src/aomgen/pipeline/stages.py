@@ -80,7 +80,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=(),
-        version=6,
+        version=7,
         weight=10,
         function=lazily("recovery", "motion"),
     ),
