@@ -21,7 +21,7 @@ def bench_accuracy(
     ] = 0,
     seed: Annotated[int | None, typer.Option(help="First seed: 1000, of motion worlds 2000.")] = None,
     saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
-    paper: Annotated[bool, typer.Option("--paper", help="Also score rigid ICP and link boxes.")] = False,
+    paper: Annotated[bool, typer.Option("--paper", help="Also score the paper's own methods.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
 ) -> None:
@@ -37,6 +37,7 @@ def bench_accuracy(
         return
     from aomgen.benchmarks.alignment_methods import methods_table
     from aomgen.benchmarks.command import run_accuracy
+    from aomgen.benchmarks.motion_methods import motion_methods_table
     from aomgen.benchmarks.synthetic_captures import (
         FIRST_SEED,
         accuracy_table,
@@ -55,7 +56,7 @@ def bench_accuracy(
     _show(results, json_file)
     print(table)
     if paper:
-        print(f"\n{methods_table(results)}")
+        print(f"\n{methods_table(results)}\n\n{motion_methods_table(results)}")
 
 
 @bench_app.command("training")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from aomgen.benchmarks.accuracy import score_estimates
 from aomgen.benchmarks.alignment_methods import paper_figures, paper_twin
 from aomgen.benchmarks.images import TrueMasks, pooled_ious, score_replay, score_scan
+from aomgen.benchmarks.motion_methods import paper_motion_figures
 from aomgen.benchmarks.saga import saga_twin
 from aomgen.benchmarks.truth import Truth, read_truth
 from aomgen.capture.check import read_demo_videos
@@ -47,7 +48,8 @@ def run_accuracy(
         out: Run folder, continued when it exists; a temporary one when None.
         run_project: Runs a project up to a stage.
         saga: Also find the parts with affinity features, and give the IoUs of both methods.
-        paper: Also align by the paper's rigid ICP and cut the robot by link boxes.
+        paper: Also align by the paper's rigid ICP and cut the robot by link boxes, and recover the
+            motion by the paper's estimators.
     """
     truth = read_truth(capture_folder)
     with tempfile.TemporaryDirectory() as scratch:
@@ -68,6 +70,9 @@ def run_accuracy(
             scored = score_estimates(moved, truth, robot, video.times_s, name)
             scored |= _score_pictures(capture, moved, out, video, truth, other)
             figures.update(paper_figures(scored, seconds))
+            structure = load_structure(out / STRUCTURE_FOLDER)
+            masks = TrueMasks(folder=truth.folder / "masks" / name, lens=structure.demo_lenses.get(name))
+            figures.update(paper_motion_figures(out, capture_folder.resolve(), truth, masks))
         figures["seconds"] = read_json(out / TIMINGS)
     return dict(sorted(figures.items()))
 

@@ -6,12 +6,14 @@ from typing import Any
 
 from aomgen.core.joint import Joint
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
-from aomgen.core.progress import Progress, silent
+from aomgen.core.progress import Progress, part, silent
 from aomgen.errors import CorruptArtifactError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.estimate import estimate_motion
+from aomgen.motion.paper.estimate import PaperParams, estimate_motion_paper
+from aomgen.motion.paper.keyframes import PartMasks
 from aomgen.motion.params import MotionParams
 
 FILE_NAME = "motion.json"
@@ -25,6 +27,22 @@ def run_motion(
 ) -> MotionEstimate:
     """Estimate the motion and write it to `folder`; see `estimate_motion` for what it raises."""
     estimate = estimate_motion(demonstration, params, progress)
+    write_json(folder / FILE_NAME, asdict(estimate))
+    progress(1.0, "motion")
+    return estimate
+
+
+def run_paper_motion(
+    demonstration: Demonstration, masks: PartMasks, folder: Path, progress: Progress = silent
+) -> MotionEstimate:
+    """Estimate the motion as the paper does, formulas as printed, and write it to `folder`.
+
+    The paper takes the joint's type as known; here it is the one that our own estimator finds, so
+    both have to answer; see `estimate_motion` and `estimate_motion_paper` for what they raise.
+    """
+    joint_type = estimate_motion(demonstration, None, part(progress, 0.0, 0.7)).joint.type
+    params = PaperParams(joint_type=joint_type)
+    estimate = estimate_motion_paper(demonstration, masks, params, part(progress, 0.7, 1.0))
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")
     return estimate

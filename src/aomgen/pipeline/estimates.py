@@ -1,12 +1,24 @@
 """`estimates.json`: everything a run estimated about the recording, so that anybody can score it."""
 
-from typing import Any
+from typing import Any, Final
 
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import Capture
 from aomgen.core.values import Array
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world
+
+# What a refused motion leaves of it.
+NO_MOTION: Final[dict[str, Any]] = {
+    "clock_offset_s": None,
+    "clock_offset_sd_s": None,
+    "start_s": None,
+    "end_s": None,
+    "joint": None,
+    "direction": None,
+    "theta": None,
+    "contacts": [],
+}
 
 
 def estimates_of(
@@ -42,8 +54,7 @@ def estimates_of(
         "refusals": refusals,
     }
     if motion is None:
-        nothing = ("clock_offset_s", "clock_offset_sd_s", "start_s", "end_s", "joint", "direction", "theta")
-        return common | dict.fromkeys(nothing) | {"contacts": []}
+        return common | NO_MOTION
     return common | motion_estimates(motion)
 
 

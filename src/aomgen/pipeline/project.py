@@ -25,6 +25,7 @@ iterations = {iterations}      # training steps of the scene's Gaussians
 gaussians = {gaussians}        # cap on their number
 segmenter = {segmenter!r}    # "auto": the capture's masks, else MobileSAM; or the name of SAM 2 weights
 alignment_method = {alignment_method!r}    # "outlines", or "paper": rigid ICP and link boxes, to compare with
+motion_method = {motion_method!r}    # "aomotion", or "paper": its four estimators as printed, to compare with
 parts_method = {parts_method!r}    # "closed_form", or "saga" for affinity features (minutes more)
 """
 
@@ -44,6 +45,7 @@ class Project(BaseModel):
         gaussians: Cap on the number of Gaussians in the scene.
         segmenter: What makes masks; see `reconstruction.masks.segmenter.choose_segmenter`.
         alignment_method: How scan and robot are brought together; "paper" is there to compare with.
+        motion_method: How the part's motion is recovered; "paper" is there to compare with.
         parts_method: How the object's parts are found; see `reconstruction.parts`.
     """
 
@@ -64,6 +66,7 @@ class Project(BaseModel):
     gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)
     segmenter: str = Field(default="auto", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
     alignment_method: Literal["outlines", "paper"] = "outlines"
+    motion_method: Literal["aomotion", "paper"] = "aomotion"
     parts_method: Literal["closed_form", "saga"] = "closed_form"
 
 

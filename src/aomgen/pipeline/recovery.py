@@ -23,11 +23,12 @@ from aomgen.io.atomic import write_json
 from aomgen.io.video import Video, probe_video
 from aomgen.motion.demonstration import Demonstration as MotionInput
 from aomgen.motion.moved_part import doubts
-from aomgen.motion.stage import load_motion, run_motion
+from aomgen.motion.stage import load_motion, run_motion, run_paper_motion
 from aomgen.physics.robot import RobotModel, chosen_robot
 from aomgen.physics.robot_store import save_robot
 from aomgen.pipeline.estimates import estimates_of
 from aomgen.pipeline.films import demo_film, scan_films, with_looks
+from aomgen.pipeline.part_masks import part_masks
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world
@@ -168,7 +169,7 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         write_json(run.out / ESTIMATES, content)
 
     try:
-        estimate = run_motion(motion_input(run), folder, progress)
+        estimate = _recovered_motion(run, folder, progress)
     except EstimationError as error:
         write_estimates(None, [{"quantity": "motion", "reason": str(error)}])
         raise
@@ -187,6 +188,15 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         "part_odds": estimate.part_odds,
         WARNINGS: doubts(estimate.part_odds),
     }
+
+
+def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstimate:
+    demonstration = motion_input(run)
+    if run.project.motion_method == "paper":
+        capture = capture_of(run)
+        masks = part_masks(capture, capture.cameras[0], demonstration)
+        return run_paper_motion(demonstration, masks, folder, progress)
+    return run_motion(demonstration, folder, progress)
 
 
 def motion_input(run: Run) -> MotionInput:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from aomgen.capture.check import check_robot, read_demo_videos
+from aomgen.capture.demo_masks import demo_mask_files
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
@@ -79,8 +80,8 @@ STAGES: tuple[Stage, ...] = (
         folder="05_motion",
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
-        settings=(),
-        version=7,
+        settings=("motion_method",),
+        version=8,
         weight=10,
         function=lazily("recovery", "motion"),
     ),
@@ -163,6 +164,8 @@ def capture_digest(capture: Capture) -> str:
     if capture.scan_video is not None:
         files.append(capture.scan_video)
     files += [camera.video for camera in capture.cameras]
+    for camera in capture.cameras:
+        files += demo_mask_files(capture, camera)
     files += sorted((capture.folder / "demo").glob("*.csv"))
     if capture.robot.model_file:
         files += [capture.robot.model_file, *capture.robot.references]

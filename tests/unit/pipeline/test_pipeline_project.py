@@ -17,9 +17,11 @@ def test_round_trip(tmp_path):
         assets=("microwave:1",),
         poses=9,
         image_size=(256, 192),
+        motion_method="paper",
     )
     write_project(tmp_path / "project.toml", project)
     assert read_project(tmp_path / "project.toml") == project
+    assert "motion_method = 'paper'" in (tmp_path / "project.toml").read_text()
 
 
 def test_paths_are_taken_from_the_file(tmp_path):

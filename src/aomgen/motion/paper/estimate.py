@@ -43,9 +43,9 @@ def estimate_motion_paper(
 ) -> MotionEstimate:
     """Recover the part's motion as the paper does.
 
-    What the paper does not know is filled in as follows: standard deviations, intervals, slip, type
-    margin and turn ratio are 0; the odds of the prompted part are those that nobody doubts; the
-    axis points so that the motion ends at a positive value.
+    What the paper does not know is filled in as follows: standard deviations, intervals, slip, pivot,
+    type margin and turn ratio are 0; the odds of the prompted part are those that
+    nobody doubts; the axis points so that the motion ends at a positive value.
 
     Args:
         demonstration: As our own estimator gets it.
