@@ -23,6 +23,8 @@ UP: Final = np.array([0.0, 0.0, 1.0])
 # the part opens upwards (a lid).
 MIN_LEVEL: Final = 0.5
 MAX_FRONT_CORRECTION_RAD: Final = np.deg2rad(25.0)
+# Fewer surface points do not say where the sides of an object are.
+MIN_BOX_POINTS: Final = 20
 # Kept free at both ends of a handle's bar, so that the pads stay off its posts, [m].
 BAR_MARGIN_M: Final = 0.03
 
@@ -34,7 +36,7 @@ class Frontal:
     Attributes:
         R_world_front: Columns: right of the front, into the object, up (3, 3). An asset's own
             frame is of this kind, as its front looks along -y.
-        opens_left: Seen from the front, a revolute part swings about its left side.
+        opens_left: Seen from the front, the part swings about its left side or slides to the left.
     """
 
     R_world_front: Array
@@ -67,9 +69,11 @@ def opening_direction(joint: Joint, held_point: ArrayLike) -> Array:
 def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
     """Find the front of an object from the way it opens, refined by the box of its points.
 
-    A handle stands off its door, so the first motion of the held point leans a few degrees
-    from the door's normal; the side of the smallest upright box nearest to it is taken
-    instead, when one lies within 25 degrees.
+    A part on an upright hinge starts to move out of its front; a handle stands off its door, so
+    that motion leans a few degrees, and the side of the smallest upright box nearest to it is
+    taken instead, when one lies within 25 degrees. A level hinge (lid, flap) runs along the
+    front. A part that slides moves out of the front or along it: the front is where the held
+    point stands out farthest.
 
     Args:
         joint: Any frame with z up.
@@ -77,24 +81,41 @@ def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
         points: Surface of the object (N, 3), same frame, part closed, [m].
 
     Raises:
-        EstimationError: The part neither opens forward nor swings up about a side.
+        EstimationError: The part neither opens forward or sideways nor swings up about a side.
     """
-    held = np.asarray(held_point, np.float64)
+    held, points = np.asarray(held_point, np.float64), np.asarray(points, np.float64)
     outward = opening_direction(joint, held)
     if np.linalg.norm(outward[:2]) < MIN_LEVEL:
         if joint.type == "prismatic":
             raise EstimationError("joint", "a part that moves straight up has no front", "give another part")
         arm = held - joint.origin
         outward = arm - joint.axis * (arm @ joint.axis)
-    level = np.array([outward[0], outward[1], 0.0])
-    level /= np.linalg.norm(level)
-    front = level
-    if joint.type == "revolute":
-        front = _nearest_box_side(level, np.asarray(points, np.float64))
+    front = np.array([outward[0], outward[1], 0.0])
+    front /= np.linalg.norm(front)
+    if joint.type == "prismatic":
+        front = _standing_out(front, held, points)
+    elif _upright(joint):
+        front = _nearest_box_side(front, points)
     inward = -front
     right = np.asarray(np.cross(inward, UP), np.float64)
-    side = float((joint.origin - held) @ right) if joint.type == "revolute" else 0.0
-    return Frontal(R_world_front=np.stack([right, inward, UP], 1).astype(np.float64), opens_left=side < 0)
+    R = np.stack([right, inward, UP], 1).astype(np.float64)
+    return Frontal(R_world_front=R, opens_left=opens_left(joint, held, right))
+
+
+def opens_left(joint: Joint, held_point: ArrayLike, right: ArrayLike) -> bool:
+    """Whether a part seen from the front swings about its left side, or slides to the left.
+
+    What a mirror leaves as it is (a drawer, a lid, a flap) counts as not.
+
+    Args:
+        joint: Any frame with z up.
+        held_point: (3,), same frame, part closed, [m].
+        right: To the right of the front (3,), unit.
+    """
+    right = np.asarray(right, np.float64)
+    if joint.type == "prismatic":
+        return bool(joint.axis @ right < -MIN_LEVEL)
+    return _upright(joint) and bool((joint.origin - np.asarray(held_point, np.float64)) @ right < 0)
 
 
 def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
@@ -172,9 +193,23 @@ def _mirrored_link(link: AssetLink, M: Array) -> AssetLink:
     return replace(link, meshes=tuple(mesh(item) for item in link.meshes), colliders=colliders)
 
 
+def _upright(joint: Joint) -> bool:
+    return bool(abs(joint.axis @ UP) > MIN_LEVEL)
+
+
+def _standing_out(way: Array, held: Array, points: Array) -> Array:
+    """Of the directions along and across a level way (3,), the one in which `held` is outermost."""
+    if len(points) < MIN_BOX_POINTS:
+        return way
+    across = np.cross(way, UP)
+    sides = [way, across, -across, -way]
+    beyond = [float(held @ side - np.percentile(points @ side, 98)) for side in sides]
+    return np.asarray(sides[int(np.argmax(beyond))], np.float64)
+
+
 def _nearest_box_side(level: Array, points: Array) -> Array:
     """Normal (3,) of the smallest upright box's side nearest to `level`; `level` when none is near."""
-    if len(points) < 20:
+    if len(points) < MIN_BOX_POINTS:
         return level
     coarse = _smallest_box_angle(points, np.deg2rad(np.arange(0.0, 90.0, 1.0)))
     angle = _smallest_box_angle(points, coarse + np.deg2rad(np.arange(-1.0, 1.01, 0.1)))

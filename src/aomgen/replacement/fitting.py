@@ -17,7 +17,7 @@ from aomgen.core.plan import Adaptation, FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
-from aomgen.replacement.correspondence import bar_reach, frontal, held_point_of, mirrored
+from aomgen.replacement.correspondence import bar_reach, held_point_of, mirrored, opens_left
 from aomgen.replacement.recorded import RecordedContact, smooth_rise
 
 
@@ -74,10 +74,9 @@ def fit_asset(
         return Rejection(reason="joint_type", detail=f"asset is {asset.joint.type}, recorded {recorded_type}")
     if mode == "trajectory":
         return _keep_size(asset, contact, params)
-    other_side = frontal(asset.joint, asset.handle_point, np.zeros((0, 3))).opens_left
-    turned = asset.joint.type == "revolute" and other_side != contact.front.opens_left
+    turned = opens_left(asset.joint, asset.handle_point, [1.0, 0.0, 0.0]) != contact.front.opens_left
     if turned and not params.allow_mirror:
-        return Rejection(reason="hinge_side", detail="the hinge is on the other side and mirroring is off")
+        return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
     return _fit_scale(mirrored(asset) if turned else asset, contact, turned, params)
 
 

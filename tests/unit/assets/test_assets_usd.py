@@ -11,6 +11,7 @@ from aomgen.assets.box_cover import box_cover
 from aomgen.assets.canonical import guess_handle
 from aomgen.assets.check import check_asset
 from aomgen.assets.make import make_asset
+from aomgen.assets.usd_parse import parse_usd
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import ArticulatedAsset
@@ -64,6 +65,16 @@ def test_binary_round_trip_of_a_scaled_drawer(tmp_path: Path) -> None:
     asset = make_asset("drawer", 2).transformed(np.diag([0.8, 0.8, 0.8, 1.0]))
     write_usd(asset, tmp_path / "drawer.usdc")
     assert_same(asset, read_usd(tmp_path / "drawer.usdc"))
+
+
+@pytest.mark.parametrize(
+    ("category", "seed"), [("cabinet", 0), ("cupboard", 1), ("laptop", 1), ("oven", 1), ("toolbox", 1)]
+)
+def test_round_trip_keeps_the_heading_of_every_kind(tmp_path: Path, category: str, seed: int) -> None:
+    """A panel that slides sideways still faces -y, although its motion does not point there."""
+    asset = make_asset(category, seed)
+    write_usd(asset, tmp_path / "asset.usda")
+    assert_same(asset, parse_usd(tmp_path / "asset.usda"))
 
 
 def test_centimetres_y_up_and_negative_limits(usd: Path, microwave: ArticulatedAsset, tmp_path: Path) -> None:

@@ -68,6 +68,58 @@ def test_front_of_a_turned_asset_is_found(category: str) -> None:
     assert np.rad2deg(abs(yaw - YAW)) < 2.0
 
 
+# Slides to the right, to the left; a lid, a flap; both parts of a cupboard.
+ODD = [
+    ("cabinet", 2),
+    ("cabinet", 0),
+    ("laptop", 1),
+    ("toolbox", 1),
+    ("oven", 1),
+    ("cupboard", 0),
+    ("cupboard", 1),
+]
+
+
+@pytest.mark.parametrize(("category", "seed"), ODD)
+def test_every_kind_of_object_is_found_again(category: str, seed: int) -> None:
+    asset = make_asset(category, seed)
+    demo, recorded = recording(asset, noise_m=0.001)
+    contact = recorded_contact(demo, recorded)
+    assert np.rad2deg(abs(contact.front.yaw - YAW)) < 2.0
+    result = fit_asset(asset, contact, demo.joint.type, "object", FitParams())
+    assert isinstance(result, FittedAsset)
+    assert not result.mirrored
+    assert abs(result.scale - SCALE) < 0.03
+    assert np.linalg.norm(result.T_world_asset[:3, 3] - PLACE) < 0.02
+    assert result.residual_mm < 6.0
+
+
+def test_a_panel_that_slides_the_other_way_is_mirrored() -> None:
+    right = make_asset("cabinet", 2)
+    demo, recorded = recording(right)
+    contact = recorded_contact(demo, recorded)
+    assert not contact.front.opens_left
+    result = fit_asset(mirrored(right), contact, "prismatic", "object", FitParams())
+    assert isinstance(result, FittedAsset)
+    assert result.mirrored
+    assert result.residual_mm < 3.0
+    strict = FitParams(allow_mirror=False)
+    refused = fit_asset(mirrored(right), contact, "prismatic", "object", strict)
+    assert isinstance(refused, Rejection)
+    assert refused.reason == "hinge_side"
+
+
+@pytest.mark.parametrize(("category", "seed"), [("drawer", 1), ("toolbox", 1), ("laptop", 1), ("oven", 1)])
+def test_what_a_mirror_leaves_as_it_is_is_never_mirrored(category: str, seed: int) -> None:
+    asset = make_asset(category, seed)
+    demo, recorded = recording(asset)
+    result = fit_asset(
+        mirrored(asset), recorded_contact(demo, recorded), demo.joint.type, "object", FitParams()
+    )
+    assert isinstance(result, FittedAsset)
+    assert not result.mirrored
+
+
 def test_object_mode_recovers_a_known_scale_place_and_motion() -> None:
     asset = make_asset("microwave", 1)
     result = fitted(asset, "object", noise_m=0.001)
