@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.benchmarks.motion_upstream import SolidStatistics, Upstream
-from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
+from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.progress import silent
@@ -19,14 +19,14 @@ from aomgen.synthetic.pictures import FAR_M, Painter
 
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:
 # moving 1900-3300, static 5800-10600, robot 17000-20000, everything else about 70000.
-SPACING_M: Final = {MOVING: 0.0062, STATIC: 0.0075, ROBOT: 0.0055}
+SPACING_M: Final = {MOVING: 0.0065, STATIC: 0.0075, ROBOT: 0.0068}
 # Spacing of the background: near the table, and as share of the distance from it.
 NEAR_SPACING_M: Final = 0.012
 FAR_SPACING_SHARE: Final = 0.03
 # Depth steps larger than this share of the depth are outlines, not slopes.
 OUTLINE_SHARE: Final = 0.02
 # Iterations that fit colors and opacities to the scan's pictures.
-LESSONS: Final = 160
+LESSONS: Final = 300
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +135,7 @@ def _thinned(surface: Surface, middle: Array, rng: np.random.Generator) -> Surfa
     return surface.select(order[first])
 
 
-def displaced(surface: Surface, opacities: Array, upstream: Upstream, rng: np.random.Generator) -> Array:
+def displaced(surface: Surface, upstream: Upstream, rng: np.random.Generator) -> Array:
     """Places (N, 3) of the reconstructed surface: off along the normal, in patches."""
     places = surface.points.copy()
     draws = _patchy(surface.points, upstream, rng)
@@ -143,6 +143,9 @@ def displaced(surface: Surface, opacities: Array, upstream: Upstream, rng: np.ra
     for which, statistics in ((thin, upstream.bars), (~thin, upstream.walls)):
         offsets = statistics.offsets_m(draws[which])
         places[which] += offsets[:, None] * surface.normals[which]
+    floats = rng.random(len(places)) < upstream.floaters
+    distances = 1e-3 * upstream.floaters_mm * rng.standard_exponential(int(floats.sum()))
+    places[floats] += distances[:, None] * surface.normals[floats]
     return places
 
 
@@ -183,7 +186,7 @@ def raw_gaussians(surface: Surface, middle: Array, upstream: Upstream, rng: np.r
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     R = np.stack([normals, side, np.cross(normals, side)], -1)
     return gaussians_of(
-        means=displaced(surface, opacities, upstream, rng),
+        means=displaced(surface, upstream, rng),
         quats=quat_from_matrix(R),
         scales=np.minimum(scales, 0.3),
         opacities=opacities,
@@ -205,14 +208,11 @@ def learned(
         grow_window=(2.0, 2.0),
         clear_at=(),
         min_opacity=0.0,
-        rate_means=2e-5,
-        rate_log_scales=1e-2,
-        rate_logit_opacities=4e-2,
+        rate_means=3e-5,
+        rate_log_scales=2e-2,
+        rate_logit_opacities=5e-2,
+        rate_color=3e-2,
         exposure=False,
     )
     return train(gaussians, cameras, images, params, silent, rng)
 
-
-def is_object(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Which (N,) belong to the articulated object."""
-    return np.isin(labels, (STATIC, MOVING)) & (labels != BACKGROUND)

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
@@ -56,24 +57,34 @@ class Upstream:
         rotation_deg: Of scene against world, about each axis; measured size .01-.12, rms .073 in all.
         scale_pct: Of scene against world; measured .01-.12, rms .061.
         shift_mm: Of scene against world at the object, along each axis; measured size .5-2.6, rms 1.6 in all.
-        camera_deg, camera_mm: Of the camera against the scene, each axis; measured .02-.22 deg, .4-2.6 mm.
+        camera_mm: Of the camera against the scene, along each axis; measured size .4-2.6, rms 1.4 in all.
+            The camera turns along, so that the object stays where it is in the picture but for
+        camera_px: this, along each axis (measured size .1-.7, rms .36 in all),
+        roll_deg: and this about its optical axis; measured turns .02-.22, rms .12 in all.
         clock_ms: Of the offset between video and log; measured .03-2.1, rms .98.
         clock_sd_ms: What the alignment states; 1.0 on six runs, 1.4 on one.
         walls, bars: Where and how large Gaussians are, on walls and on handles.
         patch_m, patch_share: Width of patches that are off alike, and their share of the variance:
             neighbors within 6 mm correlate by .3-.5, beyond 25 mm not at all.
-        border_mm: How far the border between the labels moving and static is moved, all along and locally.
-        strip_share: Chance that a strip of the other part along the border is taken along.
-        strip_mm: Width of that strip, uniform.
-        strangers: Share of the object's Gaussians that are labelled background.
-        floaters: Share of a part's solid Gaussians that float further than 10 mm from any surface.
+        floaters: Share of Gaussians that float before the surface; measured 4-5 % of the solid ones of a
+            part further than 10 mm from all of its object.
+        floaters_mm: How far on average.
+        border_mm, border_local_mm: How far the border between the labels moving and static is moved, all
+            along and locally. Measured: 0-24 % of the moving part's solid Gaussians are labelled static
+            (0-8 % of those further than 10 mm from the static part), 1-6 % of the static part's moving.
+        strip_share: Chance that a strip of the other part along half of the border is taken along;
+            measured: 6 % of the solid Gaussians labelled moving are further than 10 mm from the part on
+            drawers, 15-19 % on microwaves.
+        strip_mm: Width of that strip, uniform from 0.
+        strangers: Share of the object's Gaussians that are labelled background; measured 0-8 %.
     """
 
     rotation_deg: float = 0.042
     scale_pct: float = 0.061
     shift_mm: float = 0.95
-    camera_deg: float = 0.067
     camera_mm: float = 0.79
+    camera_px: float = 0.25
+    roll_deg: float = 0.06
     clock_ms: float = 0.98
     clock_sd_ms: float = 1.0
     walls: SolidStatistics = field(
@@ -84,11 +95,13 @@ class Upstream:
     )
     patch_m: float = 0.010
     patch_share: float = 0.5
+    floaters: float = 0.03
+    floaters_mm: float = 12.0
     border_mm: float = 3.0
-    strip_share: float = 0.35
+    border_local_mm: float = 7.0
+    strip_share: float = 0.5
     strip_mm: float = 30.0
     strangers: float = 0.03
-    floaters: float = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,38 +110,49 @@ class Misplacement:
 
     Attributes:
         S_given_world: Similarity (4, 4) from the true scene to the one given.
-        T_camera: Error (4, 4) of the camera in its own frame.
+        camera: As given.
         clock_s: Of the offset, [s].
     """
 
     S_given_world: Array
-    T_camera: Array
+    camera: Camera
     clock_s: float
 
-    def camera_pose(self, T_world_cam: Array) -> Array:
-        """Where the camera is given (4, 4), for its true pose."""
-        moved = self.S_given_world @ T_world_cam
-        moved[:3, :3] /= np.cbrt(np.linalg.det(moved[:3, :3]))
-        return moved @ self.T_camera
 
-
-def draw_misplacement(upstream: Upstream, middle: Array, rng: np.random.Generator) -> Misplacement:
+def draw_misplacement(
+    upstream: Upstream, camera: Camera, middle: Array, rng: np.random.Generator
+) -> Misplacement:
     """Draw errors of scene, camera and clock.
 
     Args:
         upstream: How large they are.
+        camera: The true one.
         middle: The object's place (3,), world frame, [m]; the scene turns about it.
         rng: Draws.
     """
     R = matrix_from_rotvec(np.deg2rad(upstream.rotation_deg) * rng.standard_normal(3))
     scale = 1 + upstream.scale_pct / 100 * rng.standard_normal()
     shift = 1e-3 * upstream.shift_mm * rng.standard_normal(3)
-    R_camera = matrix_from_rotvec(np.deg2rad(upstream.camera_deg) * rng.standard_normal(3))
+    S = similarity(scale, R, middle + shift - scale * R @ middle)
+    moved = _moved(upstream, camera, middle, rng)
+    T_given_cam = S @ moved.T_world_cam
+    T_given_cam[:3, :3] /= scale
     return Misplacement(
-        S_given_world=similarity(scale, R, middle + shift - scale * R @ middle),
-        T_camera=transform(R_camera, 1e-3 * upstream.camera_mm * rng.standard_normal(3)),
+        S_given_world=S,
+        camera=moved.moved(T_given_cam),
         clock_s=1e-3 * upstream.clock_ms * rng.standard_normal(),
     )
+
+
+def _moved(upstream: Upstream, camera: Camera, middle: Array, rng: np.random.Generator) -> Camera:
+    """The camera off its place, turned so that it still has the object in nearly the same place."""
+    center = camera.center + 1e-3 * upstream.camera_mm * rng.standard_normal(3)
+    before, after = middle - camera.center, middle - center
+    turn = np.cross(before, after) / (np.linalg.norm(before) * np.linalg.norm(after))
+    tilt = upstream.camera_px / camera.fx * rng.standard_normal(2)
+    roll = np.deg2rad(upstream.roll_deg) * rng.standard_normal()
+    R = matrix_from_rotvec(turn) @ camera.T_world_cam[:3, :3] @ matrix_from_rotvec(np.array([*tilt, roll]))
+    return camera.moved(transform(R, center))
 
 
 def mislabelled(
@@ -151,7 +175,8 @@ def mislabelled(
     to_static = cKDTree(points[others]).query(points[ours])[0]
     # Positive inside the moving part, negative outside.
     depth = np.concatenate([to_static, -to_moving])
-    border = 1e-3 * upstream.border_mm * (rng.standard_normal() + _waves(points[both], rng))
+    border = 1e-3 * upstream.border_mm * rng.standard_normal()
+    border = border + 1e-3 * upstream.border_local_mm * _waves(points[both], rng)
     if rng.random() < upstream.strip_share:
         border = border + _strip(points[both], upstream, rng)
     result[both] = np.where(depth > border, MOVING, STATIC)

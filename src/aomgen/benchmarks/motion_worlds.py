@@ -84,7 +84,7 @@ def _make(category: str, seed: int, place: Path, upstream: Upstream) -> None:
     film = _film(robot, performance, draw_conditions(rng), rng)
     middle = performance.setting.T_world_object[:3, 3]
     labels = mislabelled(film.surface.points, film.surface.labels, upstream, rng)
-    off = draw_misplacement(upstream, middle, rng)
+    off = draw_misplacement(upstream, film.demo_camera, middle, rng)
     gaussians = raw_gaussians(film.surface, middle, upstream, rng)
     gaussians = learned(gaussians, film.scan_cameras, film.scan_images, rng)
     with staged_folder(place) as staging:
@@ -94,14 +94,15 @@ def _make(category: str, seed: int, place: Path, upstream: Upstream) -> None:
         arrays |= {"labels": labels, "labels_true": film.surface.labels}
         arrays |= {name: getattr(film.log, name) for name in ("times_s", "joints", "gripper")}
         write_bytes(staging / _ARRAYS, npz_bytes(arrays))
-        write_json(staging / "truth" / "truth.json", _answers(performance, film))
+        answers = _answers(performance, film) | {"S_given_world": off.S_given_world}
+        write_json(staging / "truth" / "truth.json", answers)
         write_json(
             staging / _WORLD,
             {
                 "category": category,
                 "seed": seed,
                 "intrinsics": _intrinsics(film.demo_camera),
-                "T_world_cam": off.camera_pose(film.demo_camera.T_world_cam),
+                "T_world_cam": off.camera.T_world_cam,
                 "clock_offset_s": film.clock_offset_s + off.clock_s,
                 "clock_sd_s": 1e-3 * upstream.clock_sd_ms,
             },
