@@ -215,4 +215,3 @@ def learned(
         exposure=False,
     )
     return train(gaussians, cameras, images, params, silent, rng)
-

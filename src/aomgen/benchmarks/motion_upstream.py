@@ -10,7 +10,6 @@ from scipy.special import ndtr
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
-from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
 
@@ -199,8 +198,3 @@ def _waves(points: Array, rng: np.random.Generator) -> Array:
     waves = rng.standard_normal((16, 3)) * (2 * np.pi / rng.uniform(0.05, 0.20, (16, 1)))
     phases = rng.uniform(0, 2 * np.pi, 16)
     return np.sqrt(2 / 16) * np.cos(points @ waves.T + phases).sum(1)
-
-
-def given_scene(gaussians: Gaussians, misplacement: Misplacement) -> Gaussians:
-    """The scene where AOMotion is told that it is."""
-    return gaussians.transformed(misplacement.S_given_world)

@@ -4,21 +4,22 @@ The demonstration is simulated (the object moves by contact alone) and filmed as
 labels, camera and clock are true ones perturbed by `motion_upstream.Upstream`.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.make import make_asset
 from aomgen.benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
-from aomgen.benchmarks.motion_upstream import Upstream, draw_misplacement, given_scene, mislabelled
+from aomgen.benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
 from aomgen.benchmarks.truth import Truth, read_truth
-from aomgen.conventions import MOVING
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
+from aomgen.errors import ConfigError
 from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
@@ -27,15 +28,27 @@ from aomgen.motion.demonstration import Demonstration as MotionInput
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.conditions import Conditions, draw_conditions
-from aomgen.synthetic.film import GRIPPER_NOISE, JOINT_NOISE_RAD, LEAD_S, LOG_RATE_HZ, TAIL_S
+from aomgen.synthetic.film import Film, best_camera, draw_take, filmed
+from aomgen.synthetic.manner import Manner, draw_manner
 from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.pictures import Painter, exposed
 from aomgen.synthetic.setting import build_world
-from aomgen.synthetic.timing import CONTROL_STEP_S
 from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 from aomgen.synthetic.world import DEFAULT_ROBOT
 from aomgen.synthetic.write import moved_range
 
+Kind = Literal["open", "closing", "hook", "push", "nothing", "touch", "locked", "cut", "short"]
+# Kinds of which no joint can be told, and the errors that say why.
+UNSOLVABLE: Final[dict[Kind, tuple[str, ...]]] = {
+    "nothing": ("NoMotionError",),
+    "touch": ("NoMotionError",),
+    "locked": ("NoMotionError", "DemonstrationTooShortError"),
+    "cut": ("NoMotionError",),
+    "short": ("DemonstrationTooShortError", "AmbiguousJointError"),
+}
+# Travel that is too short to tell a joint, [rad] or [m].
+SHORT: Final = {"revolute": float(np.deg2rad(5.0)), "prismatic": 0.01}
+MAX_MANNERS: Final = 6
 CAMERA: Final = "front"
 SCAN_VIEWS: Final = 30
 _WORLD, _VIDEO, _ARRAYS = "world.json", "demo.mp4", "arrays.npz"
@@ -57,56 +70,54 @@ class MotionWorld:
     truth: Truth
 
 
-def motion_world(category: str, seed: int, folder: Path, upstream: Upstream | None = None) -> MotionWorld:
+def motion_world(category: str, seed: int, folder: Path, kind: Kind = "open") -> MotionWorld:
     """Load a world, made first when it is not there.
 
     Args:
-        category: One of `assets.make.MAKERS`.
+        category: One that `assets.make.make_asset` knows.
         seed: Chooses everything else.
-        folder: Where worlds are kept; this one in "<category>-<seed>".
-        upstream: Errors of scene, labels, camera and clock.
+        folder: Where worlds are kept; this one in "<category>-<seed>", or "<category>-<seed>-<kind>".
+        kind: What is demonstrated.
 
     Raises:
         ConfigError: Unknown category, or no setting of this seed can be reached.
         BackendError: No OpenGL driver works.
         StorageError: The disk refuses.
     """
-    place = folder / f"{category}-{seed}"
+    place = folder / (f"{category}-{seed}" + ("" if kind == "open" else f"-{kind}"))
     if not (place / _WORLD).is_file():
-        _make(category, seed, place, upstream or Upstream())
+        _make(category, seed, kind, place)
     return load_motion_world(place)
 
 
-def _make(category: str, seed: int, place: Path, upstream: Upstream) -> None:
-    rng = np.random.default_rng([seed, *category.encode(), 2])
+def _make(category: str, seed: int, kind: Kind, place: Path) -> None:
+    rng, upstream = np.random.default_rng([seed, *category.encode(), *kind.encode()]), Upstream()
     robot = load_robot(DEFAULT_ROBOT)
-    performance = perform(robot, make_asset(category, seed), rng)
-    film = _film(robot, performance, draw_conditions(rng), rng)
+    performance = performed(robot, category, seed, kind, rng)
+    recorded = _recorded(robot, performance, draw_conditions(rng), rng)
+    film, surface = recorded.film, recorded.surface
     middle = performance.setting.T_world_object[:3, 3]
-    labels = mislabelled(film.surface.points, film.surface.labels, upstream, rng)
-    off = draw_misplacement(upstream, film.demo_camera, middle, rng)
-    gaussians = raw_gaussians(film.surface, middle, upstream, rng)
-    gaussians = learned(gaussians, film.scan_cameras, film.scan_images, rng)
+    off = draw_misplacement(upstream, film.camera, middle, rng)
+    labels = mislabelled(surface.points, surface.labels, upstream, rng)
+    gaussians = raw_gaussians(surface, middle, upstream, rng)
+    gaussians = learned(gaussians, recorded.scan_cameras, recorded.scan_images, rng)
+    scene = gaussians.transformed(off.S_given_world)
+    arrays: dict[str, NDArray] = {name: getattr(scene, name) for name in _GAUSSIANS} | {"labels": labels}
+    arrays |= {name: getattr(film.take.log, name) for name in ("times_s", "joints", "gripper")}
+    truth: dict[str, NDArray] = {"labels": surface.labels, "film_labels": np.stack(film.labels)}
+    answers = _answers(performance, film) | {"S_given_world": off.S_given_world}
+    world = {
+        "intrinsics": _intrinsics(film.camera),
+        "T_world_cam": off.camera.T_world_cam,
+        "clock_offset_s": film.take.clock_offset_s + off.clock_s,
+        "clock_sd_s": 1e-3 * upstream.clock_sd_ms,
+    }
     with staged_folder(place) as staging:
-        write_bytes(staging / _VIDEO, encode_video(film.frames, film.fps, crf=17))
-        scene = given_scene(gaussians, off)
-        arrays: dict[str, NDArray] = {name: getattr(scene, name) for name in _GAUSSIANS}
-        arrays |= {"labels": labels, "labels_true": film.surface.labels}
-        arrays |= {name: getattr(film.log, name) for name in ("times_s", "joints", "gripper")}
+        write_bytes(staging / _VIDEO, encode_video(film.frames, recorded.fps, crf=17))
         write_bytes(staging / _ARRAYS, npz_bytes(arrays))
-        answers = _answers(performance, film) | {"S_given_world": off.S_given_world}
+        write_bytes(staging / "truth" / _ARRAYS, npz_bytes(truth))
         write_json(staging / "truth" / "truth.json", answers)
-        write_json(
-            staging / _WORLD,
-            {
-                "category": category,
-                "seed": seed,
-                "intrinsics": _intrinsics(film.demo_camera),
-                "T_world_cam": off.camera.T_world_cam,
-                "clock_offset_s": film.clock_offset_s + off.clock_s,
-                "clock_sd_s": 1e-3 * upstream.clock_sd_ms,
-            },
-        )
+        write_json(staging / _WORLD, world)
 
 
 def load_motion_world(place: Path) -> MotionWorld:
@@ -143,100 +154,93 @@ def load_motion_world(place: Path) -> MotionWorld:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Film:
+class _Recorded:
     """Everything recorded of one performance, exact but for the sensors' noise."""
 
-    demo_camera: Camera
-    frames: list[NDArray[np.uint8]]
-    steps: NDArray[np.int64]
+    film: Film
     fps: int
-    log: JointLog
-    clock_offset_s: float
     scan_cameras: list[Camera]
     scan_images: list[NDArray[np.uint8]]
     surface: Surface
 
 
-def _film(
+def _recorded(
     robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
-) -> _Film:
+) -> _Recorded:
     demonstration, setting = performance.demonstration, performance.setting
-    start = rng.uniform(*LEAD_S)
-    end = demonstration.times_s[-1] - rng.uniform(*TAIL_S)
-    frame_times = start + np.arange(int((end - start) * conditions.fps)) / conditions.fps
-    steps = np.round(frame_times / CONTROL_STEP_S).astype(np.int64)
-    clock_shift = rng.uniform(0.0, 2.0)
+    take = draw_take(robot, performance, conditions, rng)
     walk = scan_cameras(setting, conditions, rng)
     walk = [walk[k] for k in np.linspace(0, len(walk) - 1, SCAN_VIEWS).astype(int)]
     world = build_world(robot, setting, visual=True)
     with Painter(robot, world, *conditions.size) as painter:
-        camera = _best_camera(painter, demo_candidates(setting, conditions, rng), demonstration.qpos[steps])
+        camera = best_camera(painter, demo_candidates(setting, conditions, rng), demonstration, take)
         middle = setting.T_world_object[:3, 3]
         surface, images = seen_surface(painter, walk, demonstration.qpos[0], middle, rng)
-        images = [exposed(image, 1.0, conditions.noise, rng) for image in images]
-        frames = [
-            exposed(painter.draw(camera, demonstration.qpos[step]), 1.0, conditions.noise, rng)
-            for step in steps
-        ]
-    return _Film(
-        demo_camera=camera,
-        frames=frames,
-        steps=steps,
+        frames, labels = filmed(painter, camera, demonstration, take, conditions, rng)
+    return _Recorded(
+        film=Film(take=take, camera=camera, frames=frames, labels=labels),
         fps=conditions.fps,
-        log=_log(robot, performance, clock_shift, rng),
-        clock_offset_s=float(start + clock_shift),
         scan_cameras=walk,
-        scan_images=images,
+        scan_images=[exposed(image, 1.0, conditions.noise, rng) for image in images],
         surface=surface,
     )
 
 
-def _log(
-    robot: RobotModel, performance: Performance, clock_shift: float, rng: np.random.Generator
-) -> JointLog:
-    demonstration = performance.demonstration
-    every = round(1.0 / (LOG_RATE_HZ * CONTROL_STEP_S))
-    joints, gripper = demonstration.joints[::every], demonstration.gripper[::every]
-    return JointLog(
-        times_s=demonstration.times_s[::every] + clock_shift,
-        joints=joints + JOINT_NOISE_RAD * rng.standard_normal(joints.shape),
-        gripper=np.clip(gripper + GRIPPER_NOISE * rng.standard_normal(len(gripper)), 0.0, 1.0),
-        joint_names=robot.joint_names,
-    )
+def performed(
+    robot: RobotModel, category: str, seed: int, kind: Kind, rng: np.random.Generator
+) -> Performance:
+    """A demonstration of a kind; manners are drawn until one can be done.
+
+    Raises:
+        ConfigError: None of MAX_MANNERS can.
+    """
+    asset = make_asset(category, seed)
+    for _ in range(MAX_MANNERS - 1):
+        try:
+            return perform(robot, asset, rng, manner_of(kind, asset, rng))
+        except ConfigError:
+            continue
+    return perform(robot, asset, rng, manner_of(kind, asset, rng))
 
 
-def _best_camera(painter: Painter, candidates: list[Camera], qpos: NDArray[np.float64]) -> Camera:
-    """The candidate that sees most of the moving part, at its worst moment of three."""
-    moments = qpos[np.linspace(0, len(qpos) - 1, 3).astype(int)]
-    seen = [
-        min(int((painter.labels(camera, moment) == MOVING).sum()) for moment in moments)
-        for camera in candidates
-    ]
-    return candidates[int(np.argmax(seen))]
+def manner_of(kind: Kind, asset: ArticulatedAsset, rng: np.random.Generator) -> Manner:
+    """A random manner of a kind."""
+    if kind == "short":
+        manner = draw_manner(asset, rng)
+        return replace(manner, travel=SHORT[asset.joint.type], pause_s=0.0, slip_m=0.0, grip=1.0)
+    if kind == "closing":
+        return draw_manner(asset, rng, direction="closing")
+    if kind in ("hook", "push"):
+        return draw_manner(asset, rng, touch=kind, direction="closing" if kind == "push" else "opening")
+    if kind == "open":
+        return draw_manner(asset, rng)
+    return draw_manner(asset, rng, outcome=kind)
 
 
-def _answers(performance: Performance, film: _Film) -> dict[str, Any]:
+def _answers(performance: Performance, film: Film) -> dict[str, Any]:
     """Content of truth.json, as `synthetic.write` gives it for captures."""
-    joint, demonstration = performance.setting.joint_world, performance.demonstration
-    theta = demonstration.theta[film.steps]
+    joint, demonstration, steps = performance.joint, performance.demonstration, film.take.steps
+    theta = performance.theta[steps]
     start, end = moved_range(theta, joint)
     contacts = [
         [
             {"finger": touch.finger, "point": touch.point, "normal": touch.normal, "force": touch.force}
             for touch in demonstration.contacts[step]
         ]
-        for step in film.steps
+        for step in steps
     ]
     return {
         "scan": {},
-        "demo_cameras": {CAMERA: film.demo_camera.T_world_cam},
+        "demo_cameras": {CAMERA: film.camera.T_world_cam},
         "joint": {"type": joint.type, "axis": joint.axis, "origin": joint.origin, "lower": joint.lower, "upper": joint.upper},
+        "direction": performance.manner.direction,
+        "manner": asdict(performance.manner),
         "theta": {CAMERA: theta},
         "start_frame": start,
         "end_frame": end,
-        "clock_offset_s": film.clock_offset_s,
-        "qpos": demonstration.joints[film.steps],
-        "gripper": demonstration.gripper[film.steps],
+        "clock_offset_s": film.take.clock_offset_s,
+        "qpos": demonstration.joints[steps],
+        "gripper": demonstration.gripper[steps],
         "contacts": contacts,
         "T_world_object": performance.setting.T_world_object,
     }  # fmt: skip
