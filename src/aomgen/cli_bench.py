@@ -115,16 +115,26 @@ def bench_splatting(
 
 
 def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
-    from aomgen.benchmarks.motion_accuracy import FIRST_SEED, run_motion
-    from aomgen.benchmarks.motion_table import motion_table, summaries_of, told
+    from aomgen.benchmarks.motion_accuracy import FIRST_SEED, cases, run_motion
+    from aomgen.benchmarks.motion_table import (
+        fractions_of,
+        motion_table,
+        summaries_of,
+        told,
+        unsolvable_of,
+    )
+    from aomgen.benchmarks.table import as_table
+    from aomgen.io.atomic import write_json
 
-    outcomes = run_motion(count, out, lambda outcome: print(told(outcome), flush=True), seed or FIRST_SEED)
+    wanted = cases(count, FIRST_SEED if seed is None else seed)
+    outcomes = run_motion(wanted, out, lambda outcome: print(told(outcome), flush=True))
     summaries = summaries_of(outcomes)
-    print(f"\n{motion_table(summaries)}")
+    unsolvable, fractions = unsolvable_of(outcomes), fractions_of(outcomes)
+    print(f"\n{motion_table(summaries)}\n\n{as_table(unsolvable)}\n\n{as_table(fractions)}")
     if json_file:
-        from aomgen.io.atomic import write_json
-
-        write_json(json_file, {"summaries": summaries, "worlds": [outcome.row() for outcome in outcomes]})
+        rows = [outcome.row() for outcome in outcomes]
+        figures = {"summaries": summaries, "unsolvable": unsolvable, "fractions": fractions, "worlds": rows}
+        write_json(json_file, figures)
 
 
 def _show(figures: dict, json_file: Path | None) -> None:

@@ -1,8 +1,8 @@
-"""`aomgen bench accuracy --synthetic-motion N`: AOMotion on cheap worlds, the paper's method beside it."""
+"""`aomgen bench accuracy --synthetic-motion N`: AOMotion on cheap worlds that nobody looked at."""
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,15 +11,30 @@ import numpy as np
 
 from aomgen.assets.make import MAKERS
 from aomgen.benchmarks.accuracy import score_motion
-from aomgen.benchmarks.motion_worlds import CAMERA, MotionWorld, motion_world
+from aomgen.benchmarks.motion_worlds import CAMERA, UNSOLVABLE, Kind, MotionWorld, motion_world
 from aomgen.core.motion import MotionEstimate
 from aomgen.errors import EstimationError
+from aomgen.io.jsonfile import read_json
 from aomgen.motion.estimate import estimate_motion
 from aomgen.pipeline.estimates import motion_estimates
 
 # Seeds below are for looking at while working on the methods; a score wants unseen ones.
 FIRST_SEED: Final = 2000
 NORMAL_95: Final = 1.96
+# Unsolvable cases, and worlds beyond the usual pinch that opens, beside every solvable world.
+UNSOLVABLE_SHARE: Final = 0.4
+BEYOND_SHARE: Final = 0.2
+BEYOND: Final[tuple[Kind, ...]] = ("closing", "hook", "push")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """Which world: its category, seed and kind, and the group it is counted in."""
+
+    category: str
+    seed: int
+    kind: Kind
+    group: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,9 +42,9 @@ class Outcome:
     """One world and what a method made of it.
 
     Attributes:
-        world, category: Which.
+        case: Which world.
         joint_type: The true one.
-        method: "ours" or "paper".
+        method: "ours", or a variant of the paper's.
         refusal: Name of the error, empty when there is an answer.
         reason: Its sentence.
         figures: By dotted name; empty when refused.
@@ -37,8 +52,7 @@ class Outcome:
         seconds: Processor time of the estimate.
     """
 
-    world: str
-    category: str
+    case: Case
     joint_type: str
     method: str
     refusal: str
@@ -52,6 +66,11 @@ class Outcome:
         """Whether there is no answer, or one with the wrong type of joint."""
         return bool(self.refusal) or not self.figures["joint.type_ok"]
 
+    @property
+    def rightly_refused(self) -> bool:
+        """Whether an unsolvable world was refused with an error that says why."""
+        return self.refusal in UNSOLVABLE.get(self.case.kind, ())
+
     def error(self, name: str) -> float:
         """A figure; infinite where the method failed."""
         value = self.figures.get(name)
@@ -60,7 +79,10 @@ class Outcome:
     def row(self) -> dict[str, Any]:
         """For tables and JSON."""
         return {
-            "world": self.world,
+            "world": self.case.category,
+            "seed": self.case.seed,
+            "kind": self.case.kind,
+            "group": self.case.group,
             "method": self.method,
             "cpu_s": self.seconds,
             "moving_share": self.moving_share,
@@ -69,31 +91,50 @@ class Outcome:
         } | self.figures
 
 
-def run_motion(
-    count: int, out: Path | None, tell: Callable[[Outcome], None], first_seed: int = FIRST_SEED
-) -> list[Outcome]:
+def cases(count: int, first_seed: int) -> list[Case]:
+    """So many worlds of the five categories, then unsolvable ones, then some beyond; categories take turns."""
+    categories = sorted(MAKERS)
+    groups: tuple[tuple[str, int, Sequence[Kind]], ...] = (
+        ("solvable", count, ("open",)),
+        ("unsolvable", round(UNSOLVABLE_SHARE * count), tuple(UNSOLVABLE)),
+        ("beyond", round(BEYOND_SHARE * count), BEYOND),
+    )
+    result = []
+    for group, number, kinds in groups:
+        for k in range(number):
+            # Kinds shift against categories, so that few cases hold many pairs.
+            kind = kinds[(k + k // len(categories)) % len(kinds)]
+            category = categories[k % len(categories)]
+            result.append(
+                Case(category=category, seed=first_seed + k // len(categories), kind=kind, group=group)
+            )
+    return result
+
+
+def run_motion(wanted: Sequence[Case], out: Path | None, tell: Callable[[Outcome], None]) -> list[Outcome]:
     """Make worlds, recover their motion, score it.
 
     Args:
-        count: How many; categories take turns.
+        wanted: Which worlds.
         out: Keeps the worlds, which are made but once; temporary when None.
         tell: Gets every outcome as soon as it is known.
-        first_seed: Seed of the first world of each category, the others follow.
     """
-    categories = sorted(MAKERS)
     outcomes = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = (out or Path(scratch)).resolve()
-        for number in range(count):
-            category, seed = categories[number % len(categories)], first_seed + number // len(categories)
-            outcomes.append(judged(motion_world(category, seed, folder), category))
-            tell(outcomes[-1])
+        for case in wanted:
+            world = motion_world(case.category, case.seed, folder, case.kind)
+            for outcome in judged(world, case):
+                outcomes.append(outcome)
+                tell(outcome)
     return outcomes
 
 
-def judged(world: MotionWorld, category: str) -> Outcome:
-    """Recover the motion of a world and score it."""
-    truth, times = world.truth, world.demonstration.video.times_s
+def judged(world: MotionWorld, case: Case) -> Iterator[Outcome]:
+    """Recover the motion of a world and score it, once for every method."""
+    truth, frames = world.truth, len(world.demonstration.video.times_s)
+    solvable = case.kind not in UNSOLVABLE
+    share = (truth.end_frame - truth.start_frame + 1) / frames if solvable else 0.0
     began = time.process_time()
     refusal, reason, figures = "", "", {}
     try:
@@ -102,19 +143,25 @@ def judged(world: MotionWorld, category: str) -> Outcome:
         estimate, refusal, reason = None, type(error).__name__, str(error)
     seconds = time.process_time() - began
     if estimate is not None:
-        figures = score_motion(motion_estimates(estimate), truth, times, CAMERA)
-        figures |= intervals(estimate, world, figures)
-    return Outcome(
-        world=world.name,
-        category=category,
+        figures = scored(estimate, world) if solvable else {"joint.type_ok": False}
+    yield Outcome(
+        case=case,
         joint_type=truth.joint.type,
         method="ours",
         refusal=refusal,
         reason=reason,
         figures=figures,
-        moving_share=(truth.end_frame - truth.start_frame + 1) / len(times),
+        moving_share=share,
         seconds=seconds,
     )
+
+
+def scored(estimate: MotionEstimate, world: MotionWorld) -> dict[str, Any]:
+    """Figures of an answer, with its intervals and whether it tells opening from closing."""
+    times = world.demonstration.video.times_s
+    figures = score_motion(motion_estimates(estimate), world.truth, times, CAMERA)
+    direction = read_json(world.truth.folder / "truth.json")["direction"]
+    return figures | intervals(estimate, world, figures) | {"direction_ok": estimate.direction == direction}
 
 
 def intervals(estimate: MotionEstimate, world: MotionWorld, figures: dict[str, Any]) -> dict[str, Any]:

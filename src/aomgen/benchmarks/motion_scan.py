@@ -20,13 +20,15 @@ from aomgen.synthetic.pictures import FAR_M, Painter
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:
 # moving 1900-3300, static 5800-10600, robot 17000-20000, everything else about 70000.
 SPACING_M: Final = {MOVING: 0.0065, STATIC: 0.0075, ROBOT: 0.0068}
+# On bars a training puts more: 40-80 solid ones on a handle.
+BAR_SPACING_M: Final = 0.004
 # Spacing of the background: near the table, and as share of the distance from it.
 NEAR_SPACING_M: Final = 0.012
 FAR_SPACING_SHARE: Final = 0.03
 # Depth steps larger than this share of the depth are outlines, not slopes.
 OUTLINE_SHARE: Final = 0.02
 # Iterations that fit colors and opacities to the scan's pictures.
-LESSONS: Final = 300
+LESSONS: Final = 220
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +84,8 @@ def seen_surface(
         colors_srgb=np.concatenate([piece.colors_srgb for piece in pieces]),
         labels=np.concatenate([piece.labels for piece in pieces]),
     )
-    return _thinned(joined, middle, rng), images
+    dense = _thinned(joined, joined.labels == MOVING, middle, rng)
+    return _thinned(dense, _on_bars(dense), middle, rng), images
 
 
 def _unprojected(
@@ -122,11 +125,12 @@ def spacings(points: Array, labels: NDArray[np.uint8], middle: Array) -> Array:
     return result
 
 
-def _thinned(surface: Surface, middle: Array, rng: np.random.Generator) -> Surface:
+def _thinned(surface: Surface, bars: NDArray[np.bool_], middle: Array, rng: np.random.Generator) -> Surface:
     """One point of every cell; cells are cubes as wide as the spacing, rounded to steps of 20 %."""
     order = rng.permutation(len(surface.points))
     points, labels = surface.points[order], surface.labels[order]
-    steps = np.round(np.log(spacings(points, labels, middle)) / np.log(1.2))
+    wanted = np.where(bars[order], BAR_SPACING_M, spacings(points, labels, middle))
+    steps = np.round(np.log(wanted) / np.log(1.2))
     cells = np.floor((points - middle) / (1.2**steps)[:, None]).astype(np.int64)
     # One number a cell: 2^17 cells along each axis, 2^8 steps and labels.
     kinds = 4 * (steps - steps.min()).astype(np.int64) + labels
@@ -203,7 +207,7 @@ def learned(
     """
     params = TrainingParams(
         iterations=LESSONS,
-        downsampling=((0.0, 2), (0.6, 1)),
+        downsampling=((0.0, 2), (0.8, 1)),
         max_gaussians=len(gaussians),
         grow_window=(2.0, 2.0),
         clear_at=(),

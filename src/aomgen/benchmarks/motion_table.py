@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -13,6 +14,18 @@ from aomgen.benchmarks.table import as_table
 SHARES: Final = (0.05, 0.80)
 # A stated interval may be this many times as wide as the median error.
 WIDEST: Final = 3.0
+# Bounds between which moving shares are grouped, and what an error of start or end may be, [s].
+FRACTIONS: Final = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 1.0)
+SOON_S: Final = 0.2
+COUNTS: Final = (
+    "worlds",
+    "refusals",
+    "wrong_type",
+    "failures",
+    "wrong_direction",
+    "cpu_s_median",
+    "cpu_s_worst",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,23 +62,67 @@ def percentile(values: Sequence[float], share: float) -> float | None:
 
 
 def summaries_of(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
-    """`summary` of everything, then of each category."""
-    groups = {"all": list(outcomes)}
-    for outcome in outcomes:
-        groups.setdefault(outcome.category, []).append(outcome)
+    """`summary` of ours on all solvable worlds, of other methods, of ours by category, and beyond by kind."""
+    groups: dict[str, list[Outcome]] = {"all": []}
+    for outcome in sorted(
+        outcomes, key=lambda outcome: (outcome.case.group == "beyond", outcome.method != "ours")
+    ):
+        case = outcome.case
+        if case.group == "beyond" and outcome.method == "ours":
+            groups.setdefault(f"({case.kind})", []).append(outcome)
+        elif case.group == "solvable" and outcome.method == "ours":
+            groups["all"].append(outcome)
+            groups.setdefault(case.category, []).append(outcome)
+        elif case.group == "solvable":
+            groups.setdefault(outcome.method, []).append(outcome)
     return {group: summary(members) for group, members in groups.items()}
+
+
+def unsolvable_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """One row a kind of unsolvable world, then all: how many were refused, and for the right reason."""
+    asked = [o for o in outcomes if o.case.group == "unsolvable" and o.method == "ours"]
+    kinds = sorted({outcome.case.kind for outcome in asked})
+    groups = {kind: [o for o in asked if o.case.kind == kind] for kind in kinds} | {"all": asked}
+    return [
+        {
+            "unsolvable": kind,
+            "worlds": len(members),
+            "rightly_refused": sum(outcome.rightly_refused for outcome in members),
+            "refused_otherwise": sum(
+                bool(outcome.refusal) and not outcome.rightly_refused for outcome in members
+            ),
+            "answered": sum(not outcome.refusal for outcome in members),
+            "share": sum(outcome.rightly_refused for outcome in members) / len(members) if members else None,
+        }
+        for kind, members in groups.items()
+    ]
+
+
+def fractions_of(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Errors of start and end against the share of the film in which the part moves."""
+    asked = [o for o in outcomes if o.case.group == "solvable" and o.method == "ours"]
+    rows = []
+    for low, high in pairwise(FRACTIONS):
+        members = [outcome for outcome in asked if low <= outcome.moving_share < high]
+        row: dict[str, Any] = {"moving_share": f"{low:g}-{high:g}", "worlds": len(members)}
+        for name in ("start", "end"):
+            errors = [outcome.error(f"keyframes.{name}_error_s") for outcome in members]
+            row[f"{name}_median_s"], row[f"{name}_worst_s"] = percentile(errors, 0.5), percentile(errors, 1.0)
+            row[f"{name}_within"] = sum(error <= SOON_S for error in errors)
+        rows.append(row)
+    return rows
 
 
 def told(outcome: Outcome) -> str:
     """One line of progress."""
+    case = outcome.case
+    name = f"{case.category}-{case.seed} {case.kind} {outcome.method} {outcome.seconds:.1f} s"
     if outcome.refusal:
-        return f"{outcome.world}  {outcome.seconds:.1f} s  {outcome.refusal}: {outcome.reason}"
-    shown = {name: outcome.figures[name] for name in ("joint.type_ok", *BARS) if name in outcome.figures}
-    cells = [
-        f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
-        for name, value in shown.items()
-    ]
-    return f"{outcome.world}  {outcome.seconds:.1f} s  " + "  ".join(cells)
+        return f"{name}  {outcome.refusal}: {outcome.reason}"
+    shown = {key: outcome.figures[key] for key in ("joint.type_ok", *BARS) if key in outcome.figures}
+    return f"{name}  " + "  ".join(
+        f"{key} {value:.3g}" if isinstance(value, float) else f"{key} {value}" for key, value in shown.items()
+    )
 
 
 def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -75,6 +132,7 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "refusals": sum(bool(outcome.refusal) for outcome in outcomes),
         "wrong_type": sum(outcome.failed and not outcome.refusal for outcome in outcomes),
         "failures": sum(outcome.failed for outcome in outcomes),
+        "wrong_direction": sum(outcome.figures.get("direction_ok") is False for outcome in outcomes),
         "cpu_s_median": percentile([outcome.seconds for outcome in outcomes], 0.5),
         "cpu_s_worst": percentile([outcome.seconds for outcome in outcomes], 1.0),
     }
@@ -123,7 +181,7 @@ def motion_table(summaries: dict[str, dict[str, Any]]) -> str:
         wanted = " / ".join("-" if limit is None else f"{limit:g}" for limit in (bar.median, bar.p90))
         cells = {group: _pair(figures[name]) for group, figures in summaries.items()}
         rows.append({"figure": name, "wanted": wanted} | cells)
-    for name in ("worlds", "refusals", "wrong_type", "failures", "cpu_s_median", "cpu_s_worst"):
+    for name in COUNTS:
         cells = {group: figures[name] for group, figures in summaries.items()}
         rows.append({"figure": name, "wanted": "<= 60" if name == "cpu_s_worst" else "-"} | cells)
     for name in ("axis", "origin", "theta_deg", "theta_mm"):

@@ -96,8 +96,8 @@ class Upstream:
     patch_share: float = 0.5
     floaters: float = 0.03
     floaters_mm: float = 12.0
-    border_mm: float = 3.0
-    border_local_mm: float = 7.0
+    border_mm: float = 8.0
+    border_local_mm: float = 12.0
     strip_share: float = 0.5
     strip_mm: float = 30.0
     strangers: float = 0.03

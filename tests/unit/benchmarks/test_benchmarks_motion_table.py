@@ -1,11 +1,22 @@
 import numpy as np
 import pytest
 
-from aomgen.benchmarks.motion_accuracy import Outcome
-from aomgen.benchmarks.motion_table import motion_table, percentile, summaries_of, summary, told
+from aomgen.benchmarks.motion_accuracy import Case, Outcome, cases
+from aomgen.benchmarks.motion_table import (
+    fractions_of,
+    motion_table,
+    percentile,
+    summaries_of,
+    summary,
+    told,
+    unsolvable_of,
+)
+from aomgen.benchmarks.motion_worlds import UNSOLVABLE, Kind
 
 
-def outcome(number: int, *, refusal: str = "", type_ok: bool = True, axis: float = 0.5) -> Outcome:
+def outcome(
+    number: int, *, refusal: str = "", type_ok: bool = True, axis: float = 0.5, kind: Kind = "open"
+) -> Outcome:
     figures = {
         "joint.type_ok": type_ok,
         "joint.axis_deg": axis,
@@ -18,8 +29,12 @@ def outcome(number: int, *, refusal: str = "", type_ok: bool = True, axis: float
         "inside.axis": float(axis <= 1.0),
     }
     return Outcome(
-        world=f"microwave-{number}",
-        category="microwave",
+        case=Case(
+            category="microwave",
+            seed=number,
+            kind=kind,
+            group="unsolvable" if kind in UNSOLVABLE else "solvable",
+        ),
         joint_type="revolute",
         method="ours",
         refusal=refusal,
@@ -62,3 +77,34 @@ def test_a_figure_that_a_joint_type_lacks_is_not_a_failure():
 
 def test_progress_names_the_refusal():
     assert told(outcome(2, refusal="NoMotionError")).endswith("NoMotionError: the part does not move")
+
+
+def test_unsolvable_worlds_count_as_right_only_with_the_error_that_says_why():
+    outcomes = [
+        outcome(0, kind="nothing", refusal="NoMotionError"),
+        outcome(1, kind="nothing", refusal="AmbiguousJointError"),
+        outcome(2, kind="short", refusal="DemonstrationTooShortError"),
+        outcome(3, kind="short"),
+    ]
+    rows = {row["unsolvable"]: row for row in unsolvable_of(outcomes)}
+    assert (rows["nothing"]["rightly_refused"], rows["nothing"]["refused_otherwise"]) == (1, 1)
+    assert (rows["short"]["answered"], rows["all"]["share"]) == (1, 0.5)
+    assert summaries_of(outcomes)["all"]["worlds"] == 0
+
+
+def test_start_errors_are_grouped_by_moving_share():
+    rows = {
+        row["moving_share"]: row for row in fractions_of([outcome(0), outcome(1, refusal="NoMotionError")])
+    }
+    assert (rows["0.4-0.6"]["worlds"], rows["0.4-0.6"]["start_within"]) == (2, 1)
+    assert rows["0.4-0.6"]["start_worst_s"] is None
+
+
+def test_fifty_cases_are_ten_seeds_of_five_categories_with_twenty_unsolvable():
+    found = cases(50, 2000)
+    solvable = [case for case in found if case.group == "solvable"]
+    assert len({(case.category, case.seed) for case in solvable}) == 50
+    assert {case.seed for case in solvable} == set(range(2000, 2010))
+    unsolvable = [case for case in found if case.group == "unsolvable"]
+    assert len(unsolvable) == 20
+    assert len({(case.category, case.kind) for case in unsolvable}) == 20
