@@ -180,7 +180,8 @@ def raw_gaussians(surface: Surface, middle: Array, upstream: Upstream, rng: np.r
     count = len(surface.points)
     statistics: SolidStatistics = upstream.walls
     opacities = statistics.opacities(rng.random(count))
-    widths = spacings(surface.points, surface.labels, middle) / SPACING_M[MOVING]
+    wanted = spacings(surface.points, surface.labels, middle)
+    widths = np.where(_on_bars(surface), BAR_SPACING_M, wanted) / SPACING_M[MOVING]
     spread = np.exp(rng.normal(0, statistics.size_log_sd, (count, 1)) + rng.normal(0, 0.4, (count, 3)))
     scales = np.array(statistics.scales_m) * spread * widths[:, None]
     tilt = rng.normal(0, statistics.tilt_rad, (count, 3))

@@ -65,8 +65,8 @@ class Upstream:
         walls, bars: Where and how large Gaussians are, on walls and on handles.
         patch_m, patch_share: Width of patches that are off alike, and their share of the variance:
             neighbors within 6 mm correlate by .3-.5, beyond 25 mm not at all.
-        floaters: Share of Gaussians that float before the surface; measured 4-5 % of the solid ones of a
-            part further than 10 mm from all of its object.
+        floaters: Share of Gaussians that float before the surface; most of them fade while colors are
+            learned. Measured: 4-5 % of the solid ones of a part are further than 10 mm from all of its object.
         floaters_mm: How far on average.
         border_mm, border_local_mm: How far the border between the labels moving and static is moved, all
             along and locally. Measured: 0-24 % of the moving part's solid Gaussians are labelled static
@@ -94,8 +94,8 @@ class Upstream:
     )
     patch_m: float = 0.010
     patch_share: float = 0.5
-    floaters: float = 0.03
-    floaters_mm: float = 12.0
+    floaters: float = 0.08
+    floaters_mm: float = 15.0
     border_mm: float = 8.0
     border_local_mm: float = 12.0
     strip_share: float = 0.5
