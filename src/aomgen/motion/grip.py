@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
+from aomgen.motion.bar import swept_bar
 from aomgen.physics.robot_parts import FingerPad
 
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
@@ -18,6 +19,8 @@ SOFT_M = 1e-4
 # What is between the pads may look thinner than their opening by this much on each side, [m].
 _THINNER_M = 0.01
 _GRID = 23
+# A bar is followed this far beside the pads, [m].
+_BESIDE_M = 0.05
 # Places with less than this share of the most matter hold strays of the surface behind.
 _INSIDE = 0.3
 # Of what is between the pads, this much is in front of its surface by chance, [%].
@@ -73,12 +76,12 @@ def held_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array)
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
         openings = face.openings(face.grid, other)
-        between = face.between(points_ee, other)
-        if not (len(between) and openings.min() > 0):
+        matter = face.matter(points_ee, other)
+        if not (len(matter) and openings.min() > 0):
             return ()
-        covered = face.covered(between)
+        covered = face.covered(matter)
         inside = covered > _INSIDE
-        if not (inside.any() and openings[inside].min() <= _thickness(face, between) + 2 * _THINNER_M):
+        if not (openings[inside].min() <= _thickness(matter) + 2 * _THINNER_M):
             return ()
         patches.append(_pressed(face, openings, covered, inside, points_ee))
     return tuple(patches)
@@ -127,26 +130,26 @@ class _Face:
         on_face = points_ee - heights[:, None] * self.normal
         return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
 
-    def between(self, points_ee: Array, other: "_Face") -> Array:
-        """The points (N, 3) that lie between both faces, or beside them by the surface's error."""
+    def matter(self, points_ee: Array, other: "_Face") -> Array:
+        """What of points (N, 3) is between both faces (K, 3), in this one's frame; a bar without gaps."""
         local = apply(self.T_face_ee, points_ee)
         margin = 2 * SURFACE_SD_M
-        beside = np.all(np.abs(local[:, :2]) < self.half + margin, axis=1)
-        inside = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
-        return points_ee[beside & inside]
+        between = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
+        near = local[between & np.all(np.abs(local[:, :2]) < self.half + _BESIDE_M, axis=1)]
+        bar = swept_bar(near, self.half, margin)
+        matter = near if bar is None else bar
+        return matter[np.all(np.abs(matter[:, :2]) < self.half + margin, axis=1)]
 
-    def covered(self, between: Array) -> Array:
-        """How much of the near side of points (N, 3) is in front of the grid (G,), as a share of the most, 0..1."""
-        local = apply(self.T_face_ee, between)
-        behind = np.maximum(local[:, 2] - np.percentile(local[:, 2], _NEAR_PERCENT), 0)
-        sides2 = ((self.plane(self.grid)[:, None] - local[None, :, :2]) ** 2).sum(-1)
+    def covered(self, matter: Array) -> Array:
+        """How much of the near side of matter (K, 3) is in front of the grid (G,), as a share of the most, 0..1."""
+        behind = np.maximum(matter[:, 2] - np.percentile(matter[:, 2], _NEAR_PERCENT), 0)
+        sides2 = ((self.plane(self.grid)[:, None] - matter[None, :, :2]) ** 2).sum(-1)
         density = np.exp(-0.5 * (sides2 + behind**2) / SURFACE_SD_M**2).sum(1)
-        return density / density.max()
+        return density / max(float(density.max()), 1e-12)
 
 
-def _thickness(face: _Face, between: Array) -> float:
-    heights = apply(face.T_face_ee, between)[:, 2]
-    low, high = np.percentile(heights, [5, 95])
+def _thickness(matter: Array) -> float:
+    low, high = np.percentile(matter[:, 2], [5, 95])
     return float(high - low)
 
 

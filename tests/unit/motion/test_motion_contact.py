@@ -72,6 +72,27 @@ def test_a_leaning_bar_is_pressed_where_the_pads_come_nearest(robot: RobotModel)
     assert middle[2] > 0.003
 
 
+def test_a_bar_of_few_points_is_followed_across_the_pads(robot: RobotModel) -> None:
+    """Fifteen points on 10 cm of a leaning bar, and those between the pads taken away, still tell its line."""
+    log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
+    sparse = bar(0.1, 0.003, 0.0, lean=-np.radians(20))[::120]
+    sparse = sparse[np.abs(sparse[:, 0]) > 0.005]
+    middle = middle_ee(robot, find_contacts(robot, log, apply(T_world_ee, sparse), resting(robot, log)))
+    assert middle[0] < -0.003
+    assert abs(middle[2] + np.tan(np.radians(20)) * middle[0]) < 0.005
+
+
+def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
+    """The edge of a lid that fills the pads: the touch lies in the middle of their width."""
+    log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
+    u, v, w = (grid.ravel() for grid in np.meshgrid(
+        np.linspace(-0.1, 0.1, 81), [-0.006, 0.006], np.linspace(-0.008, 0.1, 44)
+    ))  # fmt: skip
+    contacts = find_contacts(robot, log, apply(T_world_ee, np.stack([u, v, w], 1)), resting(robot, log))
+    assert middle_ee(robot, contacts)[:2] == pytest.approx([0, 0], abs=0.002)
+    assert middle_ee(robot, contacts)[2] > 0.005
+
+
 def test_strays_behind_the_bar_draw_nothing(robot: RobotModel) -> None:
     T_world_ee = robot.ee_poses(JOINTS[None])[0]
     log = still_log(robot, 0.857)
