@@ -1,6 +1,8 @@
 """AOMotion: from one demonstration to when, where and how the part moved."""
 
-from aomgen.core.motion import MotionEstimate
+from collections.abc import Callable
+
+from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.errors import InputError
 from aomgen.motion.answer import assemble
@@ -11,10 +13,23 @@ from aomgen.motion.recovery import recover
 from aomgen.physics.robot_masks import robot_masks
 
 
+def _unheard(curve: MotionCurve) -> None:
+    """Nobody wants the curve before the answer."""
+
+
 def estimate_motion(
-    demonstration: Demonstration, params: MotionParams | None = None, progress: Progress = silent
+    demonstration: Demonstration,
+    params: MotionParams | None = None,
+    progress: Progress = silent,
+    on_curve: Callable[[MotionCurve], None] = _unheard,
 ) -> MotionEstimate:
     """Recover the part's motion.
+
+    Args:
+        demonstration: Film, log and scan.
+        params: Of the submodules.
+        progress: Hears how far it is.
+        on_curve: Hears the motion score as soon as it is known, before anything that it shows is refused.
 
     Raises:
         WrongPromptError: The hand moved something else than the prompted part.
@@ -33,6 +48,8 @@ def estimate_motion(
         progress(0.0, "keyframes")
         view = KeyframeView.of(demo, masks_at, params)
     seen, interval = view.interval(params.keyframes)
+    curve = view.curve(seen, interval)
+    on_curve(curve)
     signs = view.signs(demo, interval, params.keyframes)
     moved = view.moved_part(demo, params.keyframes)
     if moved.gripped or signs.log_odds > 0:
@@ -41,4 +58,4 @@ def estimate_motion(
     progress(0.85, "joint")
     recovery = recover(demo, view, (interval.start.time_s, interval.end.time_s), params)
     progress(0.95, "joint values")
-    return assemble(demo, view.curve(seen, interval), recovery, moved.odds)
+    return assemble(demo, curve, recovery, moved.odds)

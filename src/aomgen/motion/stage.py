@@ -7,7 +7,7 @@ from typing import Any
 from aomgen.core.joint import Joint
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, part, silent
-from aomgen.errors import CorruptArtifactError
+from aomgen.errors import CorruptArtifactError, EstimationError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.demonstration import Demonstration
@@ -19,14 +19,48 @@ from aomgen.motion.params import MotionParams
 FILE_NAME = "motion.json"
 
 
+def save_curve(path: Path, curve: MotionCurve) -> None:
+    """Keep the motion score of a demonstration that was refused."""
+    write_json(path, asdict(curve))
+
+
+def load_curve(path: Path) -> MotionCurve:
+    """Read back what `save_curve` wrote.
+
+    Raises:
+        MissingFileError, MalformedFileError: The file is missing or not JSON.
+        CorruptArtifactError: It is JSON of something else.
+    """
+    content: Any = read_json(path)
+    try:
+        return MotionCurve(**content)
+    except (TypeError, ValueError) as error:
+        raise CorruptArtifactError(path, f"is not a motion score ({error})", "run the stage again") from error
+
+
 def run_motion(
     demonstration: Demonstration,
     folder: Path,
     progress: Progress = silent,
     params: MotionParams | None = None,
+    refused: Path | None = None,
 ) -> MotionEstimate:
-    """Estimate the motion and write it to `folder`; see `estimate_motion` for what it raises."""
-    estimate = estimate_motion(demonstration, params, progress)
+    """Estimate the motion and write it to `folder`; see `estimate_motion` for what it raises.
+
+    Args:
+        demonstration: Film, log and scan.
+        folder: Where the answer is written.
+        progress: Hears how far it is.
+        params: Of the submodules.
+        refused: File that keeps the motion score when the answer is refused.
+    """
+    curves: list[MotionCurve] = []
+    try:
+        estimate = estimate_motion(demonstration, params, progress, curves.append)
+    except EstimationError:
+        if refused is not None and curves:
+            save_curve(refused, curves[-1])
+        raise
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")
     return estimate

@@ -1,5 +1,6 @@
 """`estimates.json`: everything a run estimated about the recording, so that anybody can score it."""
 
+from pathlib import Path
 from typing import Any, Final
 
 from aomgen.core.camera import Camera
@@ -19,6 +20,15 @@ NO_MOTION: Final[dict[str, Any]] = {
     "theta": None,
     "contacts": [],
 }
+
+# The motion score of a demonstration that was refused, and the page about it.
+REFUSED_MOTION, REFUSED_FILE = "refused_motion.json", "refused.html"
+
+
+def forget_refusal(out: Path) -> None:
+    """Take away what an earlier run of a folder left that was refused."""
+    for name in (REFUSED_MOTION, REFUSED_FILE):
+        (out / name).unlink(missing_ok=True)
 
 
 def estimates_of(

@@ -26,7 +26,7 @@ from aomgen.motion.moved_part import doubts
 from aomgen.motion.stage import load_motion, run_motion, run_paper_motion
 from aomgen.physics.robot import RobotModel, chosen_robot
 from aomgen.physics.robot_store import save_robot
-from aomgen.pipeline.estimates import estimates_of
+from aomgen.pipeline.estimates import REFUSED_MOTION, estimates_of
 from aomgen.pipeline.films import demo_film, scan_films, with_looks
 from aomgen.pipeline.part_masks import part_masks
 from aomgen.pipeline.stage import WARNINGS, Run
@@ -154,7 +154,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """When, where and how the part moved; writes `estimates.json`.
 
-    A refused motion is written there as refused before the error goes on.
+    A refused motion is written there as refused before the error goes on, and its score stays beside it.
     """
     capture = capture_of(run)
     structure = load_structure(run.folders["structure"])
@@ -196,7 +196,7 @@ def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstim
         capture = capture_of(run)
         masks = part_masks(capture, capture.cameras[0], demonstration)
         return run_paper_motion(demonstration, masks, folder, progress)
-    return run_motion(demonstration, folder, progress)
+    return run_motion(demonstration, folder, progress, refused=run.out / REFUSED_MOTION)
 
 
 def motion_input(run: Run) -> MotionInput:
