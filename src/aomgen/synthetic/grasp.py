@@ -3,20 +3,28 @@
 from dataclasses import dataclass, replace
 from typing import Final
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.assets.check import outward_normal
-from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
-from aomgen.synthetic.manner import Manner
+from aomgen.synthetic.manner import Direction, Manner, Touch
 
 # A push beside the bar begins this far before it touches, [m].
 PUSH_SLACK_M: Final = 0.008
 # A hooking or pushing bar lies this far behind the finger tips, [m]: half a finger pad.
 BAR_BEHIND_TIP_M: Final = 0.010
+# A hooking finger stays this far off the front, [m].
+HOOK_ROOM_M: Final = 0.002
+# Cosine beyond which a push goes against the front, and not along it.
+PUSH_LIMIT: Final = 0.5
+_CORNERS: Final = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
+# Share of a lid's turn by which the hand begins flatter: an arm looks down easily, hardly up.
+NOD_SHARE: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,15 +91,149 @@ def usual(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Manner, St
     return replace(manner, follow=rng.uniform(0.6, 1.0)), style
 
 
-def pinch(robot: RobotModel, asset: ArticulatedAsset, style: Style) -> Hold:
-    """The hand approaches the front from a little above; its fingers close across the bar."""
-    approach = -front_normal(asset)
+def pinch(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Manner) -> Hold:
+    """The hand approaches the front from a little above; its fingers close across the bar.
+
+    A lid turns the hand further down as it opens, so that the hand begins by as much flatter.
+    """
+    approach = -outward_normal(asset)
     along = asset.handle_axis * (-1.0 if style.flip else 1.0)
     R = np.stack([along, np.cross(approach, along), approach], 1)
     # The hand comes from above: turn about the horizontal axis of the front, right of approach.
     sideways = np.cross(approach, [0.0, 0.0, 1.0])
-    R = matrix_from_rotvec(-style.tilt_rad * sideways) @ R @ hand_axes(robot).T
+    tilt = style.tilt_rad
+    if asset.joint.type == "revolute":
+        tilt += (
+            NOD_SHARE * manner.follow * max(manner.start, manner.goal) * float(asset.joint.axis @ sideways)
+        )
+    R = matrix_from_rotvec(-tilt * sideways) @ R @ hand_axes(robot).T
     return Hold(T_asset_ee=transform(R, asset.handle_point), slack=np.zeros(3), gripper=(0.0, 1.0))
+
+
+def possible_touches(asset: ArticulatedAsset, direction: Direction) -> tuple[Touch, ...]:
+    """In which ways a hand can move a part: what opens against the hand is hooked, the rest pushed."""
+    facing = _facing(asset, direction)
+    bare = asset.handle_bar is None or handle_foot(asset) is None
+    if facing > PUSH_LIMIT:
+        return ("pinch",) if bare else ("pinch", "hook")
+    return ("pinch",) if bare and facing >= -PUSH_LIMIT else ("pinch", "push")
+
+
+def take_hold(
+    robot: RobotModel, model: mujoco.MjModel, asset: ArticulatedAsset, style: Style, manner: Manner
+) -> Hold | None:
+    """Where the hand touches the part in a manner; None where that style leaves no room.
+
+    Args:
+        model: Any compiled model that holds the robot.
+        manner: Of a touch that is possible.
+    """
+    if manner.touch == "pinch":
+        return pinch(robot, asset, style, manner)
+    tips = closed_tips(robot, model)
+    if manner.touch == "hook":
+        return hook(robot, asset, style, tips)
+    if _facing(asset, manner.direction) < -PUSH_LIMIT:
+        return push_front(robot, asset, style, tips)
+    return push_bar(robot, asset, style, manner, tips)
+
+
+def hook(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) -> Hold | None:
+    """Closed fingers reach behind the bar from its side, their width across, and pull it.
+
+    None where the bar leaves no room.
+    """
+    normal, along = outward_normal(asset), asset.handle_axis
+    bar, foot = asset.handle_bar, handle_foot(asset)
+    if bar is None or foot is None:
+        return None
+    slant = style.side * style.slant_rad
+    approach = matrix_from_rotvec(slant * along) @ -normal
+    closing = along * (-1.0 if style.flip else 1.0)
+    width = np.cross(closing, approach)
+    # The side of the fingers that looks away from the front pulls.
+    pulling = width * np.sign(width @ normal)
+    half = (tips[1, 0] - tips[0, 0]) / 2
+    behind = _support(bar, pulling) + half
+    point = asset.handle_point - behind * pulling - (tips[1, 2] - BAR_BEHIND_TIP_M) * approach
+    # Deepest corner of the fingers, and how far it stays off the front.
+    corner = point + tips[1, 2] * approach - half * pulling
+    room = float((corner - foot) @ normal)
+    if room < HOOK_ROOM_M:
+        return None
+    R = np.stack([width, closing, approach], 1) @ hand_axes(robot).T
+    return Hold(T_asset_ee=transform(R, point), slack=-min(room / 2, 0.004) * normal, gripper=(1.0, 1.0))
+
+
+def push_bar(
+    robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Manner, tips: Array
+) -> Hold | None:
+    """Closed fingers beside the bar push it along the front."""
+    bar = asset.handle_bar
+    if bar is None:
+        return None
+    approach = -outward_normal(asset)
+    along = manner.sign * _first_motion(asset)
+    along = along - (along @ approach) * approach
+    along = along / np.linalg.norm(along)
+    closing = along * (-1.0 if style.flip else 1.0)
+    half = (tips[1, 1] - tips[0, 1]) / 2
+    point = asset.handle_point - (_support(bar, along) + half) * along
+    point = point - (tips[1, 2] - BAR_BEHIND_TIP_M) * approach
+    R = np.stack([np.cross(closing, approach), closing, approach], 1) @ hand_axes(robot).T
+    return Hold(T_asset_ee=transform(R, point), slack=-PUSH_SLACK_M * along, gripper=(1.0, 1.0))
+
+
+def push_front(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) -> Hold | None:
+    """Closed finger tips push on the front, beside the bar.
+
+    None where the front ends there, or the push is nearer to the hinge than half the handle is.
+    """
+    foot = handle_foot(asset)
+    if foot is None:
+        return None
+    normal, along = outward_normal(asset), asset.handle_axis
+    across = np.cross(normal, along)
+    point = foot + style.side * style.beside_m * across
+    if not _on_part(asset, point - 0.002 * normal, 0.012 * across):
+        return None
+    if asset.joint.type == "revolute":
+        arms = [np.linalg.norm(np.cross(asset.joint.axis, p - asset.joint.origin)) for p in (point, foot)]
+        if arms[0] < 0.5 * arms[1]:
+            return None
+    closing = along * (-1.0 if style.flip else 1.0)
+    R = np.stack([np.cross(closing, -normal), closing, -normal], 1) @ hand_axes(robot).T
+    place = point + tips[1, 2] * normal
+    return Hold(T_asset_ee=transform(R, place), slack=PUSH_SLACK_M * normal, gripper=(1.0, 1.0))
+
+
+def closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
+    """Low and high corner (2, 3) of the closed finger tips: width, closing, approach from the end effector, [m].
+
+    Of the bodies that carry the pads and their neighbors, what lies beyond the end effector.
+    """
+    data = mujoco.MjData(model)
+    middle = np.clip(robot.joint_limits, -np.pi, np.pi).mean(1)
+    rest = robot.qpos(middle, 1.0)[0]
+    data.qpos[: len(rest)] = rest
+    mujoco.mj_kinematics(model, data)
+    site = model.site(robot.ee_site).id
+    axes = data.site_xmat[site].reshape(3, 3) @ hand_axes(robot)
+    hand = {model.body(name).id for name in robot.hand_bodies}
+    found = []
+    for geom in range(model.ngeom):
+        if int(model.geom_bodyid[geom]) in hand and model.geom_contype[geom] | model.geom_conaffinity[geom]:
+            middle_geom, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+            corners = middle_geom + _CORNERS * half
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+                mesh = int(model.geom_dataid[geom])
+                first = int(model.mesh_vertadr[mesh])
+                corners = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
+            world = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+            found.append((world - data.site_xpos[site]) @ axes)
+    points = np.concatenate(found)
+    tips = points[points[:, 2] > points[:, 2].max() - 2 * BAR_BEHIND_TIP_M]
+    return np.array([tips.min(0), tips.max(0)])
 
 
 def hold_poses(asset: ArticulatedAsset, hold: Hold, manner: Manner, progress: ArrayLike) -> Array:
@@ -119,20 +261,6 @@ def hand_axes(robot: RobotModel) -> Array:
     return np.array([width, robot.closing_ee, robot.approach_ee], np.float64).T
 
 
-def front_normal(asset: ArticulatedAsset) -> Array:
-    """Unit normal (3,) of the front that the handle stands off from, asset frame.
-
-    It is not always the way of the first motion: a lid is held from its front and lifted. A handle
-    without a part behind it is taken along its first motion.
-    """
-    foot = handle_foot(asset)
-    if foot is None:
-        return outward_normal(asset)
-    away = asset.handle_point - foot
-    away = away - (away @ asset.handle_axis) * asset.handle_axis
-    return np.asarray(away / np.linalg.norm(away), np.float64)
-
-
 def handle_foot(asset: ArticulatedAsset) -> Array | None:
     """The nearest point (3,) of the part behind its handle; None where handle and part are one."""
     feet = []
@@ -145,3 +273,32 @@ def handle_foot(asset: ArticulatedAsset) -> Array | None:
     distances = np.linalg.norm(np.array(feet) - asset.handle_point, axis=1)
     nearest = int(np.argmin(distances))
     return feet[nearest] if distances[nearest] > 1e-3 else None
+
+
+def _first_motion(asset: ArticulatedAsset) -> Array:
+    """Direction (3,) in which the handle leaves when the value grows, asset frame at joint value 0."""
+    joint = asset.joint
+    if joint.type == "prismatic":
+        return joint.axis
+    motion = np.cross(joint.axis, asset.handle_point - joint.origin)
+    return motion / np.linalg.norm(motion)
+
+
+def _facing(asset: ArticulatedAsset, direction: Direction) -> float:
+    """Cosine between the handle's first way and the front's normal: 1 opens against the hand."""
+    return float(outward_normal(asset) @ _first_motion(asset)) * (1.0 if direction == "opening" else -1.0)
+
+
+def _support(bar: BoxCollider, direction: ArrayLike) -> float:
+    """How far a bar reaches from its middle along a unit direction (3,), [m]."""
+    return float(np.abs(bar.T_asset_box[:3, :3].T @ np.asarray(direction, np.float64)) @ bar.half_extents)
+
+
+def _on_part(asset: ArticulatedAsset, point: ArrayLike, margin: ArrayLike) -> bool:
+    """Whether a point (3,) and both neighbors at a margin (3,) lie inside one box of the part."""
+    point, margin = np.asarray(point, np.float64), np.asarray(margin, np.float64)
+    for box in asset.moving.colliders:
+        local = apply(invert(box.T_asset_box), np.array([point - margin, point, point + margin]))
+        if not box.name.startswith("handle") and (np.abs(local) <= box.half_extents + 1e-4).all():
+            return True
+    return False

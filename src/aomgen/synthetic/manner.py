@@ -104,9 +104,12 @@ def draw_manner(
     joint = asset.joint
     low, high = TRAVEL[joint.type]
     travel = float(rng.uniform(low, max(low, min(high, RANGE_SHARE * joint.upper))))
+    if outcome == "nothing":
+        # In the air the hand stays nearer to the robot, where the arm cannot swing as far.
+        travel = max(low, 0.6 * travel)
     start = 0.0
     if direction == "closing":
-        start = float(min(travel + rng.uniform(0.0, 0.3) * travel, RANGE_SHARE * joint.upper))
+        start = float(min(travel + rng.uniform(0.0, 0.2) * travel, RANGE_SHARE * joint.upper))
     pause_s = float(rng.uniform(0.3, MAX_PAUSE_S)) if rng.random() < 0.4 else 0.0
     if moving_share is None:
         moving_share = float(rng.uniform(*MOVING_SHARE))
@@ -124,6 +127,8 @@ def draw_manner(
         needed = (moving_share * (pause_s + least - CUT_S) - pause_s) / max(seen - moving_share, 0.02)
         motion_s = float(np.clip(needed, motion_s, slow))
     before = rest_s * rng.uniform(0.3, 0.8)
+    if outcome == "cut":
+        before = max(before, film_s - LEAST_BEFORE_S)
     slides = rng.random() < 0.6
     return Manner(
         travel=travel,
@@ -139,7 +144,7 @@ def draw_manner(
         pause_s=pause_s,
         pause_at=float(rng.uniform(0.3, 0.7)),
         before_s=float(LEAST_BEFORE_S + before),
-        after_s=float(LEAST_AFTER_S + rest_s - before),
+        after_s=float(LEAST_AFTER_S + max(rest_s - before, 0.0)),
     )
 
 

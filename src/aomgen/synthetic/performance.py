@@ -10,12 +10,19 @@ from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.demonstration import Demonstration, simulate
-from aomgen.synthetic.manner import Manner
+from aomgen.synthetic.grasp import possible_touches
+from aomgen.synthetic.manner import MOVED, Manner
 from aomgen.synthetic.planning import plan
 from aomgen.synthetic.setting import Setting, build_world, draw_setting
 from aomgen.synthetic.timing import Script
 
 MAX_TRIES = 80
+# Damping that holds a locked part, [N m s/rad] or [N s/m].
+LOCKED_DAMPING = 1e6
+# A part that is pushed may coast beyond the end of the push, up to this many times its travel.
+COAST = 1.3
+# Force that counts as a touch, [N].
+FELT_N = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,14 +61,19 @@ def perform(
         manner: How it is done; a random pinch that opens the object when None.
 
     Raises:
-        ConfigError: None of MAX_TRIES does.
+        ConfigError: None of MAX_TRIES does, or the object cannot be touched in this manner.
     """
+    if manner is not None and manner.touch not in (known := possible_touches(asset, manner.direction)):
+        what = f"cannot be moved by a {manner.touch} when {manner.direction}"
+        raise ConfigError(asset.name, what, f"choose {' or '.join(known)}")
     for _ in range(MAX_TRIES):
         setting = draw_setting(asset, rng)
         world = build_world(robot, setting, visual=False)
         planned = plan(robot, world, setting, rng, manner)
         if planned is None:
             continue
+        if planned[0].outcome == "locked":
+            world.model.dof_damping[world.model.joint(world.names.joint).dofadr[0]] = LOCKED_DAMPING
         shown = simulate(robot, world, planned[1])
         performance = Performance(setting=setting, manner=planned[0], script=planned[1], demonstration=shown)
         if not shown.diverged and not shown.foreign and _succeeded(performance):
@@ -70,6 +82,16 @@ def perform(
 
 
 def _succeeded(performance: Performance) -> bool:
-    """Whether at least 90 % of the travel is reached, and kept within 10 % after release."""
-    theta, travel = performance.theta, performance.manner.travel
-    return bool(theta.max() >= 0.9 * travel and abs(theta[-1] - travel) <= 0.1 * travel)
+    """Whether what the manner says has come of it.
+
+    A part that moves reaches at least 90 % of its travel and stays within 10 % after release; one
+    that is not gripped may coast on.
+    """
+    theta, manner = performance.theta, performance.manner
+    travel = manner.travel
+    if manner.outcome in ("moves", "cut"):
+        goal = travel if manner.touch == "pinch" else float(np.clip(theta.max(), travel, COAST * travel))
+        return bool(theta.max() >= 0.9 * travel and abs(theta[-1] - goal) <= 0.1 * travel)
+    pressed = any(touch.force > FELT_N for touches in performance.demonstration.contacts for touch in touches)
+    still = np.abs(theta).max() < MOVED[performance.joint.type] / 2
+    return bool(still and pressed == (manner.outcome != "nothing"))

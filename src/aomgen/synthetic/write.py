@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 CAMERA = "front"
 PROMPT_IMAGES = 2
+VERBS = {"opening": "open", "closing": "close"}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}
 
 
@@ -83,6 +84,7 @@ def _answers(recording: Recording) -> dict[str, Any]:
         "demo_cameras": {CAMERA: recording.film.camera.T_world_cam},
         "intrinsics": {"scan": _intrinsics(recording.scan_cameras[0]), CAMERA: _intrinsics(recording.film.camera)},
         "joint": {"type": joint.type, "axis": joint.axis, "origin": joint.origin, "lower": joint.lower, "upper": joint.upper},
+        "direction": performance.manner.direction,
         "theta": {CAMERA: theta},
         "start_frame": start,
         "end_frame": end,
@@ -90,18 +92,20 @@ def _answers(recording: Recording) -> dict[str, Any]:
         "contacts": contacts,
         "contacts_rule": "contacts of the hand with the moving part; normal from the hand into the part, force its component [N]",
         "clock_offset_s": recording.film.take.clock_offset_s,
-        "object": {"asset": "asset.npz", "T_world_object": setting.T_world_object, "scale": 1.0},
+        "object": {"asset": "asset.npz", "T_world_object": setting.T_world_object, "scale": 1.0, "value": performance.manner.start},
         "qpos": demonstration.joints[steps],
         "gripper": demonstration.gripper[steps],
         "Ts_world_moving": Ts_world_moving,
     }  # fmt: skip
 
 
-def moved_range(theta: Array, joint: Joint) -> tuple[int, int]:
-    """First frame that has left the first value and last frame away from the last one."""
+def moved_range(theta: Array, joint: Joint) -> tuple[int | None, int | None]:
+    """First frame that has left the first value and last frame away from the last one; None if none has."""
     limit = MOVED[joint.type]
     away_from_start = np.flatnonzero(np.abs(theta - theta[0]) > limit)
     away_from_end = np.flatnonzero(np.abs(theta - theta[-1]) > limit)
+    if not (len(away_from_start) and len(away_from_end)):
+        return None, None
     return int(away_from_start[0]), int(away_from_end[-1])
 
 
@@ -118,7 +122,7 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
         "format = 1",
         f'name = "{recording.name}"',
         f'category = "{recording.category}"',
-        f'instruction = "open the {recording.category}"',
+        f'instruction = "{VERBS[recording.performance.manner.direction]} the {recording.category}"',
         "",
         "[robot]",
         robot,
