@@ -10,10 +10,11 @@ from aomgen.assets.make import make_asset
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import invert, rotvec_from_matrix
 from aomgen.core.values import Array
+from aomgen.errors import ConfigError
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.film import draw_take, film, filmed
-from aomgen.synthetic.manner import Manner, draw_manner, progress
+from aomgen.synthetic.manner import Direction, Manner, Outcome, Touch, draw_manner, progress
 from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.pictures import Painter
 from aomgen.synthetic.timing import CONTROL_STEP_S
@@ -124,3 +125,78 @@ def test_scene_at_rest_is_painted_once(robot: RobotModel) -> None:
     assert len(resting) >= 12
     assert painter.painted <= len(frames) - len(resting) + 1
     assert not np.array_equal(frames[3], frames[4])
+
+
+def assert_honest(performance: Performance) -> None:
+    """The part moves only while something touches it (or coasts after), and the arm hits nothing else."""
+    shown = performance.demonstration
+    touched = np.array([len(touches) > 0 for touches in shown.contacts])
+    first = int(np.argmax(touched)) if touched.any() else len(touched)
+    assert np.abs(performance.theta[:first]).max() < 0.01 * performance.manner.travel
+    assert not shown.foreign
+
+
+@pytest.mark.parametrize(
+    ("category", "touch", "direction"),
+    [
+        ("drawer", "hook", "opening"),
+        ("drawer", "push", "closing"),
+        ("drawer", "pinch", "closing"),
+        ("cabinet", "push", "opening"),
+    ],
+)
+def test_hand_moves_the_part_in_every_manner(
+    robot: RobotModel, category: str, touch: Touch, direction: Direction
+) -> None:
+    start = 0.15 if direction == "closing" else 0.0
+    manner = Manner(travel=0.12, touch=touch, direction=direction, start=start, motion_s=1.5)
+    shown = perform(robot, make_asset(category, 1), np.random.default_rng(1), manner)
+    assert_honest(shown)
+    assert shown.theta[-1] == pytest.approx(0.12, abs=0.03)
+    begin = round(shown.script.motion_s[0] / CONTROL_STEP_S)
+    sides = {c.finger for touches in shown.demonstration.contacts[begin + 300 : begin + 600] for c in touches}
+    assert sides
+    # Only a pinch presses from both sides of the bar.
+    normals = np.array([c.normal for c in shown.demonstration.contacts[begin + 400] if c.force > 1.0])
+    if len(normals):
+        opposed = (normals @ normals.T).min() < -0.5
+        assert opposed == (touch == "pinch")
+
+
+def test_closing_is_told_from_the_scanned_state_in_the_demonstrated_direction(robot: RobotModel) -> None:
+    manner = Manner(travel=0.12, direction="closing", start=0.15, motion_s=1.0)
+    shown = perform(robot, make_asset("drawer", 1), np.random.default_rng(1), manner)
+    joint, opening = shown.joint, shown.setting.joint_world
+    assert joint.axis == pytest.approx(-opening.axis)
+    assert (joint.lower, joint.upper) == pytest.approx((0.15 - opening.upper, 0.15))
+    assert shown.theta[0] == pytest.approx(0.0, abs=1e-4)
+    T_scanned = opening.motion(0.15) @ shown.setting.T_world_object
+    T_world_part = opening.motion(shown.demonstration.theta) @ shown.setting.T_world_object
+    assert joint.motion(shown.theta) @ T_scanned == pytest.approx(T_world_part, abs=1e-9)
+
+
+@pytest.mark.parametrize("outcome", ["nothing", "touch", "locked"])
+def test_part_stays_where_nothing_can_be_learned(robot: RobotModel, outcome: Outcome) -> None:
+    manner = Manner(travel=0.1, outcome=outcome, motion_s=1.0)
+    shown = perform(robot, make_asset("drawer", 1), np.random.default_rng(1), manner)
+    assert np.abs(shown.theta).max() < 0.001
+    assert moved_range(shown.theta, shown.joint) == (None, None)
+    forces = [c.force for touches in shown.demonstration.contacts for c in touches]
+    if outcome == "nothing":
+        assert not forces
+    else:
+        assert max(forces) > 5.0
+
+
+def test_cut_film_ends_before_the_motion_and_the_log_goes_on(robot: RobotModel) -> None:
+    manner = Manner(travel=0.1, outcome="cut", motion_s=1.0)
+    shown = perform(robot, make_asset("drawer", 1), np.random.default_rng(1), manner)
+    take = draw_take(robot, shown, SHORT, np.random.default_rng(2))
+    assert take.steps[-1] * CONTROL_STEP_S < shown.script.motion_s[0]
+    assert moved_range(shown.theta[take.steps], shown.joint) == (None, None)
+    assert take.log.times_s[-1] - take.log.times_s[0] == pytest.approx(shown.script.times_s[-1], abs=0.02)
+
+
+def test_impossible_touch_is_refused_at_once(robot: RobotModel) -> None:
+    with pytest.raises(ConfigError, match=r"drawer-1.*push when opening.*pinch or hook"):
+        perform(robot, make_asset("drawer", 1), np.random.default_rng(1), Manner(travel=0.1, touch="push"))
