@@ -1,0 +1,214 @@
+"""Joint and joint values refined so that the moved part, drawn from its Gaussians, matches the film.
+
+The hand's path gives a first answer and a prior. The film is compared inside the part's painted
+surface only: its outline in the scan is no better than a label's edge, and the cavity behind it and
+its own inside were never seen. An answer counts only if frames that were not fitted agree.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.joint import Joint
+from aomgen.core.values import Array, freeze
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.film_fit import Band, compared
+from aomgen.motion.film_problem import FilmProblem
+from aomgen.motion.hand_answer import HandAnswer
+from aomgen.motion.part_film import part_film
+from aomgen.physics.robot_masks import MasksAt
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotometricParams:
+    """How the film is compared.
+
+    Attributes:
+        knots: Frames that are fitted, spread evenly over the joint's values; as many are held out.
+        max_pixels: Size of the crop around the part, [px^2].
+        dilate_px: Margin around the robot, [px].
+        bands: Image detail, coarse to fine.
+        rounds: Gauss-Newton steps in each band.
+        slip_share: Standard deviation of a steady slip, as share of the value.
+        accept_sd: Held-out evidence has to improve by this many of its standard errors.
+        min_explained: Share of the film's detail that the painted part has to explain: with less, its
+            light has changed more than its place.
+        camera_sd_rad, camera_sd_m: Error of a settled camera's pose, which turns and moves the joint
+            with it, each component.
+    """
+
+    knots: int = 10
+    max_pixels: int = 30000
+    dilate_px: int = 3
+    bands: tuple[Band, ...] = (
+        Band(blur_px=3.0, wide_px=6.0, margin_px=2),
+        Band(blur_px=1.5, wide_px=5.0, margin_px=2),
+        Band(blur_px=0.7, wide_px=4.0, margin_px=2),
+    )
+    rounds: int = 3
+    slip_share: float = 0.03
+    accept_sd: float = 2.0
+    min_explained: float = 0.5
+    camera_sd_rad: float = 0.001
+    camera_sd_m: float = 0.001
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """How the frames that were not fitted judge.
+
+    Attributes:
+        cost_before, cost_after: Mean robust cost, 0..1.
+        improvement_sd: Improvement over its standard error.
+        explained: Median share of the film's detail that the refined answer explains, 1 at best.
+    """
+
+    cost_before: float
+    cost_after: float
+    improvement_sd: float
+    explained: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refinement:
+    """The answer after the film was asked.
+
+    Attributes:
+        joint: Refined, or the hand's if not accepted.
+        thetas: Values at the video's frames (T,), [rad] or [m].
+        theta_sd: Standard deviation (T,).
+        covariance: Of tilt (2) [rad] and, if revolute, shift (2) [m] of the axis in the directions
+            `tangent_basis(hand.joint.axis)`, the shift where the axis passes the held point.
+        accepted: The film agrees better with the refined answer, on frames that were not fitted.
+        evidence: Of the held-out frames; None where the film shows too little.
+        reason: Why it was not accepted, or "".
+    """
+
+    joint: Joint
+    thetas: Array
+    theta_sd: Array
+    covariance: Array
+    accepted: bool
+    evidence: Evidence | None
+    reason: str
+
+    def __post_init__(self) -> None:
+        freeze(self, "thetas", self.thetas, (None,))
+        freeze(self, "theta_sd", self.theta_sd, (len(self.thetas),))
+        freeze(self, "covariance", self.covariance, (None, None))
+
+    @property
+    def axis_sd_rad(self) -> float:
+        """Root of the summed variances of the axis direction, [rad]."""
+        return float(np.sqrt(np.trace(self.covariance[:2, :2])))
+
+    @property
+    def origin_sd_m(self) -> float:
+        """Root of the summed variances of the axis line at the held point, [m]; 0 if prismatic."""
+        return float(np.sqrt(np.trace(self.covariance[2:, 2:])))
+
+
+def refine(
+    demo: Demonstration, masks_at: MasksAt, hand: HandAnswer, params: PhotometricParams | None = None
+) -> Refinement:
+    """Ask the film about joint and joint values.
+
+    Args:
+        demo: Film, camera, and the scene as scanned.
+        masks_at: Draws the robot.
+        hand: First answer and prior.
+        params: See there.
+
+    Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: that
+    the film shows the part before it moves (without that nothing is painted and the hand's answer
+    is returned), and camera errors that leave the part at rest where it is.
+    """
+    params = params or PhotometricParams()
+    fitted, held_out, resting = _frames(hand, params.knots)
+    if len(fitted) < 3 or len(resting) < 2:
+        return _kept(hand, f"the film shows {len(resting)} frames before and {len(fitted)} during the motion")
+    moments = (resting, np.concatenate([fitted, held_out]), float(hand.thetas.max()))
+    film = part_film(
+        demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
+    )
+    problem = FilmProblem.of(film, hand, fitted, params.slip_share)
+    y, covariance = problem.solve(params.bands, params.rounds)
+    return _judged(problem, y, covariance, held_out, params)
+
+
+def _frames(hand: HandAnswer, knots: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Fitted, held-out and resting frames; the first two alternate and spread over the values."""
+    times = hand.times_s
+    moving = np.flatnonzero((times >= hand.interval[0]) & (times <= hand.interval[1]))
+    resting = np.flatnonzero(times < hand.interval[0] - 0.1)
+    if len(moving) < 6:
+        return moving[:0], moving[:0], resting
+    levels = np.linspace(0, 1, 2 * knots + 1)[1:] * float(hand.thetas[moving].max())
+    rising = np.maximum.accumulate(hand.thetas[moving]) + 1e-9 * np.arange(len(moving))
+    chosen = np.unique(np.interp(levels, rising, np.arange(len(moving))).round().astype(int))
+    chosen = moving[chosen]
+    return chosen[1::2], chosen[::2], resting
+
+
+def _judged(
+    problem: FilmProblem, y: Array, covariance: Array, frames: NDArray[np.intp], params: PhotometricParams
+) -> Refinement:
+    """The refined answer if held-out frames (N,) agree better with it."""
+    hand, joint, thetas = problem.hand, problem.joint(y), problem.thetas(y)
+    found = [
+        compared(
+            problem.film,
+            int(frame),
+            ((hand.joint, float(hand.thetas[frame])), (joint, float(thetas[frame]))),
+            params.bands[-1],
+        )
+        for frame in frames
+    ]
+    seen = [item for item in found if item is not None]
+    if len(seen) < 3:
+        return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need 3")
+    gains = np.array([item.cost_before - item.cost_after for item in seen])
+    improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
+    explained = float(np.median([item.explained for item in seen]))
+    evidence = Evidence(
+        cost_before=float(np.mean([item.cost_before for item in seen])),
+        cost_after=float(np.mean([item.cost_after for item in seen])),
+        improvement_sd=improvement,
+        explained=explained,
+    )
+    if not explained >= params.min_explained:
+        reason = (
+            f"the painted part explains {explained:.2f} of the film's detail, need {params.min_explained:.2f}"
+        )
+        return replace(_kept(hand, reason), evidence=evidence)
+    if not improvement >= params.accept_sd:
+        reason = f"held-out frames improve by {improvement:.1f} standard errors, need {params.accept_sd:.1f}"
+        return replace(_kept(hand, reason), evidence=evidence)
+    count = problem.joint_count
+    sds = np.repeat([params.camera_sd_rad, params.camera_sd_m], 2)[:count]
+    by_unknown = np.hstack([problem.lever, problem.spread])
+    variance = np.einsum("ti,ij,tj->t", by_unknown, covariance, by_unknown)
+    return Refinement(
+        joint=replace(joint, upper=float(thetas.max())),
+        thetas=thetas,
+        theta_sd=np.sqrt(np.maximum(variance, 0)),
+        covariance=covariance[:count, :count] + np.diag(sds**2),
+        accepted=True,
+        evidence=evidence,
+        reason="",
+    )
+
+
+def _kept(hand: HandAnswer, reason: str) -> Refinement:
+    count = 4 if hand.joint.type == "revolute" else 2
+    variances = np.repeat([hand.axis_sd_rad**2 / 2, hand.origin_sd_m**2 / 2], 2)[:count]
+    return Refinement(
+        joint=hand.joint,
+        thetas=hand.thetas,
+        theta_sd=hand.theta_sd,
+        covariance=np.diag(variances),
+        accepted=False,
+        evidence=None,
+        reason=reason,
+    )
