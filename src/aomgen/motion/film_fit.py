@@ -58,10 +58,10 @@ class Linear:
         blocks: Square of the part that each pixel shows (P,), 0 .. BLOCKS - 1.
     """
 
-    residuals: NDArray[np.float32]
-    derivatives: NDArray[np.float32]
-    slopes: NDArray[np.float32]
-    weights: NDArray[np.float32]
+    residuals: Array
+    derivatives: Array
+    slopes: Array
+    weights: Array
     scale: float
     blocks: NDArray[np.intp]
 
@@ -118,9 +118,9 @@ def linearised(
     ]
     down, right = np.gradient(first.luma)
     columns += [right, down]
-    values = _banded(np.stack(columns, -1), mask, band)
+    values = _banded(np.stack(columns, -1).astype(np.float32), mask, band)
     residuals, nuisances, derivatives = values[:, 0], values[:, 1:3], values[:, 3:]
-    weights = np.ones(len(residuals), np.float32)
+    weights = np.ones(len(residuals))
     left, scale = residuals, _NOISE_FLOOR
     for _ in range(_REWEIGHTINGS):
         left = residuals - nuisances @ _regression(nuisances, residuals[:, None], weights)[:, 0]
@@ -164,7 +164,7 @@ def compared(
     for view in (before, after):
         alpha = np.maximum(view.alpha, 0.5)
         columns += [view.luma / alpha]
-    values = _banded(np.stack(columns, -1), mask, band)
+    values = _banded(np.stack(columns, -1).astype(np.float32), mask, band)
     seen, fits = values[:, 0], [_settled(values[:, :1], drawn[:, None]) for drawn in values.T[1:]]
     scale = max(min(fit[1] for fit in fits), _NOISE_FLOOR)
     costs = [float(np.mean(left**2 / (left**2 + (_OUTLIER * scale) ** 2))) for left, _ in fits]
@@ -174,9 +174,9 @@ def compared(
     return Comparison(cost_before=costs[0], cost_after=costs[1], explained=explained)
 
 
-def _settled(seen: NDArray[np.float32], drawn: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
+def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:
     """What a drawing (P, 1) leaves of the film's detail (P, 1) at its best gain: (P,), and its scale."""
-    weights = np.ones(len(seen), np.float32)
+    weights = np.ones(len(seen))
     left, scale = seen[:, 0], _NOISE_FLOOR
     for _ in range(_REWEIGHTINGS):
         left = (seen - drawn @ _regression(drawn, seen, weights))[:, 0]
@@ -198,28 +198,28 @@ def _blocks(film: PartFilm, place: tuple[Joint, float], mask: NDArray[np.bool_])
     return np.asarray(squares[0] * side + squares[1])
 
 
-def _banded(images: FloatImage, mask: NDArray[np.bool_], band: Band) -> FloatImage:
+def _banded(images: FloatImage, mask: NDArray[np.bool_], band: Band) -> Array:
     """Images (H, W, C) without the finest detail and without shading, inside the mask: (P, C).
 
     Linear in the images, so that residuals and derivatives stay each other's.
     """
-    inside = mask.astype(np.float32)
-    fine = _blurred(images * inside[..., None], band.blur_px)
-    wide = float(np.hypot(band.blur_px, band.wide_px))
-    cover = np.maximum(_blurred(inside[..., None], wide), 1e-3)
-    coarse = _blurred(images * inside[..., None], wide) / cover
-    own = np.maximum(_blurred(inside[..., None], band.blur_px), 1e-3)
-    return (fine / own - coarse)[mask]
+    inside = mask[..., None].astype(np.float32)
+    wide_px = float(np.hypot(band.blur_px, band.wide_px))
+    fine, coarse = (
+        _blurred(images * inside, sigma) / np.maximum(_blurred(inside, sigma), 1e-3)
+        for sigma in (band.blur_px, wide_px)
+    )
+    return np.asarray((fine - coarse)[mask], np.float64)
 
 
 def _blurred(images: FloatImage, sigma: float) -> FloatImage:
-    return np.asarray(ndimage.gaussian_filter(images, (sigma, sigma, 0), mode="constant", truncate=3))
+    blurred = ndimage.gaussian_filter(images, (sigma, sigma, 0), mode="constant", truncate=3)
+    return np.asarray(blurred, np.float32)
 
 
-def _regression(
-    columns: NDArray[np.float32], targets: NDArray[np.float32], weights: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _regression(columns: Array, targets: Array, weights: Array) -> Array:
+    """Coefficients (N, M) of columns (P, N) that give targets (P, M); columns that say nothing get 0."""
     weighted = columns * weights[:, None]
     normal = weighted.T @ columns
-    normal += 1e-3 * np.trace(normal) * np.eye(len(normal), dtype=np.float32) + 1e-9
-    return np.linalg.solve(normal, weighted.T @ targets).astype(np.float32)
+    normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(len(normal))
+    return np.asarray(np.linalg.solve(normal, weighted.T @ targets), np.float64)

@@ -69,8 +69,8 @@ class FilmProblem:
             hand=hand,
             frames=frames,
             pivot=pivot,
-            lever=_lever(hand, pivot, count) * during[:, None],
-            spread=(sd * during)[:, None] * (alike @ own),
+            lever=value_lever(hand, pivot, count) * during[:, None],
+            spread=np.asarray((sd * during)[:, None] * (alike @ own), np.float64),
             precision=precision,
             distortion_px=_DISTORTION_PX * np.sqrt(len(frames) / _INDEPENDENT_FRAMES),
         )
@@ -104,7 +104,7 @@ class FilmProblem:
                 information, gradient = self._normal(known, repetition)
                 total = information + self.precision
                 y = y + np.linalg.solve(total, gradient - self.precision @ y)
-        return y, np.linalg.inv(total)
+        return y, np.asarray(np.linalg.inv(total), np.float64)
 
     def _by_unknown(self, frame: int) -> Array:
         """Change of a frame's joint numbers and value (n + 1, n + K) by the unknowns."""
@@ -155,7 +155,7 @@ class FilmProblem:
         return places
 
 
-def _lever(hand: HandAnswer, pivot: Array, count: int) -> Array:
+def value_lever(hand: HandAnswer, pivot: Array, count: int) -> Array:
     """Change of the values (T, n) when the joint moves and the held points stay."""
     joint = hand.joint
     if joint.type == "prismatic":
@@ -170,6 +170,6 @@ def _lever(hand: HandAnswer, pivot: Array, count: int) -> Array:
         return np.unwrap(np.arctan2(across, along))
 
     small = 1e-5
-    return np.stack(
-        [(angles(small * unit) - angles(-small * unit)) / (2 * small) for unit in np.eye(count)], 1
-    )
+    slopes = [(angles(small * unit) - angles(-small * unit)) / (2 * small) for unit in np.eye(count)]
+    result: Array = np.stack(slopes, 1).astype(np.float64)
+    return result

@@ -1,0 +1,185 @@
+"""The film is asked about a joint: a textured panel drawn by our own engine is the film."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from aomgen.conventions import BACKGROUND, MOVING
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import angle_between
+from aomgen.core.values import Array
+from aomgen.io.video import Video
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.film_fit import shifted
+from aomgen.motion.film_problem import value_lever
+from aomgen.motion.hand_answer import HandAnswer
+from aomgen.motion.photometric import refine
+from aomgen.splatting.rasterizer import render
+
+HINGE = Joint(type="revolute", axis=np.array([0, 0, 1.0]), origin=np.zeros(3), lower=0.0, upper=1.0)
+SLIDE = Joint(
+    type="prismatic", axis=np.array([0.8, -0.6, 0.0]), origin=np.array([0.15, 0, 0]), lower=0.0, upper=0.2
+)
+HELD = np.array([0.3, 0.0, 0.0])
+TIMES_S = np.arange(36) / 10
+MOTION_S = (0.8, 3.0)
+SHARES = np.clip((TIMES_S - MOTION_S[0]) / (MOTION_S[1] - MOTION_S[0]), 0, 1)
+CAMERA = Camera(
+    fx=170.0,
+    fy=170.0,
+    cx=72.0,
+    cy=54.0,
+    width=144,
+    height=108,
+    T_world_cam=look_at([0.35, -0.75, 0.25], [0.12, -0.05, 0.0]),
+)
+
+
+def _sheet(corner: Array, sides: Array, count: int, luma: Array) -> Gaussians:
+    steps = (np.arange(count) + 0.5) / count
+    u, v = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    means = corner + np.outer(u, sides[0]) + np.outer(v, sides[1])
+    size = float(np.linalg.norm(sides[0])) / count * 0.7
+    return gaussians_of(
+        means=means,
+        quats=np.tile([1.0, 0, 0, 0], (len(means), 1)),
+        scales=np.full((len(means), 3), size),
+        opacities=np.full(len(means), 0.95),
+        sh=np.repeat((luma.reshape(-1, 1, 1) - 0.5) / SH_C0, 3, axis=2),
+    )
+
+
+def _texture(count: int, seed: int, contrast: float) -> Array:
+    coarse = np.random.default_rng(seed).uniform(-1, 1, (count // 4, count // 4))
+    return 0.5 + 0.5 * contrast * np.kron(coarse, np.ones((4, 4)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A panel before a wall, the panel moved by a joint, and what a hand says about it."""
+
+    demo: Demonstration
+    hidden: Array
+    joint: Joint
+    thetas: Array
+
+    def masks_at(self, times_s: Array, width: int, height: int) -> Array:
+        assert (width, height) == (CAMERA.width, CAMERA.height)
+        return self.hidden[np.round(times_s * 10).astype(int)]
+
+    def hand(self, x: Array, factor: float) -> HandAnswer:
+        thetas = self.thetas * factor
+        return HandAnswer(
+            joint=shifted(self.joint, self.joint.origin, np.asarray(x)),
+            held_world=HELD,
+            axis_sd_rad=0.03,
+            origin_sd_m=0.01,
+            interval=MOTION_S,
+            times_s=TIMES_S,
+            thetas=thetas,
+            theta_sd=0.02 * thetas,
+        )
+
+
+def world(
+    joint: Joint = HINGE, *, contrast: float = 0.8, gains: Array | None = None, arm: bool = False
+) -> World:
+    panel = _sheet(
+        np.array([0, 0, -0.12]), np.array([[0.3, 0, 0], [0, 0, 0.24]]), 40, _texture(40, 1, contrast)
+    )
+    wall = _sheet(np.array([-0.6, 0.3, -0.6]), np.array([[1.4, 0, 0], [0, 0, 1.2]]), 24, _texture(24, 2, 0.6))
+    thetas = SHARES * joint.upper
+    gains = np.ones(len(TIMES_S)) if gains is None else gains
+    frames = np.stack(
+        [
+            render(concatenate([wall, panel.transformed(joint.motion(theta))]), CAMERA, threads=1).rgb
+            for theta in thetas
+        ]
+    )
+    frames = frames * gains[:, None, None, None]
+    frames += np.random.default_rng(3).normal(0, 0.004, frames.shape)
+    hidden = np.zeros((len(TIMES_S), CAMERA.height, CAMERA.width), bool)
+    if arm:
+        for index in range(6, len(TIMES_S)):
+            hidden[index, 30:60, 20 + 2 * index : 50 + 2 * index] = True
+        frames[hidden] = np.random.default_rng(4).uniform(0, 1, (int(hidden.sum()), 3))
+    demo = Demonstration(
+        video=Video(frames_srgb=np.clip(frames * 255, 0, 255).astype(np.uint8), times_s=TIMES_S, fps=10.0),
+        camera=CAMERA,
+        log=None,  # type: ignore[arg-type]
+        robot=None,  # type: ignore[arg-type]
+        scene=concatenate([wall, panel]),
+        labels=np.repeat(np.array([BACKGROUND, MOVING], np.uint8), [len(wall), len(panel)]),
+        clock_offset_s=0.0,
+        clock_sd_s=0.0,
+    )
+    return World(demo=demo, hidden=hidden, joint=joint, thetas=thetas)
+
+
+WRONG = np.array([0.02, -0.02, 0.006, -0.006])
+
+
+def _errors(made: World, joint: Joint, thetas: Array) -> tuple[float, float, float]:
+    """Axis [deg], origin [mm], values [deg]."""
+    offset = joint.origin - made.joint.origin
+    across = offset - (offset @ made.joint.axis) * made.joint.axis
+    return (
+        float(np.degrees(angle_between(joint.axis, made.joint.axis))),
+        1e3 * float(np.linalg.norm(across)),
+        float(np.degrees(np.sqrt(np.mean((thetas - made.thetas) ** 2)))),
+    )
+
+
+@pytest.mark.parametrize("arm", [False, True])
+def test_a_wrong_hinge_is_put_right_whatever_the_exposure_and_the_arm(arm):
+    made = world(gains=1 - 0.2 * SHARES, arm=arm)
+    hand = made.hand(WRONG, 0.97)
+    before = _errors(made, hand.joint, hand.thetas)
+    answer = refine(made.demo, made.masks_at, hand)
+    after = _errors(made, answer.joint, answer.thetas)
+    assert answer.accepted, answer.reason
+    assert answer.evidence is not None and answer.evidence.cost_after < answer.evidence.cost_before
+    assert after[0] < 0.7 * before[0] and after[1] < 0.5 * before[1] and after[2] < 0.4 < before[2]
+    assert after[0] < 3 * np.degrees(answer.axis_sd_rad) and after[1] < 3e3 * answer.origin_sd_m
+
+
+def test_a_wrong_slide_is_put_right():
+    made = world(SLIDE)
+    hand = made.hand(np.array([0.03, -0.03]), 0.97)
+    answer = refine(made.demo, made.masks_at, hand)
+    assert answer.accepted, answer.reason
+    assert angle_between(answer.joint.axis, SLIDE.axis) < 0.5 * angle_between(hand.joint.axis, SLIDE.axis)
+    assert np.abs(answer.thetas - made.thetas).max() < 0.002
+
+
+def test_a_plain_panel_says_nothing_and_the_hand_is_kept():
+    made = world(contrast=0.0)
+    hand = made.hand(WRONG, 0.97)
+    answer = refine(made.demo, made.masks_at, hand)
+    assert not answer.accepted and answer.reason
+    assert answer.joint == hand.joint
+    np.testing.assert_array_equal(answer.thetas, hand.thetas)
+
+
+def test_a_film_that_begins_with_the_motion_is_not_asked():
+    made = world()
+    hand = replace(made.hand(WRONG, 0.97), interval=(0.0, 3.0))
+    answer = refine(made.demo, made.masks_at, hand)
+    assert not answer.accepted and "before" in answer.reason
+
+
+def test_the_lever_is_what_the_held_points_say_about_a_moved_axis():
+    """A hinge moved towards the hand by d at a quarter turn: the angle grows by d / r, seen from there."""
+    hand = replace(world().hand(np.zeros(4), 1.0), thetas=SHARES * np.pi / 2, interval=(0.0, 3.5))
+    lever = value_lever(hand, np.zeros(3), 4)
+    x = np.zeros(4)
+    x[2] = 1e-4
+    moved = shifted(HINGE, np.zeros(3), x)
+    turned = np.array([0.0, 0.3, 0.0]) - moved.origin
+    first = HELD - moved.origin
+    expected = np.arctan2(np.cross(first, turned)[2], first @ turned) - np.pi / 2
+    assert lever[-1, 2] * 1e-4 == pytest.approx(expected, abs=1e-8)
+    assert abs(expected) == pytest.approx(1e-4 / 0.3, rel=1e-3)
