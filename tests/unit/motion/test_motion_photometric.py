@@ -141,9 +141,13 @@ def test_a_wrong_hinge_is_put_right_whatever_the_exposure_and_the_arm(arm):
     answer = refine(made.demo, made.masks_at, hand)
     after = _errors(made, answer.joint, answer.thetas)
     assert answer.accepted, answer.reason
-    assert answer.evidence is not None and answer.evidence.cost_after < answer.evidence.cost_before
-    assert after[0] < 0.7 * before[0] and after[1] < 0.5 * before[1] and after[2] < 0.4 < before[2]
-    assert after[0] < 3 * np.degrees(answer.axis_sd_rad) and after[1] < 3e3 * answer.origin_sd_m
+    assert answer.evidence is not None
+    assert answer.evidence.cost_after < answer.evidence.cost_before
+    assert after[0] < 0.7 * before[0]
+    assert after[1] < 0.5 * before[1]
+    assert after[2] < 0.4 < before[2]
+    assert after[0] < 3 * np.degrees(answer.axis_sd_rad)
+    assert after[1] < 3e3 * answer.origin_sd_m
 
 
 def test_a_wrong_slide_is_put_right():
@@ -159,7 +163,8 @@ def test_a_plain_panel_says_nothing_and_the_hand_is_kept():
     made = world(contrast=0.0)
     hand = made.hand(WRONG, 0.97)
     answer = refine(made.demo, made.masks_at, hand)
-    assert not answer.accepted and answer.reason
+    assert not answer.accepted
+    assert answer.reason
     assert answer.joint == hand.joint
     np.testing.assert_array_equal(answer.thetas, hand.thetas)
 
@@ -168,7 +173,8 @@ def test_a_film_that_begins_with_the_motion_is_not_asked():
     made = world()
     hand = replace(made.hand(WRONG, 0.97), interval=(0.0, 3.0))
     answer = refine(made.demo, made.masks_at, hand)
-    assert not answer.accepted and "before" in answer.reason
+    assert not answer.accepted
+    assert "before" in answer.reason
 
 
 def test_the_lever_is_what_the_held_points_say_about_a_moved_axis():
