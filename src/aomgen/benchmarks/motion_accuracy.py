@@ -3,7 +3,7 @@
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,9 +11,19 @@ import numpy as np
 
 from aomgen.assets.make import MAKERS
 from aomgen.benchmarks.accuracy import score_motion
-from aomgen.benchmarks.motion_worlds import CAMERA, UNSOLVABLE, Kind, MotionWorld, motion_world
+from aomgen.benchmarks.motion_methods import REFUSAL, paper_estimates
+from aomgen.benchmarks.motion_worlds import (
+    CAMERA,
+    TRUE_ARRAYS,
+    UNSOLVABLE,
+    Kind,
+    MotionWorld,
+    motion_world,
+)
+from aomgen.benchmarks.segmented import segmented
 from aomgen.core.motion import MotionEstimate
 from aomgen.errors import EstimationError
+from aomgen.io.arrays import read_npz
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.estimate import estimate_motion
 from aomgen.pipeline.estimates import motion_estimates
@@ -131,29 +141,54 @@ def run_motion(wanted: Sequence[Case], out: Path | None, tell: Callable[[Outcome
 
 
 def judged(world: MotionWorld, case: Case) -> Iterator[Outcome]:
-    """Recover the motion of a world and score it, once for every method."""
-    truth, frames = world.truth, len(world.demonstration.video.times_s)
+    """Recover the motion of a world and score it: ours, then the paper's variants where there is a motion.
+
+    The paper is given true masks with a segmenter's errors, and the true type of the joint.
+    """
+    truth, times = world.truth, world.demonstration.video.times_s
     solvable = case.kind not in UNSOLVABLE
-    share = (truth.end_frame - truth.start_frame + 1) / frames if solvable else 0.0
-    began = time.process_time()
-    refusal, reason, figures = "", "", {}
-    try:
-        estimate = estimate_motion(world.demonstration)
-    except EstimationError as error:
-        estimate, refusal, reason = None, type(error).__name__, str(error)
-    seconds = time.process_time() - began
-    if estimate is not None:
-        figures = scored(estimate, world) if solvable else {"joint.type_ok": False}
-    yield Outcome(
+    blank = Outcome(
         case=case,
         joint_type=truth.joint.type,
         method="ours",
-        refusal=refusal,
-        reason=reason,
-        figures=figures,
-        moving_share=share,
-        seconds=seconds,
+        refusal="",
+        reason="",
+        figures={},
+        moving_share=(truth.end_frame - truth.start_frame + 1) / len(times) if solvable else 0.0,
+        seconds=0.0,
     )
+    began = time.process_time()
+    try:
+        estimate = estimate_motion(world.demonstration)
+    except EstimationError as error:
+        seconds = time.process_time() - began
+        yield replace(blank, refusal=type(error).__name__, reason=str(error), seconds=seconds)
+    else:
+        seconds = time.process_time() - began
+        figures = scored(estimate, world) if solvable else {"joint.type_ok": False}
+        yield replace(blank, figures=figures, seconds=seconds)
+    if case.group == "solvable":
+        yield from _paper(world, blank)
+
+
+def _paper(world: MotionWorld, blank: Outcome) -> Iterator[Outcome]:
+    truth, times = world.truth, world.demonstration.video.times_s
+    labels = read_npz(truth.folder / TRUE_ARRAYS)["film_labels"]
+    began = time.process_time()
+    masks = segmented(labels, np.random.default_rng(blank.case.seed))
+    answers = paper_estimates(world.demonstration, masks, truth.joint.type)
+    seconds = (time.process_time() - began) / len(answers)
+    for name, answer in answers.items():
+        refusal = "EstimationError" if REFUSAL in answer else ""
+        figures = {} if refusal else score_motion(answer, truth, times, CAMERA)
+        yield replace(
+            blank,
+            method=f"paper {name}",
+            refusal=refusal,
+            reason=answer.get(REFUSAL, ""),
+            figures=figures,
+            seconds=seconds,
+        )
 
 
 def scored(estimate: MotionEstimate, world: MotionWorld) -> dict[str, Any]:

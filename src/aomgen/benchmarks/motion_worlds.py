@@ -51,6 +51,8 @@ SHORT: Final = {"revolute": float(np.deg2rad(5.0)), "prismatic": 0.01}
 MAX_MANNERS: Final = 6
 CAMERA: Final = "front"
 SCAN_VIEWS: Final = 30
+# Beside truth.json: labels of the Gaussians, and of every frame of the film.
+TRUE_ARRAYS: Final = "arrays.npz"
 _WORLD, _VIDEO, _ARRAYS = "world.json", "demo.mp4", "arrays.npz"
 _GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 
@@ -115,7 +117,7 @@ def _make(category: str, seed: int, kind: Kind, place: Path) -> None:
     with staged_folder(place) as staging:
         write_bytes(staging / _VIDEO, encode_video(film.frames, recorded.fps, crf=17))
         write_bytes(staging / _ARRAYS, npz_bytes(arrays))
-        write_bytes(staging / "truth" / _ARRAYS, npz_bytes(truth))
+        write_bytes(staging / "truth" / TRUE_ARRAYS, npz_bytes(truth))
         write_json(staging / "truth" / "truth.json", answers)
         write_json(staging / _WORLD, world)
 
