@@ -1,5 +1,7 @@
 """The motion stage: runs AOMotion and keeps its answer in one JSON file."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -54,32 +56,45 @@ def run_motion(
         params: Of the submodules.
         refused: File that keeps the motion score when the answer is refused.
     """
-    curves: list[MotionCurve] = []
-    try:
+    with _kept_when(refused) as curves:
         estimate = estimate_motion(demonstration, params, progress, curves.append)
-    except EstimationError:
-        if refused is not None and curves:
-            save_curve(refused, curves[-1])
-        raise
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")
     return estimate
 
 
 def run_paper_motion(
-    demonstration: Demonstration, masks: PartMasks, folder: Path, progress: Progress = silent
+    demonstration: Demonstration,
+    masks: PartMasks,
+    folder: Path,
+    progress: Progress = silent,
+    refused: Path | None = None,
 ) -> MotionEstimate:
     """Estimate the motion as the paper does, formulas as printed, and write it to `folder`.
 
     The paper takes the joint's type as known; here it is the one that our own estimator finds, so
-    both have to answer; see `estimate_motion` and `estimate_motion_paper` for what they raise.
+    both have to answer; see `estimate_motion` and `estimate_motion_paper` for what they raise, and
+    `run_motion` for the arguments.
     """
-    joint_type = estimate_motion(demonstration, None, part(progress, 0.0, 0.7)).joint.type
-    params = PaperParams(joint_type=joint_type)
-    estimate = estimate_motion_paper(demonstration, masks, params, part(progress, 0.7, 1.0))
+    ours, papers = part(progress, 0.0, 0.7), part(progress, 0.7, 1.0)
+    with _kept_when(refused) as curves:
+        params = PaperParams(joint_type=estimate_motion(demonstration, None, ours, curves.append).joint.type)
+        estimate = estimate_motion_paper(demonstration, masks, params, papers, curves.append)
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")
     return estimate
+
+
+@contextmanager
+def _kept_when(refused: Path | None) -> Iterator[list[MotionCurve]]:
+    """A list of motion scores whose last one is saved when an answer is refused."""
+    curves: list[MotionCurve] = []
+    try:
+        yield curves
+    except EstimationError:
+        if refused is not None and curves:
+            save_curve(refused, curves[-1])
+        raise
 
 
 def load_motion(folder: Path) -> MotionEstimate:

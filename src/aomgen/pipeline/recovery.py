@@ -191,12 +191,12 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstimate:
-    demonstration = motion_input(run)
+    demonstration, refused = motion_input(run), run.out / REFUSED_MOTION
     if run.project.motion_method == "paper":
         capture = capture_of(run)
         masks = part_masks(capture, capture.cameras[0], demonstration)
-        return run_paper_motion(demonstration, masks, folder, progress)
-    return run_motion(demonstration, folder, progress, refused=run.out / REFUSED_MOTION)
+        return run_paper_motion(demonstration, masks, folder, progress, refused)
+    return run_motion(demonstration, folder, progress, refused=refused)
 
 
 def motion_input(run: Run) -> MotionInput:

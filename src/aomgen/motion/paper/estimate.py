@@ -1,5 +1,6 @@
 """The paper's AOMotion from end to end, with an answer that is scored like ours."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +17,7 @@ from aomgen.motion.hand import hand_signals
 from aomgen.motion.moved_part import MIN_ODDS
 from aomgen.motion.paper.contact import NearestPair, contact_path, nearest_pair
 from aomgen.motion.paper.joint import PairWeights, box_joint
-from aomgen.motion.paper.keyframes import Flagged, PartMasks, Variant, flagged_frames
+from aomgen.motion.paper.keyframes import PartMasks, Scores, Variant, flagged_frames, scored_frames
 from aomgen.motion.paper.recovery import recovered_thetas
 
 
@@ -38,8 +39,16 @@ class PaperParams:
     weights: PairWeights = field(default_factory=PairWeights)
 
 
+def _unheard(curve: MotionCurve) -> None:
+    """Nobody listens."""
+
+
 def estimate_motion_paper(
-    demonstration: Demonstration, masks: PartMasks, params: PaperParams, progress: Progress = silent
+    demonstration: Demonstration,
+    masks: PartMasks,
+    params: PaperParams,
+    progress: Progress = silent,
+    on_curve: Callable[[MotionCurve], None] = _unheard,
 ) -> MotionEstimate:
     """Recover the part's motion as the paper does.
 
@@ -52,6 +61,7 @@ def estimate_motion_paper(
         masks: Moving part and robot in every frame of its video, at any size.
         params: Joint type and variants.
         progress: Told about each submodule.
+        on_curve: Hears the motion score before it is refused.
 
     Raises:
         InputError: Masks of another number of frames; a part with hardly any points.
@@ -68,8 +78,11 @@ def estimate_motion_paper(
             "give one mask a frame",
         )
     progress(0.0, "keyframes")
-    flagged = flagged_frames(masks, params.threshold)
-    held = frames[flagged.first : flagged.last + 1] + demo.clock_offset_s
+    scored = scored_frames(masks, params.threshold)
+    curve = _curve(demo, scored)
+    on_curve(curve)
+    interval = flagged_frames(scored)
+    held = frames[interval[0] : interval[1] + 1] + demo.clock_offset_s
     progress(0.3, "contact")
     pair = nearest_pair(demo.robot, demo.log, demo.points_moving, float(held[0]), np.random.default_rng(0))
     path = contact_path(pair, demo.robot, demo.log, held)
@@ -92,25 +105,31 @@ def estimate_motion_paper(
         lower=min(0.0, float((sense * thetas).min())),
         upper=max(0.0, float((sense * thetas).max())),
     )
-    return _assemble(demo, flagged, pair, joint, sense * thetas, invert(T_world_ee))
+    return _assemble(demo, curve, interval, pair, joint, sense * thetas)
 
 
 def _assemble(
-    demo: Demonstration, flagged: Flagged, pair: NearestPair, joint: Joint, thetas: Array, T_ee_world: Array
+    demo: Demonstration,
+    curve: MotionCurve,
+    interval: tuple[int, int],
+    pair: NearestPair,
+    joint: Joint,
+    thetas: Array,
 ) -> MotionEstimate:
-    frames = demo.video.times_s
+    frames, (first, last) = demo.video.times_s, interval
+    T_world_ee = demo.robot.ee_poses(demo.log.at([frames[first] + demo.clock_offset_s])[0])[0]
     values = np.zeros(len(frames))
-    values[flagged.first : flagged.last + 1] = thetas
-    values[flagged.last + 1 :] = values[flagged.last]
+    values[first : last + 1] = thetas
+    values[last + 1 :] = values[last]
     nothing = np.zeros(len(frames))
     return MotionEstimate(
         clock_offset_s=demo.clock_offset_s,
         clock_offset_sd_s=demo.clock_sd_s,
-        start_s=float(frames[flagged.first]),
-        end_s=float(frames[flagged.last]),
-        curve=_curve(demo, flagged),
+        start_s=float(frames[first]),
+        end_s=float(frames[last]),
+        curve=curve,
         contacts=(_patch(demo, pair),),
-        grasp_ee=apply(T_ee_world, pair.on_robot),
+        grasp_ee=apply(invert(T_world_ee), pair.on_robot),
         joint=joint,
         axis_sd_rad=0.0,
         origin_sd_m=0.0,
@@ -128,13 +147,13 @@ def _assemble(
     )
 
 
-def _curve(demo: Demonstration, flagged: Flagged) -> MotionCurve:
+def _curve(demo: Demonstration, scored: Scores) -> MotionCurve:
     signals = hand_signals(demo.robot, demo.log, demo.points_moving, demo.video.times_s, demo.clock_offset_s)
     return MotionCurve(
         times_s=demo.video.times_s,
-        scores=flagged.scores,
-        smoothed=flagged.smoothed,
-        threshold=flagged.threshold,
+        scores=scored.scores,
+        smoothed=scored.smoothed,
+        threshold=scored.threshold,
         distances_m=signals.distances_m,
         speeds_m_s=signals.speeds_m_s,
         gripper=signals.gripper,

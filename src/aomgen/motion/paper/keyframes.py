@@ -39,18 +39,15 @@ class PartMasks:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Flagged:
-    """Which frames count as motion, and why.
+class Scores:
+    """The motion score of a film and the level that a moving frame exceeds.
 
     Attributes:
-        first, last: First and last flagged frame.
         scores: Motion score (T,); the last frame has no successor and repeats the one before.
         smoothed: The same, smoothed (T,).
-        threshold: The level that was exceeded.
+        threshold: The level.
     """
 
-    first: int
-    last: int
     scores: Array
     smoothed: Array
     threshold: float
@@ -98,33 +95,38 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
     return base + NOISE_UNITS * SD_OF_MAD * float(np.median(np.abs(rough - np.median(rough))))
 
 
-def flagged_frames(masks: PartMasks, variant: Variant = "printed") -> Flagged:
-    """First and last frame whose smoothed score exceeds the threshold.
+def scored_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
+    """Score of every frame of a film, and the threshold that follows from them.
 
     Raises:
         InputError: Fewer than two frames.
-        NoMotionError: No frame does.
-
-    Source: AOMGen, sec. 4.2, "Keyframe Extraction". As there, one flagged frame sets an end of the
-    interval, however far from the others it is.
     """
     if not len(masks.moving) >= 2:
         raise InputError("masks of the demonstration", f"{len(masks.moving)} frames, need 2", "give them all")
     scores = motion_scores(masks)
     smoothed = smoothed_scores(scores)
-    threshold = score_threshold(scores, smoothed, variant)
-    flagged = np.flatnonzero(smoothed > threshold)
+    return Scores(
+        scores=np.append(scores, scores[-1]),
+        smoothed=np.append(smoothed, smoothed[-1]),
+        threshold=score_threshold(scores, smoothed, variant),
+    )
+
+
+def flagged_frames(scored: Scores) -> tuple[int, int]:
+    """First and last frame whose smoothed score exceeds the threshold.
+
+    Raises:
+        NoMotionError: No frame does.
+
+    Source: AOMGen, sec. 4.2, "Keyframe Extraction". As there, one flagged frame sets an end of the
+    interval, however far from the others it is.
+    """
+    flagged = np.flatnonzero(scored.smoothed > scored.threshold)
     if not len(flagged):
         raise NoMotionError(
             "demonstration video",
-            f"no frame's motion score passes the paper's threshold: the highest is {smoothed.max():.4f}, "
-            f"the threshold {threshold:.4f}",
+            "no frame's motion score passes the paper's threshold: the highest is "
+            f"{scored.smoothed.max():.4f}, the threshold {scored.threshold:.4f}",
             "use motion_method = 'aomotion'; this threshold grows with the share of moving frames",
         )
-    return Flagged(
-        first=int(flagged[0]),
-        last=int(flagged[-1]),
-        scores=np.append(scores, scores[-1]),
-        smoothed=np.append(smoothed, smoothed[-1]),
-        threshold=threshold,
-    )
+    return int(flagged[0]), int(flagged[-1])

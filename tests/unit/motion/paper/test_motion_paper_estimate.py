@@ -7,6 +7,7 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import gaussians_of
 from aomgen.core.joint_log import JointLog
+from aomgen.core.motion import MotionCurve
 from aomgen.core.transforms import angle_between, apply, invert
 from aomgen.errors import InputError, NoMotionError
 from aomgen.io.video import Video
@@ -113,8 +114,12 @@ def test_half_a_film_of_motion_is_refused_as_printed_and_found_when_repaired(
     demonstration: Demonstration,
 ) -> None:
     masks = sliding_masks(50, 150)
+    curves: list[MotionCurve] = []
     with pytest.raises(NoMotionError, match="threshold"):
-        estimate_motion_paper(demonstration, masks, PaperParams(joint_type="revolute"))
+        estimate_motion_paper(
+            demonstration, masks, PaperParams(joint_type="revolute"), on_curve=curves.append
+        )
+    assert curves[0].smoothed.max() < curves[0].threshold
     params = PaperParams(joint_type="revolute", threshold="repaired")
     found = estimate_motion_paper(demonstration, masks, params)
     assert [found.start_s, found.end_s] == pytest.approx([TIMES_S[50], TIMES_S[150]], abs=0.25)

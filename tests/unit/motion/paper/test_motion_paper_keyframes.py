@@ -9,6 +9,7 @@ from aomgen.motion.paper.keyframes import (
     flagged_frames,
     motion_scores,
     score_threshold,
+    scored_frames,
     smoothed_scores,
 )
 
@@ -82,25 +83,26 @@ def sliding(still: int, moving: int) -> list[np.ndarray]:
 
 
 def test_a_short_motion_is_flagged_where_it_is():
-    found = flagged_frames(masks_of(sliding(90, 10)))
-    assert 85 <= found.first <= 92
-    assert 97 <= found.last <= 104
+    found = scored_frames(masks_of(sliding(90, 10)))
+    first, last = flagged_frames(found)
+    assert 85 <= first <= 92
+    assert 97 <= last <= 104
     assert len(found.scores) == len(found.smoothed) == 190
-    assert found.smoothed[found.first] > found.threshold
+    assert found.smoothed[first] > found.threshold
 
 
 def test_one_glitch_far_away_sets_the_end():
     moving = sliding(90, 10)
     moving[20] = square(30, 20)
-    assert flagged_frames(masks_of(moving)).first < 25
+    assert flagged_frames(scored_frames(masks_of(moving)))[0] < 25
 
 
 @pytest.mark.parametrize("moving", [[square(10, 20)] * 30, [square(10, 8 + k) for k in range(30)]])
 def test_nothing_that_leaves_its_place_is_refused(moving):
     with pytest.raises(NoMotionError, match=r"threshold 0\.0000.*aomotion"):
-        flagged_frames(masks_of(moving))
+        flagged_frames(scored_frames(masks_of(moving)))
 
 
 def test_one_frame_is_no_film():
     with pytest.raises(InputError, match="1 frames"):
-        flagged_frames(masks_of([square(10, 8)]))
+        scored_frames(masks_of([square(10, 8)]))
