@@ -234,12 +234,15 @@ def synthetic(
     ] = "microwave",
     seed: Annotated[int, typer.Option(help="Same seed, same capture.")] = 0,
     robot: Annotated[Path | None, typer.Option(help="URDF or MJCF of another arm with a gripper.")] = None,
+    closing: Annotated[bool, typer.Option("--closing", help="The part is scanned open and closed.")] = False,
+    touch: Annotated[str, typer.Option(help="How the part is moved: pinch, hook or push.")] = "pinch",
 ) -> None:
     """Make a capture with ground truth in a virtual world: simulated physics, rendered pictures."""
     from aomgen.core.progress import silent
-    from aomgen.synthetic.world import make_capture
+    from aomgen.synthetic.world import draw_capture_manner, make_capture
 
     if folder.exists():
         raise ConfigError(folder, "exists already", "choose another folder")
-    make_capture(folder, category=category, seed=seed, robot_file=robot, progress=silent)
+    manner = draw_capture_manner(category, seed, "closing" if closing else "opening", touch)
+    make_capture(folder, category=category, seed=seed, robot_file=robot, manner=manner, progress=silent)
     print(folder)

@@ -94,7 +94,8 @@ def draw_manner(
     Args:
         asset: Gives the joint's range and the handle's lever.
         rng: Chooses everything that is not given.
-        direction, touch, outcome: As in `Manner`.
+        direction, touch, outcome: As in `Manner`; which touches a part allows, tells
+            `grasp.possible_touches`.
         moving_share: Share of the film in which the part moves, 0.03..0.85; drawn when None. It
             is met but for the random cut of the film (0.2 s at either end), by a longer film where
             the motion would be too quick.
@@ -110,28 +111,14 @@ def draw_manner(
     start = 0.0
     if direction == "closing":
         start = float(min(travel + rng.uniform(0.0, 0.2) * travel, RANGE_SHARE * joint.upper))
-    pause_s = float(rng.uniform(0.3, MAX_PAUSE_S)) if rng.random() < 0.4 else 0.0
     if moving_share is None:
         moving_share = float(rng.uniform(*MOVING_SHARE))
-    # Slow starts and ends, in which the part hardly moves, leave no room for a large share.
-    cruise = float(rng.uniform(0.7, 0.9) if moving_share > 0.6 else rng.uniform(0.0, 0.8))
-    quick, slow = (travel * _lever(asset) * peak_speed(cruise) / speed for speed in SPEED[::-1])
-    seen = _seen(travel, joint.type, cruise)
-    film_s = float(rng.uniform(*FILM_S))
-    motion_s = float(np.clip((moving_share * film_s - pause_s) / seen, quick, slow))
-    least = LEAST_BEFORE_S + LEAST_AFTER_S
-    if seen * motion_s + pause_s > moving_share * (motion_s + pause_s + least - CUT_S):
-        rest_s = (seen * motion_s + pause_s) / moving_share + CUT_S - motion_s - pause_s - least
-    else:
-        rest_s = 0.0
-        needed = (moving_share * (pause_s + least - CUT_S) - pause_s) / max(seen - moving_share, 0.02)
-        motion_s = float(np.clip(needed, motion_s, slow))
-    before = rest_s * rng.uniform(0.3, 0.8)
+    timing = _draw_timing(asset, travel, moving_share, rng)
     if outcome == "cut":
-        before = max(before, film_s - LEAST_BEFORE_S)
+        timing["before_s"] = max(timing["before_s"], FILM_S[0])
     slides = rng.random() < 0.6
     return Manner(
-        travel=travel,
+        travel=float(travel * rng.uniform(0.1, 1.0)) if outcome == "locked" else travel,
         direction=direction,
         start=start,
         touch=touch,
@@ -139,13 +126,36 @@ def draw_manner(
         follow=float(rng.uniform(0.7, 1.0)) if joint.type == "revolute" else 1.0,
         slip_m=float(rng.uniform(-1, 1) * MAX_SLIP_M) if slides else 0.0,
         grip=float(rng.uniform(*SLIDING_GRIP)) if slides else 1.0,
-        motion_s=motion_s,
-        cruise=cruise,
-        pause_s=pause_s,
         pause_at=float(rng.uniform(0.3, 0.7)),
-        before_s=float(LEAST_BEFORE_S + before),
-        after_s=float(LEAST_AFTER_S + max(rest_s - before, 0.0)),
+        **timing,
     )
+
+
+def _draw_timing(
+    asset: ArticulatedAsset, travel: float, moving_share: float, rng: np.random.Generator
+) -> dict[str, float]:
+    """Durations, so that the part moves in a share of the film."""
+    pause_s = float(rng.uniform(0.3, MAX_PAUSE_S)) if rng.random() < 0.4 else 0.0
+    # Slow starts and ends, in which the part hardly moves, leave no room for a large share.
+    cruise = float(rng.uniform(0.7, 0.9) if moving_share > 0.6 else rng.uniform(0.0, 0.8))
+    quick, slow = (travel * _lever(asset) * peak_speed(cruise) / speed for speed in SPEED[::-1])
+    seen = _seen(travel, asset.joint.type, cruise)
+    film_s = float(rng.uniform(*FILM_S))
+    motion_s = float(np.clip((moving_share * film_s - pause_s) / seen, quick, slow))
+    least = LEAST_BEFORE_S + LEAST_AFTER_S
+    rest_s = (seen * motion_s + pause_s) / moving_share + CUT_S - motion_s - pause_s - least
+    if rest_s < 0:
+        rest_s = 0.0
+        needed = (moving_share * (pause_s + least - CUT_S) - pause_s) / max(seen - moving_share, 0.02)
+        motion_s = float(np.clip(needed, motion_s, max(slow, motion_s)))
+    before = float(rest_s * rng.uniform(0.3, 0.8))
+    return {
+        "motion_s": motion_s,
+        "cruise": cruise,
+        "pause_s": pause_s,
+        "before_s": LEAST_BEFORE_S + before,
+        "after_s": LEAST_AFTER_S + rest_s - before,
+    }
 
 
 def progress(u: ArrayLike, cruise: float) -> Array:

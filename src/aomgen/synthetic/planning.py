@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array
 from aomgen.physics.robot import RobotModel
-from aomgen.synthetic.grasp import Hold, draw_style, hold_poses, take_hold, usual
+from aomgen.synthetic.grasp import take_hold, usual
+from aomgen.synthetic.hold import Hold, draw_style, hold_poses
 from aomgen.synthetic.inverse import Arm
 from aomgen.synthetic.manner import Manner
 from aomgen.synthetic.setting import Setting, World

@@ -1,6 +1,6 @@
 """Synthetic captures: a complete recording with ground truth, from a category and a seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +10,15 @@ from aomgen.assets.make import make_asset
 from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress, silent
 from aomgen.core.robot_choice import HandChoice
+from aomgen.errors import ConfigError
 from aomgen.io.atomic import staged_folder
 from aomgen.io.robot_xml import read_robot_xml
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.physics.robot_store import copy_robot_files
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.film import Film, best_camera, draw_take, filmed
-from aomgen.synthetic.manner import Manner
+from aomgen.synthetic.grasp import possible_touches
+from aomgen.synthetic.manner import Direction, Manner, Touch, draw_manner
 from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.pictures import Painter, exposed
 from aomgen.synthetic.setting import build_world
@@ -99,6 +101,32 @@ def make_capture(
             source = f'{xml.kind} = "{copied.relative_to(staging).as_posix()}"'
         write_recording(staging, recording, source, hand)
         write_truth(staging / "truth", recording)
+
+
+def draw_capture_manner(category: str, seed: int, direction: Direction, touch: str) -> Manner | None:
+    """The manner of a capture that closes, hooks or pushes; None for the usual pinch that opens.
+
+    The film begins and ends with the arm at rest, as people film.
+
+    Raises:
+        ConfigError: Unknown category or touch, or this part cannot be touched so.
+    """
+    if direction == "opening" and touch == "pinch":
+        return None
+    asset = make_asset(category, seed)
+    known = possible_touches(asset, direction)
+    chosen: Touch | None = dict(zip(known, known, strict=True)).get(touch)
+    if chosen is None:
+        what = f"{touch!r} is none that a {category} allows when {direction}"
+        raise ConfigError("touch", what, f"choose {' or '.join(known)}")
+    rng = np.random.default_rng([seed, *category.encode(), 3])
+    manner = draw_manner(asset, rng, direction=direction, touch=chosen)
+    usual = Manner(travel=manner.travel)
+    return replace(
+        manner,
+        before_s=max(manner.before_s, usual.before_s),
+        after_s=max(manner.after_s, usual.after_s),
+    )
 
 
 def record(

@@ -18,6 +18,7 @@ from aomgen.synthetic.manner import Direction, Manner, Outcome, Touch, draw_mann
 from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.pictures import Painter
 from aomgen.synthetic.timing import CONTROL_STEP_S
+from aomgen.synthetic.world import draw_capture_manner
 from aomgen.synthetic.write import moved_range
 
 SHORT = Conditions(size=(96, 72), fps=4)
@@ -85,6 +86,8 @@ def test_film_shows_the_motion_and_nothing_else(robot: RobotModel) -> None:
     steps = recorded.take.steps
     assert len(recorded.frames) == len(recorded.labels) == len(steps)
     start, end = moved_range(shown.theta[steps], shown.joint)
+    assert start is not None
+    assert end is not None
     assert (end - start) / len(steps) > 0.6
     log = recorded.take.log
     assert log.times_s[0] < recorded.take.clock_offset_s
@@ -200,3 +203,15 @@ def test_cut_film_ends_before_the_motion_and_the_log_goes_on(robot: RobotModel) 
 def test_impossible_touch_is_refused_at_once(robot: RobotModel) -> None:
     with pytest.raises(ConfigError, match=r"drawer-1.*push when opening.*pinch or hook"):
         perform(robot, make_asset("drawer", 1), np.random.default_rng(1), Manner(travel=0.1, touch="push"))
+
+
+def test_captures_in_a_manner_begin_and_end_at_rest() -> None:
+    assert draw_capture_manner("drawer", 1, "opening", "pinch") is None
+    manner = draw_capture_manner("drawer", 1, "closing", "push")
+    assert manner is not None
+    assert manner.before_s >= 4.5
+    assert 0.05 <= manner.travel <= manner.start
+    with pytest.raises(
+        ConfigError, match=r"'hook' is none that a cabinet allows when opening; choose pinch or push"
+    ):
+        draw_capture_manner("cabinet", 1, "opening", "hook")

@@ -1,0 +1,124 @@
+"""The hand on a part: how it holds, where it is as the part moves, how large its closed tips are."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.values import Array, freeze
+from aomgen.physics.robot import RobotModel
+from aomgen.synthetic.manner import Manner
+
+# A hooking or pushing bar lies this far behind the finger tips, [m]: half a finger pad.
+BAR_BEHIND_TIP_M: Final = 0.010
+_CORNERS: Final = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).reshape(3, -1).T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Style:
+    """What a manner leaves open about the hand.
+
+    Attributes:
+        flip: Whether the fingers are exchanged.
+        tilt_rad: Downward tilt of the approach direction.
+        side: -1 or 1: from which side the hand hooks, or on which side of the bar it pushes.
+        slant_rad: Angle between a hooking hand and the front's normal.
+        beside_m: How far beside the bar a hand pushes on the front.
+    """
+
+    flip: bool
+    tilt_rad: float
+    side: float = 1.0
+    slant_rad: float = 0.0
+    beside_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hold:
+    """The hand on the part, asset frame at joint value 0.
+
+    Attributes:
+        T_asset_ee: Pose (4, 4) of the end effector in touch with the part.
+        slack: Way (3,) back to where it does not touch yet, [m]; zero for fingers that close.
+        gripper: Closing before and while it holds, 0..1.
+    """
+
+    T_asset_ee: Array
+    slack: Array
+    gripper: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_asset_ee", self.T_asset_ee, (4, 4))
+        freeze(self, "slack", self.slack, (3,))
+
+
+def draw_style(rng: np.random.Generator, manner: Manner) -> Style:
+    """What the manner leaves open."""
+    tilt, flip = np.deg2rad(rng.uniform(4, 24)), bool(rng.random() < 0.5)
+    if manner.touch == "pinch":
+        return Style(flip=flip, tilt_rad=tilt)
+    return Style(
+        flip=flip,
+        tilt_rad=tilt,
+        side=float(rng.choice([-1.0, 1.0])),
+        slant_rad=np.deg2rad(rng.uniform(48, 66)),
+        beside_m=rng.uniform(0.035, 0.09),
+    )
+
+
+def closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
+    """Low and high corner (2, 3) of the closed finger tips: width, closing, approach from the end effector, [m].
+
+    Of the bodies that carry the pads and their neighbors, what lies beyond the end effector.
+    """
+    data = mujoco.MjData(model)
+    middle = np.clip(robot.joint_limits, -np.pi, np.pi).mean(1)
+    rest = robot.qpos(middle, 1.0)[0]
+    data.qpos[: len(rest)] = rest
+    mujoco.mj_kinematics(model, data)
+    site = model.site(robot.ee_site).id
+    axes = data.site_xmat[site].reshape(3, 3) @ hand_axes(robot)
+    hand = {model.body(name).id for name in robot.hand_bodies}
+    found = []
+    for geom in range(model.ngeom):
+        if int(model.geom_bodyid[geom]) in hand and model.geom_contype[geom] | model.geom_conaffinity[geom]:
+            middle_geom, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+            corners = middle_geom + _CORNERS * half
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+                mesh = int(model.geom_dataid[geom])
+                first = int(model.mesh_vertadr[mesh])
+                corners = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
+            world = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+            found.append((world - data.site_xpos[site]) @ axes)
+    points = np.concatenate(found)
+    tips = points[points[:, 2] > points[:, 2].max() - 2 * BAR_BEHIND_TIP_M]
+    return np.array([tips.min(0), tips.max(0)])
+
+
+def hold_poses(asset: ArticulatedAsset, hold: Hold, manner: Manner, progress: ArrayLike) -> Array:
+    """Poses (N, 4, 4) of the hand in the asset frame after shares (N,) of the part's way.
+
+    It turns with its share of the part's turn, and slides along the bar as the manner says.
+    """
+    progress = np.asarray(progress, np.float64)
+    poses = []
+    for share in progress:
+        moved = manner.sign * share * manner.travel
+        T_asset_ee = hold.T_asset_ee.copy()
+        T_asset_ee[:3, 3] += manner.slip_m * (share - 0.5) * asset.handle_axis
+        T_held = asset.joint.motion(manner.start + moved) @ T_asset_ee
+        if asset.joint.type == "revolute":
+            lag = matrix_from_rotvec(-(1.0 - manner.follow) * moved * asset.joint.axis)
+            T_held = transform(lag @ T_held[:3, :3], T_held[:3, 3])
+        poses.append(T_held)
+    return np.array(poses)
+
+
+def hand_axes(robot: RobotModel) -> Array:
+    """Axes (3, 3) of the hand in the end effector's frame: width of the fingers, closing, approach."""
+    width = np.cross(robot.closing_ee, robot.approach_ee)
+    return np.array([width, robot.closing_ee, robot.approach_ee], np.float64).T
