@@ -26,6 +26,12 @@ HARD_FRICTION = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 GRAVITY = 9.81
 # The arm follows the handle over about this much of the joint, [rad] or [m].
 FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
+# Yaw of the object, [deg], and distance of the handle before the robot, [m]. A lid leads the hand up,
+# over and away from the robot: the arm has room for 90 degrees of that where the object stands near and
+# is turned with its front across the robot's middle (searched over 360 places of three toolboxes and
+# three laptops).
+BEFORE = ((-18.0, 18.0), (0.56, 0.70))
+LIFTED = ((-8.0, 52.0), (0.38, 0.52))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,11 +64,13 @@ def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
     heading = rng.uniform(-np.pi, np.pi)
     T_world_room = transform(matrix_from_rotvec([0.0, 0.0, heading]), np.zeros(3))
     table_z = rng.uniform(-0.08, 0.04)
-    yaw = np.deg2rad(rng.uniform(-18, 18))
-    R = matrix_from_rotvec([0.0, 0.0, yaw])
+    held, lifted = _held_place(asset)
+    turns, distances = LIFTED if lifted else BEFORE
+    yaw = np.deg2rad(rng.uniform(*turns))
     # The handle is put where the arm can follow it; the object follows from that.
-    handle = np.array([rng.uniform(-0.28, 0.28), rng.uniform(0.56, 0.70), 0.0])
-    centre = handle - R @ (_held_place(asset) * [1, 1, 0])
+    handle = np.array([rng.uniform(-0.28, 0.28), rng.uniform(*distances), 0.0])
+    R = matrix_from_rotvec([0.0, 0.0, yaw * np.sign(handle[0]) if lifted else yaw])
+    centre = handle - R @ (held * [1, 1, 0])
     T_room_object = transform(R, centre + [0.0, 0.0, table_z])
     room = Room(
         T_world_room=T_world_room,
@@ -80,19 +88,19 @@ def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
     )
 
 
-def _held_place(asset: ArticulatedAsset) -> Array:
-    """Point (3,) of the asset frame that is put before the arm.
+def _held_place(asset: ArticulatedAsset) -> tuple[Array, bool]:
+    """Point (3,) of the asset frame that is put before the arm, and whether the part is lifted.
 
     A part that opens towards the robot is met at its closed handle. A lid or a sliding panel
     carries the handle away or aside, so that the middle of its way counts.
     """
-    joint = asset.joint
-    way = (
-        apply(joint.motion(np.linspace(0.0, min(FOLLOWED[joint.type], joint.upper), 9)), asset.handle_point)
-        - asset.handle_point
-    )
-    opens_forward = float(way[-1] @ outward_normal(asset)) > 0.25 * float(np.linalg.norm(way[-1]))
-    return asset.handle_point if opens_forward else asset.handle_point + (way.min(0) + way.max(0)) / 2
+    joint, start = asset.joint, asset.handle_point
+    values = np.linspace(0.0, min(FOLLOWED[joint.type], joint.upper), 9)
+    way = apply(joint.motion(values), start) - start
+    length = float(np.linalg.norm(way[-1]))
+    middle = start + (way.min(0) + way.max(0)) / 2
+    opens_forward = float(way[-1] @ outward_normal(asset)) > 0.25 * length
+    return start if opens_forward else middle, bool(way[-1, 2] > 0.5 * length)
 
 
 def weight_on_joint(asset: ArticulatedAsset) -> float:
