@@ -127,7 +127,12 @@ def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Pat
     from aomgen.io.atomic import write_json
 
     wanted = cases(count, FIRST_SEED if seed is None else seed)
-    outcomes = run_motion(wanted, out, lambda outcome: print(told(outcome), flush=True))
+    outcomes = run_motion(
+        wanted,
+        out,
+        lambda outcome: print(told(outcome), flush=True),
+        lambda case, why: print(f"{case.category}-{case.seed} {case.kind} left out: {why}", flush=True),
+    )
     summaries = summaries_of(outcomes)
     unsolvable, fractions = unsolvable_of(outcomes), fractions_of(outcomes)
     print(f"\n{motion_table(summaries)}\n\n{as_table(unsolvable)}\n\n{as_table(fractions)}")

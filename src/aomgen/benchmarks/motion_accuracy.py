@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aomgen.assets.make import MAKERS
+from aomgen.assets.make import MAKERS, OTHER_MAKERS
 from aomgen.benchmarks.accuracy import score_motion
 from aomgen.benchmarks.motion_methods import REFUSAL, paper_estimates
 from aomgen.benchmarks.motion_worlds import (
@@ -22,7 +22,7 @@ from aomgen.benchmarks.motion_worlds import (
 )
 from aomgen.benchmarks.segmented import segmented
 from aomgen.core.motion import MotionEstimate
-from aomgen.errors import EstimationError
+from aomgen.errors import ConfigError, EstimationError
 from aomgen.io.arrays import read_npz
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.estimate import estimate_motion
@@ -34,7 +34,9 @@ NORMAL_95: Final = 1.96
 # Unsolvable cases, and worlds beyond the usual pinch that opens, beside every solvable world.
 UNSOLVABLE_SHARE: Final = 0.4
 BEYOND_SHARE: Final = 0.2
-BEYOND: Final[tuple[Kind, ...]] = ("closing", "hook", "push")
+BEYOND: Final[tuple[Kind, ...]] = ("closing", "hook", "push", "open", "open")
+# Of which "open" is done with objects beyond the five.
+OTHERS: Final = tuple(sorted(OTHER_MAKERS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +104,10 @@ class Outcome:
 
 
 def cases(count: int, first_seed: int) -> list[Case]:
-    """So many worlds of the five categories, then unsolvable ones, then some beyond; categories take turns."""
+    """So many worlds of the five categories, then unsolvable ones, then some beyond; categories take turns.
+
+    Beyond are other manners of the five, and other objects.
+    """
     categories = sorted(MAKERS)
     groups: tuple[tuple[str, int, Sequence[Kind]], ...] = (
         ("solvable", count, ("open",)),
@@ -115,25 +120,37 @@ def cases(count: int, first_seed: int) -> list[Case]:
             # Kinds shift against categories, so that few cases hold many pairs.
             kind = kinds[(k + k // len(categories)) % len(kinds)]
             category = categories[k % len(categories)]
+            if group == "beyond" and kind == "open":
+                category = OTHERS[k // len(categories) % len(OTHERS)]
             result.append(
                 Case(category=category, seed=first_seed + k // len(categories), kind=kind, group=group)
             )
     return result
 
 
-def run_motion(wanted: Sequence[Case], out: Path | None, tell: Callable[[Outcome], None]) -> list[Outcome]:
+def run_motion(
+    wanted: Sequence[Case],
+    out: Path | None,
+    tell: Callable[[Outcome], None],
+    skipped: Callable[[Case, str], None],
+) -> list[Outcome]:
     """Make worlds, recover their motion, score it.
 
     Args:
         wanted: Which worlds.
         out: Keeps the worlds, which are made but once; temporary when None.
         tell: Gets every outcome as soon as it is known.
+        skipped: Gets every case that no demonstration was found for, with the reason; it is left out.
     """
     outcomes = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = (out or Path(scratch)).resolve()
         for case in wanted:
-            world = motion_world(case.category, case.seed, folder, case.kind)
+            try:
+                world = motion_world(case.category, case.seed, folder, case.kind)
+            except ConfigError as error:
+                skipped(case, str(error))
+                continue
             for outcome in judged(world, case):
                 outcomes.append(outcome)
                 tell(outcome)

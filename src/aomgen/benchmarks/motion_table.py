@@ -69,7 +69,7 @@ def summaries_of(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
     ):
         case = outcome.case
         if case.group == "beyond" and outcome.method == "ours":
-            groups.setdefault(f"({case.kind})", []).append(outcome)
+            groups.setdefault(f"({case.category if case.kind == 'open' else case.kind})", []).append(outcome)
         elif case.group == "solvable" and outcome.method == "ours":
             groups["all"].append(outcome)
             groups.setdefault(case.category, []).append(outcome)
