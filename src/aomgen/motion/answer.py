@@ -1,5 +1,7 @@
 """The answer of AOMotion from its pieces: values at the video's frames and how well they are known."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from aomgen.core.joint import Joint
@@ -10,7 +12,12 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.direction import direction_of
 from aomgen.motion.drift import hand_drift
 from aomgen.motion.recovery import Recovery, poses_at
-from aomgen.motion.theta import values_at_frames
+from aomgen.motion.theta import path_values, values_at_frames
+
+# One of so many samples of the joint is carried to the values.
+_EVERY = 8
+# Grasps give way along the motion by this per travel (simulated contact with doors and drawers), [m/m].
+GIVE_RATE = 0.002
 
 
 def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: float) -> MotionEstimate:
@@ -54,18 +61,22 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
 
 
 def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Array) -> Array:
-    """Path error, axis error and clock error of the values, [rad] or [m]."""
+    """Standard deviation (F,) of the values, [rad] or [m]: of the joint, of the grasp, of the clock."""
     estimate, joint = recovery.estimate, recovery.joint
+    first, last = recovery.interval
+    moments = np.clip(frames, first, last)
+    poses = poses_at(demo, np.concatenate([[first], moments]) + demo.clock_offset_s)
+    draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
+    values = [
+        path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal).values
+        for axis, origin, grasp in draws
+    ]
+    offset = apply(poses[0], estimate.grasp_ee) - joint.origin
+    radius = float(np.linalg.norm(np.cross(offset, joint.axis))) if joint.type == "revolute" else 1.0
+    grasp_sd = np.hypot(estimate.residual_m / radius, GIVE_RATE * thetas)
     speed = np.abs(np.interp(frames, recovery.times_s, np.gradient(recovery.values, recovery.times_s)))
-    clock_part = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
-    if joint.type == "prismatic":
-        return np.sqrt(estimate.residual_m**2 + (thetas * estimate.axis_sd_rad**2 / 2) ** 2 + clock_part**2)
-    held = apply(poses_at(demo, np.array([recovery.interval[0] + demo.clock_offset_s])), estimate.grasp_ee)[0]
-    offset = held - joint.origin
-    radius = float(np.linalg.norm(offset - (offset @ joint.axis) * joint.axis))
-    path = estimate.residual_m / radius
-    axis = estimate.origin_sd_m / radius * 2 * np.abs(np.sin(thetas / 2))
-    return np.sqrt(path**2 + axis**2 + clock_part**2)
+    clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
+    return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2)
 
 
 def _first_frame(frames: Array, moment_s: float) -> float:

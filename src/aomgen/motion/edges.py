@@ -1,8 +1,4 @@
-"""Boxes around the two parts, and which pair of their edges looks like the joint.
-
-Right for most doors and drawers, wrong for some (a wide flat lid, a tall fridge), so it serves as
-a weak prior for `joint.py` and never decides alone.
-"""
+"""Boxes around the two parts and their edges."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -10,7 +6,6 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze
 from aomgen.errors import InputError
@@ -53,48 +48,6 @@ class Box:
                 step = np.eye(3)[along]
                 ends.append([corner - step, corner + step])
         return apply(self.T_world_box, np.array(ends) * self.half_extents)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeWeights:
-    """Weights of the edge cost's terms, and the pair count that makes the centre.
-
-    Attributes:
-        shape: Weight of "parallel and close" (the paper's lambda 1).
-        direction: Weight of the edge's angle to the hand's motion (lambda 2).
-        contact: Weight of the distance between contact and edge (lambda 3).
-        nearest_pairs: Point pairs averaged for the joint's centre (the paper's K).
-    """
-
-    shape: float = 1.0
-    direction: float = 0.5
-    contact: float = 1.0
-    nearest_pairs: int = 50
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EdgePrior:
-    """What the shape of the closed object says about its joint, world frame.
-
-    Attributes:
-        axes: Unit box axes (3, 3) in rows; the last is vertical.
-        revolute_axis, revolute_origin: Direction (3,) and centre (3,) of the best revolute pair, [m].
-        prismatic_axis: Direction (3,) of the best prismatic pair.
-        face_normal: Unit outward normal (3,) of the moving part's face.
-        diagonal_m: Size of the moving part, [m].
-    """
-
-    axes: Array
-    revolute_axis: Array
-    revolute_origin: Array
-    prismatic_axis: Array
-    face_normal: Array
-    diagonal_m: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "axes", self.axes, (3, 3))
-        for name in ("revolute_axis", "revolute_origin", "prismatic_axis", "face_normal"):
-            freeze(self, name, getattr(self, name), (3,))
 
 
 def footprint_yaw(points_world: Array) -> float:
@@ -177,75 +130,6 @@ def edge_terms(static: Box, moving: Box, contact_world: Array, direction_world: 
     )
 
 
-def edge_costs(
-    static: Box,
-    moving: Box,
-    contact_world: Array,
-    direction_world: Array,
-    joint_type: JointType,
-    weights: EdgeWeights | None = None,
-) -> Array:
-    """Cost (12, 12) of every pair (static edge, moving edge) to lie along the joint.
-
-    Parallel and close edges are cheap. A revolute joint lies across the hand's approach and far from
-    the contact; a prismatic edge points along the hand's motion.
-
-    The direction is the hand's approach (revolute) or its displacement (prismatic); see `edge_terms`.
-
-    Source: AOMGen, sec. 4.2, "Articulated Object Modeling", with the sign of the contact term turned
-    (the text asks for the far side, the printed formula for the near one).
-    """
-    weights = weights or EdgeWeights()
-    terms = edge_terms(static, moving, contact_world, direction_world)
-    cost = weights.shape * terms.score
-    if joint_type == "revolute":
-        return cost + weights.direction * terms.along[None] - weights.contact * terms.reach[None]
-    return cost - weights.direction * terms.along[None]
-
-
-def edge_prior(
-    points_static: Array,
-    points_moving: Array,
-    contact_world: Array,
-    displacement_world: Array,
-    weights: EdgeWeights | None = None,
-) -> EdgePrior:
-    """Boxes, their axes and the best edge pair of each joint type.
-
-    Args:
-        points_static: Points of the static part (N, 3), world frame, [m].
-        points_moving: Points of the closed moving part (M, 3), world frame, [m].
-        contact_world: Contact point (3,), [m].
-        displacement_world: Unit vector (3,) of the hand's first motion.
-        weights: Weights of the cost.
-
-    Raises:
-        InputError: A part has too few points.
-
-    Not checked: the object stands upright and both parts are roughly boxes.
-    """
-    weights = weights or EdgeWeights()
-    yaw = footprint_yaw(np.concatenate([points_static, points_moving]))
-    static, moving = upright_box(points_static, yaw), upright_box(points_moving, yaw)
-    axes = moving.T_world_box[:3, :3].T
-    normal = face_normal(static, moving)
-    best_revolute = _best_pair(edge_costs(static, moving, contact_world, normal, "revolute", weights))
-    best_prismatic = _best_pair(
-        edge_costs(static, moving, contact_world, displacement_world, "prismatic", weights)
-    )
-    edge_static, edge_moving = static.edges()[best_revolute[0]], moving.edges()[best_revolute[1]]
-    return EdgePrior(
-        axes=axes,
-        revolute_axis=_units(edge_moving[None])[0],
-        revolute_origin=pair_center(
-            points_static, points_moving, edge_static, edge_moving, weights.nearest_pairs
-        ),
-        prismatic_axis=_units(moving.edges()[best_prismatic[1]][None])[0],
-        face_normal=normal,
-        diagonal_m=moving.diagonal_m,
-    )
-
-
 def face_normal(static: Box, moving: Box) -> Array:
     """Box axis along which the moving part sticks out of the static one most, for its size."""
     offset = apply(invert(moving.T_world_box), static.T_world_box[:3, 3])
@@ -271,11 +155,6 @@ def pair_center(
     distances, partners = cKDTree(close_static).query(close_moving)
     chosen = np.argsort(distances)[:count]
     return ((close_moving[chosen] + close_static[partners[chosen]]) / 2).mean(0)
-
-
-def _best_pair(costs: Array) -> tuple[int, int]:
-    row, column = np.unravel_index(int(np.argmin(costs)), costs.shape)
-    return int(row), int(column)
 
 
 def _units(edges: Array) -> Array:

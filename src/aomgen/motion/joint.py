@@ -1,21 +1,27 @@
 """The joint behind a demonstration: type, axis, origin and how well they are known.
 
-The part moves on a one-parameter path and the hand moves with it. A handle may turn in the fingers,
-so the hand's turn is not the part's turn: the axis direction comes from the path's plane and the
-hand's rotation axis together, the centre from the path, and the object's edges help where the path
-is short. Revolute and prismatic explanations compete by BIC.
+The part moves on a one-parameter path and the hand moves with it. A handle may turn in the fingers and
+slip through them, so the hand's pose is evidence with flaws of its own (`joint_noise`), and the parts'
+shape is a weak belief (`geometry`). Revolute and prismatic explanations compete by their evidence.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
-from aomgen.motion.edges import EdgePrior
-from aomgen.motion.joint_models import JointNoise, Solution, solve_prismatic, solve_revolute
+from aomgen.motion.geometry import Shape
+from aomgen.motion.joint_fit import JointModel, Posterior, fitted, posterior
+from aomgen.motion.joint_models import Prismatic, Revolute
+from aomgen.motion.joint_noise import BEND_SHARE, SCALES, Course, NoisePrior
 from aomgen.motion.path import HandPath, thin
+
+_REMEDY = "record a longer demonstration"
+# Sizes of flaws this many standard deviations above their medians are looked into.
+_UNUSUAL = 2.0
+_TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,16 +29,18 @@ class JointParams:
     """Limits of what is accepted as an answer.
 
     Attributes:
-        noise: Assumed errors of the evidence.
+        noise: Usual flaws of the evidence.
+        grasp_sd_m: Error of the first guess of the held point, [m].
         nodes: Stretches the path is thinned to.
         smooth: Samples averaged when measuring travel.
         min_turn_rad, min_travel_m: Shortest motion that tells a joint.
-        min_margin: Smallest BIC difference between the two types.
+        min_margin: Smallest difference of the types' evidence, twice the logarithm as in BIC.
         door_radius_m: A path is called straight only if an arc of this radius would stand out, [m].
         straight_sd: How far it has to stand out, in standard deviations.
     """
 
-    noise: JointNoise = field(default_factory=JointNoise)
+    noise: NoisePrior = field(default_factory=NoisePrior)
+    grasp_sd_m: float = 0.008
     nodes: int = 24
     smooth: int = 11
     min_turn_rad: float = float(np.radians(15.0))
@@ -49,12 +57,13 @@ class JointEstimate:
     Attributes:
         joint: Value 0 at the beginning of the path; `upper` is the observed travel.
         grasp_ee: The held point (3,), end-effector frame, refined, [m].
-        axis_sd_rad: Standard deviation of the direction, [rad].
-        origin_sd_m: Standard deviation of the axis line near the contact, [m].
+        axis_sd_rad: Standard deviation of the direction (root of both ways' variances), [rad].
+        origin_sd_m: The same of the axis line near the contact, [m]; 0 for a prismatic joint.
         axis_ci95_rad, origin_ci95_m: Radii around direction and line that hold the true ones with 95 %.
-        residual_m: RMS distance of the path from the model, [m].
+        residual_m: Unsteadiness of the hand along the path, [m].
         turn_ratio: Turn of the hand over turn of the part; 0 for a prismatic joint.
-        margin: BIC of the other type minus BIC of this one.
+        margin: Twice the log evidence of this type over the other one.
+        axes, origins, grasps: Equally likely axes (S, 3), points on them (S, 3) [m] and held points (S, 3) [m].
     """
 
     joint: Joint
@@ -66,20 +75,25 @@ class JointEstimate:
     residual_m: float
     turn_ratio: float
     margin: float
+    axes: Array
+    origins: Array
+    grasps: Array
 
     def __post_init__(self) -> None:
         freeze(self, "grasp_ee", self.grasp_ee, (3,))
+        for name in ("axes", "origins", "grasps"):
+            freeze(self, name, getattr(self, name), (len(self.axes), 3))
 
 
 def estimate_joint(
-    Ts_world_ee: Array, grasp_ee: Array, edges: EdgePrior | None = None, params: JointParams | None = None
+    Ts_world_ee: Array, grasp_ee: Array, shape: Shape | None = None, params: JointParams | None = None
 ) -> JointEstimate:
     """Find the joint from the hand's poses while it holds the part.
 
     Args:
         Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
         grasp_ee: First guess of the held point (3,), end-effector frame, [m].
-        edges: The object's box edges, or None to use the path alone.
+        shape: The parts' shape, or None to use the path alone.
         params: Limits and assumed errors.
 
     Returns:
@@ -90,7 +104,7 @@ def estimate_joint(
         AmbiguousJointError: Both joint types explain the path equally well.
 
     Source: AOMGen, sec. 4.2, "Articulated Object Modeling"; the path fit replaces its edge decision,
-    the edges remain as a prior. Not checked: that the hand does not slide along the part.
+    the edges remain as a belief. Not checked: that the hand holds the same part all the time.
     """
     params = params or JointParams()
     path = thin(Ts_world_ee, grasp_ee, nodes=params.nodes, smooth=params.smooth)
@@ -102,73 +116,147 @@ def estimate_joint(
             f"the hand moved the part {extent * 1e3:.0f} mm, need {params.min_travel_m * 1e3:.0f} mm",
             _REMEDY,
         )
-    revolute, prismatic = _compete(path, edges, params.noise)
-    best, other = sorted((revolute, prismatic), key=lambda solution: solution.bic)
-    margin = other.bic - best.bic
-    turn = abs(float(revolute.values[-1] - revolute.values[0]))
-    if best is revolute and not turn >= params.min_turn_rad:
+    revolute, prismatic = explanations(path, shape, params)
+    margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
+    _refuse(revolute, prismatic, extent, params)
+    if margin > 0:
+        return _estimate(path, revolute, "revolute", margin)
+    return _estimate(path, prismatic, "prismatic", -margin)
+
+
+def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tuple[Posterior, Posterior]:
+    """The path as a revolute and as a prismatic joint would make it."""
+    points = path.points_world
+    middle = points.mean(0)
+    turns = path.turns_world
+    doors: list[JointModel] = [
+        Revolute(path=path, turns_world=turns, start=start, middle=middle, grasp_sd_m=params.grasp_sd_m)
+        for start in _first_axes(path, turns)
+    ]
+    along = np.linalg.svd(points - middle)[2][0]
+    drawer = Prismatic(path=path, turns_world=turns, start=along, middle=middle)
+    course = _trusted(Course.of(points), (doors, [drawer]), params.noise)
+    hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
+    return (
+        posterior(doors, course, params.noise, hinges),
+        posterior([drawer], course, params.noise, rails),
+    )
+
+
+def _trusted(course: Course, types: tuple[list[JointModel], ...], noise: NoisePrior) -> Course:
+    """The course with those nodes at its ends doubted at which the hand did not hold the part yet or any more.
+
+    Only looked for where a path is much less steady than paths are.
+    """
+
+    def fit(course: Course) -> tuple[float, float]:
+        evidence, steps = max(
+            (fitted(models, course, noise)[:2] for models in types), key=lambda item: item[0]
+        )
+        return evidence, float(np.max(np.delete(steps, _TURNS)))
+
+    best, unsteady = fit(course)
+    if unsteady < _UNUSUAL:
+        return course
+    count = len(course.travel_m)
+    for ends in ([slice(count - k, count) for k in (1, 2, 4, 6)], [slice(0, k) for k in (1, 2, 4, 6)]):
+        tried = [(fit(course.doubted(nodes))[0], nodes) for nodes in ends]
+        evidence, nodes = max(tried, key=lambda item: item[0])
+        if evidence > best:
+            best, course = evidence, course.doubted(nodes)
+    return course
+
+
+def _refuse(revolute: Posterior, prismatic: Posterior, extent_m: float, params: JointParams) -> None:
+    """Too short is what a door would have turned too little for, unless the path speaks for a drawer."""
+    margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
+    turn = abs(float(np.ptp(revolute.model.values(revolute.mean))))
+    if margin > -params.min_margin and not turn >= params.min_turn_rad:
         limit = np.degrees(params.min_turn_rad)
         raise DemonstrationTooShortError(
             "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
         )
-    if best is prismatic:
-        _refuse_hidden_arc(extent, best.residual_m, params)
-    if not margin >= params.min_margin:
+    if not abs(margin) >= params.min_margin:
         raise AmbiguousJointError(
             "joint",
-            f"a revolute and a prismatic joint fit equally well (BIC differs by {margin:.1f}, need "
+            f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.1f}, need "
             f"{params.min_margin:.1f})",
             "record a longer motion or give the joint's type in the project",
         )
-    return _estimate(path, best, "revolute" if best is revolute else "prismatic", margin)
+    if margin < 0:
+        _refuse_hidden_arc(extent_m, prismatic, params)
 
 
-# Radius that holds 95 % of a round Gaussian in the plane, over the root of its variance's trace.
-_RADIUS_95 = float(np.sqrt(-np.log(0.05)))
-_REMEDY = "record a longer demonstration"
-
-
-def _refuse_hidden_arc(extent_m: float, residual_m: float, params: JointParams) -> None:
-    """A straight path is evidence of a prismatic joint only where a door's arc would be seen."""
+def _refuse_hidden_arc(extent_m: float, prismatic: Posterior, params: JointParams) -> None:
+    """A straight path speaks for a prismatic joint only where a door's arc would be seen."""
     bulge = extent_m**2 / (8 * params.door_radius_m)
-    need = params.straight_sd * residual_m / np.sqrt(params.noise.independent_nodes)
-    if not bulge >= need:
-        raise AmbiguousJointError(
-            "joint",
-            f"the path of {extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
-            f"would bend it by {bulge * 1e3:.1f} mm only, need {need * 1e3:.1f} mm",
-            "record a longer motion or give the joint's type in the project",
-        )
+    # The middle half of the nodes against the outer half tells the bulge.
+    unsteady, slip = prismatic.scales[0] * np.sqrt(4 / params.nodes), prismatic.scales[-1] * extent_m
+    need = params.straight_sd * float(np.hypot(unsteady, BEND_SHARE * slip))
+    if bulge >= need:
+        return
+    problem = (
+        f"the path of {extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
+        f"would bend it by {bulge * 1e3:.1f} mm only, need {need * 1e3:.1f} mm"
+    )
+    if extent_m < params.min_turn_rad * params.door_radius_m:
+        raise DemonstrationTooShortError("joint", problem, _REMEDY)
+    raise AmbiguousJointError("joint", problem, "hold the handle firmly or record a longer motion")
 
 
-def _compete(path: HandPath, edges: EdgePrior | None, noise: JointNoise) -> tuple[Solution, Solution]:
-    """Both explanations under one noise level: the assumed one, or what the better model leaves."""
-    revolute, prismatic = solve_revolute(path, edges, noise), solve_prismatic(path, edges, noise)
-    left = min(revolute.residual_m, prismatic.residual_m)
-    if left > noise.position_sd_m:
-        wider = replace(noise, position_sd_m=left)
-        return solve_revolute(path, edges, wider), solve_prismatic(path, edges, wider)
-    return revolute, prismatic
+def _first_axes(path: HandPath, turns_world: Array) -> list[Array]:
+    """Rotation axis of the hand, and four directions across the path's chord.
+
+    A short or unsteady arc hardly tells its plane, so its plane is not trusted.
+    """
+    points = path.points_world
+    axes = []
+    if np.linalg.norm(turns_world, axis=1).max() > np.radians(3.0):
+        axes.append(np.linalg.svd(turns_world)[2][0])
+    _, _, (_, second, third) = np.linalg.svd(points - points.mean(0))
+    diagonals = np.array([third + second, third - second]) / np.sqrt(2)
+    return [*axes, third, second, *diagonals]
 
 
-def _estimate(path: HandPath, solution: Solution, joint_type: JointType, margin: float) -> JointEstimate:
-    travel = float(solution.values[-1] - solution.values[0])
+def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: float) -> JointEstimate:
+    model, x = found.model, found.mean
+    values = model.values(x)
+    travel = float(values[-1] - values[0])
     sign = 1.0 if travel >= 0 else -1.0
-    joint = Joint(
-        type=joint_type, axis=sign * solution.axis, origin=solution.origin, lower=0.0, upper=abs(travel)
-    )
-    ratio = 0.0
-    if joint_type == "revolute":
-        values = solution.values - solution.values[0]
-        ratio = float(values @ (path.turns_world @ solution.axis) / (values @ values))
+    held = path.points_world[0]
+    revolute = joint_type == "revolute"
+    axis, origin = (row[0] for row in _near(model, x[None], held))
+    axes, origins = _near(model, found.draws, held)
+    angles = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
+    across = (origins - origin) * revolute
+    gaps = np.linalg.norm(across - np.outer(across @ axis, axis), axis=1)
     return JointEstimate(
-        joint=joint,
-        grasp_ee=solution.grasp_ee,
-        axis_sd_rad=solution.axis_sd_rad,
-        origin_sd_m=solution.origin_sd_m,
-        axis_ci95_rad=_RADIUS_95 * solution.axis_sd_rad,
-        origin_ci95_m=_RADIUS_95 * solution.origin_sd_m,
-        residual_m=solution.residual_m,
-        turn_ratio=ratio,
+        joint=Joint(
+            type=joint_type,
+            axis=sign * axis,
+            origin=origin if revolute else held,
+            lower=0.0,
+            upper=abs(travel),
+        ),
+        grasp_ee=model.grasp(x),
+        axis_sd_rad=_rms(angles),
+        origin_sd_m=_rms(gaps),
+        axis_ci95_rad=float(np.percentile(angles, 95)),
+        origin_ci95_m=float(np.percentile(gaps, 95)),
+        residual_m=float(found.scales[0]),
+        turn_ratio=float(x[9]) if revolute else 0.0,
         margin=margin,
+        axes=sign * axes,
+        origins=origins,
+        grasps=np.broadcast_to(model.grasp(found.draws), axes.shape),
     )
+
+
+def _near(model: JointModel, x: Array, point: Array) -> tuple[Array, Array]:
+    """Directions (S, 3) of the axes that unknowns (S, P) mean and their points (S, 3) nearest to a point."""
+    axes, points = model.lines(x)
+    return axes, points + axes * ((point - points) * axes).sum(1, keepdims=True)
+
+
+def _rms(distances: Array) -> float:
+    return float(np.sqrt(np.mean(distances**2)))

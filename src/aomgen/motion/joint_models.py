@@ -1,207 +1,217 @@
-"""The two one-parameter motions and their robust fits to the hand's path."""
+"""What a revolute and a prismatic joint predict of the hand's path, as residuals of their unknowns."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
-from aomgen.motion.edges import EdgePrior
 from aomgen.motion.path import HandPath
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointNoise:
-    """Assumed errors of the evidence, one standard deviation each.
-
-    Attributes:
-        position_sd_m: Path of the held point (slip, bending), [m].
-        rotation_sd_rad: Wobble of the hand across the axis, [rad].
-        turn_sd_rad, turn_sd_share: Hand's turn against the part's turn: constant [rad] plus share of the turn;
-            all nodes together count once, as a handle turns steadily in the fingers.
-        grasp_sd_m: First guess of the held point, [m].
-        upright_sd_rad, level_sd_rad: Direction of the object's vertical and horizontal edges, [rad].
-        edge_sd_share: Distance of the joint from its edge pair, as share of the part's diagonal.
-        independent_nodes: Slip is smooth, so all nodes together count as this many.
-        max_radius_m: Largest radius of a revolute joint, [m].
-    """
-
-    position_sd_m: float = 0.001
-    rotation_sd_rad: float = float(np.radians(2.0))
-    turn_sd_rad: float = float(np.radians(3.0))
-    turn_sd_share: float = 0.15
-    grasp_sd_m: float = 0.008
-    upright_sd_rad: float = float(np.radians(1.0))
-    level_sd_rad: float = float(np.radians(2.5))
-    edge_sd_share: float = 0.08
-    independent_nodes: float = 6.0
-    max_radius_m: float = 2.0
+# Distance of handles from hinges, [m]: from lids of boxes to doors at the end of an arm's reach, 0.1 to
+# 1.2 m with 95 %; and the spread of its logarithm.
+RADIUS_M, RADIUS_SPREAD = 0.35, 0.6
+MIN_RADIUS_M, MAX_RADIUS_M = 0.05, 2.0
+# Turn of the hand over turn of the part: most hands follow, some handles turn in them freely.
+RATIO, RATIO_SD = 0.7, 0.4
+# A direction is known to nothing: density over the sphere, [1/sr].
+LOG_ANY_DIRECTION = -float(np.log(4 * np.pi))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
-    """One fitted motion.
-
-    Attributes:
-        axis: Unit direction (3,).
-        origin: Point of the axis nearest the path's beginning (3,), [m]; prismatic: that beginning.
-        grasp_ee: Held point (3,), end-effector frame, [m].
-        values: Joint value at each node (K,), [rad] or [m].
-        residual_m: RMS distance of the nodes from the model, robust, [m].
-        bic: Bayesian information criterion.
-        axis_sd_rad, origin_sd_m: Standard deviations, [rad], [m].
-    """
+class Line:
+    """A joint's axis: unit direction (3,), and the point of it nearest the path's middle (3,), [m]."""
 
     axis: Array
-    origin: Array
-    grasp_ee: Array
-    values: Array
-    residual_m: float
-    bic: float
-    axis_sd_rad: float
-    origin_sd_m: float
+    point: Array
 
     def __post_init__(self) -> None:
         freeze(self, "axis", self.axis, (3,))
-        freeze(self, "origin", self.origin, (3,))
-        freeze(self, "grasp_ee", self.grasp_ee, (3,))
-        freeze(self, "values", self.values, (len(self.values),))
+        freeze(self, "point", self.point, (3,))
 
 
-def solve_revolute(path: HandPath, edges: EdgePrior | None, noise: JointNoise) -> Solution:
-    """Best circle about an axis: the held point keeps radius and height, the hand turns about the axis only.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Revolute:
+    """The held point goes round an axis and the hand turns with it by a steady share.
 
-    Unknowns: axis (2), centre (2), radius, height, held point (3, with a prior). Several first axes
-    are tried, because a short arc hardly tells its plane.
+    Unknowns (10,): tilt of the axis against `start` (2), its place across `start` from `middle` (2),
+    radius and height of the held point (2), held point against its first guess (3), share of the turn.
+
+    Attributes:
+        path: The hand's path.
+        turns_world: Its `turns_world` (K, 3).
+        start: First guess of the axis (3,).
+        middle: Reference point (3,), [m].
+        grasp_sd_m: Standard deviation of the first guess of the held point, [m].
     """
-    middle = path.points_world.mean(0)
-    candidates = [_fit_circle(path, start, middle, edges, noise) for start in _first_axes(path, edges)]
-    return min(candidates, key=lambda solution: solution.bic)
+
+    path: HandPath
+    turns_world: Array
+    start: Array
+    middle: Array
+    grasp_sd_m: float
+
+    kinds = ("face", "bar", "tilt", "tilt", "pivot")
+    steps = np.array([1e-2, 1e-2, *[1e-2] * 4, *[3e-3] * 3, 0.1])
+
+    def lines(self, x: Array) -> tuple[Array, Array]:
+        """Directions and points (..., 3) of the axes that unknowns (..., 10) mean."""
+        return _frame(self.start, x)[0], self.middle + x[..., 2:4] @ tangent_basis(self.start)
+
+    def line(self, x: Array) -> Line:
+        """Axis that the unknowns mean."""
+        return Line(axis=_frame(self.start, x)[0], point=self.middle + x[2:4] @ tangent_basis(self.start))
+
+    def about(self, x: Array) -> tuple["Revolute", Array]:
+        """The same model and unknowns, tilts counted from the axis that they mean."""
+        line = self.line(x)
+        offset = line.point - self.middle
+        turned = x.copy()
+        turned[:2] = 0.0
+        turned[2:4] = tangent_basis(line.axis) @ offset
+        turned[5] += offset @ line.axis
+        return replace(self, start=line.axis), turned
+
+    def grasp(self, x: Array) -> Array:
+        """Held point (..., 3), end-effector frame, [m]."""
+        return self.path.grasp_ee + x[..., 6:9]
+
+    def values(self, x: Array) -> Array:
+        """Turn of the part (K,) since the first node, [rad]."""
+        return self._rolled(x)[2]
+
+    def data(self, x: Array) -> Array:
+        """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 10)."""
+        radii, heights, angles = self._rolled(x)
+        axis, first, second = (self.turns_world @ unit[..., None] for unit in _frame(self.start, x))
+        uneven = axis[..., 0] - x[..., 9:] * angles
+        rows = [radii - x[..., 4:5], heights - x[..., 5:6], first[..., 0], second[..., 0], uneven]
+        return np.stack(rows, axis=-2)
+
+    def _rolled(self, x: Array) -> tuple[Array, Array, Array]:
+        """Distance from the axis, height along it and angle about it (..., K) of the held point."""
+        Ts = self.path.Ts_world_ee
+        held = self.grasp(x)[..., None, :, None]
+        points = (Ts[:, :3, :3] @ held)[..., 0] + Ts[:, :3, 3]
+        offsets = points - (self.middle + x[..., 2:4] @ tangent_basis(self.start))[..., None, :]
+        heights, along, across = ((offsets @ unit[..., None])[..., 0] for unit in _frame(self.start, x))
+        angles = np.unwrap(np.arctan2(across, along))
+        return np.hypot(along, across), heights, angles - angles[..., :1]
+
+    def first(self) -> Array:
+        """First unknowns (10,): an algebraic circle."""
+        tangents = tangent_basis(self.start)
+        turns = self.turns_world @ self.start
+        center, radius = first_circle(self.path.points_world, self.middle, tangents, turns)
+        return np.array([0, 0, *center, radius, 0, 0, 0, 0, RATIO], np.float64)
+
+    def beliefs(self, x: Array) -> Array:
+        """Residuals (..., 5) of what is assumed beforehand, in standard deviations."""
+        ratio = (x[..., 9:] - RATIO) / RATIO_SD
+        size = np.log(np.maximum(np.abs(x[..., 4:5]), 1e-3) / RADIUS_M) / RADIUS_SPREAD
+        return np.concatenate([x[..., 6:9] / self.grasp_sd_m, ratio, size], axis=-1)
+
+    def log_any_place(self, x: Array) -> float:
+        """Log density of an axis' place of which only the usual size is known, see `beliefs`."""
+        return -float(np.log(2 * np.pi * x[4] ** 2) + np.log(RADIUS_SPREAD * np.sqrt(2 * np.pi)))
+
+    @property
+    def log_beliefs(self) -> float:
+        """Normalization of `beliefs`."""
+        return -float(np.log(self.grasp_sd_m) * 3 + np.log(RATIO_SD) + 2 * np.log(2 * np.pi))
 
 
-def solve_prismatic(path: HandPath, edges: EdgePrior | None, noise: JointNoise) -> Solution:
-    """Best straight line: the held point keeps to it and the hand does not turn."""
-    points = path.points_world
-    middle = points.mean(0)
-    start = np.linalg.svd(points - middle)[2][0]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prismatic:
+    """The held point goes straight and the hand does not turn.
+
+    Unknowns (4,): tilt of the axis against `start` (2), place of the line across `start` from `middle` (2).
+    """
+
+    path: HandPath
+    turns_world: Array
+    start: Array
+    middle: Array
+
+    kinds = ("straight", "straight", "tilt", "tilt", "tilt")
+    steps = np.array([1e-2, 1e-2, 1e-2, 1e-2])
+
+    def lines(self, x: Array) -> tuple[Array, Array]:
+        """Directions and points (..., 3) of the lines that unknowns (..., 4) mean."""
+        return _frame(self.start, x)[0], self.middle + x[..., 2:4] @ tangent_basis(self.start)
+
+    def line(self, x: Array) -> Line:
+        """Line that the unknowns mean."""
+        return Line(axis=_frame(self.start, x)[0], point=self.middle + x[2:4] @ tangent_basis(self.start))
+
+    def about(self, x: Array) -> tuple["Prismatic", Array]:
+        """The same model and unknowns, tilts counted from the axis that they mean."""
+        line = self.line(x)
+        place = tangent_basis(line.axis) @ (line.point - self.middle)
+        return replace(self, start=line.axis), np.concatenate([np.zeros(2), place])
+
+    def grasp(self, x: Array) -> Array:
+        """Held point (3,), end-effector frame, [m]; a straight path does not tell it."""
+        del x
+        return self.path.grasp_ee
+
+    def values(self, x: Array) -> Array:
+        """Travel of the part (K,) since the first node, [m]."""
+        points = self.path.points_world
+        return (points - points[0]) @ self.line(x).axis
+
+    def data(self, x: Array) -> Array:
+        """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 4)."""
+        place = self.middle + x[..., 2:4] @ tangent_basis(self.start)
+        offsets = self.path.points_world - place[..., None, :]
+        rows = [(offsets @ unit[..., None])[..., 0] for unit in _frame(self.start, x)[1:]]
+        turns = np.broadcast_to(self.turns_world.T, (*x.shape[:-1], 3, len(self.turns_world)))
+        return np.concatenate([np.stack(rows, axis=-2), turns], axis=-2)
+
+    def first(self) -> Array:
+        """First unknowns (4,)."""
+        return np.zeros(4)
+
+    def beliefs(self, x: Array) -> Array:
+        """Nothing is assumed beforehand."""
+        return np.zeros((*x.shape[:-1], 0))
+
+    def log_any_place(self, x: Array) -> float:
+        """A straight path has no place."""
+        del x
+        return 0.0
+
+    @property
+    def log_beliefs(self) -> float:
+        """Normalization of `beliefs`."""
+        return 0.0
+
+
+def _frame(start: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Axis that tilts `x[..., :2]` make of `start` (3,), and two units (..., 3) across it that follow."""
     tangents = tangent_basis(start)
-    share = np.sqrt(noise.independent_nodes / len(points))
-    turns = path.turns_world
-
-    def terms(x: Array) -> tuple[Array, Array]:
-        axis = _tilted(start, tangents, x[:2])
-        offsets = points - middle - x[2:4] @ tangents
-        across = offsets - np.outer(offsets @ axis, axis)
-        data = [share * across.ravel() / noise.position_sd_m, share * turns.ravel() / noise.turn_sd_rad]
-        prior = [] if edges is None else [_direction_term(axis, edges, noise)]
-        return np.concatenate(data), np.array(prior)
-
-    x, covariance, cost = _minimise(terms, np.zeros(4))
-    axis = _tilted(start, tangents, x[:2])
-    offsets = points - middle - x[2:4] @ tangents
-    across = np.linalg.norm(offsets - np.outer(offsets @ axis, axis), axis=1)
-    return Solution(
-        axis=axis,
-        origin=points[0],
-        grasp_ee=path.grasp_ee,
-        values=(points - points[0]) @ axis,
-        residual_m=_robust_rms(across),
-        bic=cost + 4 * np.log(4 * noise.independent_nodes),
-        axis_sd_rad=float(np.sqrt(np.trace(covariance[:2, :2]))),
-        origin_sd_m=float(np.sqrt(np.trace(covariance[2:4, 2:4]))),
-    )
-
-
-def _fit_circle(
-    path: HandPath, start: Array, middle: Array, edges: EdgePrior | None, noise: JointNoise
-) -> Solution:
-    tangents = tangent_basis(start)
-    Ts, turns = path.Ts_world_ee, path.turns_world
-    share = np.sqrt(noise.independent_nodes / len(Ts))
-
-    def unpack(x: Array) -> tuple[Array, Array, Array]:
-        grasp = path.grasp_ee + x[6:9]
-        return _tilted(start, tangents, x[:2]), middle + x[2:4] @ tangents, apply(Ts, grasp)
-
-    def terms(x: Array) -> tuple[Array, Array]:
-        axis, center, points = unpack(x)
-        offsets = points - center
-        heights = offsets @ axis
-        radii = np.linalg.norm(offsets - np.outer(heights, axis), axis=1)
-        wobble = turns - np.outer(turns @ axis, axis)
-        values = arc_values(points, center, axis)
-        slack = noise.turn_sd_rad + noise.turn_sd_share * abs(values[-1])
-        data = [
-            share * (radii - x[4]) / noise.position_sd_m,
-            share * (heights - x[5]) / noise.position_sd_m,
-            share * wobble.ravel() / noise.rotation_sd_rad,
-            (turns @ axis - values) / (slack * np.sqrt(len(Ts))),
-        ]
-        prior = [*(x[6:9] / noise.grasp_sd_m), 3 * max(0.0, x[4] / noise.max_radius_m - 1)]
-        if edges is not None:
-            line_gap = np.cross(edges.revolute_origin - center, axis)
-            prior += [
-                _direction_term(axis, edges, noise),
-                float(np.linalg.norm(line_gap)) / (noise.edge_sd_share * edges.diagonal_m),
-            ]
-        return np.concatenate(data), np.array(prior)
-
-    center, radius = _first_circle(path.points_world, middle, tangents, turns @ start)
-    x, covariance, cost = _minimise(
-        terms, np.concatenate([center, [radius, 0.0], np.zeros(3)], dtype=float), lead=2
-    )
-    axis, center_world, points = unpack(x)
-    offsets = points - center_world
-    radii = np.linalg.norm(offsets - np.outer(offsets @ axis, axis), axis=1)
-    misfit = np.hypot(radii - x[4], offsets @ axis - x[5])
-    return Solution(
-        axis=axis,
-        origin=center_world + axis * (offsets[0] @ axis),
-        grasp_ee=path.grasp_ee + x[6:9],
-        values=arc_values(points, center_world, axis),
-        residual_m=_robust_rms(misfit),
-        bic=cost + 7 * np.log(4 * noise.independent_nodes),
-        axis_sd_rad=float(np.sqrt(np.trace(covariance[:2, :2]))),
-        origin_sd_m=float(np.sqrt(np.trace(covariance[2:4, 2:4]))),
-    )
-
-
-def arc_values(points: Array, center: Array, axis: Array) -> Array:
-    """Angles (K,) of points (K, 3) about an axis since the first one, unwrapped, [rad]."""
-    offsets = points - center
-    flat = offsets - np.outer(offsets @ axis, axis)
-    first = flat[0]
-    return np.unwrap(np.arctan2(np.cross(first, flat) @ axis, flat @ first))
+    axis = start + x[..., :2] @ tangents
+    axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    first = tangents[0] - (axis @ tangents[0])[..., None] * axis
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return axis, first, _cross(axis, first)
 
 
 def tangent_basis(axis: Array) -> Array:
     """Two unit vectors (2, 3) that complete a unit vector (3,) to a right-handed frame."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(axis, helper)
+    first = -axis[int(np.argmin(np.abs(axis)))] * axis
+    first[int(np.argmin(np.abs(axis)))] += 1.0
     first /= np.linalg.norm(first)
-    return np.asarray(np.stack([first, np.cross(axis, first)]), np.float64)
+    return np.stack([first, _cross(axis, first)])
 
 
-def _tilted(axis: Array, tangents: Array, tilt: Array) -> Array:
-    turned = axis + tilt @ tangents
-    return turned / np.linalg.norm(turned)
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product (..., 3); several times faster on few vectors than numpy's."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def _first_axes(path: HandPath, edges: EdgePrior | None) -> list[Array]:
-    """Plane normal of the path, rotation axis of the hand, and the object's box axes."""
-    points = path.points_world
-    axes = [np.linalg.svd(points - points.mean(0))[2][2]]
-    turns = path.turns_world
-    if np.linalg.norm(turns, axis=1).max() > np.radians(3.0):
-        axes.append(np.linalg.svd(turns)[2][0])
-    if edges is not None:
-        axes += list(edges.axes)
-    return axes
-
-
-def _first_circle(points: Array, middle: Array, tangents: Array, turns: Array) -> tuple[Array, float]:
+def first_circle(points: Array, middle: Array, tangents: Array, turns: Array) -> tuple[Array, float]:
     """Algebraic circle in the plane of the tangents: centre (2,) relative to `middle`, radius, [m].
 
     Source: Kasa, 1976. A nearly straight path gets a circle whose arc equals the hand's turn.
@@ -210,57 +220,11 @@ def _first_circle(points: Array, middle: Array, tangents: Array, turns: Array) -
     A = np.column_stack([2 * flat, np.ones(len(flat))])
     (x, y, c), *_ = np.linalg.lstsq(A, (flat**2).sum(1), rcond=None)
     radius = float(np.sqrt(max(c + x * x + y * y, 1e-12)))
-    if radius < 2.0:
+    if radius < MAX_RADIUS_M:
         return np.array([x, y]), radius
     chord = flat[-1] - flat[0]
     length = float(np.linalg.norm(chord))
     turn = float(turns[-1] - turns[0])
-    radius = float(np.clip(length / max(abs(turn), 0.05), 0.05, 2.0))
+    radius = float(np.clip(length / max(abs(turn), 0.05), MIN_RADIUS_M, MAX_RADIUS_M))
     side = np.array([-chord[1], chord[0]]) / max(length, 1e-9) * (1.0 if turn >= 0 else -1.0)
     return radius * side, radius
-
-
-def _direction_term(axis: Array, edges: EdgePrior, noise: JointNoise) -> float:
-    """Angle to the nearest box axis over its standard deviation."""
-    sds = np.array([noise.level_sd_rad, noise.level_sd_rad, noise.upright_sd_rad])
-    sines = np.linalg.norm(np.cross(edges.axes, axis), axis=1)
-    cosines = np.abs(edges.axes @ axis)
-    return float(np.min(np.arctan2(sines, cosines) / sds))
-
-
-def _minimise(
-    terms: Callable[[Array], tuple[Array, Array]], rest: Array, *, lead: int = 0
-) -> tuple[Array, Array, float]:
-    """Robust minimum, covariance and cost: first a soft loss, then one that forgets outliers.
-
-    Args:
-        terms: Data residuals and prior residuals, each in standard deviations, of the unknowns.
-        rest: First unknowns after `lead` leading zeros.
-    """
-
-    def soft(x: Array) -> Array:
-        data, prior = terms(x)
-        return np.concatenate([_soft(data), _forgetful(prior)])
-
-    def hard(x: Array) -> Array:
-        data, prior = terms(x)
-        return np.concatenate([_forgetful(data / 3) * 3, _forgetful(prior)])
-
-    start = np.concatenate([np.zeros(lead), rest])
-    x = least_squares(soft, start, x_scale="jac", max_nfev=200).x
-    result = least_squares(hard, x, x_scale="jac", max_nfev=200)
-    information = result.jac.T @ result.jac
-    return result.x, np.linalg.pinv(information), float(2 * result.cost)
-
-
-def _soft(residuals: Array) -> Array:
-    return np.sign(residuals) * np.sqrt(2 * (np.sqrt(1 + residuals**2) - 1))
-
-
-def _forgetful(residuals: Array) -> Array:
-    """Square roots of Cauchy's loss."""
-    return np.sign(residuals) * np.sqrt(np.log1p(residuals**2))
-
-
-def _robust_rms(distances: Array) -> float:
-    return float(1.4826 * np.median(np.abs(distances)))

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from aomgen.core.joint import Joint
-from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
-from aomgen.motion.edges import EdgePrior, edge_prior
 from aomgen.motion.filters import smooth
+from aomgen.motion.geometry import shape_of
 from aomgen.motion.joint import JointEstimate, estimate_joint
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
@@ -31,6 +30,7 @@ class Recovery:
     levels: tuple[float, float]
     times_s: Array
     values: Array
+    face_normal: Array
 
 
 def recover(
@@ -42,6 +42,7 @@ def recover(
     if not touch.gripped:
         touch_s = (touch_s[0], min(touch_s[1], seen[1] + 0.5))
     interval = seen
+    shape = shape_of(demo.points_static, demo.points_moving)
     surface = demo.surface_moving(params.contact.spacing_m)
     begin = PartPath.carried(
         demo.robot,
@@ -51,13 +52,12 @@ def recover(
     )
     for _ in range(2):
         contacts = find_contacts(demo.robot, demo.log, surface, begin)
-        edges = _edges(demo, contacts, interval, offset_s)
         held = _dense(interval)
-        estimate = estimate_joint(poses_at(demo, held + offset_s), contacts.grasp_ee, edges, params.joint)
+        estimate = estimate_joint(poses_at(demo, held + offset_s), contacts.grasp_ee, shape, params.joint)
         times = _dense(touch_s)
         reference = int(np.argmin(np.abs(times - interval[0])))
         poses = poses_at(demo, times + offset_s)
-        path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, edges.face_normal)
+        path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
         values = smooth(path.values, _DENSE_STEP_S, _SMOOTH_S)
         leave = LEAVE_RAD if estimate.joint.type == "revolute" else LEAVE_M
         felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=touch.gripped)
@@ -73,6 +73,7 @@ def recover(
         levels=levels,
         times_s=times,
         values=values,
+        face_normal=shape.face_normal,
     )
 
 
@@ -88,16 +89,6 @@ def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:
     return felt_s if abs(felt_s - seen_s) <= limit_s else seen_s
 
 
-def _edges(
-    demo: Demonstration, contacts: Contacts, interval: tuple[float, float], offset_s: float
-) -> EdgePrior:
-    first_third = interval[0] + np.array([0.0, (interval[1] - interval[0]) / 3]) + offset_s
-    begin, later = apply(poses_at(demo, first_third), contacts.grasp_ee)
-    step = later - begin
-    unit = step / max(float(np.linalg.norm(step)), 1e-9)
-    return edge_prior(demo.points_static, demo.points_moving, begin, unit)
-
-
 def _dense(interval: tuple[float, float]) -> Array:
     count = max(2, round((interval[1] - interval[0]) / _DENSE_STEP_S) + 1)
     return np.linspace(interval[0], interval[1], count, dtype=np.float64)
@@ -105,4 +96,4 @@ def _dense(interval: tuple[float, float]) -> Array:
 
 def poses_at(demo: Demonstration, log_times_s: Array) -> Array:
     """End-effector poses (T, 4, 4), world frame, at times (T,) of the log's clock."""
-    return demo.robot.ee_poses(demo.log.at(log_times_s)[0])
+    return np.asarray(demo.robot.ee_poses(demo.log.at(log_times_s)[0]), np.float64)

@@ -120,14 +120,29 @@ def test_too_short_a_demonstration_is_refused(joint: Joint, travel: float) -> No
         estimate_joint(path, GRASP_EE)
 
 
-@pytest.mark.parametrize(
-    ("radius", "angle_deg", "noise_m"), [(0.6, 17, 0.012), (0.3, 16, 0.004), (0.6, 4, 0.002)]
-)
-def test_a_short_noisy_pull_is_ambiguous(radius: float, angle_deg: float, noise_m: float) -> None:
+def wide_pull(radius: float, angle_deg: float, noise_m: float, seed: int) -> np.ndarray:
+    """A handle that turns freely in the fingers, on a door of this radius."""
     wide = Joint(type="revolute", axis=[0, 0, -1], origin=HANDLE + [0, radius, 0], lower=0, upper=1)
     flaws = Flaws(turn_ratio=0, position_m=noise_m)
-    path = hand_path(wide, np.radians(angle_deg), flaws, np.random.default_rng(1))
+    return hand_path(wide, np.radians(angle_deg), flaws, np.random.default_rng(seed))
+
+
+def test_a_noisy_pull_is_ambiguous() -> None:
     with pytest.raises(AmbiguousJointError):
+        estimate_joint(wide_pull(0.6, 17, 0.008, 2), GRASP_EE)
+
+
+@pytest.mark.parametrize(("radius", "angle_deg", "noise_m"), [(0.3, 16, 0.004), (0.6, 4, 0.002)])
+def test_a_straight_looking_short_pull_is_too_short(radius: float, angle_deg: float, noise_m: float) -> None:
+    with pytest.raises(DemonstrationTooShortError, match="would bend it"):
+        estimate_joint(wide_pull(radius, angle_deg, noise_m, 1), GRASP_EE)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.7])
+def test_five_degrees_of_a_wide_door_are_no_drawer(ratio: float) -> None:
+    wide = Joint(type="revolute", axis=[0, 0, -1], origin=HANDLE + [0, 0.5, 0], lower=0, upper=1)
+    path = hand_path(wide, np.radians(5), Flaws(turn_ratio=ratio), np.random.default_rng(2))
+    with pytest.raises(DemonstrationTooShortError, match="turned"):
         estimate_joint(path, GRASP_EE)
 
 

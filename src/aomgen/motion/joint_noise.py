@@ -1,0 +1,140 @@
+"""How a hand errs while it moves a part: noise of the log, slow slip, a handle that turns in the fingers.
+
+Slip is smooth: it grows steadily and bends a little, so neither many samples nor small residuals make
+it small. It enters as a Gaussian process along the path whose size each demonstration shows by its
+bends, starting from what grasps usually do.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aomgen.core.values import Array, freeze
+
+# A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
+# number squared (doors opened by contact).
+BEND_SHARE = 0.22
+_WAVES = 5
+# Unsteadiness of a node at which the hand may not have held the part, over that of the others.
+_DOUBT = 100.0
+# Sizes are looked for between so many standard deviations from their medians.
+STEP_LIMITS = (-3.0, 5.0)
+# Names of the sizes, in the order of `NoiseScales.logs`.
+SCALES = ("place", "turn", "face", "bar", "tilt", "pivot", "straight")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoisePrior:
+    """Usual sizes of the flaws and how much they differ between demonstrations (natural logarithm).
+
+    Medians come from simulated contact with doors and drawers and from joint logs with 0.5 mrad of
+    noise, averaged over a stretch of the path.
+
+    Attributes:
+        place_m, turn_rad: Unsteadiness of hand pose from stretch to stretch.
+        face_rate, bar_rate: Slip along the part's face and along the handle's bar per travel, [m/m].
+        tilt_rate: Turn of the hand across the joint's axis per travel, [rad/m].
+        pivot_rate: Uneven turn of the handle in the fingers per travel, [rad/m].
+        straight_rate: Slip across a straight path per travel, [m/m].
+        spreads: Standard deviation of the logarithm of each, in this order.
+    """
+
+    place_m: float = 0.00015
+    turn_rad: float = 0.0005
+    face_rate: float = 0.004
+    bar_rate: float = 0.006
+    tilt_rate: float = 0.01
+    pivot_rate: float = 0.015
+    straight_rate: float = 0.0012
+    spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.0, 1.0, 1.2, 1.2)
+
+    @property
+    def medians(self) -> Array:
+        """In the order of `SCALES` (7,)."""
+        rates = (self.face_rate, self.bar_rate, self.tilt_rate, self.pivot_rate, self.straight_rate)
+        return np.array([self.place_m, self.turn_rad, *rates])
+
+    def first_steps(self, points: Array, turns: Array) -> Array:
+        """Steps (7,) whose unsteadiness is that of a path's points and turns (K, 3); the rest is usual."""
+        steps = np.zeros(len(SCALES))
+        for k, rows in enumerate((points, turns)):
+            rough = np.diff(rows, n=3, axis=0) if len(rows) > 5 else np.zeros((1, 3))
+            # Third differences of white noise have a variance of 20.
+            sd = 1.4826 * float(np.median(np.abs(rough))) / np.sqrt(20.0)
+            steps[k] = np.log(max(sd / self.medians[k], 1e-3)) / self.spreads[k]
+        return np.clip(steps, *STEP_LIMITS)
+
+    def scales(self, steps: Array) -> Array:
+        """Sizes (7,) that lie `steps` (7,) standard deviations from their medians."""
+        return self.medians * np.exp(np.array(self.spreads) * steps)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """Places along a path at which the hand was looked at.
+
+    Attributes:
+        travel_m: Travel since the first node (K,), [m].
+        doubt: Factor (K,) on the unsteadiness of each node, 1 where nothing is wrong.
+        waves: Covariance (K, K) of an uneven course of length one.
+    """
+
+    travel_m: Array
+    doubt: Array
+    waves: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.travel_m)
+        freeze(self, "travel_m", self.travel_m, (count,))
+        freeze(self, "doubt", self.doubt, (count,))
+        freeze(self, "waves", self.waves, (count, count))
+
+    @staticmethod
+    def of(points: Array) -> "Course":
+        """The course of points (K, 3), none of them doubted."""
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        travel = np.concatenate([[0.0], np.cumsum(steps)])
+        k = np.arange(1, _WAVES + 1)
+        waves = np.sin(np.pi * np.outer(travel / travel[-1], k)) / k**2
+        return Course(travel_m=travel, doubt=np.ones(len(points)), waves=waves @ waves.T)
+
+    def doubted(self, nodes: slice) -> "Course":
+        """The same course with some nodes that may lie anywhere near."""
+        doubt = self.doubt.copy()
+        doubt[nodes] = _DOUBT
+        return replace(self, doubt=doubt)
+
+    def steady(self, rate: float) -> Array:
+        """Covariance (K, K) of a steady course with a bend, whose end has a deviation of `rate` per travel."""
+        s = self.travel_m
+        return rate**2 * np.outer(s, s) + self.uneven(BEND_SHARE * rate)
+
+    def uneven(self, rate: float) -> Array:
+        """Covariance (K, K) of a course without a steady part, whose middle has that deviation."""
+        return (rate * self.travel_m[-1]) ** 2 * self.waves
+
+    def white(self, sd: float) -> Array:
+        """Covariance (K, K) of unsteadiness."""
+        return np.diag((sd * self.doubt) ** 2)
+
+
+def covariances(course: Course, scales: Array) -> dict[str, Array]:
+    """Covariance (K, K) of each kind of residual, by name."""
+    place, turn, face, bar, tilt, pivot, straight = scales
+    white_m, white_rad = course.white(place), course.white(turn)
+    return {
+        "face": white_m + course.steady(face),
+        "bar": white_m + course.steady(bar),
+        "tilt": white_rad + course.steady(tilt),
+        "straight": white_m + course.steady(straight),
+        "pivot": white_rad + course.uneven(pivot),
+    }
+
+
+def factors(course: Course, scales: Array) -> dict[str, tuple[Array, float]]:
+    """Matrix (K, K) that makes residuals white and log determinant of each covariance, by name."""
+    found = {}
+    for name, covariance in covariances(course, scales).items():
+        L = np.linalg.cholesky(covariance)
+        found[name] = (np.linalg.inv(L), 2 * float(np.log(np.diag(L)).sum()))
+    return found
