@@ -198,8 +198,7 @@ def _frame(start: Array, x: Array) -> tuple[Array, Array, Array]:
 
 def tangent_basis(axis: Array) -> Array:
     """Two unit vectors (2, 3) that complete a unit vector (3,) to a right-handed frame."""
-    first = -axis[int(np.argmin(np.abs(axis)))] * axis
-    first[int(np.argmin(np.abs(axis)))] += 1.0
+    first = _cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first /= np.linalg.norm(first)
     return np.stack([first, _cross(axis, first)])
 
