@@ -34,9 +34,10 @@ class Chart:
 def draw_chart(chart: Chart) -> str:
     """SVG text of a chart."""
     xs = np.concatenate([x for _, x, _ in chart.curves])
-    ys = np.concatenate(
-        [y for _, _, y in chart.curves] + ([np.array([chart.level[1]])] if chart.level else [])
-    )
+    shown = [y for _, _, y in chart.curves]
+    shown += [np.array([chart.level[1]])] if chart.level else []
+    shown += chart.band[1:] if chart.band else []
+    ys = np.concatenate(shown)
     x_range, y_range = (xs.min(), xs.max()), (min(0.0, ys.min()), ys.max() * 1.08 or 1.0)
 
     def px(x: Array | float) -> Array:

@@ -1,14 +1,12 @@
 """Drawing on images: outlines, label colors, lines, sheets."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
-from aomgen.core.joint import Joint
-from aomgen.core.transforms import apply
 
 LABEL_COLORS = {ROBOT: (64, 128, 255), STATIC: (255, 176, 32), MOVING: (230, 60, 120)}
 Image8 = NDArray[np.uint8]
@@ -28,28 +26,6 @@ def overlay_labels(image: Image8, labels: NDArray[np.uint8], strength: float = 0
         mask = labels == label
         result[mask] = (1 - strength) * result[mask] + strength * np.array(color, np.float32)
     return result.astype(np.uint8)
-
-
-def overlay_joint(image: Image8, camera: Camera, joint: Joint, point_world: ArrayLike) -> Image8:
-    """The joint's axis and the path of one point of the part over its range.
-
-    Args:
-        image: Frame (H, W, 3).
-        camera: The frame's camera, world frame.
-        joint: World frame.
-        point_world: A point of the part at joint value 0, (3,).
-    """
-    canvas = Image.fromarray(image)
-    draw = ImageDraw.Draw(canvas)
-    path = apply(joint.motion(np.linspace(joint.lower, joint.upper, 40)), np.asarray(point_world))
-    _draw_path(draw, camera, path, (255, 80, 60), 3)
-    if joint.type == "revolute":
-        foot = joint.origin + ((path[0] - joint.origin) @ joint.axis) * joint.axis
-        reach = 0.6 * float(np.linalg.norm(path[0] - foot))
-        _draw_path(
-            draw, camera, foot + np.linspace(-reach, reach, 20)[:, None] * joint.axis, (40, 220, 255), 3
-        )
-    return np.asarray(canvas)
 
 
 def sheet(images: list[Image8], columns: int, *, gap: int = 4) -> Image8:
@@ -95,12 +71,3 @@ def map_from_above(
     ((x, y),) = px(np.zeros((1, 3)))
     draw.ellipse((x - 6, y - 6, x + 6, y + 6), outline=(40, 50, 65), width=2)
     return np.asarray(canvas)
-
-
-def _draw_path(
-    draw: ImageDraw.ImageDraw, camera: Camera, points: NDArray, color: tuple[int, int, int], width: int
-) -> None:
-    pixels, depths = camera.project(points)
-    for a, b, near in zip(pixels[:-1], pixels[1:], np.minimum(depths[:-1], depths[1:]), strict=True):
-        if near > 0.05:
-            draw.line([tuple(a), tuple(b)], fill=color, width=width)

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.core.motion import MotionEstimate
 from aomgen.errors import MissingFileError
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
@@ -17,9 +16,9 @@ from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
 from aomgen.report import pictures
-from aomgen.report.charts import Chart, draw_chart
 from aomgen.report.drawing import sheet
 from aomgen.report.html import page, paragraph, picture, section, table
+from aomgen.report.motion import motion_section
 
 CONTACT_SHEET = "episodes.jpg"
 SHEET_FRAMES = 5
@@ -76,11 +75,7 @@ def write_report(out: Path) -> Path:
             paragraph("The robot model's outline over the video, at the estimated camera and clock offset."),
             picture(pictures.robot_sheet(data), "robot model over the video"),
         ),
-        section(
-            "Motion",
-            *_motion(data.motion),
-            picture(pictures.joint_picture(data), "joint axis and path of the handle"),
-        ),
+        section("Motion", *motion_section(data)),
         section(
             "Replay",
             paragraph(
@@ -179,36 +174,6 @@ def _verdicts(run: Run) -> str:
     rejected = read_json(run.folders["plans"] / "rejected.json")
     reasons = [[reason, count] for reason, count in rejected["reasons"].items()]
     return table(header, rows) + (table(["rejected because", "variations"], reasons) if reasons else "")
-
-
-def _motion(motion: MotionEstimate) -> list[str]:
-    curve = motion.curve
-    revolute = motion.joint.type == "revolute"
-    factor, unit = (180 / np.pi, "deg") if revolute else (1e3, "mm")
-    values, spread = factor * motion.thetas, factor * motion.theta_sd
-    score = Chart(
-        x_label="video time [s]",
-        y_label="motion score",
-        curves=[("score", curve.times_s, curve.scores), ("smoothed", curve.times_s, curve.smoothed)],
-        level=("threshold", curve.threshold),
-        span=(motion.start_s, motion.end_s),
-    )
-    theta = Chart(
-        x_label="video time [s]",
-        y_label=f"joint value [{unit}]",
-        curves=[("recovered", motion.times_s, values)],
-        span=(motion.start_s, motion.end_s),
-        band=(motion.times_s, values - 2 * spread, values + 2 * spread),
-    )
-    sentence = (
-        f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s, {motion.direction}. It is a "
-        f"{motion.joint.type} joint, axis "
-        f"known to {np.degrees(motion.axis_ci95_rad):.1f} deg, its place to {1e3 * motion.origin_ci95_m:.0f} mm "
-        f"(with 95 %); the hand turned {motion.ee_turn_ratio:.2f} times as far as the part, "
-        f"slid up to {1e3 * motion.slip_m.max():.0f} mm along it and turned up to "
-        f"{np.degrees(motion.pivot_rad.max()):.0f} deg against it."
-    )
-    return [paragraph(sentence), draw_chart(score), draw_chart(theta)]
 
 
 def _stages(run: Run) -> str:

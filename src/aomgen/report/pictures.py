@@ -10,7 +10,6 @@ from aomgen.capture.check import read_demo_videos
 from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import Capture
-from aomgen.core.transforms import apply
 from aomgen.io.images import read_image, resize
 from aomgen.io.video import Video, read_video
 from aomgen.motion.stage import load_motion
@@ -22,7 +21,7 @@ from aomgen.pipeline.stage import Run
 from aomgen.pipeline.working import capture_of
 from aomgen.reconstruction.surfaces.gaussians import held_out
 from aomgen.reconstruction.surfaces.survey_stage import load_survey
-from aomgen.report.drawing import map_from_above, overlay_joint, overlay_labels, overlay_outline, sheet
+from aomgen.report.drawing import map_from_above, overlay_labels, overlay_outline, sheet
 from aomgen.twin.twin import Twin, TwinState
 
 OUTLINE = (255, 60, 200)
@@ -124,21 +123,6 @@ def robot_sheet(data: Recovered, count: int = 4) -> Image8:
             bodies, _ = renderer.draw(data.camera, state.joints, state.gripper)
             images.append(_small(overlay_outline(data.video.frames_srgb[frame], bodies >= 0, OUTLINE)))
     return sheet(images, count)
-
-
-def joint_picture(data: Recovered) -> Image8:
-    """Axis and path of the held point over the first and the last frame."""
-    first_contact = int(np.searchsorted(data.motion.times_s, data.motion.start_s))
-    state = data.state(first_contact)
-    held = apply(data.robot.ee_poses(state.joints[None])[0], data.motion.grasp_ee)
-    frames = (first_contact, len(data.video.times_s) - 1)
-    return sheet(
-        [
-            overlay_joint(data.video.frames_srgb[frame], data.camera, data.motion.joint, held)
-            for frame in frames
-        ],
-        2,
-    )
 
 
 def replay_sheet(data: Recovered, count: int = 4) -> Image8:

@@ -1,0 +1,127 @@
+"""The report's section on the recovered motion: when, how far, about which axis, and how surely."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import MOVING
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.io.images import resize
+from aomgen.pipeline.rendering import draw_twin
+from aomgen.report.charts import Chart, draw_chart
+from aomgen.report.drawing import Image8, overlay_outline, sheet
+from aomgen.report.html import paragraph, picture
+from aomgen.report.joint_drawing import axis_space, overlay_motion
+from aomgen.report.pictures import Recovered
+
+# Half a 95 % interval in standard deviations.
+NORMAL_95 = 1.96
+PART_OUTLINE = (255, 60, 200)
+WIDTH_PX = 420
+
+
+def motion_section(data: Recovered) -> list[str]:
+    """Sentence, pictures and charts."""
+    return [
+        paragraph(_sentence(data.motion)),
+        picture(joint_sheet(data), "the recovered joint when the motion starts, halfway and when it ends"),
+        paragraph(
+            "Blue: the axis, and the space that holds it with 95 %. Red: path of the held point. Yellow: where "
+            "fingers touched, carried by the part. Pink: outline of the twin's part; it has to lie on the real one."
+        ),
+        *motion_charts(data.motion),
+    ]
+
+
+def joint_sheet(data: Recovered) -> Image8:
+    """Frames at start, middle and end with the joint drawn into them, cut out around it."""
+    motion, times = data.motion, data.video.times_s
+    moments = [motion.start_s, 0.5 * (motion.start_s + motion.end_s), motion.end_s]
+    frames = [int(np.argmin(np.abs(times - moment))) for moment in moments]
+    begin = data.state(frames[0])
+    held = apply(data.robot.ee_poses(begin.joints[None])[0], motion.grasp_ee)
+    parts = [
+        draw_twin(data.twin, data.robot, data.camera, data.state(frame))[1] == MOVING for frame in frames
+    ]
+    left, top, width, height = _cut(data, held, np.any(parts, axis=0))
+    scale = WIDTH_PX / width
+    size = (round(scale * data.camera.width), round(scale * data.camera.height))
+    rows = slice(round(scale * top), round(scale * (top + height)))
+    columns = slice(round(scale * left), round(scale * left) + WIDTH_PX)
+    images = []
+    for frame, part in zip(frames, parts, strict=True):
+        large = resize(data.video.frames_srgb[frame], *size)
+        mask = resize(np.repeat(255 * part[..., None].astype(np.uint8), 3, 2), *size)[..., 0] > 127
+        outlined = overlay_outline(large, mask, PART_OUTLINE)
+        theta = float(motion.thetas[frame])
+        drawn = overlay_motion(outlined, data.camera.resized(*size), motion, held, theta)
+        images.append(drawn[rows, columns])
+    return sheet(images, len(images))
+
+
+def _cut(data: Recovered, held_world: Array, part: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Left, top, width and height, [px], of what shows the part's pixels (H, W), the axis and the path."""
+    camera, joint = data.camera, data.motion.joint
+    path = apply(joint.motion(np.linspace(joint.lower, joint.upper, 9)), held_world)
+    pixels, depths = camera.project(
+        np.concatenate([path, axis_space(data.motion, held_world).circles().reshape(-1, 3)])
+    )
+    rows, columns = np.nonzero(part)
+    shown = np.concatenate([pixels[depths > 0], np.stack([columns, rows], 1)])
+    limits = np.array([camera.width, camera.height])
+    low, high = np.clip([shown.min(0), shown.max(0)], 0, limits)
+    # As wide as high keeps three of them side by side readable; a margin shows the hand.
+    side = min(1.3 * float((high - low).max()), float(limits.min()))
+    corner = np.clip((low + high) / 2 - side / 2, 0, limits - side)
+    left, top = (int(value) for value in corner)
+    return left, top, int(side), int(side)
+
+
+def motion_charts(motion: MotionEstimate) -> list[str]:
+    """The score with start and end, the joint value with its 95 % band, slip and pivot."""
+    curve, span = motion.curve, (motion.start_s, motion.end_s)
+    factor, unit = (180 / np.pi, "deg") if motion.joint.type == "revolute" else (1e3, "mm")
+    values, half = factor * motion.thetas, NORMAL_95 * factor * motion.theta_sd
+    score = Chart(
+        x_label="video time [s]",
+        y_label="motion score",
+        curves=[("score", curve.times_s, curve.scores), ("smoothed", curve.times_s, curve.smoothed)],
+        level=("threshold", curve.threshold),
+        span=span,
+    )
+    theta = Chart(
+        x_label="video time [s]",
+        y_label=f"joint value [{unit}]",
+        curves=[("recovered", motion.times_s, values)],
+        span=span,
+        band=(motion.times_s, values - half, values + half),
+    )
+    grip = Chart(
+        x_label="video time [s]",
+        y_label="hand against part",
+        curves=[
+            ("slip [mm]", motion.times_s, 1e3 * motion.slip_m),
+            ("pivot [deg]", motion.times_s, np.degrees(motion.pivot_rad)),
+        ],
+        span=span,
+    )
+    return [
+        paragraph("The share of the part's picture that shows neither its first nor its last place."),
+        draw_chart(score),
+        paragraph("The joint value with its 95 % band."),
+        draw_chart(theta),
+        paragraph("How far the hand slid along the part and turned against it."),
+        draw_chart(grip),
+    ]
+
+
+def _sentence(motion: MotionEstimate) -> str:
+    return (
+        f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s, {motion.direction}. It is a "
+        f"{motion.joint.type} joint, axis "
+        f"known to {np.degrees(motion.axis_ci95_rad):.1f} deg, its place to {1e3 * motion.origin_ci95_m:.0f} mm "
+        f"(with 95 %); the hand turned {motion.ee_turn_ratio:.2f} times as far as the part, "
+        f"slid up to {1e3 * motion.slip_m.max():.0f} mm along it and turned up to "
+        f"{np.degrees(motion.pivot_rad.max()):.0f} deg against it."
+    )
