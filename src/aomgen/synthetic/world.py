@@ -115,7 +115,8 @@ def draw_capture_manner(category: str, seed: int, direction: Direction, touch: s
         return None
     asset = make_asset(category, seed)
     known = possible_touches(asset, direction)
-    chosen: Touch | None = dict(zip(known, known, strict=True)).get(touch)
+    allowed: dict[str, Touch] = {name: name for name in known}
+    chosen = allowed.get(touch)
     if chosen is None:
         what = f"{touch!r} is none that a {category} allows when {direction}"
         raise ConfigError("touch", what, f"choose {' or '.join(known)}")
