@@ -29,6 +29,7 @@ from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.conditions import Conditions, draw_conditions
 from aomgen.synthetic.film import Film, best_camera, draw_take, filmed
+from aomgen.synthetic.grasp import possible_touches
 from aomgen.synthetic.manner import Manner, draw_manner
 from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.pictures import Painter, exposed
@@ -213,7 +214,10 @@ def manner_of(kind: Kind, asset: ArticulatedAsset, rng: np.random.Generator) -> 
     if kind == "closing":
         return draw_manner(asset, rng, direction="closing")
     if kind in ("hook", "push"):
-        return draw_manner(asset, rng, touch=kind, direction="closing" if kind == "push" else "opening")
+        direction = "closing" if kind == "push" else "opening"
+        # A lid or a sliding panel cannot be hooked: its handle is pushed along the front.
+        touch = kind if kind in possible_touches(asset, direction) else "push"
+        return draw_manner(asset, rng, touch=touch, direction=direction)
     if kind == "open":
         return draw_manner(asset, rng)
     return draw_manner(asset, rng, outcome=kind)
