@@ -7,14 +7,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
-from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
-from aomgen.core.transforms import quat_from_matrix, transform
+from aomgen.core.transforms import apply, quat_from_matrix, transform
 
 COLLIDER_GROUP = 3
 VISUAL_GROUP = 2
 # Keeps light doors stable in the solver, [kg m^2] or [kg].
 ARMATURE = 0.005
+GRAVITY = 9.81
+# A friction hinge holds a lid wherever it is left: it bears this many times its weight.
+HOLDS = 1.3
+# MuJoCo's default dry friction creeps by degrees a second under a load; this stands still.
+HARD_FRICTION = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+# A smaller load comes from the rounding of an axis in a file, [N m] or [N].
+NO_LOAD = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +67,7 @@ def add_asset(
         asset: Closed at joint value 0.
         T_world_asset: Rigid pose (4, 4) of the asset frame.
         damping: Of the joint, [N m s/rad] or [N s/m].
-        frictionloss: Dry friction of the joint, [N m] or [N].
+        frictionloss: Dry friction of the joint beyond `holding_friction`, [N m] or [N].
         visual: Also add what is seen (group 2, no contacts). Colliders are in group 3.
         bolted: Weld the static link to the world; otherwise it gets a free joint.
         prefix: Start of every name that is added.
@@ -81,7 +87,7 @@ def add_asset(
     if free_joint:
         static.add_freejoint(name=free_joint)
     moving = static.add_body(name=f"{prefix}moving")
-    _add_joint(moving, asset.joint, f"{prefix}joint", damping, frictionloss)
+    _add_joint(moving, asset, f"{prefix}joint", damping, frictionloss)
     static_geoms = _add_colliders(static, asset.static, f"{prefix}static_", friction)
     moving_geoms = _add_colliders(moving, asset.moving, f"{prefix}moving_", friction)
     spec.add_exclude(name=f"{prefix}exclude", bodyname1=f"{prefix}static", bodyname2=f"{prefix}moving")
@@ -101,6 +107,24 @@ def add_asset(
         handle_geoms=tuple(name for name in moving_geoms if name.startswith(f"{prefix}moving_handle")),
         visual_geoms=visuals,
     )
+
+
+def holding_friction(asset: ArticulatedAsset) -> float:
+    """Dry friction that keeps the moving part where it is left, against its weight, [N m] or [N].
+
+    Enough for every value in the joint's range; 0 for upright hinges and level slides. The
+    asset stands upright.
+    """
+    joint, colliders = asset.joint, asset.moving.colliders
+    volumes = np.array([box.half_extents.prod() for box in colliders])
+    middle = volumes @ np.array([box.T_asset_box[:3, 3] for box in colliders]) / volumes.sum()
+    weight = np.array([0.0, 0.0, -GRAVITY * asset.moving.mass])
+    if joint.type == "prismatic":
+        load = abs(float(weight @ joint.axis))
+    else:
+        arms = apply(joint.motion(np.linspace(joint.lower, joint.upper, 40)), middle) - joint.origin
+        load = float(np.abs(np.cross(arms, weight) @ joint.axis).max())
+    return HOLDS * load if load > NO_LOAD else 0.0
 
 
 def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name: str) -> str:
@@ -150,9 +174,12 @@ def add_texture(spec: mujoco.MjSpec, name: str, texture_srgb: NDArray[np.uint8])
     item.data = np.ascontiguousarray(texture_srgb).tobytes()
 
 
-def _add_joint(body: mujoco.MjsBody, joint: Joint, name: str, damping: float, frictionloss: float) -> None:
+def _add_joint(
+    body: mujoco.MjsBody, asset: ArticulatedAsset, name: str, damping: float, frictionloss: float
+) -> None:
+    joint, holding = asset.joint, holding_friction(asset)
     hinge = joint.type == "revolute"
-    body.add_joint(
+    item = body.add_joint(
         name=name,
         type=mujoco.mjtJoint.mjJNT_HINGE if hinge else mujoco.mjtJoint.mjJNT_SLIDE,
         pos=joint.origin,
@@ -160,9 +187,11 @@ def _add_joint(body: mujoco.MjsBody, joint: Joint, name: str, damping: float, fr
         range=[joint.lower, joint.upper],
         limited=mujoco.mjtLimited.mjLIMITED_TRUE,
         damping=[damping, 0.0, 0.0],
-        frictionloss=frictionloss,
+        frictionloss=frictionloss + holding,
         armature=ARMATURE,
     )
+    if holding:
+        item.solimp_friction = HARD_FRICTION
 
 
 def _add_colliders(

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.assets.mjcf import AssetNames, add_asset
+from aomgen.assets.mjcf import AssetNames, add_asset, holding_friction
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.episode import FINGERS
@@ -117,7 +117,7 @@ class Scene:
         Args:
             T_world_object: Pose (4, 4).
             damping: [N m s/rad] or [N s/m]; None keeps it.
-            frictionloss: [N m] or [N]; None keeps it.
+            frictionloss: [N m] or [N], beyond what holds a lid's weight; None keeps it.
         """
         model = copy.copy(self.model)
         T = np.asarray(T_world_object, np.float64)
@@ -130,7 +130,7 @@ class Scene:
         if damping is not None:
             model.dof_damping[self.object_dof] = damping
         if frictionloss is not None:
-            model.dof_frictionloss[self.object_dof] = frictionloss
+            model.dof_frictionloss[self.object_dof] = frictionloss + holding_friction(self.asset)
         return replace(self, model=model)
 
     def qpos(self, joints: ArrayLike, gripper: ArrayLike, thetas: ArrayLike) -> Array:
@@ -167,7 +167,7 @@ def build_scene(
         T_world_object: Pose (4, 4).
         support: Plane that the object stands on.
         damping: Of the object's joint, [N m s/rad] or [N s/m].
-        frictionloss: Dry friction of the object's joint, [N m] or [N].
+        frictionloss: Dry friction of the object's joint beyond what holds a lid's weight, [N m] or [N].
         bolted: Weld the object to the world instead of letting it stand by friction.
         visual: Also add what is seen, for rendering.
 

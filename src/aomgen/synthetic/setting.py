@@ -19,11 +19,6 @@ from aomgen.synthetic.room import Room, add_room
 ROBOT_CELL_M = 0.0025
 # The passive joint: (damping, dry friction) in [N m s/rad], [N m] or [N s/m], [N].
 RESISTANCE = {"revolute": (0.35, 0.25), "prismatic": (4.0, 2.0)}
-# A friction hinge holds a lid wherever it is left: it bears this many times its weight.
-HOLDS = 1.3
-# MuJoCo's default dry friction creeps by degrees a second under a load; this stands still.
-HARD_FRICTION = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-GRAVITY = 9.81
 # The arm follows the handle over about this much of the joint, [rad] or [m].
 FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
 # Yaw of the object, [deg], and distance of the handle before the robot, [m]. A lid leads the hand up,
@@ -103,21 +98,6 @@ def _held_place(asset: ArticulatedAsset) -> tuple[Array, bool]:
     return start if opens_forward else middle, bool(way[-1, 2] > 0.5 * length)
 
 
-def weight_on_joint(asset: ArticulatedAsset) -> float:
-    """Largest load of the moving part's weight on its joint, anywhere in its range, [N m] or [N].
-
-    Exactly 0 for upright hinges and level slides. The asset stands upright.
-    """
-    joint, colliders = asset.joint, asset.moving.colliders
-    volumes = np.array([box.half_extents.prod() for box in colliders])
-    middle = volumes @ np.array([box.T_asset_box[:3, 3] for box in colliders]) / volumes.sum()
-    weight = np.array([0.0, 0.0, -GRAVITY * asset.moving.mass])
-    if joint.type == "prismatic":
-        return abs(float(weight @ joint.axis))
-    arms = apply(joint.motion(np.linspace(joint.lower, joint.upper, 40)), middle) - joint.origin
-    return float(np.abs(np.cross(arms, weight) @ joint.axis).max())
-
-
 def _footprint(asset: ArticulatedAsset, T_room_object: Array) -> tuple[float, float, float, float]:
     """Part of the table (room frame) that the object covers, open or closed, with some margin."""
     points = [box.corners for box in asset.static.colliders]
@@ -147,17 +127,9 @@ def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
         spec.body(name).gravcomp = 1.0
     add_room(spec, setting.room, np.random.default_rng(setting.room_seed), visual=visual)
     damping, friction = RESISTANCE[setting.asset.joint.type]
-    load = weight_on_joint(setting.asset)
     names = add_asset(
-        spec,
-        setting.asset,
-        setting.T_world_object,
-        damping=damping,
-        frictionloss=friction + HOLDS * load,
-        visual=visual,
+        spec, setting.asset, setting.T_world_object, damping=damping, frictionloss=friction, visual=visual
     )
-    if load > 0:
-        spec.joint(names.joint).solimp_friction = HARD_FRICTION
     if visual:
         add_robot_looks(spec, robot, ROBOT_CELL_M)
         spec.stat.extent, spec.stat.center = 1.6, [0.0, 0.0, 0.0]

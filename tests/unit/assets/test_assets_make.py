@@ -8,7 +8,7 @@ import pytest
 
 from aomgen.assets.check import check_asset, outward_normal, require_usable
 from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
-from aomgen.assets.mjcf import add_asset
+from aomgen.assets.mjcf import HOLDS, add_asset, holding_friction
 from aomgen.core.asset import BoxCollider
 from aomgen.core.transforms import apply, transform
 from aomgen.errors import AssetError, ConfigError
@@ -153,6 +153,32 @@ def test_mujoco_masses_limits_and_motion_are_the_assets() -> None:
     mujoco.mj_kinematics(model, data)
     expected = (T @ asset.joint.motion(0.17))[:3, 3]
     assert data.body(names.moving_body).xpos == pytest.approx(expected, abs=1e-9)
+
+
+def test_friction_bears_the_weight_of_a_lid_and_nothing_where_none_pulls() -> None:
+    asset = make_asset("toolbox", 0)
+    middle = asset.joint.origin + [0.0, -0.1, 0.0]
+    plate = BoxCollider(name="plate", T_asset_box=transform(np.eye(3), middle), half_extents=np.full(3, 0.02))
+    lid = replace(asset, moving=replace(asset.moving, colliders=(plate,), mass=2.0))
+    assert holding_friction(lid) == pytest.approx(HOLDS * 2.0 * 9.81 * 0.1)
+    for category in ("cabinet", "drawer", "microwave"):
+        assert holding_friction(make_asset(category, 0)) == 0.0
+
+
+@pytest.mark.parametrize(("category", "theta"), [("toolbox", 0.3), ("laptop", 0.9), ("oven", 0.7)])
+def test_lid_stays_where_it_is_left_and_yields_to_a_push(category: str, theta: float) -> None:
+    asset = make_asset(category, 1)
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    names = add_asset(spec, asset, np.eye(4), damping=0.05, frictionloss=0.02)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.joint(names.joint).qpos[0] = theta
+    mujoco.mj_step(model, data, 1000)
+    assert data.joint(names.joint).qpos[0] == pytest.approx(theta, abs=np.deg2rad(0.2))
+    data.joint(names.joint).qfrc_applied[0] = 2.5 * holding_friction(asset)
+    mujoco.mj_step(model, data, 300)
+    assert data.joint(names.joint).qpos[0] > theta + 0.1
 
 
 def test_degrees_are_refused() -> None:
