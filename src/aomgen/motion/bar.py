@@ -13,14 +13,17 @@ _MIN_SHARE = 0.7
 _MOST_POINTS = 80
 
 
-def swept_bar(local: Array, half: Array, width_m: float) -> Array | None:
+def swept_bar(local: Array, half: Array, widths_m: tuple[float, float], flatness: float) -> Array | None:
     """The bar's points spread evenly along it; None if what crosses the pad is no bar.
 
     Args:
         local: Points (N, 3) in a face's frame, z towards the other face, between both and some way
             beside them, [m].
         half: Half extents of the face (2,), [m].
-        width_m: The bar's points lie within this of its middle, seen on the face, [m].
+        widths_m: What decides where the bar is lies within the first of these of its middle, seen on the
+            face, and all of it within the second: a bar is about as deep as the pads are open, [m].
+        flatness: How likely a side of the bar lies flat against the face, 0..1; a bar that does not is
+            touched along its middle, on average.
 
     Returns:
         Points (K, 3) of the same cross section, from one end of the bar to the other.
@@ -28,24 +31,25 @@ def swept_bar(local: Array, half: Array, width_m: float) -> Array | None:
     Not checked: bars that bend by more than their width beside the pads.
     """
     flat = local[:, :2]
-    found = _line(flat, half, width_m)
+    found = _line(flat, half, widths_m[0])
     if found is None:
         return None
     point, direction = found
     for _ in range(2):
-        near = np.abs((flat - point) @ _across(direction)) <= width_m
+        near = np.abs((flat - point) @ _across(direction)) <= widths_m[0]
         point = flat[near].mean(0)
         direction = np.linalg.svd(flat[near] - point)[2][0]
     inside = np.all(np.abs(flat) <= half, axis=1)
     places = (flat[near] - point) @ direction
     low, high = float(places.min()), float(places.max())
     occupied = len(np.unique(np.floor((places - low) / _STEP_M)))
-    if not (near[inside].mean() if inside.any() else 1.0) >= _MIN_SHARE:
+    within = np.abs((flat - point) @ _across(direction)) <= widths_m[1]
+    if inside.any() and not within[inside].mean() >= _MIN_SHARE:
         return None
     if not (high - low >= 2 * half.max() and occupied * _STEP_M >= _MIN_OCCUPIED * (high - low)):
         return None
     steps = np.arange(low, high, _STEP_M / 2)
-    off = (flat[near] - point) @ _across(direction)
+    off = flatness * (flat[near] - point) @ _across(direction)
     ahead = point + steps[:, None, None] * direction + off[:, None] * _across(direction)
     heights = np.broadcast_to(local[near, 2], ahead.shape[:2])
     return np.concatenate([ahead, heights[..., None]], axis=-1).reshape(-1, 3)

@@ -77,7 +77,9 @@ class Contacts:
         freeze(self, "grasp_ee", self.grasp_ee, (3,))
 
 
-def find_contacts(robot: RobotModel, log: JointLog, points_moving: Array, path: PartPath) -> Contacts:
+def find_contacts(
+    robot: RobotModel, log: JointLog, points_moving: Array, axes_world: Array, path: PartPath
+) -> Contacts:
     """Patches of all fingers that touch, over the first moments of the motion.
 
     The part is put where the hand has it: averaged over the path's moments, its place is known better
@@ -87,6 +89,7 @@ def find_contacts(robot: RobotModel, log: JointLog, points_moving: Array, path: 
         robot: Kinematics, pads and meshes.
         log: The joint log.
         points_moving: Dense points of the part at its scanned place (N, 3), world frame, [m].
+        axes_world: Unit axes (3, 3) in rows of the box around the part as scanned.
         path: Where the part is at these moments.
 
     Source: AOMGen, sec. 4.2, "Contact Point Detection", with patches in place of one nearest pair.
@@ -98,7 +101,7 @@ def find_contacts(robot: RobotModel, log: JointLog, points_moving: Array, path: 
     points_ee = apply(T_ee_part, points_moving)
     middle = len(gripper) // 2
     Ts_ee_body = invert(Ts_world_ee[middle]) @ robot.link_poses(joints, gripper)[middle]
-    patches = held_patches(robot.pads, Ts_ee_body, points_ee)
+    patches = held_patches(robot.pads, Ts_ee_body, points_ee, axes_world @ T_ee_part[:3, :3].T)
     if not patches and robot.hand_bodies:
         points, normals = (surface := hand_surface(robot)).posed(Ts_ee_body)
         patches = pushing_patches((points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee))

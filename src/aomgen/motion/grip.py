@@ -14,11 +14,14 @@ from aomgen.physics.robot_parts import FingerPad
 
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
 SURFACE_SD_M = 0.002
-# Pads give way by this much where they press: 40 N on 3 cm^2 of a rubber of 5 MPa, 4 mm thick, [m].
-SOFT_M = 1e-4
+# Pads give way by 0.1 mm where they press: 40 N on 3 cm^2 of a rubber of 5 MPa, 4 mm thick. Under load they
+# stand about half as slanted as the gripper's table says, so that in its terms they give half of that, [m].
+SOFT_M = 5e-5
 # What is between the pads may look thinner than their opening by this much on each side, [m].
 _THINNER_M = 0.01
 _GRID = 23
+# The sides of a bar are known to this angle: the object's yaw to 2.5 degrees, the pads' slant to 1.5, [rad].
+_ROLL_SD_RAD = float(np.radians(3.0))
 # A bar is followed this far beside the pads, [m].
 _BESIDE_M = 0.05
 # Places with less than this share of the most matter hold strays of the surface behind.
@@ -56,7 +59,9 @@ class Patch:
         return float(np.sqrt(np.trace(self.covariance)))
 
 
-def held_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
+def held_patches(
+    pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array, axes_ee: Array
+) -> tuple[Patch, ...]:
     """One patch on each pad of a gripper that holds the part; none if the part is not between its pads.
 
     The pads of a closing gripper are not quite parallel, so they press where the part reaches into the
@@ -67,16 +72,19 @@ def held_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array)
         pads: Of the hand; fewer than two hold nothing.
         Ts_ee_body: Poses (B, 4, 4) of all bodies, end-effector frame.
         points_ee: Dense points of the part (N, 3), same frame, [m].
+        axes_ee: Unit axes (3, 3) in rows of the object's box, same frame: sides of a bar are across them.
 
     Not checked: a part whose thickness varies within the pads more than their opening does.
     """
     if len(pads) < 2:
         return ()
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
+    closing = faces[0].normal - faces[1].normal
+    flatness = _flatness(closing / np.linalg.norm(closing), axes_ee)
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
         openings = face.openings(face.grid, other)
-        matter = face.matter(points_ee, other)
+        matter = face.matter(points_ee, other, flatness)
         if not (len(matter) and openings.min() > 0):
             return ()
         covered = face.covered(matter)
@@ -130,13 +138,14 @@ class _Face:
         on_face = points_ee - heights[:, None] * self.normal
         return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
 
-    def matter(self, points_ee: Array, other: "_Face") -> Array:
-        """What of points (N, 3) is between both faces (K, 3), in this one's frame; a bar without gaps."""
+    def matter(self, points_ee: Array, other: "_Face", flatness: float) -> Array:
+        """What of points (N, 3) is between both faces (K, 3), in this one's frame; a bar as `swept_bar`."""
         local = apply(self.T_face_ee, points_ee)
         margin = 2 * SURFACE_SD_M
         between = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
         near = local[between & np.all(np.abs(local[:, :2]) < self.half + _BESIDE_M, axis=1)]
-        bar = swept_bar(near, self.half, margin)
+        depth = float(np.median(self.openings(self.grid, other))) / 2 + SURFACE_SD_M
+        bar = swept_bar(near, self.half, (margin, max(margin, depth)), flatness)
         matter = near if bar is None else bar
         return matter[np.all(np.abs(matter[:, :2]) < self.half + margin, axis=1)]
 
@@ -146,6 +155,12 @@ class _Face:
         sides2 = ((self.plane(self.grid)[:, None] - matter[None, :, :2]) ** 2).sum(-1)
         density = np.exp(-0.5 * (sides2 + behind**2) / SURFACE_SD_M**2).sum(1)
         return density / max(float(density.max()), 1e-12)
+
+
+def _flatness(normal: Array, axes: Array) -> float:
+    """How likely a side of a bar with the part's axes (3, 3) lies flat against a face, 0..1."""
+    roll = np.arccos(min(float(np.abs(axes @ normal).max()), 1.0))
+    return float(np.exp(-0.5 * (roll / _ROLL_SD_RAD) ** 2))
 
 
 def _thickness(matter: Array) -> float:

@@ -44,6 +44,7 @@ def recover(
     interval = seen
     shape = shape_of(demo.points_static, demo.points_moving)
     surface = demo.surface_moving(params.contact.spacing_m)
+    axes = shape.box.T_world_box[:3, :3].T
     begin = PartPath.carried(
         demo.robot,
         demo.log,
@@ -51,7 +52,7 @@ def recover(
         _begin(interval, demo, params),
     )
     for _ in range(2):
-        contacts = find_contacts(demo.robot, demo.log, surface, begin)
+        contacts = find_contacts(demo.robot, demo.log, surface, axes, begin)
         held = _dense(interval)
         estimate = estimate_joint(poses_at(demo, held + offset_s), contacts.grasp_ee, shape, params.joint)
         times = _dense(touch_s)
