@@ -91,7 +91,8 @@ def _ticks(low: float, high: float) -> list[float]:
     while (high - low) / step > 6:
         step *= 2 if (high - low) / step < 12 else 2.5
     first = np.ceil(low / step) * step
-    return [float(value) for value in np.arange(first, high + 1e-9 * step, step)]
+    # Zero may come out as minus zero, which would be written so.
+    return [float(value) + 0.0 for value in np.arange(first, high + 1e-9 * step, step)]
 
 
 def _x_tick(value: float, x: float) -> str:

@@ -24,7 +24,7 @@ WIDTH_PX = 420
 def motion_section(data: Recovered) -> list[str]:
     """Sentence, pictures and charts."""
     return [
-        paragraph(_sentence(data.motion)),
+        paragraph(motion_sentence(data.motion)),
         picture(joint_sheet(data), "the recovered joint when the motion starts, halfway and when it ends"),
         paragraph(
             "Blue: the axis, and the space that holds it with 95 %. Red: path of the held point. Yellow: where "
@@ -116,12 +116,19 @@ def motion_charts(motion: MotionEstimate) -> list[str]:
     ]
 
 
-def _sentence(motion: MotionEstimate) -> str:
+def motion_sentence(motion: MotionEstimate) -> str:
+    """What moved, when and how surely, in words."""
     return (
         f"The part moves from {motion.start_s:.2f} s to {motion.end_s:.2f} s, {motion.direction}. It is a "
-        f"{motion.joint.type} joint, axis "
-        f"known to {np.degrees(motion.axis_ci95_rad):.1f} deg, its place to {1e3 * motion.origin_ci95_m:.0f} mm "
-        f"(with 95 %); the hand turned {motion.ee_turn_ratio:.2f} times as far as the part, "
-        f"slid up to {1e3 * motion.slip_m.max():.0f} mm along it and turned up to "
+        f"{motion.joint.type} joint{_certainty(motion)}. The hand turned {motion.ee_turn_ratio:.2f} times as far "
+        f"as the part, slid up to {1e3 * motion.slip_m.max():.0f} mm along it and turned up to "
         f"{np.degrees(motion.pivot_rad.max()):.0f} deg against it."
     )
+
+
+def _certainty(motion: MotionEstimate) -> str:
+    """How surely the axis is known; nothing where the method does not say, as the paper's."""
+    if not motion.axis_ci95_rad > 0:
+        return ""
+    place = f", its place to {1e3 * motion.origin_ci95_m:.0f} mm" if motion.joint.type == "revolute" else ""
+    return f"; with 95 %, its axis is known to {np.degrees(motion.axis_ci95_rad):.1f} deg{place}"

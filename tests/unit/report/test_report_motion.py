@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.report.joint_drawing import AXIS, TOUCH, axis_space, overlay_motion
-from aomgen.report.motion import motion_charts
+from aomgen.report.motion import motion_charts, motion_sentence
 
 TIMES_S = np.linspace(0, 4, 41, dtype=np.float64)
 HELD = np.array([0.5, 0.0, 0.2])
@@ -131,9 +131,18 @@ def test_the_charts_show_score_value_with_its_band_and_grip() -> None:
     assert "joint value [deg]" in theta
     assert "slip [mm]" in grip
     assert "pivot [deg]" in grip
+    assert ">-0<" not in score + theta + grip
     polygon = re.search(r'points="([^"]+)" class="band"', theta)
     assert polygon is not None
     low, high = (float(polygon[1].split()[k].split(",")[1]) for k in (0, -1))
     # 1.96 deviations of 0.05 rad to either side, in a chart of 172 px from the band's low to 1.08 of its high.
     half = 1.96 * 0.05
     assert low - high == pytest.approx(172 * 2 * half / (1.08 * (1 + half) + half), abs=0.2)
+
+
+def test_the_sentence_claims_no_certainty_that_nobody_estimated() -> None:
+    assert "its axis is known to 5.7 deg, its place to 20 mm" in motion_sentence(estimate())
+    slide = motion_sentence(estimate("prismatic", (-1.0, 0.0, 0.0)))
+    assert "known to 5.7 deg. " in slide
+    unsure = motion_sentence(replace(estimate(), axis_ci95_rad=0.0, origin_ci95_m=0.0))
+    assert "It is a revolute joint. " in unsure
