@@ -59,17 +59,16 @@ class FilmProblem:
         own = np.linalg.inv(alike[frames] + _ROUGHNESS * np.eye(len(frames)))
         sd = np.hypot(hand.theta_sd, slip_share * np.abs(hand.thetas))
         during = hand.times_s >= begin
-        sds = [hand.axis_sd_rad, hand.origin_sd_m][: 1 if joint.type == "prismatic" else 2]
-        count = 2 * len(sds)
+        count = len(hand.covariance)
         precision = np.zeros((count + len(frames),) * 2)
-        precision[:count, :count] = np.diag(np.repeat(2 / np.square(sds), 2))
+        precision[:count, :count] = np.linalg.inv(hand.covariance)
         precision[count:, count:] = own
         return FilmProblem(
             film=film,
             hand=hand,
             frames=frames,
             pivot=pivot,
-            lever=value_lever(hand, pivot, count) * during[:, None],
+            lever=value_lever(hand, pivot) * during[:, None],
             spread=np.asarray((sd * during)[:, None] * (alike @ own), np.float64),
             precision=precision,
             distortion_px=_DISTORTION_PX * np.sqrt(len(frames) / _INDEPENDENT_FRAMES),
@@ -155,9 +154,9 @@ class FilmProblem:
         return places
 
 
-def value_lever(hand: HandAnswer, pivot: Array, count: int) -> Array:
+def value_lever(hand: HandAnswer, pivot: Array) -> Array:
     """Change of the values (T, n) when the joint moves and the held points stay."""
-    joint = hand.joint
+    joint, count = hand.joint, len(hand.covariance)
     if joint.type == "prismatic":
         return np.zeros((len(hand.thetas), count))
     points = np.asarray(apply(joint.motion(hand.thetas), hand.held_world))

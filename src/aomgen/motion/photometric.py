@@ -201,13 +201,11 @@ def _judged(
 
 
 def _kept(hand: HandAnswer, reason: str) -> Refinement:
-    count = 4 if hand.joint.type == "revolute" else 2
-    variances = np.repeat([hand.axis_sd_rad**2 / 2, hand.origin_sd_m**2 / 2], 2)[:count]
     return Refinement(
         joint=hand.joint,
         thetas=hand.thetas,
         theta_sd=hand.theta_sd,
-        covariance=np.diag(variances),
+        covariance=hand.covariance,
         accepted=False,
         evidence=None,
         reason=reason,

@@ -75,8 +75,7 @@ class World:
         return HandAnswer(
             joint=shifted(self.joint, self.joint.origin, np.asarray(x)),
             held_world=HELD,
-            axis_sd_rad=0.03,
-            origin_sd_m=0.01,
+            covariance=np.diag([4.5e-4, 4.5e-4, 5e-5, 5e-5])[: len(x), : len(x)],
             interval=MOTION_S,
             times_s=TIMES_S,
             thetas=thetas,
@@ -180,7 +179,7 @@ def test_a_film_that_begins_with_the_motion_is_not_asked():
 def test_the_lever_is_what_the_held_points_say_about_a_moved_axis():
     """A hinge moved towards the hand by d at a quarter turn: the angle grows by d / r, seen from there."""
     hand = replace(world().hand(np.zeros(4), 1.0), thetas=SHARES * np.pi / 2, interval=(0.0, 3.5))
-    lever = value_lever(hand, np.zeros(3), 4)
+    lever = value_lever(hand, np.zeros(3))
     x = np.zeros(4)
     x[2] = 1e-4
     moved = shifted(HINGE, np.zeros(3), x)

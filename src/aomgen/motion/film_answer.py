@@ -1,0 +1,74 @@
+"""The hand's answer, put right by the film where the film says more."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.film_problem import value_lever
+from aomgen.motion.hand_answer import HandAnswer
+from aomgen.motion.photometric import PhotometricParams, refine
+from aomgen.physics.robot_masks import robot_masks
+
+_DRAWS = 4000
+
+
+def asked_film(
+    demo: Demonstration, estimate: MotionEstimate, params: PhotometricParams | None = None
+) -> MotionEstimate:
+    """The estimate with joint, values and their errors refined on the film, or as it was.
+
+    Args:
+        demo: What the estimate was made from.
+        estimate: The hand's answer.
+        params: Of the refinement.
+    """
+    hand = hand_answer(demo, estimate)
+    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
+        refined = refine(demo, masks_at, hand, params)
+    if not refined.accepted:
+        return estimate
+    revolute = refined.joint.type == "revolute"
+    return replace(
+        estimate,
+        joint=refined.joint,
+        thetas=refined.thetas,
+        theta_sd=refined.theta_sd,
+        axis_sd_rad=refined.axis_sd_rad,
+        origin_sd_m=refined.origin_sd_m,
+        axis_ci95_rad=radius_95(refined.covariance[:2, :2]),
+        origin_ci95_m=radius_95(refined.covariance[2:, 2:]) if revolute else 0.0,
+    )
+
+
+def hand_answer(demo: Demonstration, estimate: MotionEstimate) -> HandAnswer:
+    """What an estimate says about the joint, as a prior."""
+    begin = np.array([estimate.start_s + demo.clock_offset_s])
+    held = apply(demo.robot.ee_poses(demo.log.at(begin)[0]), estimate.grasp_ee)[0]
+    revolute = estimate.joint.type == "revolute"
+    variances = [estimate.axis_sd_rad**2 / 2] * 2 + [estimate.origin_sd_m**2 / 2] * 2 * revolute
+    answer = HandAnswer(
+        joint=estimate.joint,
+        held_world=held,
+        covariance=np.diag(variances),
+        interval=(estimate.start_s, estimate.end_s),
+        times_s=estimate.times_s,
+        thetas=estimate.thetas,
+        theta_sd=estimate.theta_sd,
+    )
+    joint = estimate.joint
+    pivot = joint.origin + joint.axis * ((held - joint.origin) @ joint.axis)
+    lever = value_lever(answer, pivot)
+    by_joint = np.einsum("ti,ij,tj->t", lever, answer.covariance, lever)
+    # The joint's own error is known to be at most what is left when it is taken out, and never all.
+    own = np.maximum(estimate.theta_sd**2 - by_joint, estimate.theta_sd**2 / 9)
+    return replace(answer, theta_sd=np.sqrt(own))
+
+
+def radius_95(covariance: Array) -> float:
+    """Radius around the mean that holds 95 % of a normal distribution in the plane, covariance (2, 2)."""
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(2), covariance, _DRAWS)
+    return float(np.percentile(np.linalg.norm(draws, axis=1), 95))
