@@ -7,6 +7,7 @@ from aomgen.core.progress import Progress, silent
 from aomgen.errors import InputError
 from aomgen.motion.answer import assemble
 from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.film_answer import asked_film
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
 from aomgen.motion.recovery import recover
@@ -58,4 +59,5 @@ def estimate_motion(
     progress(0.85, "joint")
     recovery = recover(demo, view, (interval.start.time_s, interval.end.time_s), params)
     progress(0.95, "joint values")
-    return assemble(demo, curve, recovery, moved.odds)
+    answer = assemble(demo, curve, recovery, moved.odds)
+    return asked_film(demo, answer, (recovery.estimate.axes, recovery.estimate.origins), params.photometric)

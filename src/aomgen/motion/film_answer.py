@@ -4,29 +4,37 @@ from dataclasses import replace
 
 import numpy as np
 
+from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_problem import value_lever
 from aomgen.motion.hand_answer import HandAnswer
+from aomgen.motion.joint_models import tangent_basis
 from aomgen.motion.photometric import PhotometricParams, refine
 from aomgen.physics.robot_masks import robot_masks
 
 _DRAWS = 4000
+# Far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
+_LEAST_VARIANCE = 1e-10
 
 
 def asked_film(
-    demo: Demonstration, estimate: MotionEstimate, params: PhotometricParams | None = None
+    demo: Demonstration,
+    estimate: MotionEstimate,
+    lines: tuple[Array, Array],
+    params: PhotometricParams | None = None,
 ) -> MotionEstimate:
     """The estimate with joint, values and their errors refined on the film, or as it was.
 
     Args:
         demo: What the estimate was made from.
         estimate: The hand's answer.
+        lines: Axes (S, 3) and points on them (S, 3) [m] that the hand finds equally likely, world frame.
         params: Of the refinement.
     """
-    hand = hand_answer(demo, estimate)
+    hand = hand_answer(demo, estimate, lines)
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         refined = refine(demo, masks_at, hand, params)
     if not refined.accepted:
@@ -44,28 +52,39 @@ def asked_film(
     )
 
 
-def hand_answer(demo: Demonstration, estimate: MotionEstimate) -> HandAnswer:
-    """What an estimate says about the joint, as a prior."""
+def hand_answer(demo: Demonstration, estimate: MotionEstimate, lines: tuple[Array, Array]) -> HandAnswer:
+    """What an estimate says about the joint, as a prior; for `lines` see `asked_film`."""
     begin = np.array([estimate.start_s + demo.clock_offset_s])
     held = apply(demo.robot.ee_poses(demo.log.at(begin)[0]), estimate.grasp_ee)[0]
-    revolute = estimate.joint.type == "revolute"
-    variances = [estimate.axis_sd_rad**2 / 2] * 2 + [estimate.origin_sd_m**2 / 2] * 2 * revolute
+    joint = estimate.joint
+    pivot = joint.origin + joint.axis * ((held - joint.origin) @ joint.axis)
     answer = HandAnswer(
         joint=estimate.joint,
         held_world=held,
-        covariance=np.diag(variances),
+        covariance=line_covariance(joint, pivot, lines),
         interval=(estimate.start_s, estimate.end_s),
         times_s=estimate.times_s,
         thetas=estimate.thetas,
         theta_sd=estimate.theta_sd,
     )
-    joint = estimate.joint
-    pivot = joint.origin + joint.axis * ((held - joint.origin) @ joint.axis)
     lever = value_lever(answer, pivot)
     by_joint = np.einsum("ti,ij,tj->t", lever, answer.covariance, lever)
     # The joint's own error is known to be at most what is left when it is taken out, and never all.
     own = np.maximum(estimate.theta_sd**2 - by_joint, estimate.theta_sd**2 / 9)
     return replace(answer, theta_sd=np.sqrt(own))
+
+
+def line_covariance(joint: Joint, pivot: Array, lines: tuple[Array, Array]) -> Array:
+    """Covariance of tilt (2) and, if revolute, shift at `pivot` (2) of equally likely axes; see `HandAnswer`."""
+    axes, points = lines
+    tangents = tangent_basis(joint.axis)
+    along = axes @ joint.axis
+    crossings = points + axes * (((pivot - points) @ joint.axis) / along)[:, None]
+    numbers = np.hstack([axes @ tangents.T / along[:, None], (crossings - pivot) @ tangents.T])
+    if joint.type == "prismatic":
+        numbers = numbers[:, :2]
+    # About the answer itself, which need not be the samples' middle.
+    return np.asarray(numbers.T @ numbers / len(numbers) + _LEAST_VARIANCE * np.eye(numbers.shape[1]), np.float64)
 
 
 def radius_95(covariance: Array) -> float:

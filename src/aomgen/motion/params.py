@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from aomgen.motion.contact import ContactParams
 from aomgen.motion.joint import JointParams
 from aomgen.motion.keyframes import KeyframeParams
+from aomgen.motion.photometric import PhotometricParams
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,6 +21,7 @@ class MotionParams:
     keyframes: KeyframeParams = field(default_factory=KeyframeParams)
     contact: ContactParams = field(default_factory=ContactParams)
     joint: JointParams = field(default_factory=JointParams)
+    photometric: PhotometricParams = field(default_factory=PhotometricParams)
     width: int = 320
     max_fps: float = 15.0
     agree_s: float = 0.8

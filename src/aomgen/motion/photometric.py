@@ -47,7 +47,7 @@ class PhotometricParams:
         Band(blur_px=0.7, wide_px=4.0, margin_px=2),
     )
     rounds: int = 3
-    slip_share: float = 0.03
+    slip_share: float = 0.01
     accept_sd: float = 2.0
     min_explained: float = 0.5
     camera_sd_rad: float = 0.001
@@ -155,7 +155,7 @@ def _judged(
     problem: FilmProblem, y: Array, covariance: Array, frames: NDArray[np.intp], params: PhotometricParams
 ) -> Refinement:
     """The refined answer if held-out frames (N,) agree better with it."""
-    hand, joint, thetas = problem.hand, problem.joint(y), problem.thetas(y)
+    hand, joint, thetas = problem.hand, problem.joint(y), np.maximum(problem.thetas(y), 0.0)
     found = [
         compared(
             problem.film,

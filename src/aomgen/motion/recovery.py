@@ -8,12 +8,11 @@ from aomgen.core.joint import Joint
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
-from aomgen.motion.filters import smooth
 from aomgen.motion.geometry import shape_of
 from aomgen.motion.joint import JointEstimate, estimate_joint
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
-from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values
+from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values, smooth_within
 
 _DENSE_STEP_S = 0.01
 _SMOOTH_S = 0.2
@@ -59,8 +58,8 @@ def recover(
         reference = int(np.argmin(np.abs(times - interval[0])))
         poses = poses_at(demo, times + offset_s)
         path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
-        values = smooth(path.values, _DENSE_STEP_S, _SMOOTH_S)
         leave = LEAVE_RAD if estimate.joint.type == "revolute" else LEAVE_M
+        values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
         felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=touch.gripped)
         interval = (_nearby(felt[0], seen[0], params.agree_s), _nearby(felt[1], seen[1], params.agree_s))
         moments = _begin(interval, demo, params)

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
+from aomgen.motion.filters import smooth
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7
@@ -77,6 +79,29 @@ def path_values(
     lean = side * np.arcsin(height / radii)
     values = turn - (lean - lean[reference])
     return PathValues(values=values - values[reference], slip_m=radii - radii[reference])
+
+
+def smooth_within(values: Array, step_s: float, window_s: float, tolerance: float) -> Array:
+    """Smoothed joint values (T,) that never leave the range of the values around them.
+
+    A polynomial smoother rings where the part starts, pauses and stops; here a pause stays level and
+    no end is overshot. Where the values go one way but for less than `tolerance`, so does the result.
+
+    Args:
+        values: Dense joint values (T,), [rad] or [m].
+        step_s: Between samples, [s].
+        window_s: Of the smoother, [s].
+        tolerance: Backward motion that is noise, `LEAVE_RAD` or `LEAVE_M`.
+    """
+    window = max(3, 2 * round(window_s / step_s / 2) + 1)
+    low, high = minimum_filter1d(values, window), maximum_filter1d(values, window)
+    smoothed = np.clip(smooth(values, step_s, window_s), low, high)
+    way = 1.0 if values[-1] >= values[0] else -1.0
+    rising, ceiling = way * smoothed, np.maximum.accumulate(way * smoothed)
+    if not float((ceiling - rising).max()) <= tolerance:
+        return np.asarray(smoothed, np.float64)
+    floor = np.minimum.accumulate(rising[::-1])[::-1]
+    return np.asarray(way * (ceiling + floor) / 2, np.float64)
 
 
 def leaving_and_arriving(

@@ -5,7 +5,7 @@ import pytest
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.motion.theta import LEAVE_RAD, leaving_and_arriving, path_values, values_at_frames
+from aomgen.motion.theta import LEAVE_RAD, leaving_and_arriving, path_values, smooth_within, values_at_frames
 
 HINGE = np.array([0.6, 0.2, 0.0])
 NORMAL = np.array([-1.0, 0, 0])
@@ -82,3 +82,38 @@ def test_frames_rest_before_the_start_and_after_the_end() -> None:
     frames = np.array([0.0, 0.5, 2.0, 3.5, 9.0])
     thetas = values_at_frames(frames, times, values, (1.0, 3.0), (0.3, 1.3))
     assert thetas == pytest.approx([0, 0, 0.5, 1.0, 1.0], abs=1e-6)
+
+
+def _course(*corners: tuple[float, float]) -> np.ndarray:
+    """Values every 0.01 s on straight lines through (time, value)."""
+    moments, values = np.array(corners).T
+    return np.interp(np.arange(0, moments[-1], 0.01), moments, values)
+
+
+def test_a_smoothed_motion_does_not_ring_where_it_starts_pauses_and_stops() -> None:
+    values = _course((0, 0), (1, 0), (1.5, 0.5), (2.5, 0.5), (3, 1), (4, 1))
+    smoothed = smooth_within(values, 0.01, 0.2, LEAVE_RAD)
+    assert smoothed.min() == 0.0
+    assert smoothed.max() == 1.0
+    np.testing.assert_array_equal(smoothed[:89], 0.0)
+    np.testing.assert_array_equal(smoothed[162:238], 0.5)
+    assert np.diff(smoothed).min() >= 0
+    assert np.abs(smoothed - values).max() < 0.02
+
+
+def test_noise_of_a_motion_one_way_is_no_motion_back() -> None:
+    values = _course((0, 0), (1, 0), (2, 1), (3, 1))
+    noisy = values + np.random.default_rng(0).normal(0, 0.003, len(values))
+    smoothed = smooth_within(noisy, 0.01, 0.2, LEAVE_RAD)
+    assert np.diff(smoothed).min() >= 0
+    assert np.sqrt(np.mean((smoothed - values) ** 2)) < 0.003
+    mirrored = smooth_within(-noisy, 0.01, 0.2, LEAVE_RAD)
+    assert mirrored == pytest.approx(-smoothed, abs=1e-12)
+    reversed_ = smooth_within(noisy[::-1], 0.01, 0.2, LEAVE_RAD)[::-1]
+    assert reversed_ == pytest.approx(smoothed, abs=1e-9)
+
+
+def test_a_real_motion_back_stays() -> None:
+    values = _course((0, 0), (1, 1), (1.5, 0.7), (2.5, 1.2))
+    smoothed = smooth_within(values, 0.01, 0.2, LEAVE_RAD)
+    assert smoothed[150] < 0.75
