@@ -84,7 +84,9 @@ def line_covariance(joint: Joint, pivot: Array, lines: tuple[Array, Array]) -> A
     if joint.type == "prismatic":
         numbers = numbers[:, :2]
     # About the answer itself, which need not be the samples' middle.
-    return np.asarray(numbers.T @ numbers / len(numbers) + _LEAST_VARIANCE * np.eye(numbers.shape[1]), np.float64)
+    return np.asarray(
+        numbers.T @ numbers / len(numbers) + _LEAST_VARIANCE * np.eye(numbers.shape[1]), np.float64
+    )
 
 
 def radius_95(covariance: Array) -> float:

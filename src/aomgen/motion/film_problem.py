@@ -166,9 +166,10 @@ def value_lever(hand: HandAnswer, pivot: Array) -> Array:
         offsets, first = points - moved.origin, hand.held_world - moved.origin
         across = np.cross(first, offsets) @ moved.axis
         along = offsets @ first - (offsets @ moved.axis) * (first @ moved.axis)
-        return np.unwrap(np.arctan2(across, along))
+        return np.asarray(np.unwrap(np.arctan2(across, along)), np.float64)
 
     small = 1e-5
-    slopes = [(angles(small * unit) - angles(-small * unit)) / (2 * small) for unit in np.eye(count)]
-    result: Array = np.stack(slopes, 1).astype(np.float64)
-    return result
+    lever = np.empty((len(points), count))
+    for index, unit in enumerate(small * np.eye(count)):
+        lever[:, index] = (angles(unit) - angles(-unit)) / (2 * small)
+    return lever

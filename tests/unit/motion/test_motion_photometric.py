@@ -79,7 +79,7 @@ class World:
             interval=MOTION_S,
             times_s=TIMES_S,
             thetas=thetas,
-            theta_sd=0.02 * thetas,
+            theta_sd=0.035 * thetas,
         )
 
 
