@@ -97,6 +97,26 @@ def bench_alignment(
         write_json(json_file, figures)
 
 
+@bench_app.command("intervals")
+def bench_intervals(
+    worlds: Annotated[int, typer.Option(help="Hidden joints; half a second each.")] = 200,
+    seed: Annotated[int, typer.Option(help="First seed.")] = 5000,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Hide joints behind hand paths that slip and pivot: do the stated 95 % intervals hold them?
+
+    `held` is the share of intervals that hold the truth, `width` their median over the median error.
+    """
+    from aomgen.benchmarks.joint_intervals import interval_figures, measure_world
+    from aomgen.benchmarks.table import as_table
+    from aomgen.io.atomic import write_json
+
+    figures = interval_figures([measure_world(seed + number) for number in range(worlds)])
+    print(as_table(figures))
+    if json_file:
+        write_json(json_file, {"intervals": figures})
+
+
 @bench_app.command("splatting")
 def bench_splatting(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,

@@ -2,8 +2,8 @@
 
 Sizes of the flaws are those measured on contact simulations (60 doors, 15 drawers): over a door's
 opening the grasp slips 1 mm outwards and 1.5 mm along the bar, the handle turns by up to 0.4 of the
-door's turn in the fingers, the hand tilts by 0.15 degrees. A quarter of the worlds is worse: they
-slip by up to 15 mm and tilt by degrees. Geometry is off by what reconstructed parts are off by.
+door's turn in the fingers, the hand tilts by 0.15 degrees. One world in seven is worse: it
+slips by up to 15 mm and tilts by degrees. Geometry is off by what reconstructed parts are off by.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from aomgen.core.values import Array, freeze
 
 # Shares of worlds: a door rather than a drawer, a loose grasp, geometry that misleads.
 DOORS = 0.65
-LOOSE = 0.25
+LOOSE = 0.15
 MISLED = 0.1
 # A slow grasp slips by at most this per travel, [m/m].
 MAX_SLIP_RATE = 0.05
@@ -156,25 +156,22 @@ def _hand_in_part(
     share = thetas / joint.upper
     radial, along, tangent = _held_frame(joint, handle)
     length = joint.upper * (_radius(joint, handle) if joint.type == "revolute" else 1.0)
-    worst = min(0.015, MAX_SLIP_RATE * length)
     # A handle that does not turn in the fingers slips less: drawers by 0.2 mm over 0.18 m.
-    usual = length / 0.34 * (1.0 if joint.type == "revolute" else 0.3)
-    if loose:
-        face, bar = rng.uniform(-worst, worst, 2)
-    else:
-        face, bar = 0.001 * usual * rng.normal(), 0.0017 * usual * rng.normal()
+    ease = 1.0 if joint.type == "revolute" else 0.3
+    usual, worst = ease * length / 0.34, ease * min(0.015, MAX_SLIP_RATE * length)
+    face, bar = rng.uniform(0.2, 1.0, 2) * worst if loose else np.array([0.001, 0.0017]) * usual
     speed = np.gradient(thetas)
     lag = rng.uniform(0.001, 0.003) * (0.5 * np.minimum(1, share / 0.03) + 0.5 * speed / speed.max())
     slip = (
-        np.outer(face * _smooth(share, rng), radial)
-        + np.outer(bar * _smooth(share, rng), along)
-        - np.outer(lag * (1 + 0.1 * _smooth(share, rng)), tangent)
+        np.outer(face * _slow(share, rng), radial)
+        + np.outer(bar * _slow(share, rng), along)
+        - np.outer(lag * (1 + 0.1 * _slow(share, rng)), tangent)
         + np.outer(0.03 * lag * rng.normal(), radial)
         + np.outer(0.03 * lag * rng.normal(), along)
     )
     # The handle turns in the fingers, about nearly the joint's axis.
-    tilt = np.radians(1.5 if loose else 0.15) * rng.normal(size=3)
-    turns = np.outer(_smooth(share, rng), tilt)
+    tilt = np.radians(1.5 if loose else 0.15)
+    turns = np.stack([_slow(share, rng) for _ in range(3)], 1) * tilt
     if joint.type == "revolute":
         lost = (1 - rng.uniform(0.7, 1.0)) * thetas
         drift = (0.1 if loose else 0.01) * rng.normal() * joint.upper * 4 * share * (1 - share)
@@ -201,13 +198,13 @@ def _radius(joint: Joint, handle: Array) -> float:
     return float(np.linalg.norm(np.cross(handle - joint.origin, joint.axis)))
 
 
-def _smooth(share: Array, rng: np.random.Generator) -> Array:
-    """A slow course (T,) from 0 to about 1: mostly steady, a bend of the measured size, a wave.
+def _slow(share: Array, rng: np.random.Generator) -> Array:
+    """A slow course (T,) whose end has a standard deviation of 1: a steady part, a bend, a wave.
 
-    Measured: the middle of the path is off the steady course by 0.15 to 0.3 of the end's value.
+    Measured: the middle of the path is off the steady course by 0.15 to 0.3 of the end's deviation.
     """
-    bend, wave = rng.normal(size=2) * [0.9, 0.15]
-    return share + bend * share * (1 - share) + wave * np.sin(2 * np.pi * share)
+    steady, bend, wave = rng.normal(size=3) * [1.0, 0.9, 0.15]
+    return steady * share + bend * share * (1 - share) + wave * np.sin(2 * np.pi * share)
 
 
 def _logged(Ts_world_ee: Array, rng: np.random.Generator) -> Array:

@@ -46,7 +46,7 @@ class NoisePrior:
     tilt_rate: float = 0.01
     pivot_rate: float = 0.015
     straight_rate: float = 0.0012
-    spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.0, 1.0, 1.2, 1.2)
+    spreads: tuple[float, ...] = (0.7, 0.7, 1.2, 1.2, 1.2, 1.2, 1.2)
 
     @property
     def medians(self) -> Array:
