@@ -221,7 +221,8 @@ def _logged(Ts_world_ee: Array, rng: np.random.Generator) -> Array:
 
 def _reconstructed(box: _Box, rng: np.random.Generator, *, misled: bool) -> tuple[Array, Array]:
     """Points of both parts: faces off by millimetres, the whole tilted, the handle sticking out; or nonsense."""
-    low, high = box.low + rng.normal(size=3) * 0.006, box.high + rng.normal(size=3) * 0.006
+    low = box.low + rng.normal(size=3) * 0.006
+    high = np.maximum(box.high + rng.normal(size=3) * 0.006, low + 0.002)
     moving = _surface(low, high, 600, rng)
     moving = np.concatenate([moving, box.handle + rng.normal(size=(40, 3)) * [0.01, 0.004, 0.02]])
     behind = np.array([0.0, high[1] - low[1], 0.0])
