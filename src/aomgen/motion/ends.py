@@ -9,8 +9,10 @@ from aomgen.motion.filters import without_glitches
 
 # Share of the largest departure up to which the picture changes in proportion to the hand's way.
 _EARLY = 0.4
-# What proportion misses: occlusion and edges make the departure a slightly bent function of the way.
-_BENT = 0.15
+# How the departure grows with the way: in proportion when an edge crosses a plain face, slower or faster
+# where the arm uncovers it or pattern meets pattern; and what such a curve misses, as a share.
+_POWERS = (0.7, 1.0, 1.4, 2.0)
+_MISFIT = 0.1
 # Way of the hand within which a part counts as still: half a degree of a door of 0.3 m, and what closing
 # fingers push a hand around, [m].
 STILL_M = 0.0025
@@ -54,17 +56,31 @@ class Way:
         return np.maximum.accumulate(np.linalg.norm(self.points - self.points[0], axis=1))
 
 
-def leaving(way: Way, times_s: Array, departures: Array, noise: float, *, held: bool) -> Moment:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """What the picture can tell.
+
+    Attributes:
+        noise: Standard deviation of a still part's departure.
+        pixel_m: Size of a pixel at the part; a shorter way does not show, [m].
+    """
+
+    noise: float
+    pixel_m: float
+
+
+def leaving(way: Way, times_s: Array, departures: Array, sight: Sight, *, held: bool) -> Moment:
     """When the part leaves its first place.
 
-    The departure is taken to be `k max(0, u - u0)` with u the hand's travel: 0 while the hand comes or
-    slides, then in proportion. k is fitted, u0 has a posterior; the moment is when the hand passes u0.
+    The departure is taken to be `k max(0, u - u0)^p` with u the hand's travel: 0 while the hand comes or
+    slides, then growing with it. k is fitted, p is summed over, u0 has a posterior. Less than a pixel
+    does not show, so the part moves that much before; the moment is when the hand gets there.
 
     Args:
         way: The hand during the touch.
         times_s: Times of the frames (T,), within the way's.
         departures: Share (T,) of the part's picture that does not show its first place.
-        noise: Standard deviation of a still part's departure.
+        sight: What the picture can tell.
         held: Fingers hold the part, so that it follows at once or nearly so.
     """
     if len(way.times_s) < 2 or len(times_s) < 2:
@@ -76,26 +92,28 @@ def leaving(way: Way, times_s: Array, departures: Array, noise: float, *, held: 
     travel = way.travel
     along = np.interp(times_s[early], way.times_s, travel)
     offsets = np.linspace(0.0, float(along[-1]), _CANDIDATES)
-    ramps = np.maximum(0.0, along - offsets[:, None])
-    weights = 1.0 / (noise**2 + (_BENT * clean[early]) ** 2)
-    slopes = (ramps * weights) @ clean[early] / np.maximum((ramps**2 * weights).sum(1), 1e-12)
-    misfit = (weights * (clean[early] - np.maximum(slopes, 0.0)[:, None] * ramps) ** 2).sum(1)
-    doubt = misfit / 2 + (offsets / _SLACK_M if held else 0.0)
-    odds = np.exp(-(doubt - doubt.min()))
+    slack = np.maximum(0.0, offsets - sight.pixel_m)
+    ramps = np.maximum(0.0, along - offsets[:, None]) / max(float(along[-1]), 1e-9)
+    curves = np.stack([ramps**power for power in _POWERS])
+    weights = 1.0 / (sight.noise**2 + (_MISFIT * clean[early]) ** 2)
+    slopes = (curves * weights) @ clean[early] / np.maximum((curves**2 * weights).sum(-1), 1e-12)
+    misfit = (weights * (clean[early] - np.maximum(slopes, 0.0)[..., None] * curves) ** 2).sum(-1)
+    doubt = misfit / 2 + (slack / _SLACK_M if held else 0.0)
+    odds = np.exp(-(doubt - doubt.min())).sum(0)
     odds /= odds.sum()
-    passed = np.searchsorted(travel, offsets + STILL_M, side="right").clip(max=len(travel) - 1)
+    passed = np.searchsorted(travel, slack + STILL_M, side="right").clip(max=len(travel) - 1)
     moments = way.times_s[passed]
     mean = float(odds @ moments)
     spread = float(odds @ (moments - mean) ** 2)
     return Moment(time_s=mean, sd_s=float(np.sqrt(spread + np.median(np.diff(way.times_s)) ** 2)))
 
 
-def arriving(way: Way, times_s: Array, ahead: Array, noise: float, *, held: bool) -> Moment:
+def arriving(way: Way, times_s: Array, ahead: Array, sight: Sight, *, held: bool) -> Moment:
     """When the part reaches its last place: `leaving` of the film shown backwards.
 
     Args:
         ahead: Share (T,) of the part's picture that does not show its last place.
-        way, times_s, noise, held: As in `leaving`.
+        way, times_s, sight, held: As in `leaving`.
     """
-    moment = leaving(way.reversed(), -times_s[::-1], ahead[::-1], noise, held=held)
+    moment = leaving(way.reversed(), -times_s[::-1], ahead[::-1], sight, held=held)
     return Moment(time_s=-moment.time_s, sd_s=moment.sd_s)

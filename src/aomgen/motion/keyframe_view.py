@@ -46,6 +46,7 @@ class KeyframeView:
         signals: The hand at the frames' times.
         touch: When it can move the part.
         way: The hand over dense times of the whole film.
+        pixel_m: Size of a pixel at the part, [m].
     """
 
     camera: Camera
@@ -55,6 +56,7 @@ class KeyframeView:
     signals: HandSignals
     touch: Touch
     way: Way
+    pixel_m: float
 
     @staticmethod
     def of(demo: Demonstration, masks_at: MasksAt, params: MotionParams) -> "KeyframeView":
@@ -87,6 +89,7 @@ class KeyframeView:
             signals=signals,
             touch=touch_interval(signals),
             way=_way(demo, float(times[0]), float(times[-1])),
+            pixel_m=float(np.median(small.project(demo.points_moving)[1])) / small.fx,
         )
 
     def moved_part(self, demo: Demonstration, params: KeyframeParams) -> MovedPart:
@@ -108,7 +111,7 @@ class KeyframeView:
         """The part's departures and the interval seen in them, whether they mean a motion or not."""
         count = reference_count(self.signals.times_s, params)
         seen = departures(self.frames_srgb, self.masks, self.region, self.touch, count, params)
-        return seen, find_interval(self.signals.times_s, seen, self.way, self.touch, params)
+        return seen, find_interval(self.signals.times_s, seen, self.way, self.touch, self.pixel_m, params)
 
     def signs(self, demo: Demonstration, interval: Interval, params: KeyframeParams) -> MotionSigns:
         """What speaks for and against a motion."""

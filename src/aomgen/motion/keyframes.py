@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
-from aomgen.motion.ends import Moment, Way, arriving, leaving
+from aomgen.motion.ends import Moment, Sight, Way, arriving, leaving
 from aomgen.motion.filters import closed, filled, grown, smooth, touching, without_glitches
 from aomgen.motion.hand import Touch
 
@@ -139,7 +139,12 @@ def change_over(
 
 
 def find_interval(
-    times_s: Array, seen: Departures, way: Way, touch: Touch, params: KeyframeParams | None = None
+    times_s: Array,
+    seen: Departures,
+    way: Way,
+    touch: Touch,
+    pixel_m: float,
+    params: KeyframeParams | None = None,
 ) -> Interval:
     """First and last moment of the motion.
 
@@ -148,6 +153,7 @@ def find_interval(
         seen: The part's departures in them.
         way: The hand, over more than the touch.
         touch: When the hand can move the part.
+        pixel_m: Size of a pixel at the part, [m].
         params: Thresholds.
 
     Source: AOMGen, sec. 4.2, threshold B + 3 sigma. Instead of the first and last frame above a
@@ -158,14 +164,17 @@ def find_interval(
     step = float(np.median(np.diff(times_s)))
     inside = slice(touch.first, touch.last + 1)
     times = times_s[inside]
-    noise = [
-        max(params.least_noise, _noise(values[inside], step, params)) for values in (seen.left, seen.ahead)
+    sights = [
+        Sight(noise=max(params.least_noise, _noise(values[inside], step, params)), pixel_m=pixel_m)
+        for values in (seen.left, seen.ahead)
     ]
     held = way.between(float(times[0]), float(times[-1]))
-    start = leaving(held, times, seen.left[inside], noise[0], held=touch.gripped)
-    end = arriving(held, times, seen.ahead[inside], noise[1], held=touch.gripped)
+    start = leaving(held, times, seen.left[inside], sights[0], held=touch.gripped)
+    end = arriving(held, times, seen.ahead[inside], sights[1], held=touch.gripped)
     smoothed = smooth(without_glitches(seen.scores), step, params.smooth_s)
-    return Interval(start=start, end=end, smoothed=smoothed, threshold=3.0 * max(noise))
+    return Interval(
+        start=start, end=end, smoothed=smoothed, threshold=3.0 * max(sight.noise for sight in sights)
+    )
 
 
 def _noise(values: Array, step_s: float, params: KeyframeParams) -> float:

@@ -12,6 +12,7 @@ from aomgen.motion.keyframes import Departures, Interval, departures, find_inter
 COUNT, FPS = 90, 10.0
 TIMES = np.arange(COUNT, dtype=np.float64) / FPS
 DENSE = np.linspace(0.0, 8.9, 891, dtype=np.float64)
+PIXEL_M = 0.005
 WHOLE = Touch(first=0, last=COUNT - 1, gripped=True)
 
 # Frames, robot masks, part region.
@@ -47,7 +48,7 @@ def way(start_s: float, end_s: float, length_m: float = 0.2) -> Way:
 
 
 def found(frames: Film, hand: Way, touch: Touch = WHOLE) -> Interval:
-    return find_interval(TIMES, departures(*frames, touch, 3), hand, touch)
+    return find_interval(TIMES, departures(*frames, touch, 3), hand, touch, PIXEL_M)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +65,7 @@ def test_a_part_that_only_grows_is_seen() -> None:
     growth = np.interp(TIMES, [3.0, 6.0], [0, 15])
     seen = departures(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
     assert seen.scores[45] > 0.1
-    interval = find_interval(TIMES, seen, way(3.0, 6.0), WHOLE)
+    interval = find_interval(TIMES, seen, way(3.0, 6.0), WHOLE, PIXEL_M)
     assert interval.start.time_s == pytest.approx(3.0, abs=0.2)
     assert interval.end.time_s == pytest.approx(6.0, abs=0.2)
 
@@ -128,7 +129,7 @@ def test_frames_outside_the_touch_score_nothing() -> None:
 def test_noise_is_measured_about_the_smooth_course_and_not_about_the_mean() -> None:
     rng = np.random.default_rng(1)
     left = np.interp(TIMES, [2, 7], [0, 0.6]) + rng.normal(size=COUNT) * 0.004
-    interval = find_interval(TIMES, Departures(left=left, ahead=left[::-1]), way(2.0, 7.0), WHOLE)
+    interval = find_interval(TIMES, Departures(left=left, ahead=left[::-1]), way(2.0, 7.0), WHOLE, PIXEL_M)
     assert interval.threshold < 0.02
 
 
