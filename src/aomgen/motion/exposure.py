@@ -64,7 +64,7 @@ def matched_frames(
     return MatchedFrames(frames_srgb=matched, bad=bad)
 
 
-def _median(values: NDArray[np.float32], axis: int, otherwise: float) -> Array:
+def _median(values: NDArray[np.floating], axis: int, otherwise: float) -> Array:
     """Median along an axis, NaN left out; `otherwise` where nothing is left."""
     empty = np.isnan(values).all(axis=axis, keepdims=True)
     filled = np.where(empty, otherwise, values)

@@ -147,7 +147,7 @@ class KeyframeView:
 
 
 def _way(demo: Demonstration, first_s: float, last_s: float) -> Way:
-    times = np.arange(first_s, last_s + _WAY_STEP_S / 2, _WAY_STEP_S)
+    times = np.arange(first_s, last_s + _WAY_STEP_S / 2, _WAY_STEP_S, dtype=np.float64)
     points = demo.robot.ee_poses(demo.log.at(times + demo.clock_offset_s)[0])[:, :3, 3]
     columns = [smooth(column, _WAY_STEP_S, _WAY_SMOOTH_S) for column in points.T]
     return Way(times_s=times, points=np.stack(columns, 1))
