@@ -46,8 +46,8 @@ def recovery_error(
 def recovered_thetas(joint: Joint, plane_point: Array, plane_normal: Array, path: Array) -> Array:
     """Joint value (T,) of every frame of the motion, [rad] or [m].
 
-    Where no plane passes through the contact the one that comes nearest counts; where the plane slides
-    within itself, as a drawer's front does along its own edge, the value stays.
+    Where no plane passes through the contact the one that comes nearest counts. Where the face slides
+    within itself, as that of a sliding door does, every value meets the contact and 0 is kept.
 
     Args:
         joint, plane_point, plane_normal, path: As in `recovery_error`.
