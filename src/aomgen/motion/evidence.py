@@ -63,7 +63,7 @@ class MotionSigns:
             )
         if self.log_odds > 0:
             return
-        pulled = f"the hand moves {1e3 * self.travel_m:.0f} mm while it touches the part"
+        pulled = f"the hand moves {1e3 * self.travel_m:.0f} mm while it is near the part"
         if np.isfinite(self.following.sd):
             pulled += f", the part follows by {100 * max(self.following.share, 0.0):.0f} % of that"
         raise NoMotionError(
