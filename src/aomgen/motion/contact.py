@@ -15,6 +15,7 @@ from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 from aomgen.motion.grip import Patch, held_patches
+from aomgen.motion.hand import EMPTY_GRIP
 from aomgen.motion.path import mean_pose
 from aomgen.motion.push import pushing_patches
 from aomgen.physics.hand_surface import hand_surface
@@ -101,7 +102,9 @@ def find_contacts(
     points_ee = apply(T_ee_part, points_moving)
     middle = len(gripper) // 2
     Ts_ee_body = invert(Ts_world_ee[middle]) @ robot.link_poses(joints, gripper)[middle]
-    patches = held_patches(robot.pads, Ts_ee_body, points_ee, axes_world @ T_ee_part[:3, :3].T)
+    axes_ee = axes_world @ T_ee_part[:3, :3].T
+    open_hand = float(np.median(gripper)) < EMPTY_GRIP
+    patches = held_patches(robot.pads, Ts_ee_body, points_ee, axes_ee) if open_hand else ()
     if not patches and robot.hand_bodies:
         points, normals = (surface := hand_surface(robot)).posed(Ts_ee_body)
         patches = pushing_patches((points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee))

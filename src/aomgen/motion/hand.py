@@ -18,6 +18,8 @@ _SPEED_WINDOW_S = 0.1
 _MIN_STROKE = 0.15
 # A gripper that closes farther away than this from the part grasps something else, [m].
 _NEAR_GRASP_M = 0.10
+# A gripper that closes beyond this holds nothing: its pads meet at about 0.97, and 3 mm keep them from it.
+EMPTY_GRIP = 0.96
 # Fingers this much farther away than at their nearest count as touching, [m].
 _NEAR_TOUCH_M = 0.01
 
@@ -123,18 +125,24 @@ class Touch:
 def touch_interval(signals: HandSignals) -> Touch:
     """When the hand can move the part.
 
-    A gripper that closes near the part and opens again says it best. One that hardly moves (a hook,
-    a push) leaves the distance: from the first frame at which the fingers are about as near as they
-    ever come, to the end.
+    A gripper that closes near the part, and not upon itself, says it best; to where it opens again or
+    the film ends. One that hardly moves or is closed (a hook, a push) leaves the distance: from the first
+    frame at which the fingers are about as near as they ever come, to the end.
     """
     count = len(signals.times_s)
     grip = signals.gripper
     stroke = float(grip.max() - grip.min())
     if stroke >= _MIN_STROKE:
         closed = runs(grip > (grip.max() + grip.min()) / 2)
-        grasps = [_plateau(run, grip, 0.1 * stroke) for run in closed]
-        first, last = min(grasps, key=lambda grasp: signals.distances_m[grasp[0]])
-        if signals.distances_m[first] <= _NEAR_GRASP_M and last > first:
+        holding = [run for run in closed if np.median(grip[run]) < EMPTY_GRIP]
+        grasps = [_plateau(run, grip, 0.1 * stroke) for run in holding]
+        near_ones = [
+            (first, last)
+            for first, last in grasps
+            if signals.distances_m[first] <= _NEAR_GRASP_M and last > first
+        ]
+        if near_ones:
+            first, last = min(near_ones, key=lambda grasp: signals.distances_m[grasp[0]])
             return Touch(first=first, last=last, gripped=True)
     near = signals.distances_m <= float(signals.distances_m.min()) + _NEAR_TOUCH_M
     return Touch(first=int(np.argmax(near)), last=count - 1, gripped=False)

@@ -171,6 +171,24 @@ def tip_m(robot: RobotModel) -> float:
     return float(points[:, 2].max())
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_closed_fingers_hook_a_bar_with_their_side(robot: RobotModel, side: float) -> None:
+    """The bar runs across the closed fingers, beside them where the hand goes."""
+    log = moving_log(robot, 1.0, np.array([0.02 * side, 0, 0]))
+    tip = tip_m(robot)
+    post = bar(0.1, 0.005, 0.0)[:, [1, 0, 2]] + [side * 0.018, 0, tip - 0.012]
+    door = np.stack(
+        [*(grid.ravel() for grid in np.meshgrid(*[np.linspace(-0.1, 0.1, 81)] * 2)), np.full(6561, 0)], 1
+    )
+    points = np.concatenate([post, door + [0, 0, tip + 0.004]])
+    points = apply(robot.ee_poses(JOINTS[None])[0], points)
+    contacts = find_contacts(robot, log, points, AXES, resting(robot, log))
+    assert {patch.finger for patch in contacts.patches} <= {"left", "right"}
+    assert contacts.grasp_ee == pytest.approx([side * 0.012, 0, tip - 0.012], abs=0.006)
+    normal_ee = robot.ee_poses(JOINTS[None])[0, :3, :3].T @ contacts.patches[0].normal
+    assert side * normal_ee[0] > 0.8
+
+
 @pytest.mark.parametrize(("way", "finger"), [(-0.02, "left"), (0.02, "right")])
 def test_a_hook_pulls_with_the_finger_that_faces_its_way(robot: RobotModel, way: float, finger: str) -> None:
     """An open hand goes sideways with a post on the outside of each finger: one of them is pushed."""
