@@ -184,8 +184,8 @@ def _noise(values: Array, step_s: float, params: KeyframeParams) -> float:
 
 
 def reference_count(times_s: Array, params: KeyframeParams) -> int:
-    """Frames in a still stretch, at least two."""
-    return max(2, round(params.reference_s / float(np.median(np.diff(times_s)))))
+    """Frames in a still stretch, at least three, so that a bad one does not count."""
+    return max(3, round(params.reference_s / float(np.median(np.diff(times_s)))))
 
 
 def _reference(
