@@ -43,10 +43,10 @@ class NoisePrior:
     turn_rad: float = 0.0005
     face_rate: float = 0.004
     bar_rate: float = 0.006
-    tilt_rate: float = 0.013
+    tilt_rate: float = 0.016
     pivot_rate: float = 0.015
     straight_rate: float = 0.0015
-    spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.2, 1.2, 1.2, 1.2)
+    spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.2, 1.4, 1.2, 1.2)
 
     @property
     def medians(self) -> Array:
