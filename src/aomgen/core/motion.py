@@ -80,7 +80,7 @@ class MotionEstimate:
         axis_ci95_rad: The true direction lies within this angle of `joint.axis` with 95 %, [rad].
         origin_ci95_m: The true axis line passes within this of `joint`'s, where that passes the
             contact, with 95 %, [m]; 0 for a prismatic joint, which has no place.
-        type_margin: BIC of the rejected joint type minus that of the chosen one.
+        type_margin: Twice the log evidence of the chosen joint type over the other one.
         ee_turn_ratio: Turn of the end effector over turn of the part (1: rigid grasp; 0: the
             handle turns in the fingers; NaN-free: 0 for a prismatic joint).
         times_s: Video frame times (T,).

@@ -1,17 +1,23 @@
 """AOMotion: from one demonstration to when, where and how the part moved."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
+from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
+from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.motion.answer import assemble
 from aomgen.motion.demonstration import Demonstration
-from aomgen.motion.film_answer import asked_film
+from aomgen.motion.film_answer import asked_film, hand_answer
+from aomgen.motion.film_type import film_margin
+from aomgen.motion.hand_answer import HandAnswer
+from aomgen.motion.joint import Candidates, chosen_type
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
-from aomgen.motion.recovery import recover
-from aomgen.physics.robot_masks import robot_masks
+from aomgen.motion.recovery import Recovery, recover
+from aomgen.physics.robot_masks import MasksAt, robot_masks
 
 
 def _unheard(curve: MotionCurve) -> None:
@@ -48,16 +54,53 @@ def estimate_motion(
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         progress(0.0, "keyframes")
         view = KeyframeView.of(demo, masks_at, params)
-    seen, interval = view.interval(params.keyframes)
-    curve = view.curve(seen, interval)
-    on_curve(curve)
-    signs = view.signs(demo, interval, params.keyframes)
-    moved = view.moved_part(demo, params.keyframes)
-    if moved.gripped or signs.log_odds > 0:
-        moved.check()
-    signs.check()
-    progress(0.85, "joint")
-    recovery = recover(demo, view, (interval.start.time_s, interval.end.time_s), params)
-    progress(0.95, "joint values")
-    answer = assemble(demo, curve, recovery, moved.odds)
-    return asked_film(demo, answer, (recovery.estimate.axes, recovery.estimate.origins), params.photometric)
+        seen, interval = view.interval(params.keyframes)
+        curve = view.curve(seen, interval)
+        on_curve(curve)
+        signs = view.signs(demo, interval, params.keyframes)
+        moved = view.moved_part(demo, params.keyframes)
+        if moved.gripped or signs.log_odds > 0:
+            moved.check()
+        signs.check()
+        progress(0.4, "joint")
+        felt = (interval.start.time_s, interval.end.time_s)
+        doors, drawers = (
+            _answer(demo, masks_at, curve, moved.odds, recover(demo, view, felt, joint_type, params), params)
+            for joint_type in ("revolute", "prismatic")
+        )
+        progress(0.9, "type of the joint")
+        film = film_margin(
+            demo, masks_at, doors.hand, (doors.as_filmed, drawers.as_filmed), params.photometric
+        )
+    found = min((doors.found, drawers.found), key=lambda item: abs(item.margin))
+    answer = doors if chosen_type(found, film, params.joint) == "revolute" else drawers
+    return replace(answer.refined, type_margin=abs(found.margin + film))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Answer:
+    """The answer if the joint is of a type: by the hand's path, and refined on the film."""
+
+    found: Candidates
+    hand: HandAnswer
+    refined: MotionEstimate
+
+    @property
+    def as_filmed(self) -> tuple[Joint, Array]:
+        """Joint, and its values at the video's frames (T,)."""
+        return self.refined.joint, self.refined.thetas
+
+
+def _answer(
+    demo: Demonstration,
+    masks_at: MasksAt,
+    curve: MotionCurve,
+    odds: float,
+    recovery: Recovery,
+    params: MotionParams,
+) -> _Answer:
+    lines = (recovery.estimate.axes, recovery.estimate.origins)
+    estimate = assemble(demo, curve, recovery, odds)
+    hand = hand_answer(demo, estimate, lines)
+    refined = asked_film(demo, masks_at, estimate, hand, params.photometric)
+    return _Answer(found=recovery.found, hand=hand, refined=refined)

@@ -13,7 +13,7 @@ from aomgen.motion.film_problem import value_lever
 from aomgen.motion.hand_answer import HandAnswer
 from aomgen.motion.joint_models import tangent_basis
 from aomgen.motion.photometric import PhotometricParams, refine
-from aomgen.physics.robot_masks import robot_masks
+from aomgen.physics.robot_masks import MasksAt
 
 _DRAWS = 4000
 # Far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
@@ -22,21 +22,21 @@ _LEAST_VARIANCE = 1e-10
 
 def asked_film(
     demo: Demonstration,
+    masks_at: MasksAt,
     estimate: MotionEstimate,
-    lines: tuple[Array, Array],
+    hand: HandAnswer,
     params: PhotometricParams | None = None,
 ) -> MotionEstimate:
     """The estimate with joint, values and their errors refined on the film, or as it was.
 
     Args:
         demo: What the estimate was made from.
+        masks_at: Draws the robot.
         estimate: The hand's answer.
-        lines: Axes (S, 3) and points on them (S, 3) [m] that the hand finds equally likely, world frame.
+        hand: The same as a prior.
         params: Of the refinement.
     """
-    hand = hand_answer(demo, estimate, lines)
-    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        refined = refine(demo, masks_at, hand, params)
+    refined = refine(demo, masks_at, hand, params)
     if not refined.accepted:
         return estimate
     revolute = refined.joint.type == "revolute"
@@ -53,7 +53,13 @@ def asked_film(
 
 
 def hand_answer(demo: Demonstration, estimate: MotionEstimate, lines: tuple[Array, Array]) -> HandAnswer:
-    """What an estimate says about the joint, as a prior; for `lines` see `asked_film`."""
+    """What an estimate says about the joint, as a prior.
+
+    Args:
+        demo: What the estimate was made from.
+        estimate: The hand's answer.
+        lines: Axes (S, 3) and points on them (S, 3) [m] that the hand finds equally likely, world frame.
+    """
     begin = np.array([estimate.start_s + demo.clock_offset_s])
     held = apply(demo.robot.ee_poses(demo.log.at(begin)[0]), estimate.grasp_ee)[0]
     joint = estimate.joint

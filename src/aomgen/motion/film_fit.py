@@ -144,11 +144,18 @@ class Comparison:
     Attributes:
         cost_before, cost_after: Robust cost, 0..1.
         explained: Share of the film's detail that the second answer explains, 1 at best.
+        blocks: Number of independent squares that were compared.
     """
 
     cost_before: float
     cost_after: float
     explained: float
+    blocks: float
+
+    @property
+    def margin(self) -> float:
+        """Twice the log evidence of the second answer over the first: each square counts once."""
+        return _OUTLIER**2 * self.blocks * (self.cost_before - self.cost_after)
 
 
 def compared(
@@ -171,7 +178,9 @@ def compared(
     left = fits[1][0]
     weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
     explained = 1 - float((weights @ left**2) / max(weights @ seen**2, 1e-12))
-    return Comparison(cost_before=costs[0], cost_after=costs[1], explained=explained)
+    # Shading coarser than `wide_px` is left out, so that residuals twice as far apart know nothing of each other.
+    blocks = float(mask.sum()) / (2 * band.wide_px) ** 2
+    return Comparison(cost_before=costs[0], cost_after=costs[1], explained=explained, blocks=blocks)
 
 
 def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:

@@ -85,10 +85,32 @@ class JointEstimate:
             freeze(self, name, getattr(self, name), (len(self.axes), 3))
 
 
-def estimate_joint(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidates:
+    """What either type of joint makes of a path.
+
+    Attributes:
+        revolute, prismatic: Their best answers.
+        margin: Twice the log evidence of revolute over prismatic.
+        extent_m: Farthest that the held point came from its first place, [m].
+        unseen_bulge_m: Arcs that bulge less than this from their chord look straight in this path, [m].
+    """
+
+    revolute: JointEstimate
+    prismatic: JointEstimate
+    margin: float
+    extent_m: float
+    unseen_bulge_m: float
+
+    def of(self, joint_type: JointType) -> JointEstimate:
+        """The best answer of a type."""
+        return self.revolute if joint_type == "revolute" else self.prismatic
+
+
+def candidates(
     Ts_world_ee: Array, grasp_ee: Array, shape: Shape | None = None, params: JointParams | None = None
-) -> JointEstimate:
-    """Find the joint from the hand's poses while it holds the part.
+) -> Candidates:
+    """Explain the hand's poses while it holds the part by either type of joint.
 
     Args:
         Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
@@ -96,12 +118,8 @@ def estimate_joint(
         shape: The parts' shape, or None to use the path alone.
         params: Limits and assumed errors.
 
-    Returns:
-        The joint, axis positive in the direction of the demonstration.
-
     Raises:
-        DemonstrationTooShortError: Less than 15 degrees or 3 cm were shown.
-        AmbiguousJointError: Both joint types explain the path equally well.
+        DemonstrationTooShortError: The hand moved the part less than 3 cm.
 
     Source: AOMGen, sec. 4.2, "Articulated Object Modeling"; the path fit replaces its edge decision,
     the edges remain as a belief. Not checked: that the hand holds the same part all the time.
@@ -118,10 +136,61 @@ def estimate_joint(
         )
     revolute, prismatic = explanations(path, shape, params)
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
-    _refuse(revolute, prismatic, extent, params)
+    # The middle half of the nodes against the outer half tells the bulge.
+    unsteady, slip = prismatic.scales[0] * np.sqrt(4 / params.nodes), prismatic.scales[-1] * extent
+    return Candidates(
+        revolute=_estimate(path, revolute, "revolute", margin),
+        prismatic=_estimate(path, prismatic, "prismatic", -margin),
+        margin=margin,
+        extent_m=extent,
+        unseen_bulge_m=params.straight_sd * float(np.hypot(unsteady, BEND_SHARE * slip)),
+    )
+
+
+def chosen_type(found: Candidates, film_margin: float = 0.0, params: JointParams | None = None) -> JointType:
+    """The type of joint, by the hand's path and the film together.
+
+    Args:
+        found: From `candidates`.
+        film_margin: Twice the log evidence of the film for revolute over prismatic.
+        params: Limits.
+
+    Raises:
+        DemonstrationTooShortError: Less than 15 degrees were shown.
+        AmbiguousJointError: Both joint types explain path and film equally well.
+    """
+    params = params or JointParams()
+    margin = found.margin + film_margin
+    turn = found.revolute.joint.upper
+    # Too short is what a door would have turned too little for, unless the evidence speaks for a drawer.
+    if margin > -params.min_margin and not turn >= params.min_turn_rad:
+        limit = np.degrees(params.min_turn_rad)
+        raise DemonstrationTooShortError(
+            "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
+        )
+    if not abs(margin) >= params.min_margin:
+        raise AmbiguousJointError(
+            "joint",
+            f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.1f}, need "
+            f"{params.min_margin:.1f})",
+            "record a longer motion or give the joint's type in the project",
+        )
     if margin > 0:
-        return _estimate(path, revolute, "revolute", margin)
-    return _estimate(path, prismatic, "prismatic", -margin)
+        return "revolute"
+    if not film_margin <= -params.min_margin:
+        _refuse_hidden_arc(found, params)
+    return "prismatic"
+
+
+def estimate_joint(
+    Ts_world_ee: Array, grasp_ee: Array, shape: Shape | None = None, params: JointParams | None = None
+) -> JointEstimate:
+    """The joint from the hand's poses alone, axis positive in the direction of the demonstration.
+
+    See `candidates` for the arguments, and `chosen_type` for what is refused.
+    """
+    found = candidates(Ts_world_ee, grasp_ee, shape, params)
+    return found.of(chosen_type(found, params=params))
 
 
 def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tuple[Posterior, Posterior]:
@@ -167,39 +236,16 @@ def _trusted(course: Course, types: tuple[list[JointModel], ...], noise: NoisePr
     return course
 
 
-def _refuse(revolute: Posterior, prismatic: Posterior, extent_m: float, params: JointParams) -> None:
-    """Too short is what a door would have turned too little for, unless the path speaks for a drawer."""
-    margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
-    turn = abs(float(np.ptp(revolute.model.values(revolute.mean))))
-    if margin > -params.min_margin and not turn >= params.min_turn_rad:
-        limit = np.degrees(params.min_turn_rad)
-        raise DemonstrationTooShortError(
-            "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
-        )
-    if not abs(margin) >= params.min_margin:
-        raise AmbiguousJointError(
-            "joint",
-            f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.1f}, need "
-            f"{params.min_margin:.1f})",
-            "record a longer motion or give the joint's type in the project",
-        )
-    if margin < 0:
-        _refuse_hidden_arc(extent_m, prismatic, params)
-
-
-def _refuse_hidden_arc(extent_m: float, prismatic: Posterior, params: JointParams) -> None:
+def _refuse_hidden_arc(found: Candidates, params: JointParams) -> None:
     """A straight path speaks for a prismatic joint only where a door's arc would be seen."""
-    bulge = extent_m**2 / (8 * params.door_radius_m)
-    # The middle half of the nodes against the outer half tells the bulge.
-    unsteady, slip = prismatic.scales[0] * np.sqrt(4 / params.nodes), prismatic.scales[-1] * extent_m
-    need = params.straight_sd * float(np.hypot(unsteady, BEND_SHARE * slip))
-    if bulge >= need:
+    bulge = found.extent_m**2 / (8 * params.door_radius_m)
+    if bulge >= found.unseen_bulge_m:
         return
     problem = (
-        f"the path of {extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
-        f"would bend it by {bulge * 1e3:.1f} mm only, need {need * 1e3:.1f} mm"
+        f"the path of {found.extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
+        f"would bend it by {bulge * 1e3:.1f} mm only, need {found.unseen_bulge_m * 1e3:.1f} mm"
     )
-    if extent_m < params.min_turn_rad * params.door_radius_m:
+    if found.extent_m < params.min_turn_rad * params.door_radius_m:
         raise DemonstrationTooShortError("joint", problem, _REMEDY)
     raise AmbiguousJointError("joint", problem, "hold the handle firmly or record a longer motion")
 

@@ -125,7 +125,7 @@ def refine(
     is returned), and camera errors that leave the part at rest where it is.
     """
     params = params or PhotometricParams()
-    fitted, held_out, resting = _frames(hand, params.knots)
+    fitted, held_out, resting = chosen_frames(hand, params.knots)
     if len(fitted) < 3 or len(resting) < 2:
         return _kept(hand, f"the film shows {len(resting)} frames before and {len(fitted)} during the motion")
     moments = (resting, np.concatenate([fitted, held_out]), float(hand.thetas.max()))
@@ -137,7 +137,9 @@ def refine(
     return _judged(problem, y, covariance, held_out, params)
 
 
-def _frames(hand: HandAnswer, knots: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def chosen_frames(
+    hand: HandAnswer, knots: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Fitted, held-out and resting frames; the first two alternate and spread over the values."""
     times = hand.times_s
     moving = np.flatnonzero((times >= hand.interval[0]) & (times <= hand.interval[1]))

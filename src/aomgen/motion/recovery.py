@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.core.joint import Joint
+from aomgen.core.joint import Joint, JointType
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.geometry import shape_of
-from aomgen.motion.joint import JointEstimate, estimate_joint
+from aomgen.motion.joint import Candidates, JointEstimate, candidates
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
 from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values, smooth_within
@@ -23,6 +23,7 @@ class Recovery:
     """Joint and values along the touch, with the refined interval."""
 
     contacts: Contacts
+    found: Candidates
     estimate: JointEstimate
     joint: Joint
     interval: tuple[float, float]
@@ -33,9 +34,19 @@ class Recovery:
 
 
 def recover(
-    demo: Demonstration, view: KeyframeView, seen: tuple[float, float], params: MotionParams
+    demo: Demonstration,
+    view: KeyframeView,
+    seen: tuple[float, float],
+    joint_type: JointType,
+    params: MotionParams,
 ) -> Recovery:
-    """Contact, joint and values, twice: the second round uses the interval that the first one felt."""
+    """Contact, joint and values, if the joint is of a type.
+
+    Twice: the second round uses the interval that the first one felt.
+
+    Raises:
+        DemonstrationTooShortError: The hand moved the part less than 3 cm.
+    """
     touch, frame_times, offset_s = view.touch, view.signals.times_s, demo.clock_offset_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     if not touch.gripped:
@@ -53,7 +64,8 @@ def recover(
     for _ in range(2):
         contacts = find_contacts(demo.robot, demo.log, surface, axes, begin)
         held = _dense(interval)
-        estimate = estimate_joint(poses_at(demo, held + offset_s), contacts.grasp_ee, shape, params.joint)
+        found = candidates(poses_at(demo, held + offset_s), contacts.grasp_ee, shape, params.joint)
+        estimate = found.of(joint_type)
         times = _dense(touch_s)
         reference = int(np.argmin(np.abs(times - interval[0])))
         poses = poses_at(demo, times + offset_s)
@@ -67,6 +79,7 @@ def recover(
         begin = PartPath(times_log_s=moments, Ts_world_part=estimate.joint.motion(thetas))
     return Recovery(
         contacts=contacts,
+        found=found,
         estimate=estimate,
         joint=estimate.joint,
         interval=interval,

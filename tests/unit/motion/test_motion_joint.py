@@ -1,6 +1,6 @@
 """Joints are hidden behind a hand's path and asked back."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec, transform
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
-from aomgen.motion.joint import JointEstimate, estimate_joint
+from aomgen.motion.joint import JointEstimate, candidates, chosen_type, estimate_joint
 
 HANDLE = np.array([0.55, -0.12, 0.22])
 DOOR = Joint(type="revolute", axis=[0, 0, -1], origin=[0.62, 0.19, 0.0], lower=0, upper=2)
@@ -144,6 +144,25 @@ def test_five_degrees_of_a_wide_door_are_no_drawer(ratio: float) -> None:
     path = hand_path(wide, np.radians(5), Flaws(turn_ratio=ratio), np.random.default_rng(2))
     with pytest.raises(DemonstrationTooShortError, match="turned"):
         estimate_joint(path, GRASP_EE)
+
+
+def test_the_film_decides_where_the_hand_cannot() -> None:
+    found = candidates(wide_pull(0.6, 17, 0.008, 2), GRASP_EE)
+    assert chosen_type(found, 20.0) == "revolute"
+    assert chosen_type(found, -20.0) == "prismatic"
+
+
+def test_the_film_outweighs_a_hand_that_slips() -> None:
+    found = candidates(hand_path(DRAWER, 0.18, Flaws(), np.random.default_rng(7)), GRASP_EE)
+    assert found.margin < 0
+    wide = replace(found, revolute=replace(found.revolute, joint=replace(DOOR, upper=1.0)))
+    assert chosen_type(wide, 5 - found.margin) == "revolute"
+
+
+def test_a_filmed_door_of_a_few_degrees_is_too_short() -> None:
+    found = candidates(wide_pull(0.6, 4, 0.002, 1), GRASP_EE)
+    with pytest.raises(DemonstrationTooShortError, match="turned"):
+        chosen_type(found, 50.0)
 
 
 @pytest.mark.parametrize(("joint", "travel"), [(DOOR, np.radians(60)), (DRAWER, 0.15)])
