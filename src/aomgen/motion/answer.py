@@ -11,7 +11,7 @@ from aomgen.core.values import Array
 from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.direction import direction_of
 from aomgen.motion.drift import hand_drift
-from aomgen.motion.recovery import Recovery, poses_at
+from aomgen.motion.recovery import Recovery, first_frame, poses_at
 from aomgen.motion.theta import path_values, values_at_frames
 
 # One of so many samples of the joint is carried to the values.
@@ -38,7 +38,7 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
     return MotionEstimate(
         clock_offset_s=demo.clock_offset_s,
         clock_offset_sd_s=demo.clock_sd_s,
-        start_s=_first_frame(frames, recovery.interval[0]),
+        start_s=first_frame(frames, recovery.interval[0]),
         end_s=_last_frame(frames, recovery.interval[1]),
         curve=curve,
         contacts=recovery.contacts.patches,
@@ -77,11 +77,6 @@ def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Ar
     speed = np.abs(np.interp(frames, recovery.times_s, np.gradient(recovery.values, recovery.times_s)))
     clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
     return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2)
-
-
-def _first_frame(frames: Array, moment_s: float) -> float:
-    later = frames[frames >= moment_s - 1e-6]
-    return float(later[0]) if len(later) else float(frames[-1])
 
 
 def _last_frame(frames: Array, moment_s: float) -> float:

@@ -91,10 +91,16 @@ def recover(
 
 
 def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:
-    """First moments of the motion, log clock (K,), [s]."""
+    """First moments of the motion from its first frame on, log clock (K,), [s]."""
     contact = params.contact
     steps = np.linspace(0.0, contact.window_s, contact.steps, dtype=np.float64)
-    return steps + (interval[0] + demo.clock_offset_s)
+    return steps + (first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
+
+
+def first_frame(frames: Array, moment_s: float) -> float:
+    """Time of the first of the frames (F,) at a moment or after it; the last one's where none is."""
+    later = frames[frames >= moment_s - 1e-6]
+    return float(later[0]) if len(later) else float(frames[-1])
 
 
 def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:
