@@ -6,6 +6,7 @@ import numpy as np
 
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
+from aomgen.assets.palette import METALS, PAINTS, WOODS
 from aomgen.assets.shapes import Surface, box, boxes_mesh, merged, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -14,9 +15,6 @@ from aomgen.core.mesh import Mesh
 # Free space between cupboard, drawer and door, [m].
 GAP = 0.003
 PRINT = 0.0006
-WOODS = ((0.76, 0.60, 0.42), (0.58, 0.40, 0.26), (0.42, 0.28, 0.20), (0.83, 0.74, 0.60))
-PAINTS = ((0.86, 0.85, 0.82), (0.34, 0.45, 0.52), (0.52, 0.58, 0.44), (0.70, 0.34, 0.26))
-METALS = ((0.76, 0.76, 0.78), (0.72, 0.60, 0.36), (0.22, 0.22, 0.23))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,12 +6,10 @@ import numpy as np
 
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
+from aomgen.assets.lid import SEAL, back_hinge
 from aomgen.assets.shapes import Surface, box, boxes_mesh, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
-from aomgen.core.joint import Joint
 
-# Free height between base and closed lid (its rubber rim), [m].
-SEAL = 0.002
 PRINT = 0.0006
 CASES = ((0.66, 0.67, 0.69), (0.20, 0.21, 0.23), (0.34, 0.40, 0.48), (0.72, 0.62, 0.54))
 STANDS = ((0.60, 0.60, 0.62), (0.15, 0.15, 0.16), (0.76, 0.62, 0.44))
@@ -70,19 +68,12 @@ def make_laptop(name: str, rng: np.random.Generator) -> ArticulatedAsset:
         thickness=shape.handle_thickness,
         clearance=shape.handle_clearance,
     )
-    joint = Joint(
-        type="revolute",
-        axis=np.array([-1.0, 0.0, 0.0]),
-        origin=np.array([0.0, shape.depth / 2 + SEAL / 2, shape.seam + SEAL / 2]),
-        lower=0.0,
-        upper=shape.opening,
-    )
     return ArticulatedAsset(
         name=name,
         category="laptop",
         static=_base(shape, color, rng),
         moving=_lid(shape, color, handle, rng),
-        joint=joint,
+        joint=back_hinge(shape.depth, shape.seam, shape.opening),
         handle_point=handle.middle,
         handle_axis=handle.axis,
     )

@@ -6,13 +6,11 @@ import numpy as np
 
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
+from aomgen.assets.lid import SEAL, back_hinge
 from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, merged, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
-from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 
-# Free height between body and closed lid, [m].
-SEAL = 0.002
 # Prints lie this far in front of the surface they are on, [m].
 PRINT = 0.0006
 BODIES = ((0.16, 0.17, 0.18), (0.30, 0.31, 0.33), (0.12, 0.16, 0.24), (0.24, 0.20, 0.17))
@@ -70,20 +68,12 @@ def make_toolbox(name: str, rng: np.random.Generator) -> ArticulatedAsset:
         thickness=shape.handle_thickness,
         clearance=shape.handle_clearance,
     )
-    joint = Joint(
-        type="revolute",
-        axis=np.array([-1.0, 0.0, 0.0]),
-        # Behind the back by half a seal, so that the lid's back swings clear of the body's.
-        origin=np.array([0.0, shape.depth / 2 + SEAL / 2, shape.seam + SEAL / 2]),
-        lower=0.0,
-        upper=shape.opening,
-    )
     return ArticulatedAsset(
         name=name,
         category="toolbox",
         static=_body(shape, body_color, lid_color, rng),
         moving=_lid(shape, lid_color, handle, rng),
-        joint=joint,
+        joint=back_hinge(shape.depth, shape.seam, shape.opening),
         handle_point=handle.middle,
         handle_axis=handle.axis,
     )

@@ -3,20 +3,19 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
-from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.motion.answer import assemble
 from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_answer import asked_film, hand_answer
+from aomgen.motion.film_fit import Answer as FilmAnswer
 from aomgen.motion.film_type import film_margin
 from aomgen.motion.hand_answer import HandAnswer
 from aomgen.motion.joint import Candidates, chosen_type
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
-from aomgen.motion.recovery import Recovery, recover
+from aomgen.motion.recovery import Recovery, recover, touched
 from aomgen.physics.robot_masks import MasksAt, robot_masks
 
 
@@ -63,9 +62,9 @@ def estimate_motion(
             moved.check()
         signs.check()
         progress(0.4, "joint")
-        felt = (interval.start.time_s, interval.end.time_s)
+        first = touched(demo, view, (interval.start.time_s, interval.end.time_s), params)
         doors, drawers = (
-            _answer(demo, masks_at, curve, moved.odds, recover(demo, view, felt, joint_type, params), params)
+            _answer(demo, masks_at, curve, moved.odds, recover(first, joint_type, params), params)
             for joint_type in ("revolute", "prismatic")
         )
         progress(0.9, "type of the joint")
@@ -86,8 +85,8 @@ class _Answer:
     refined: MotionEstimate
 
     @property
-    def as_filmed(self) -> tuple[Joint, Array]:
-        """Joint, and its values at the video's frames (T,)."""
+    def as_filmed(self) -> FilmAnswer:
+        """What the film is compared with."""
         return self.refined.joint, self.refined.thetas
 
 

@@ -28,6 +28,8 @@ _REWEIGHTINGS = 5
 # Side of the squares whose residuals are taken to be independent of each other, [px].
 _BLOCK_PX = 16
 BLOCKS = 32 * 32
+# A joint, and its values at the video's frames (T,).
+Answer = tuple[Joint, Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,13 +145,14 @@ class Comparison:
 
     Attributes:
         cost_before, cost_after: Robust cost, 0..1.
-        explained: Share of the film's detail that the second answer explains, 1 at best.
+        explained_before, explained_after: Share of the film's detail that the answer explains, 1 at best.
         blocks: Number of independent squares that were compared.
     """
 
     cost_before: float
     cost_after: float
-    explained: float
+    explained_before: float
+    explained_after: float
     blocks: float
 
     @property
@@ -159,9 +162,17 @@ class Comparison:
 
 
 def compared(
-    film: PartFilm, frame: int, places: tuple[tuple[Joint, float], tuple[Joint, float]], band: Band
-) -> Comparison | None:
-    """Compare two joints and values at a frame; None where too little of the part is seen."""
+    film: PartFilm, frames: NDArray[np.intp], before: Answer, after: Answer, band: Band
+) -> list[Comparison]:
+    """Compare two answers at frames (N,); those that show too little of the part are left out."""
+    found = [
+        _compared(film, int(k), [(joint, float(thetas[k])) for joint, thetas in (before, after)], band)
+        for k in frames
+    ]
+    return [item for item in found if item is not None]
+
+
+def _compared(film: PartFilm, frame: int, places: list[tuple[Joint, float]], band: Band) -> Comparison | None:
     picture, hidden = film.at(frame)
     before, after = (film.draw(*place) for place in places)
     mask = interior(before, hidden, band.margin_px) & interior(after, hidden, band.margin_px)
@@ -174,13 +185,19 @@ def compared(
     values = _banded(np.stack(columns, -1).astype(np.float32), mask, band)
     seen, fits = values[:, 0], [_settled(values[:, :1], drawn[:, None]) for drawn in values.T[1:]]
     scale = max(min(fit[1] for fit in fits), _NOISE_FLOOR)
-    costs = [float(np.mean(left**2 / (left**2 + (_OUTLIER * scale) ** 2))) for left, _ in fits]
-    left = fits[1][0]
-    weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
-    explained = 1 - float((weights @ left**2) / max(weights @ seen**2, 1e-12))
-    # Shading coarser than `wide_px` is left out, so that residuals twice as far apart know nothing of each other.
-    blocks = float(mask.sum()) / (2 * band.wide_px) ** 2
-    return Comparison(cost_before=costs[0], cost_after=costs[1], explained=explained, blocks=blocks)
+    costs, shares = [], []
+    for left, _ in fits:
+        costs.append(float(np.mean(left**2 / (left**2 + (_OUTLIER * scale) ** 2))))
+        weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
+        shares.append(1 - float((weights @ left**2) / max(weights @ seen**2, 1e-12)))
+    return Comparison(
+        cost_before=costs[0],
+        cost_after=costs[1],
+        explained_before=shares[0],
+        explained_after=shares[1],
+        # Shading coarser than `wide_px` is left out, so that residuals twice as far apart know nothing of each other.
+        blocks=float(mask.sum()) / (2 * band.wide_px) ** 2,
+    )
 
 
 def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:

@@ -3,21 +3,16 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from aomgen.core.joint import Joint
-from aomgen.core.values import Array
 from aomgen.motion.demonstration import Demonstration
-from aomgen.motion.film_fit import Band, compared
+from aomgen.motion.film_fit import Answer, compared
 from aomgen.motion.hand_answer import HandAnswer
-from aomgen.motion.part_film import PartFilm, part_film
+from aomgen.motion.part_film import part_film
 from aomgen.motion.photometric import PhotometricParams, chosen_frames
 from aomgen.physics.robot_masks import MasksAt
 
 # Fewer frames that show the part tell nothing.
 MIN_FRAMES: Final = 3
-# A joint, and its values at the video's frames (T,).
-Answer = tuple[Joint, Array]
 
 
 def film_margin(
@@ -49,24 +44,9 @@ def film_margin(
     film = part_film(
         demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
     )
-    band = params.bands[-1]
-    margin, explained = _margin(film, held_out, (second, first), band)
-    if margin < 0:
-        margin, explained = _margin(film, held_out, (first, second), band)
-        margin = -margin
-    return margin if explained >= params.min_explained else 0.0
-
-
-def _margin(
-    film: PartFilm, frames: NDArray[np.intp], answers: tuple[Answer, Answer], band: Band
-) -> tuple[float, float]:
-    """Evidence of the second answer over the first, and the share of the film's detail that it explains."""
-    (before, thetas_before), (after, thetas_after) = answers
-    found = [
-        compared(film, int(k), ((before, float(thetas_before[k])), (after, float(thetas_after[k]))), band)
-        for k in frames
-    ]
-    seen = [item for item in found if item is not None]
+    seen = compared(film, held_out, second, first, params.bands[-1])
     if len(seen) < MIN_FRAMES:
-        return 0.0, 0.0
-    return sum(item.margin for item in seen), float(np.median([item.explained for item in seen]))
+        return 0.0
+    margin = sum(item.margin for item in seen)
+    better = [item.explained_after if margin > 0 else item.explained_before for item in seen]
+    return margin if float(np.median(better)) >= params.min_explained else 0.0

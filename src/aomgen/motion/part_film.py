@@ -112,7 +112,7 @@ def part_film(
     frames = np.unique(np.concatenate([chosen, moving]))
     kept = demo.labels != ROBOT
     scene, moves = demo.scene.select(kept), demo.labels[kept] == MOVING
-    solid = scene.means[moves & (scene.opacities > 0.3)].astype(np.float64)
+    solid = demo.points_moving
     places = [apply(joint.motion(theta), solid) for theta in np.linspace(0, largest, 8)]
     small, (rows, columns) = _crop(demo.camera, places, max_pixels)
     camera = replace(

@@ -158,21 +158,12 @@ def _judged(
 ) -> Refinement:
     """The refined answer if held-out frames (N,) agree better with it."""
     hand, joint, thetas = problem.hand, problem.joint(y), np.maximum(problem.thetas(y), 0.0)
-    found = [
-        compared(
-            problem.film,
-            int(frame),
-            ((hand.joint, float(hand.thetas[frame])), (joint, float(thetas[frame]))),
-            params.bands[-1],
-        )
-        for frame in frames
-    ]
-    seen = [item for item in found if item is not None]
+    seen = compared(problem.film, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1])
     if len(seen) < 3:
         return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need 3")
     gains = np.array([item.cost_before - item.cost_after for item in seen])
     improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
-    explained = float(np.median([item.explained for item in seen]))
+    explained = float(np.median([item.explained_after for item in seen]))
     evidence = Evidence(
         cost_before=float(np.mean([item.cost_before for item in seen])),
         cost_after=float(np.mean([item.cost_after for item in seen])),

@@ -8,7 +8,7 @@ from aomgen.core.joint import Joint, JointType
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
-from aomgen.motion.geometry import shape_of
+from aomgen.motion.geometry import Shape, shape_of
 from aomgen.motion.joint import Candidates, JointEstimate, candidates
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
@@ -33,13 +33,64 @@ class Recovery:
     face_normal: Array
 
 
-def recover(
-    demo: Demonstration,
-    view: KeyframeView,
-    seen: tuple[float, float],
-    joint_type: JointType,
-    params: MotionParams,
-) -> Recovery:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touched:
+    """What a recovery starts from, whichever type the joint is of.
+
+    Attributes:
+        demo: Film, log and scan.
+        seen: Start and end as seen in the picture, [s].
+        touch_s: First and last moment at which the hand can move the part, [s].
+        gripped: The hand held the part before and after.
+        shape: Of the parts.
+        surface: Points of the moving part (N, 3), world frame, [m].
+        contacts, found: By the interval seen.
+    """
+
+    demo: Demonstration
+    seen: tuple[float, float]
+    touch_s: tuple[float, float]
+    gripped: bool
+    shape: Shape
+    surface: Array
+    contacts: Contacts
+    found: Candidates
+
+
+def touched(
+    demo: Demonstration, view: KeyframeView, seen: tuple[float, float], params: MotionParams
+) -> Touched:
+    """Contact, and either type's joint, by the interval seen.
+
+    Raises:
+        DemonstrationTooShortError: The hand moved the part less than 3 cm.
+    """
+    touch, frame_times = view.touch, view.signals.times_s
+    touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
+    if not touch.gripped:
+        touch_s = (touch_s[0], min(touch_s[1], seen[1] + 0.5))
+    shape = shape_of(demo.points_static, demo.points_moving)
+    surface = demo.surface_moving(params.contact.spacing_m)
+    begin = PartPath.carried(
+        demo.robot,
+        demo.log,
+        (touch_s if touch.gripped else seen)[0] + demo.clock_offset_s,
+        _begin(seen, demo, params),
+    )
+    contacts, found = _explained(demo, shape, surface, begin, seen, params)
+    return Touched(
+        demo=demo,
+        seen=seen,
+        touch_s=touch_s,
+        gripped=touch.gripped,
+        shape=shape,
+        surface=surface,
+        contacts=contacts,
+        found=found,
+    )
+
+
+def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Recovery:
     """Contact, joint and values, if the joint is of a type.
 
     Twice: the second round uses the interval that the first one felt.
@@ -47,47 +98,61 @@ def recover(
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
     """
-    touch, frame_times, offset_s = view.touch, view.signals.times_s, demo.clock_offset_s
-    touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
-    if not touch.gripped:
-        touch_s = (touch_s[0], min(touch_s[1], seen[1] + 0.5))
-    interval = seen
-    shape = shape_of(demo.points_static, demo.points_moving)
-    surface = demo.surface_moving(params.contact.spacing_m)
-    axes = shape.box.T_world_box[:3, :3].T
-    begin = PartPath.carried(
-        demo.robot,
-        demo.log,
-        (touch_s if touch.gripped else interval)[0] + offset_s,
-        _begin(interval, demo, params),
-    )
-    for _ in range(2):
-        contacts = find_contacts(demo.robot, demo.log, surface, axes, begin)
-        held = _dense(interval)
-        found = candidates(poses_at(demo, held + offset_s), contacts.grasp_ee, shape, params.joint)
+    demo, shape, seen, offset_s = first.demo, first.shape, first.seen, first.demo.clock_offset_s
+    times = _dense(first.touch_s)
+    poses = poses_at(demo, times + offset_s)
+    leave = LEAVE_RAD if joint_type == "revolute" else LEAVE_M
+
+    def along(found: Candidates, interval: tuple[float, float]) -> _Course:
         estimate = found.of(joint_type)
-        times = _dense(touch_s)
         reference = int(np.argmin(np.abs(times - interval[0])))
-        poses = poses_at(demo, times + offset_s)
         path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
-        leave = LEAVE_RAD if estimate.joint.type == "revolute" else LEAVE_M
         values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
-        felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=touch.gripped)
-        interval = (_nearby(felt[0], seen[0], params.agree_s), _nearby(felt[1], seen[1], params.agree_s))
-        moments = _begin(interval, demo, params)
-        thetas = np.interp(moments - offset_s, times, values) - levels[0]
-        begin = PartPath(times_log_s=moments, Ts_world_part=estimate.joint.motion(thetas))
+        felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=first.gripped)
+        start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
+        return _Course(interval=(start, end), levels=levels, values=values)
+
+    course = along(first.found, seen)
+    moments = _begin(course.interval, demo, params)
+    thetas = np.interp(moments - offset_s, times, course.values) - course.levels[0]
+    begin = PartPath(times_log_s=moments, Ts_world_part=first.found.of(joint_type).joint.motion(thetas))
+    contacts, found = _explained(demo, shape, first.surface, begin, course.interval, params)
+    course = along(found, course.interval)
+    estimate = found.of(joint_type)
     return Recovery(
         contacts=contacts,
         found=found,
         estimate=estimate,
         joint=estimate.joint,
-        interval=interval,
-        levels=levels,
+        interval=course.interval,
+        levels=course.levels,
         times_s=times,
-        values=values,
+        values=course.values,
         face_normal=shape.face_normal,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Course:
+    """Joint values over the touch, and the interval and levels read from them."""
+
+    interval: tuple[float, float]
+    levels: tuple[float, float]
+    values: Array
+
+
+def _explained(
+    demo: Demonstration,
+    shape: Shape,
+    surface: Array,
+    begin: PartPath,
+    interval: tuple[float, float],
+    params: MotionParams,
+) -> tuple[Contacts, Candidates]:
+    """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
+    contacts = find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
+    held = poses_at(demo, _dense(interval) + demo.clock_offset_s)
+    return contacts, candidates(held, contacts.grasp_ee, shape, params.joint)
 
 
 def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:

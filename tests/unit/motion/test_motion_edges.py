@@ -21,11 +21,9 @@ def box_points(low: tuple, high: tuple, seed: int = 0, count: int = 3000) -> np.
     return points @ R.T
 
 
-# A microwave in its own frame: front towards -y, door hinged at x = -0.22, handle at x = 0.18.
+# A microwave in its own frame: front towards -y, door hinged at x = -0.22.
 BODY = box_points((-0.22, -0.14, 0), (0.22, 0.2, 0.26))
 DOOR = box_points((-0.22, -0.17, 0.01), (0.22, -0.145, 0.25), 1)
-HANDLE = R @ [0.18, -0.2, 0.13]
-FRONT = R @ [0, -1.0, 0]
 
 
 def test_a_box_has_twelve_edges_of_three_directions() -> None:

@@ -2,29 +2,12 @@
 
 import numpy as np
 import pytest
+from test_motion_edges import BODY, DOOR, R
 
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.motion.geometry import AxisHint, shape_of
 from aomgen.motion.joint import estimate_joint
 
-YAW = 0.4
-R = np.array([[np.cos(YAW), -np.sin(YAW), 0], [np.sin(YAW), np.cos(YAW), 0], [0, 0, 1.0]])
-
-
-def box_points(low: tuple, high: tuple, seed: int = 0, count: int = 3000) -> np.ndarray:
-    """Points on the surface of a box that is turned by YAW."""
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(low, high, (count, 3))
-    faces = rng.integers(0, 6, count)
-    points[np.arange(count), faces % 3] = np.where(
-        faces < 3, np.array(low)[faces % 3], np.array(high)[faces % 3]
-    )
-    return points @ R.T
-
-
-# A microwave in its own frame: front towards -y, door hinged at x = -0.22, handle at x = 0.18.
-BODY = box_points((-0.22, -0.14, 0), (0.22, 0.2, 0.26))
-DOOR = box_points((-0.22, -0.17, 0.01), (0.22, -0.145, 0.25), 1)
 HANDLE = R @ [0.18, -0.2, 0.13]
 FRONT = R @ [0, -1.0, 0]
 
