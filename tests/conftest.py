@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 os.environ.setdefault("MUJOCO_GL", "egl")
+# The matrices here are small: a second thread of the linear algebra doubles their time, mostly by waiting.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 SAMPLE = Path(str(importlib.resources.files("aomgen.samples"))) / "microwave-a"
 

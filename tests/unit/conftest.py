@@ -74,10 +74,15 @@ def robot_gaussians(robot: RobotModel, Ts: np.ndarray, light: Light, rng) -> tup
 
 
 @pytest.fixture(scope="session")
-def toy_scene() -> ToyScene:
+def robot() -> RobotModel:
+    """Loaded once; everything in it is frozen."""
+    return load_robot("ur5e_2f85")
+
+
+@pytest.fixture(scope="session")
+def toy_scene(robot: RobotModel) -> ToyScene:
     """Built once; everything in it is frozen."""
     rng = np.random.default_rng(0)
-    robot = load_robot("ur5e_2f85")
     joints = np.array([-0.3, -1.9, 1.9, -1.57, -1.57, 0.0])
     radiance = np.array(hemisphere_light((0.9, 0.85, 0.8), (0.3, 0.3, 0.3)).radiance_sh)
     radiance[3] -= 0.4

@@ -38,7 +38,7 @@ def swept_bar(local: Array, half: Array, widths_m: tuple[float, float], flatness
     for _ in range(2):
         near = np.abs((flat - point) @ _across(direction)) <= widths_m[0]
         point = flat[near].mean(0)
-        direction = np.linalg.svd(flat[near] - point)[2][0]
+        direction = np.linalg.svd(flat[near] - point, full_matrices=False)[2][0]
     inside = np.all(np.abs(flat) <= half, axis=1)
     places = (flat[near] - point) @ direction
     low, high = float(places.min()), float(places.max())

@@ -128,10 +128,6 @@ class _Face:
         """Of the face (3,), [m]."""
         return invert(self.T_face_ee)[:3, 3]
 
-    def plane(self, points_ee: Array) -> Array:
-        """Places (N, 2) in the face's plane, [m]."""
-        return apply(self.T_face_ee, points_ee)[:, :2]
-
     def openings(self, points_ee: Array, other: "_Face") -> Array:
         """Distance (N,) between both faces where points (N, 3) project on this one, [m]."""
         heights = apply(self.T_face_ee, points_ee)[:, 2]
@@ -152,8 +148,10 @@ class _Face:
     def covered(self, matter: Array) -> Array:
         """How much of the near side of matter (K, 3) is in front of the grid (G,), as a share of the most, 0..1."""
         behind = np.maximum(matter[:, 2] - np.percentile(matter[:, 2], _NEAR_PERCENT), 0)
-        sides2 = ((self.plane(self.grid)[:, None] - matter[None, :, :2]) ** 2).sum(-1)
-        density = np.exp(-0.5 * (sides2 + behind**2) / SURFACE_SD_M**2).sum(1)
+        # The grid is the product of two rows of steps, and so are the weights over it.
+        places = np.linspace(-1, 1, _GRID)[:, None] * self.half[:, None, None]
+        u, v = np.exp(-0.5 * ((places - matter.T[:2, None]) / SURFACE_SD_M) ** 2)
+        density = (v * np.exp(-0.5 * (behind / SURFACE_SD_M) ** 2) @ u.T).ravel()
         return density / max(float(density.max()), 1e-12)
 
 

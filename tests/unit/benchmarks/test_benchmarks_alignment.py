@@ -17,7 +17,7 @@ from aomgen.benchmarks.alignment_cases import (
 from aomgen.benchmarks.alignment_solvable import is_solvable
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_rotvec, similarity, similarity_parts
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.contours import View
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world
@@ -30,9 +30,9 @@ ROBOT_SRGB, WALL_SRGB = 200, 40
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
+def scene(robot: RobotModel) -> Scene:
     """A bright robot before a dark wall, seen by twelve cameras, boxes on two of them."""
-    posture = RobotPosture(robot=load_robot("ur5e_2f85"), joints=JOINTS, gripper=0.1)
+    posture = RobotPosture(robot=robot, joints=JOINTS, gripper=0.1)
     views, boxes = [], []
     with SilhouetteRenderer(posture.robot, max_width=120, max_height=90, cell_m=0.01) as renderer:
         for index in range(12):

@@ -8,7 +8,7 @@ from aomgen.benchmarks.motion_upstream import Upstream
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.pictures import Painter
 from aomgen.synthetic.setting import Setting, build_world, draw_setting
@@ -16,9 +16,8 @@ from aomgen.synthetic.viewpoints import scan_cameras
 
 
 @pytest.fixture(scope="module")
-def scanned() -> tuple[Setting, Surface]:
+def scanned(robot: RobotModel) -> tuple[Setting, Surface]:
     rng = np.random.default_rng(0)
-    robot = load_robot("ur5e_2f85")
     setting = draw_setting(make_asset("drawer", 1), rng)
     world = build_world(robot, setting, visual=True)
     conditions = Conditions(size=(160, 120), scan_views=6)

@@ -20,18 +20,13 @@ from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
 from aomgen.generalization.stage import load_generalization, run_generalization
 from aomgen.generalization.variations import PoseRanges, in_view, variations, worth_trying
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.scene import build_scene
 
 NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
 SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
 
 PINCH = HandConventions(approach=np.array([0.0, 0.0, 1.0]), closing=np.array([0.0, 1.0, 0.0]))
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 @pytest.fixture(scope="module")

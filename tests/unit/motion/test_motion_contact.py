@@ -14,16 +14,11 @@ from aomgen.errors import CorruptArtifactError, InputError, MissingFileError
 from aomgen.io.atomic import write_json
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.stage import FILE_NAME, load_motion
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 
 JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
 # Of a world in which no bar's side is across the pads' closing.
 AXES = matrix_from_rotvec([0.4, 0.5, 0.6])
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 def still_log(robot: RobotModel, gripper: float) -> JointLog:

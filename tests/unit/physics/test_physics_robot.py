@@ -7,15 +7,10 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, invert
 from aomgen.errors import BackendError, ConfigError, MissingFileError
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import load_robot
 from aomgen.physics.silhouette import SilhouetteRenderer
 
 JOINTS = np.array([3.2, -1.9, 2.1, 0.3, 1.2, 0.4])
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.verdict import Rejection, SettingOutcome
 from aomgen.generalization.ik import IkLimits, IkPath, ik_solver, solve_path
 from aomgen.physics.kinematic import KinematicLimits, check_kinematics, holding_gripper, table_overlap_m
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.scene import Scene, build_scene
 from aomgen.physics.simulate import SimulatedRun, simulate
 from aomgen.physics.verify import PassRule, judge, settings_for, verify_plan
@@ -23,11 +23,6 @@ SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
 T_WORLD_OBJECT = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
 TRAVEL = 0.15
 NOMINAL = settings_for("prismatic")[0]
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 @pytest.fixture(scope="module")

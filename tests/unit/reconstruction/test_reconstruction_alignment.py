@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import AlignmentError
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
 from aomgen.reconstruction.alignment.hand_turn import best_hand_turn
@@ -31,8 +31,8 @@ PARAMS = AlignmentParams(
 
 
 @pytest.fixture(scope="module")
-def posture() -> RobotPosture:
-    return RobotPosture(robot=load_robot("ur5e_2f85"), joints=JOINTS, gripper=0.1)
+def posture(robot: RobotModel) -> RobotPosture:
+    return RobotPosture(robot=robot, joints=JOINTS, gripper=0.1)
 
 
 def recon_camera(angle: float, height: float, focal_px: float = 260.0) -> Camera:

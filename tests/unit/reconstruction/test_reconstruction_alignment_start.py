@@ -6,7 +6,7 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.color_score import color_score, divergence
 from aomgen.reconstruction.alignment.contours import View
@@ -22,8 +22,8 @@ SIZE = np.array([160, 120])
 
 
 @pytest.fixture(scope="module")
-def posture() -> RobotPosture:
-    return RobotPosture(robot=load_robot("ur5e_2f85"), joints=JOINTS, gripper=0.1)
+def posture(robot: RobotModel) -> RobotPosture:
+    return RobotPosture(robot=robot, joints=JOINTS, gripper=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
 from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.camera_settling import Filmed, Scene, Settlement, settle_fixed_cameras
 from aomgen.reconstruction.alignment.contours import View
@@ -99,9 +99,8 @@ def error_px(found: Camera, true: Camera) -> float:
 
 
 @pytest.fixture(scope="module")
-def stage() -> Stage:
+def stage(robot: RobotModel) -> Stage:
     rng = np.random.default_rng(8)
-    robot = load_robot("ur5e_2f85")
     times = np.arange(0.0, 7.0, 0.02)
     phase = times[:, None] / np.array([4.7, 5.9, 3.9, 2.9, 3.3, 3.7]) * 2 * np.pi
     sway = np.array([0.55, 0.35, 0.4, 0.4, 0.4, 0.5])

@@ -7,7 +7,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_masks import MasksAt, robot_masks
 from aomgen.reconstruction.alignment.clock import estimate_clock
 from aomgen.reconstruction.alignment.clock_frames import ClockParams
@@ -80,8 +80,7 @@ def test_a_log_that_is_too_short_is_refused() -> None:
         estimate_clock(video, np.arange(0, 0.5, 0.01), disc(path))
 
 
-def test_the_rendered_robot_gives_the_offset() -> None:
-    robot = load_robot("ur5e_2f85")
+def test_the_rendered_robot_gives_the_offset(robot: RobotModel) -> None:
     times = np.arange(0, 6.5, 0.02)
     phase = np.interp(times, [1.0, 3.5, 4.2, 5.5], [0, 1, 1, 0.4])[:, None]
     joints = np.array([3.4, -2.2, 2.4, 0.25, 1.35, 0.0]) + phase * np.array([0.9, 0.5, -0.6, -0.5, 0.8, 0.0])

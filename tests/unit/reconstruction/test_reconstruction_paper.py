@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import AlignmentError
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.reconstruction.alignment import paper as paper_alignment
 from aomgen.reconstruction.alignment.contours import View
 from aomgen.reconstruction.alignment.link_boxes import bodies_in_boxes
@@ -25,9 +25,9 @@ OFF = transform(matrix_from_rotvec([0.05, -0.04, 0.12]), [0.03, -0.02, 0.02])
 
 
 @pytest.fixture(scope="module")
-def posture() -> RobotPosture:
+def posture(robot: RobotModel) -> RobotPosture:
     joints = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
-    return RobotPosture(robot=load_robot("ur5e_2f85"), joints=joints, gripper=0.1)
+    return RobotPosture(robot=robot, joints=joints, gripper=0.1)
 
 
 @pytest.fixture(scope="module")

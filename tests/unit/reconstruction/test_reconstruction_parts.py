@@ -14,7 +14,7 @@ from aomgen.core.recording import Prompt
 from aomgen.core.transforms import apply
 from aomgen.errors import BackendError, MalformedFileError, ReconstructionError, WrongPromptError
 from aomgen.io.images import read_labels, write_image
-from aomgen.physics.robot import load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture
 from aomgen.reconstruction.masks.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter, clean
@@ -29,8 +29,8 @@ JOINTS = np.array([0.3, -1.6, 1.9, -0.4, 1.2, 0.1])
 
 
 @pytest.fixture(scope="module")
-def posture() -> RobotPosture:
-    return RobotPosture(robot=load_robot("ur5e_2f85"), joints=JOINTS, gripper=0.0)
+def posture(robot: RobotModel) -> RobotPosture:
+    return RobotPosture(robot=robot, joints=JOINTS, gripper=0.0)
 
 
 def robot_points(

@@ -3,14 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, transform
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.reconstruction.looks.robot_views import Film
 from aomgen.reconstruction.looks.tray import with_tray
 from aomgen.twin.binding import bind
@@ -50,11 +49,6 @@ def tray() -> Gaussians:
             box(low, [high[0], high[1], low[2]], [0.2, 0.7, 0.3]),
         ]
     )
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 def cabinet(robot: RobotModel, moving: list[Gaussians], joint: Joint) -> Twin:

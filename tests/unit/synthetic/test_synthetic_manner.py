@@ -11,7 +11,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import invert, rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.film import draw_take, film, filmed
 from aomgen.synthetic.manner import Direction, Manner, Outcome, Touch, draw_manner, progress
@@ -22,11 +22,6 @@ from aomgen.synthetic.world import draw_capture_manner
 from aomgen.synthetic.write import moved_range
 
 SHORT = Conditions(size=(96, 72), fps=4)
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 def hand_on_part(robot: RobotModel, performance: Performance, steps: list[int]) -> Array:

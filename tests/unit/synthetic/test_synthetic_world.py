@@ -20,7 +20,7 @@ from aomgen.errors import ConfigError
 from aomgen.io.images import read_labels
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration import simulate
 from aomgen.synthetic.performance import Performance, perform
@@ -31,11 +31,6 @@ from aomgen.synthetic.write import moved_range, prompt_of
 SIZE = (128, 96)
 VIEWS = 12
 CONDITIONS = Conditions(size=SIZE, scan_views=VIEWS, fps=3)
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 @pytest.fixture(scope="module", params=sorted(MAKERS))

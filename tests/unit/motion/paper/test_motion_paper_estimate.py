@@ -16,7 +16,7 @@ from aomgen.motion.paper.contact import contact_path, nearest_pair
 from aomgen.motion.paper.estimate import PaperParams, estimate_motion_paper
 from aomgen.motion.paper.keyframes import PartMasks
 from aomgen.motion.paper.masks import changed_masks
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot import RobotModel
 
 # The hand points along -x at the door; then shoulder and elbow draw it back by some centimeters.
 JOINTS = np.array([0.0, -1.2, 1.6, -0.4, 1.57, 0.0])
@@ -25,11 +25,6 @@ FRAMES, FIRST, LAST = 200, 90, 110
 HINGE_Y = 0.2
 OFFSET_S = 0.3
 TIMES_S = np.arange(FRAMES) / 20.0
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotModel:
-    return load_robot("ur5e_2f85")
 
 
 def drawing_log(robot: RobotModel) -> JointLog:
