@@ -1,6 +1,8 @@
 """A small scene with everything known: robot, table, wall, and a microwave with its light."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -71,6 +73,12 @@ def robot_gaussians(robot: RobotModel, Ts: np.ndarray, light: Light, rng) -> tup
         )
         bodies.append(np.full(250, mesh.body, np.int32))
     return concatenate(parts), np.concatenate(bodies)
+
+
+@pytest.fixture(scope="session")
+def made() -> Callable[[str, int], ArticulatedAsset]:
+    """Makes the asset of a category and seed, once; everything in it is frozen."""
+    return cache(make_asset)
 
 
 @pytest.fixture(scope="session")

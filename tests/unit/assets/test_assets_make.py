@@ -1,5 +1,6 @@
 """Made assets: laws of their geometry, and what the check must refuse."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -9,10 +10,11 @@ import pytest
 from aomgen.assets.check import check_asset, outward_normal, require_usable
 from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
 from aomgen.assets.mjcf import HOLDS, add_asset, holding_friction
-from aomgen.core.asset import BoxCollider
+from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.transforms import apply, transform
 from aomgen.errors import AssetError, ConfigError
 
+Made = Callable[[str, int], ArticulatedAsset]
 # What seed 5 has always been.
 MICROWAVE_5 = [0.10559253173070661, -0.23164226529445808, 0.138446210038801]
 DRAWER_5 = [0.0, -0.2570228811938371, 0.21471920659513716]
@@ -21,8 +23,8 @@ ALL = [(category, seed) for category in sorted(MAKERS | OTHER_MAKERS) for seed i
 
 
 @pytest.mark.parametrize(("category", "seed"), ALL)
-def test_made_asset_has_no_problems(category: str, seed: int) -> None:
-    asset = make_asset(category, seed)
+def test_made_asset_has_no_problems(made: Made, category: str, seed: int) -> None:
+    asset = made(category, seed)
     assert check_asset(asset) == []
     assert asset.category == category
     assert outward_normal(asset) @ [0, -1, 0] > 0.99
@@ -42,10 +44,10 @@ OPENS = {
 
 
 @pytest.mark.parametrize("category", sorted(MAKERS | OTHER_MAKERS))
-def test_joint_type_and_first_motion_are_the_category(category: str) -> None:
+def test_joint_type_and_first_motion_are_the_category(made: Made, category: str) -> None:
     seen = set()
     for seed in range(6):
-        asset = make_asset(category, seed)
+        asset = made(category, seed)
         joint, handle = asset.joint, asset.handle_point
         way = apply(joint.motion(0.02), handle) - handle
         way /= np.linalg.norm(way)
@@ -59,17 +61,17 @@ def test_joint_type_and_first_motion_are_the_category(category: str) -> None:
     assert seen == set(range(len(OPENS[category])))
 
 
-def test_what_does_not_move_of_a_cupboard_belongs_to_its_body() -> None:
+def test_what_does_not_move_of_a_cupboard_belongs_to_its_body(made: Made) -> None:
     for seed in range(6):
-        asset = make_asset("cupboard", seed)
+        asset = made("cupboard", seed)
         still = "drawer" if asset.joint.type == "revolute" else "door"
         assert {f"{still}_handle_bar"} <= {box.name for box in asset.static.colliders}
         assert asset.moving.name == ("door" if still == "drawer" else "drawer")
 
 
 @pytest.mark.parametrize("category", ["laptop", "toolbox"])
-def test_lid_hinges_at_the_back_and_clears_what_is_below(category: str) -> None:
-    asset = make_asset(category, 3)
+def test_lid_hinges_at_the_back_and_clears_what_is_below(made: Made, category: str) -> None:
+    asset = made(category, 3)
     _, high = asset.static.bounds
     assert np.abs(asset.joint.axis) == pytest.approx([1, 0, 0])
     assert asset.joint.origin[1] == pytest.approx(high[1], abs=0.005)
@@ -80,24 +82,24 @@ def test_lid_hinges_at_the_back_and_clears_what_is_below(category: str) -> None:
     assert opened[:, 2].min() > 0.05
 
 
-def test_microwave_and_drawer_of_a_seed_stay_what_they_are() -> None:
+def test_microwave_and_drawer_of_a_seed_stay_what_they_are(made: Made) -> None:
     """Runs name assets by category and seed, so that these values may not change."""
-    microwave, drawer = make_asset("microwave", 5), make_asset("drawer", 5)
+    microwave, drawer = made("microwave", 5), made("drawer", 5)
     assert microwave.handle_point == pytest.approx(MICROWAVE_5, abs=1e-12)
     assert drawer.handle_point == pytest.approx(DRAWER_5, abs=1e-12)
     total = sum(int(mesh.texture_srgb.sum(dtype=np.int64)) for mesh in microwave.moving.meshes)
     assert total == MICROWAVE_5_TEXTURES
 
 
-def test_same_seed_same_asset() -> None:
-    a, b, c = make_asset("microwave", 5), make_asset("microwave", 5), make_asset("microwave", 6)
+def test_same_seed_same_asset(made: Made) -> None:
+    a, b, c = made("microwave", 5), make_asset("microwave", 5), made("microwave", 6)
     assert np.array_equal(a.static.meshes[0].vertices, b.static.meshes[0].vertices)
     assert np.array_equal(a.moving.meshes[0].texture_srgb, b.moving.meshes[0].texture_srgb)
     assert not np.allclose(a.handle_point, c.handle_point)
 
 
-def test_microwaves_come_with_both_hinge_sides() -> None:
-    assert {np.sign(make_asset("microwave", seed).joint.axis[2]) for seed in range(8)} == {-1.0, 1.0}
+def test_microwaves_come_with_both_hinge_sides(made: Made) -> None:
+    assert {np.sign(made("microwave", seed).joint.axis[2]) for seed in range(8)} == {-1.0, 1.0}
 
 
 def test_unknown_category_lists_the_known_ones() -> None:
@@ -106,8 +108,8 @@ def test_unknown_category_lists_the_known_ones() -> None:
 
 
 @pytest.mark.parametrize("category", sorted(MAKERS | OTHER_MAKERS))
-def test_meshes_face_outwards_and_textures_do_not_repeat(category: str) -> None:
-    asset = make_asset(category, 1)
+def test_meshes_face_outwards_and_textures_do_not_repeat(made: Made, category: str) -> None:
+    asset = made(category, 1)
     for link in (asset.static, asset.moving):
         for mesh in link.meshes:
             if len(mesh.uvs):
@@ -120,8 +122,8 @@ def test_meshes_face_outwards_and_textures_do_not_repeat(category: str) -> None:
 
 
 @pytest.mark.parametrize(("category", "seed"), ALL[::3])
-def test_mujoco_sees_no_contact_along_the_joint(category: str, seed: int) -> None:
-    asset = make_asset(category, seed)
+def test_mujoco_sees_no_contact_along_the_joint(made: Made, category: str, seed: int) -> None:
+    asset = made(category, seed)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     names = add_asset(spec, asset, np.eye(4), damping=0.1, frictionloss=0.1)
@@ -136,8 +138,8 @@ def test_mujoco_sees_no_contact_along_the_joint(category: str, seed: int) -> Non
         assert data.ncon == 0, theta
 
 
-def test_mujoco_masses_limits_and_motion_are_the_assets() -> None:
-    asset = make_asset("drawer", 2)
+def test_mujoco_masses_limits_and_motion_are_the_assets(made: Made) -> None:
+    asset = made("drawer", 2)
     T = transform(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), [0.3, -0.2, 0.1])
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -155,19 +157,19 @@ def test_mujoco_masses_limits_and_motion_are_the_assets() -> None:
     assert data.body(names.moving_body).xpos == pytest.approx(expected, abs=1e-9)
 
 
-def test_friction_bears_the_weight_of_a_lid_and_nothing_where_none_pulls() -> None:
-    asset = make_asset("toolbox", 0)
+def test_friction_bears_the_weight_of_a_lid_and_nothing_where_none_pulls(made: Made) -> None:
+    asset = made("toolbox", 0)
     middle = asset.joint.origin + [0.0, -0.1, 0.0]
     plate = BoxCollider(name="plate", T_asset_box=transform(np.eye(3), middle), half_extents=np.full(3, 0.02))
     lid = replace(asset, moving=replace(asset.moving, colliders=(plate,), mass=2.0))
     assert holding_friction(lid) == pytest.approx(HOLDS * 2.0 * 9.81 * 0.1)
     for category in ("cabinet", "drawer", "microwave"):
-        assert holding_friction(make_asset(category, 0)) == 0.0
+        assert holding_friction(made(category, 0)) == 0.0
 
 
 @pytest.mark.parametrize(("category", "theta"), [("toolbox", 0.3), ("laptop", 0.9), ("oven", 0.7)])
-def test_lid_stays_where_it_is_left_and_yields_to_a_push(category: str, theta: float) -> None:
-    asset = make_asset(category, 1)
+def test_lid_stays_where_it_is_left_and_yields_to_a_push(made: Made, category: str, theta: float) -> None:
+    asset = made(category, 1)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     names = add_asset(spec, asset, np.eye(4), damping=0.05, frictionloss=0.02)
@@ -181,17 +183,17 @@ def test_lid_stays_where_it_is_left_and_yields_to_a_push(category: str, theta: f
     assert data.joint(names.joint).qpos[0] > theta + 0.1
 
 
-def test_degrees_are_refused() -> None:
+def test_degrees_are_refused(made: Made) -> None:
     with pytest.raises(ValueError, match="degree"):
-        add_asset(mujoco.MjSpec(), make_asset("drawer", 0), np.eye(4), damping=1, frictionloss=0)
+        add_asset(mujoco.MjSpec(), made("drawer", 0), np.eye(4), damping=1, frictionloss=0)
 
 
 def _with_collider(asset, box):
     return replace(asset, moving=replace(asset.moving, colliders=(*asset.moving.colliders, box)))
 
 
-def test_check_names_the_colliders_that_overlap() -> None:
-    asset = make_asset("microwave", 0)
+def test_check_names_the_colliders_that_overlap(made: Made) -> None:
+    asset = made("microwave", 0)
     peg = BoxCollider(
         name="peg", T_asset_box=transform(np.eye(3), [0, 0, 0.01]), half_extents=[0.02, 0.02, 0.02]
     )
@@ -201,8 +203,8 @@ def test_check_names_the_colliders_that_overlap() -> None:
         require_usable(_with_collider(asset, peg))
 
 
-def test_check_wants_room_for_a_finger_behind_the_handle() -> None:
-    asset = make_asset("drawer", 0)
+def test_check_wants_room_for_a_finger_behind_the_handle(made: Made) -> None:
+    asset = made("drawer", 0)
     behind = asset.handle_point + [0, 0.016, 0]
     filler = BoxCollider(
         name="filler", T_asset_box=transform(np.eye(3), behind), half_extents=[0.03, 0.005, 0.01]
@@ -212,8 +214,8 @@ def test_check_wants_room_for_a_finger_behind_the_handle() -> None:
     assert "12 mm ball" in problems[0]
 
 
-def test_check_refuses_wrong_units() -> None:
-    asset = make_asset("microwave", 0)
+def test_check_refuses_wrong_units(made: Made) -> None:
+    asset = made("microwave", 0)
     assert "metersPerUnit" in check_asset(asset.transformed(np.diag([100.0, 100, 100, 1])))[0]
     degrees = replace(asset, joint=replace(asset.joint, upper=100.0))
     assert any("degrees" in problem for problem in check_asset(degrees))
@@ -221,6 +223,6 @@ def test_check_refuses_wrong_units() -> None:
     assert any("opens by" in problem for problem in check_asset(stuck))
 
 
-def test_scaled_asset_stays_usable() -> None:
-    asset = make_asset("microwave", 3).transformed(np.diag([0.9, 0.9, 0.9, 1.0]))
+def test_scaled_asset_stays_usable(made: Made) -> None:
+    asset = made("microwave", 3).transformed(np.diag([0.9, 0.9, 0.9, 1.0]))
     assert check_asset(asset) == []

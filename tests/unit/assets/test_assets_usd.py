@@ -1,5 +1,6 @@
 """USD: what is written comes back; what cannot be used is refused by name."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,11 +27,18 @@ def microwave() -> ArticulatedAsset:
     return make_asset("microwave", 1)
 
 
-@pytest.fixture
-def usd(tmp_path: Path, microwave: ArticulatedAsset) -> Path:
-    path = tmp_path / "asset" / "microwave-1.usda"
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory, microwave: ArticulatedAsset) -> Path:
+    """The folder of a written asset; read only."""
+    path = tmp_path_factory.mktemp("written") / "asset" / "microwave-1.usda"
     write_usd(microwave, path)
-    return path
+    return path.parent
+
+
+@pytest.fixture
+def usd(tmp_path: Path, written: Path) -> Path:
+    """A written asset that a test may change."""
+    return Path(shutil.copytree(written, tmp_path / "asset")) / "microwave-1.usda"
 
 
 def assert_same(a: ArticulatedAsset, b: ArticulatedAsset, tolerance: float = 2e-6) -> None:
@@ -96,7 +104,7 @@ def test_centimetres_y_up_and_negative_limits(usd: Path, microwave: ArticulatedA
         attribute.Set(attribute.Get() * Gf.Quatf(0, 0, 1, 0))
     stage.SetDefaultPrim(root.GetPrim())
     stage.GetRootLayer().Save()
-    asset = read_usd(other)
+    asset = parse_usd(other)
     assert asset.joint.axis == pytest.approx(microwave.joint.axis, abs=1e-5)
     assert asset.joint.origin == pytest.approx(microwave.joint.origin, abs=1e-4)
     assert (asset.joint.lower, asset.joint.upper) == pytest.approx((0, microwave.joint.upper), abs=1e-5)
@@ -124,7 +132,7 @@ def test_boxes_are_made_where_none_are_authored(usd: Path) -> None:
     for link in ("body", "door"):
         stage.RemovePrim(f"/microwave_1/{link}/collision")
     stage.GetRootLayer().Save()
-    asset = read_usd(usd)
+    asset = parse_usd(usd)
     assert len(asset.moving.colliders) >= 4
     assert check_asset(asset) == []
 
@@ -156,7 +164,7 @@ def test_two_joints_are_listed(usd: Path) -> None:
     UsdPhysics.PrismaticJoint.Define(stage, "/microwave_1/tray_slide")
     stage.GetRootLayer().Save()
     with pytest.raises(AssetError, match=r"/microwave_1/joint.*/microwave_1/tray_slide"):
-        read_usd(usd)
+        parse_usd(usd)
 
 
 def test_texture_outside_the_folder_is_refused(usd: Path) -> None:
@@ -177,7 +185,7 @@ def test_layer_outside_the_folder_is_refused(usd: Path) -> None:
     stage.GetRootLayer().subLayerPaths.append("../other.usda")
     stage.GetRootLayer().Save()
     with pytest.raises(UnsafePathError, match="other"):
-        read_usd(usd)
+        parse_usd(usd)
 
 
 def test_missing_texture_is_named(usd: Path) -> None:
