@@ -1,19 +1,19 @@
 """Whether a demonstration opened or closed the object, from where its part was and where it went."""
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.core.joint import Joint
 from aomgen.core.motion import Direction
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.motion.filters import closed
 
 # A part that leaves the body takes along at least this share of its travel; one that slides within it none.
 _LEAVING_SHARE = 0.2
-# Cells of the body's front along its longer side.
-_CELLS = 24
-# The front is what lies within this many cells of the sliding panel's own depth.
-_FRONT_CELLS = 2.0
+# Cells of a sliding panel along its longer side.
+_CELLS = 12
 _TAIL_PERCENT = 2.0
 
 
@@ -21,7 +21,8 @@ def direction_of(joint: Joint, theta: float, points_static: Array, points_moving
     """Open or close: what a part does that goes from its scanned place to joint value `theta`.
 
     A closed part is flush with the body: a door or lid lies on it, a drawer is inside of it. A panel
-    that slides along the body is flush everywhere; it is closed where it covers what nothing else does.
+    that slides along the body is flush everywhere; it opens by going before (or behind) the body's own
+    front, and closes by covering what was open.
 
     Args:
         joint: Value 0 is the scanned place, world frame.
@@ -39,8 +40,7 @@ def direction_of(joint: Joint, theta: float, points_static: Array, points_moving
     beyond = [_beyond(points @ joint.axis, points_static @ joint.axis) for points in ends]
     if abs(beyond[1] - beyond[0]) >= _LEAVING_SHARE * abs(theta):
         return "opening" if beyond[1] > beyond[0] else "closing"
-    first, last = (_covered(points, points_static, joint.axis) for points in ends)
-    return "opening" if last <= first else "closing"
+    return "opening" if _lies_before_front(joint.axis, theta, points_static, points_moving) else "closing"
 
 
 def _beyond(places: Array, body: Array) -> float:
@@ -49,22 +49,32 @@ def _beyond(places: Array, body: Array) -> float:
     return float(np.maximum(np.maximum(low - places, places - high), 0).mean())
 
 
-def _covered(points: Array, points_static: Array, axis: Array) -> float:
-    """Share of the body's front that part (M, 3) and body (N, 3) cover together, seen across the panel."""
+def _lies_before_front(axis: Array, travel_m: float, points_static: Array, points: Array) -> bool:
+    """Whether most of what a panel (M, 3) newly covers after its travel was the body's (N, 3) front already.
+
+    What it uncovers does not count: the scan could not see what was behind it.
+    """
     across = _thin_direction(points, axis)
-    up = np.cross(across, axis)
-    plane = np.stack([axis, up], 1)
-    low, high = np.percentile(points_static @ plane, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+    plane = np.stack([axis, np.cross(across, axis)], 1)
+    low, high = np.percentile(points @ plane, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
     cell = float((high - low).max()) / _CELLS
     depth = points @ across
-    near = np.abs(points_static @ across - np.median(depth)) <= _FRONT_CELLS * cell + np.ptp(
-        np.percentile(depth, [_TAIL_PERCENT, 100 - _TAIL_PERCENT])
-    )
-    places = np.concatenate([points, points_static[near]]) @ plane
-    size = np.maximum(np.ceil((high - low) / cell).astype(int), 1)
-    cells = np.floor((places - low) / cell).astype(int)
-    cells = cells[np.all((cells >= 0) & (cells < size), axis=1)]
-    return len(np.unique(cells, axis=0)) / float(size.prod())
+    # Two panels run within a cell of each other; a handle does not make the panel thicker.
+    near = np.abs(points_static @ across - np.median(depth)) <= cell + np.ptp(np.percentile(depth, [25, 75]))
+    shift = np.array([travel_m, 0.0])
+    size = np.maximum(np.ceil((high - low + np.abs(shift)) / cell).astype(int), 1)
+    low = low + np.minimum(shift, 0.0)
+
+    def covered(places: Array) -> NDArray[np.bool_]:
+        cells = np.floor((places - low) / cell).astype(int)
+        cells = cells[np.all((cells >= 0) & (cells < size), axis=1)]
+        grid = np.zeros(size, bool)
+        grid[tuple(cells.T)] = True
+        return closed(grid, 1)
+
+    start, end = (covered(points @ plane + offset) for offset in (0.0, shift))
+    fresh = end & ~start
+    return float(covered(points_static[near] @ plane)[fresh].mean()) >= 0.5 if fresh.any() else True
 
 
 def _thin_direction(points: Array, axis: Array) -> Array:

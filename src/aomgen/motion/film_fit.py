@@ -176,7 +176,7 @@ def _compared(film: PartFilm, frame: int, places: list[tuple[Joint, float]], ban
     picture, hidden = film.at(frame)
     before, after = (film.draw(*place) for place in places)
     mask = interior(before, hidden, band.margin_px) & interior(after, hidden, band.margin_px)
-    if mask.sum() < _BLOCK_PX**2:
+    if mask.sum() < (2 * band.wide_px) ** 2:
         return None
     columns = [picture]
     for view in (before, after):

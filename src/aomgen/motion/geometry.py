@@ -6,11 +6,12 @@ decides: every possibility is offered with its odds.
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
 
-from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.motion.edges import Box, face_normal, footprint_yaw, upright_box
 from aomgen.motion.joint_models import tangent_basis
@@ -83,13 +84,20 @@ class Shape:
     Attributes:
         box: Around the part at its scanned place; its axes need not be upright.
         face_normal: Unit direction (3,) in which the part sticks out of the static one, world frame.
+        corners: Of the upright box around both parts (8, 3), world frame, [m].
     """
 
     box: Box
     face_normal: Array
+    corners: Array
 
     def __post_init__(self) -> None:
         freeze(self, "face_normal", self.face_normal, (3,))
+        freeze(self, "corners", self.corners, (8, 3))
+
+    def reach_m(self, point: Array) -> float:
+        """Distance of the object's farthest corner from a point (3,), [m]."""
+        return float(np.linalg.norm(self.corners - point, axis=1).max())
 
     def hinges(self) -> list[AxisHint]:
         """Possibilities for a revolute joint: four sides in each of three directions, or the direction alone."""
@@ -142,7 +150,9 @@ def shape_of(points_static: Array, points_moving: Array) -> Shape:
 
     Not checked: that the points show the whole part.
     """
-    together = upright_box(points_moving, footprint_yaw(np.concatenate([points_static, points_moving])))
+    everything = np.concatenate([points_static, points_moving])
+    yaw = footprint_yaw(everything)
+    together, around = upright_box(points_moving, yaw), upright_box(everything, yaw)
     best = together
     for box in (
         upright_box(points_moving, footprint_yaw(points_moving)),
@@ -151,7 +161,9 @@ def shape_of(points_static: Array, points_moving: Array) -> Shape:
         if _volume(box) < _CLEARLY * _volume(best):
             best = box
     static = _box_about(points_static, best.T_world_box[:3, :3])
-    return Shape(box=best, face_normal=face_normal(static, best))
+    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+    corners = apply(around.T_world_box, signs * around.half_extents)
+    return Shape(box=best, face_normal=face_normal(static, best), corners=corners)
 
 
 def _leaning_box(points: Array, upright: Box) -> Box:

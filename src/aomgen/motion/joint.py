@@ -199,7 +199,14 @@ def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tu
     middle = points.mean(0)
     turns = path.turns_world
     doors: list[JointModel] = [
-        Revolute(path=path, turns_world=turns, start=start, middle=middle, grasp_sd_m=params.grasp_sd_m)
+        Revolute(
+            path=path,
+            turns_world=turns,
+            start=start,
+            middle=middle,
+            grasp_sd_m=params.grasp_sd_m,
+            reach_m=np.inf if shape is None else shape.reach_m(middle),
+        )
         for start in _first_axes(path, turns)
     ]
     along = np.linalg.svd(points - middle)[2][0]

@@ -11,6 +11,8 @@ from aomgen.motion.path import HandPath
 # 1.2 m with 95 %; and the spread of its logarithm.
 RADIUS_M, RADIUS_SPREAD = 0.35, 0.6
 MIN_RADIUS_M, MAX_RADIUS_M = 0.05, 2.0
+# A hinge is on the object; its size is known to this share, as spread of the logarithm.
+REACH_SPREAD = 0.1
 # Turn of the hand over turn of the part: most hands follow, some handles turn in them freely.
 RATIO, RATIO_SD = 0.7, 0.4
 # A direction is known to nothing: density over the sphere, [1/sr].
@@ -42,6 +44,7 @@ class Revolute:
         start: First guess of the axis (3,).
         middle: Reference point (3,), [m].
         grasp_sd_m: Standard deviation of the first guess of the held point, [m].
+        reach_m: The object's farthest point from the path's middle; no hinge is farther away, [m].
     """
 
     path: HandPath
@@ -49,6 +52,7 @@ class Revolute:
     start: Array
     middle: Array
     grasp_sd_m: float
+    reach_m: float
 
     kinds = ("face", "bar", "tilt", "tilt", "pivot")
     steps = np.array([1e-2, 1e-2, *[1e-2] * 4, *[3e-3] * 3, 0.1])
@@ -105,10 +109,12 @@ class Revolute:
         return np.array([0, 0, *center, radius, 0, 0, 0, 0, RATIO], np.float64)
 
     def beliefs(self, x: Array) -> Array:
-        """Residuals (..., 5) of what is assumed beforehand, in standard deviations."""
+        """Residuals (..., 6) of what is assumed beforehand, in standard deviations."""
         ratio = (x[..., 9:] - RATIO) / RATIO_SD
-        size = np.log(np.maximum(np.abs(x[..., 4:5]), 1e-3) / RADIUS_M) / RADIUS_SPREAD
-        return np.concatenate([x[..., 6:9] / self.grasp_sd_m, ratio, size], axis=-1)
+        radius = np.maximum(np.abs(x[..., 4:5]), 1e-3)
+        size = np.log(radius / RADIUS_M) / RADIUS_SPREAD
+        beyond = np.log(np.maximum(radius / self.reach_m, 1.0)) / REACH_SPREAD
+        return np.concatenate([x[..., 6:9] / self.grasp_sd_m, ratio, size, beyond], axis=-1)
 
     def log_any_place(self, x: Array) -> float:
         """Log density of an axis' place of which only the usual size is known, see `beliefs`."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from aomgen.core.transforms import apply, rotvec_from_matrix
 from aomgen.core.values import Array, freeze
+from aomgen.motion import filters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,16 +59,13 @@ def thin(Ts_world_ee: Array, grasp_ee: Array, *, nodes: int, smooth: int) -> Han
         Ts_world_ee: (T, 4, 4) in the order of time.
         grasp_ee: Point (3,) whose travel is measured, [m].
         nodes: Largest number of nodes; empty stretches are left out.
-        smooth: Moving-average window for measuring travel, in samples.
+        smooth: Window of the smoother for measuring travel, in samples.
     """
     points = apply(Ts_world_ee, grasp_ee)
-    window = max(1, min(smooth, len(points) // 3))
-    kernel = np.ones(window) / window
-    smoothed = np.stack([np.convolve(column, kernel, "valid") for column in points.T], 1)
+    # A polynomial keeps the first and the last samples, in which a quick hand already goes far.
+    smoothed = np.stack([filters.smooth(column, 1.0, smooth) for column in points.T], 1)
     steps = np.linalg.norm(np.diff(smoothed, axis=0), axis=1)
     travel = np.concatenate([[0.0], np.cumsum(steps)])
-    lead = (len(points) - len(travel)) // 2
-    travel = np.pad(travel, (lead, len(points) - len(travel) - lead), mode="edge")
     bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
     poses = [mean_pose(Ts_world_ee[bins == k]) for k in np.unique(bins)]
     return HandPath(Ts_world_ee=np.stack(poses), grasp_ee=grasp_ee, length_m=float(travel[-1]))

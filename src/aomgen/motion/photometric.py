@@ -6,6 +6,7 @@ its own inside were never seen. An answer counts only if frames that were not fi
 """
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from aomgen.motion.film_problem import FilmProblem
 from aomgen.motion.hand_answer import HandAnswer
 from aomgen.motion.part_film import part_film
 from aomgen.physics.robot_masks import MasksAt
+
+# Time from the motion after which, and before which, the part surely rests, [s].
+_SETTLED_S: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,16 +144,23 @@ def refine(
 def chosen_frames(
     hand: HandAnswer, knots: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Fitted, held-out and resting frames; the first two alternate and spread over the values."""
+    """Fitted, held-out and resting frames; the first two alternate and spread over the values.
+
+    A quick motion has few frames; those of the part at its last place make up for them.
+    """
     times = hand.times_s
     moving = np.flatnonzero((times >= hand.interval[0]) & (times <= hand.interval[1]))
-    resting = np.flatnonzero(times < hand.interval[0] - 0.1)
-    if len(moving) < 6:
+    resting = np.flatnonzero(times < hand.interval[0] - _SETTLED_S)
+    arrived = np.flatnonzero(times > hand.interval[1] + _SETTLED_S)
+    if not hand.interval[1] > hand.interval[0]:
         return moving[:0], moving[:0], resting
-    levels = np.linspace(0, 1, 2 * knots + 1)[1:] * float(hand.thetas[moving].max())
-    rising = np.maximum.accumulate(hand.thetas[moving]) + 1e-9 * np.arange(len(moving))
-    chosen = np.unique(np.interp(levels, rising, np.arange(len(moving))).round().astype(int))
-    chosen = moving[chosen]
+    if len(moving):
+        levels = np.linspace(0, 1, 2 * knots + 1)[1:] * float(hand.thetas[moving].max())
+        rising = np.maximum.accumulate(hand.thetas[moving]) + 1e-9 * np.arange(len(moving))
+        moving = moving[np.unique(np.interp(levels, rising, np.arange(len(moving))).round().astype(int))]
+    missing = min(2 * knots - len(moving), len(arrived))
+    after = arrived[np.linspace(0, len(arrived) - 1, missing).astype(int)] if missing > 0 else arrived[:0]
+    chosen = np.concatenate([moving, after])
     return chosen[1::2], chosen[::2], resting
 
 

@@ -75,3 +75,14 @@ def test_half_a_closing_is_a_closing() -> None:
     ajar = apply(item.motion(np.radians(80)), moving)
     back = Joint(type="revolute", axis=-item.axis, origin=item.origin, lower=0.0, upper=1.0)
     assert direction_of(back, np.radians(40), static, ajar) == "closing"
+
+
+def test_a_panel_closes_though_the_scan_never_saw_what_it_stood_before() -> None:
+    """Half open, the sliding panel hides most of the fixed one, and jars stand in the opening."""
+    ajar = PANEL + [0.12, 0.0, 0.0]
+    seen = CABINET[~((CABINET[:, 1] == 0) & (CABINET[:, 0] > 0.12) & (CABINET[:, 0] < 0.33))]
+    jars = [sheet((x, x + 0.04), (0.02, 0.06), (0.02, 0.13)) for x in (0.01, 0.06)]
+    static = np.concatenate([seen, *jars])
+    back = joint("prismatic", [-1.0, 0, 0], [0, 0, 0])
+    assert direction_of(back, 0.12, static, ajar) == "closing"
+    assert direction_of(joint("prismatic", [1.0, 0, 0], [0, 0, 0]), 0.05, static, ajar) == "opening"

@@ -7,6 +7,8 @@ from test_motion_edges import BODY, DOOR, R
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.motion.geometry import AxisHint, shape_of
 from aomgen.motion.joint import estimate_joint
+from aomgen.motion.joint_models import Revolute
+from aomgen.motion.path import HandPath
 
 HANDLE = R @ [0.18, -0.2, 0.13]
 FRONT = R @ [0, -1.0, 0]
@@ -76,3 +78,24 @@ def test_the_shape_helps_a_short_arc() -> None:
 
     assert error(prior) < 0.02
     assert error(prior) <= error(None) + 0.002
+
+
+def test_no_hinge_is_farther_away_than_the_object_reaches() -> None:
+    """A straight way of 12 cm might be an arc about a hinge 1.2 m away, but there is nothing there."""
+    shape = shape_of(BODY, DOOR)
+    farthest = np.linalg.norm(np.concatenate([BODY, DOOR]) - HANDLE, axis=1).max()
+    assert shape.reach_m(HANDLE) == pytest.approx(farthest, rel=0.1)
+    path = HandPath(Ts_world_ee=np.repeat(np.eye(4)[None], 4, 0), grasp_ee=np.zeros(3), length_m=0.1)
+    door = Revolute(
+        path=path,
+        turns_world=np.zeros((4, 3)),
+        start=R[:, 2],
+        middle=HANDLE,
+        grasp_sd_m=0.01,
+        reach_m=shape.reach_m(HANDLE),
+    )
+    x = door.first()
+    x[4] = 0.9 * door.reach_m
+    assert door.beliefs(x)[-1] == 0
+    x[4] = 2.0 * door.reach_m
+    assert door.beliefs(x)[-1] > 5

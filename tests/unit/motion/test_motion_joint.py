@@ -9,6 +9,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec, transform
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
 from aomgen.motion.joint import JointEstimate, candidates, chosen_type, estimate_joint
+from aomgen.motion.path import thin
 
 HANDLE = np.array([0.55, -0.12, 0.22])
 DOOR = Joint(type="revolute", axis=[0, 0, -1], origin=[0.62, 0.19, 0.0], lower=0, upper=2)
@@ -182,3 +183,10 @@ def test_running_the_film_backwards_turns_the_axis(joint: Joint, travel: float) 
     path = hand_path(joint, travel, Flaws(), np.random.default_rng(11))
     forwards, backwards = (estimate_joint(series, GRASP_EE).joint for series in (path, path[::-1]))
     assert np.degrees(angle_between(forwards.axis, -backwards.axis)) < 0.3
+
+
+def test_a_quick_hand_is_seen_from_its_first_to_its_last_place() -> None:
+    """12 cm in 0.2 s, looked at every 10 ms."""
+    path = hand_path(DRAWER, 0.12, Flaws(), np.random.default_rng(0), count=21)
+    points = thin(path, GRASP_EE, nodes=24, smooth=11).points_world
+    assert np.linalg.norm(points[-1] - points[0]) > 0.96 * 0.12

@@ -16,7 +16,7 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_fit import shifted
 from aomgen.motion.film_problem import value_lever
 from aomgen.motion.hand_answer import HandAnswer
-from aomgen.motion.photometric import refine
+from aomgen.motion.photometric import chosen_frames, refine
 from aomgen.splatting.rasterizer import render
 
 HINGE = Joint(type="revolute", axis=np.array([0, 0, 1.0]), origin=np.zeros(3), lower=0.0, upper=1.0)
@@ -188,3 +188,22 @@ def test_the_lever_is_what_the_held_points_say_about_a_moved_axis():
     expected = np.arctan2(np.cross(first, turned)[2], first @ turned) - np.pi / 2
     assert lever[-1, 2] * 1e-4 == pytest.approx(expected, abs=1e-8)
     assert abs(expected) == pytest.approx(1e-4 / 0.3, rel=1e-3)
+
+
+def test_a_quick_motion_is_also_seen_after_it():
+    made = world()
+    quick = replace(
+        made.hand(np.zeros(4), 1.0), interval=(0.8, 1.0), thetas=np.clip((TIMES_S - 0.8) / 0.2, 0, 1)
+    )
+    fitted, held_out, resting = chosen_frames(quick, 4)
+    assert len(fitted) == len(held_out) == 4
+    assert TIMES_S[resting].max() < 0.75
+    assert TIMES_S[np.concatenate([fitted, held_out])].max() > 3
+    assert not set(fitted) & set(held_out)
+    slow = chosen_frames(made.hand(np.zeros(4), 1.0), 4)
+    assert TIMES_S[np.concatenate(slow[:2])].max() <= 3.0
+
+
+def test_a_motion_that_takes_no_time_is_not_asked_about():
+    still = replace(world().hand(np.zeros(4), 1.0), interval=(1.0, 1.0))
+    assert not len(chosen_frames(still, 4)[0])

@@ -1,0 +1,268 @@
+"""Laws of the whole AOMotion: where the world stands does not matter, and time turned back closes what opened."""
+
+import copy
+from dataclasses import replace
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.joint import Joint
+from aomgen.core.joint_log import JointLog
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.transforms import (
+    angle_between,
+    apply,
+    invert,
+    matrix_from_quat,
+    matrix_from_rotvec,
+    quat_from_matrix,
+    rotvec_from_matrix,
+    transform,
+)
+from aomgen.core.values import Array
+from aomgen.io.video import Video
+from aomgen.motion.contact import ContactParams
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.estimate import estimate_motion
+from aomgen.motion.film_fit import Band
+from aomgen.motion.joint import JointParams
+from aomgen.motion.params import MotionParams
+from aomgen.motion.photometric import PhotometricParams
+from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.physics.robot_masks import robot_masks
+from aomgen.splatting.rasterizer import Parts
+from aomgen.splatting.session import RenderSession
+
+FPS, LENGTH_S = 10.0, 5.0
+FRAMES_S = np.arange(round(FPS * LENGTH_S) + 1) / FPS
+# Film times of the hand's coming, of the motion, and of its going; symmetric, so that the film backwards is alike.
+NEAR_S, MOTION_S, GRIP_S = (1.0, 4.0), (1.5, 3.5), (1.0, 1.2, 3.8, 4.0)
+# The handle's middle and the hand's directions there: closing across the bar, out of the palm.
+HANDLE = np.array([0.45, 0.25, 0.35])
+R_WORLD_HAND = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+FACE = HANDLE[1] + 0.035
+SEED_JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
+# Fewer nodes, frames and pixels than usual, so that the tests are quick.
+QUICK = MotionParams(
+    width=120,
+    joint=JointParams(nodes=8),
+    contact=ContactParams(steps=2),
+    photometric=PhotometricParams(
+        knots=3, max_pixels=4000, bands=(Band(blur_px=1.0, wide_px=4.0, margin_px=2),), rounds=2
+    ),
+)
+HINGE = Joint(
+    type="revolute",
+    axis=np.array([0, 0, 1.0]),
+    origin=np.array([0.72, FACE, 0.35]),
+    lower=0.0,
+    upper=float(np.radians(40)),
+)
+
+
+def sheet(corner: list[float], sides: list[list[float]], seed: int) -> Gaussians:
+    """A patterned rectangle of round Gaussians, about 7 mm apart."""
+    lengths = np.linalg.norm(sides, axis=1)
+    counts = np.maximum(np.round(lengths / 0.007).astype(int), 2)
+    u, v = (grid.ravel() for grid in np.meshgrid(*((np.arange(n) + 0.5) / n for n in counts), indexing="ij"))
+    means = np.array(corner) + np.outer(u, sides[0]) + np.outer(v, sides[1])
+    colors = np.random.default_rng(seed).uniform(0.15, 0.85, (40, 40, 3))
+    rows, columns = (
+        np.clip((share * n / 4).astype(int), 0, 39) for share, n in zip((u, v), counts, strict=True)
+    )
+    return gaussians_of(
+        means=means,
+        quats=np.tile([1.0, 0, 0, 0], (len(means), 1)),
+        scales=np.full((len(means), 3), 0.005),
+        opacities=np.full(len(means), 0.95),
+        sh=(colors[rows, columns][:, None] - 0.5) / SH_C0,
+    )
+
+
+def bar(middle: Array, half_m: float) -> Gaussians:
+    """An upright handle, 12 mm thick."""
+    x, y, z = middle - [0.006, 0.006, half_m]
+    sides = [([x, y, z], [0.012, 0, 0]), ([x, y + 0.012, z], [0.012, 0, 0])]
+    sides += [([x, y, z], [0, 0.012, 0]), ([x + 0.012, y, z], [0, 0.012, 0])]
+    return concatenate([sheet(corner, [way, [0, 0, 2 * half_m]], 9) for corner, way in sides])
+
+
+def scene() -> tuple[Gaussians, Array]:
+    """A box, its door with a handle, and a wall and a table around them."""
+    x, z, wide, high, deep = 0.42, 0.22, 0.30, 0.26, 0.2
+    front = sheet([x, FACE, z], [[wide, 0, 0], [0, 0, high]], 1)
+    parts = [front, bar(HANDLE, 0.05)]
+    body = [
+        sheet([x, FACE + 0.01, z + high], [[wide, 0, 0], [0, deep, 0]], 2),
+        sheet([x, FACE + 0.01, z], [[0, deep, 0], [0, 0, high]], 3),
+        sheet([x + wide, FACE + 0.01, z], [[0, deep, 0], [0, 0, high]], 4),
+        sheet([x, FACE + 0.01, z], [[wide, 0, 0], [0, deep, 0]], 6),
+    ]
+    around = [
+        sheet([-0.2, FACE + 0.3, 0.0], [[1.5, 0, 0], [0, 0, 0.9]], 7),
+        sheet([-0.2, -0.1, 0.2], [[1.5, 0, 0], [0, FACE + 0.4, 0]], 8),
+    ]
+    pieces = [*parts, *body, *around]
+    labels = [MOVING] * len(parts) + [STATIC] * len(body) + [BACKGROUND] * len(around)
+    return concatenate(pieces), np.repeat(np.array(labels, np.uint8), [len(piece) for piece in pieces])
+
+
+def solved(robot: RobotModel, Ts_world_ee: Array, first: Array) -> Array:
+    """Joints (T, 6) that bring the hand to poses (T, 4, 4), each looked for from the one before."""
+
+    def misfit(joints: Array, T: Array) -> Array:
+        reached = robot.ee_poses(joints[None])[0]
+        return np.concatenate(
+            [reached[:3, 3] - T[:3, 3], 0.3 * rotvec_from_matrix(reached[:3, :3].T @ T[:3, :3])]
+        )
+
+    rows = []
+    for T in Ts_world_ee:
+        found = least_squares(misfit, first, args=(T,), xtol=1e-12, ftol=1e-12)
+        assert found.cost < 1e-10
+        first = found.x
+        rows.append(first)
+    return np.array(rows)
+
+
+def thetas_at(times_s: Array) -> Array:
+    """Opened as far (T,) at film times (T,), [rad]."""
+    u = np.clip((times_s - MOTION_S[0]) / (MOTION_S[1] - MOTION_S[0]), 0, 1)
+    return HINGE.upper * u**3 * (10 - 15 * u + 6 * u**2)
+
+
+@cache
+def world() -> Demonstration:
+    """A hand that comes, holds the handle, opens the door and goes."""
+    robot = load_robot("ur5e_2f85")
+    times = np.linspace(0, LENGTH_S, 51)
+    T_first = transform(R_WORLD_HAND, HANDLE)
+    held = HINGE.motion(thetas_at(times)) @ T_first
+    off = 0.1 * np.interp(times, [0, NEAR_S[0], NEAR_S[1], LENGTH_S], [1, 0, 0, 1])
+    held[:, :3, 3] -= off[:, None] * held[:, :3, 2]
+    log = JointLog(
+        times_s=times,
+        joints=solved(robot, held, SEED_JOINTS),
+        gripper=np.interp(times, GRIP_S, [0.0, 0.85, 0.85, 0.0]),
+        joint_names=robot.joint_names,
+    )
+    gaussians, labels = scene()
+    camera = Camera(
+        fx=150.0, fy=150.0, cx=80.0, cy=60.0, width=160, height=120,
+        T_world_cam=look_at([0.95, -0.45, 0.75], [0.57, 0.25, 0.33]),
+    )  # fmt: skip
+    session = RenderSession(gaussians.select(labels != MOVING), camera)
+    moving = gaussians.select(labels == MOVING)
+    parts = np.zeros(len(moving), np.int32)
+    frames = np.stack(
+        [
+            session.draw(moving, Parts(indices=parts, Ts_world_part=HINGE.motion(theta)[None])).rgb
+            for theta in thetas_at(FRAMES_S)
+        ]
+    )
+    with robot_masks(robot, camera, log) as masks_at:
+        frames[masks_at(FRAMES_S, camera.width, camera.height)] = 0.3
+    frames = frames + np.random.default_rng(0).normal(0, 0.006, frames.shape)
+    return Demonstration(
+        video=Video(frames_srgb=np.clip(255 * frames, 0, 255).astype(np.uint8), times_s=FRAMES_S, fps=FPS),
+        camera=camera,
+        log=log,
+        robot=robot,
+        scene=gaussians,
+        labels=labels,
+        clock_offset_s=0.0,
+        clock_sd_s=0.005,
+    )
+
+
+@cache
+def opened() -> MotionEstimate:
+    return estimate_motion(world(), QUICK)
+
+
+def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
+    """The robot with its base at another place of the world."""
+
+    def moved(pos: Array, quat: Array) -> tuple[Array, Array]:
+        T_world_base = T @ transform(matrix_from_quat(quat), pos)
+        return T_world_base[:3, 3], quat_from_matrix(T_world_base[:3, :3])
+
+    def build(visual: bool) -> mujoco.MjSpec:
+        spec = robot.spec(visual=visual)
+        for body in spec.worldbody.bodies:
+            body.pos, body.quat = moved(body.pos, body.quat)
+        return spec
+
+    model = copy.copy(robot._model)
+    for k in range(1, model.nbody):
+        if model.body_parentid[k] == 0:
+            model.body_pos[k], model.body_quat[k] = moved(model.body_pos[k].copy(), model.body_quat[k].copy())
+    return replace(robot, _model=model, _build=build)
+
+
+def elsewhere(demo: Demonstration, T: Array) -> Demonstration:
+    """The whole world moved; film and log stay."""
+    return replace(
+        demo,
+        camera=replace(demo.camera, T_world_cam=T @ demo.camera.T_world_cam),
+        robot=moved_robot(demo.robot, T),
+        scene=demo.scene.transformed(T),
+    )
+
+
+def backwards(demo: Demonstration) -> Demonstration:
+    """Film, log and gripper backwards, and the scene as it would be scanned before that."""
+    log, film, moving = demo.log, demo.video, demo.labels == MOVING
+    gone = demo.scene.select(moving).transformed(HINGE.motion(HINGE.upper))
+    return replace(
+        demo,
+        video=replace(film, frames_srgb=film.frames_srgb[::-1]),
+        log=replace(log, joints=log.joints[::-1], gripper=log.gripper[::-1]),
+        scene=concatenate([gone, demo.scene.select(~moving)]),
+        labels=np.concatenate([demo.labels[moving], demo.labels[~moving]]),
+    )
+
+
+def line_gap_m(first: Joint, second: Joint) -> float:
+    """Distance of one axis' origin from the other axis, [m]."""
+    offset = second.origin - first.origin
+    return float(np.linalg.norm(offset - (offset @ first.axis) * first.axis))
+
+
+def test_the_joint_is_found() -> None:
+    found = opened()
+    assert (found.joint.type, found.direction) == ("revolute", "opening")
+    assert angle_between(found.joint.axis, HINGE.axis) < np.radians(0.5)
+    assert line_gap_m(HINGE, found.joint) < 0.004
+    assert found.thetas == pytest.approx(thetas_at(FRAMES_S), abs=np.radians(0.7))
+
+
+def test_where_the_world_stands_changes_nothing() -> None:
+    T = transform(matrix_from_rotvec([0.1, -0.15, 2.0]), np.array([0.7, -0.4, 0.3]))
+    here, there = opened(), estimate_motion(elsewhere(world(), T), QUICK)
+    seen_here = there.joint.moved(invert(T))
+    assert (there.joint.type, there.direction) == (here.joint.type, here.direction)
+    assert angle_between(seen_here.axis, here.joint.axis) < np.radians(0.05)
+    assert line_gap_m(here.joint, seen_here) < 3e-4
+    assert there.thetas == pytest.approx(here.thetas, abs=np.radians(0.1))
+    assert (there.start_s, there.end_s) == (here.start_s, here.end_s)
+    # "Up" is the only direction that the world has; leaning, boxes are found in another way.
+    for mine, moved in zip(here.contacts, there.contacts, strict=True):
+        assert apply(invert(T), moved.point) == pytest.approx(mine.point, abs=3e-3)
+
+
+def test_time_turned_back_closes_what_was_opened() -> None:
+    forth, back = opened(), estimate_motion(backwards(world()), QUICK)
+    assert back.joint.type == forth.joint.type
+    assert (forth.direction, back.direction) == ("opening", "closing")
+    assert angle_between(back.joint.axis, -forth.joint.axis) < np.radians(0.3)
+    assert line_gap_m(forth.joint, back.joint) < 2e-3
+    assert back.thetas == pytest.approx(forth.thetas[-1] - forth.thetas[::-1], abs=np.radians(0.5))
+    assert back.start_s == pytest.approx(LENGTH_S - forth.end_s, abs=0.11)
+    assert back.end_s == pytest.approx(LENGTH_S - forth.start_s, abs=0.11)
