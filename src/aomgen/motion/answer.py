@@ -76,7 +76,8 @@ def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Ar
     grasp_sd = np.hypot(estimate.residual_m / radius, GIVE_RATE * thetas)
     speed = np.abs(np.interp(frames, recovery.times_s, np.gradient(recovery.values, recovery.times_s)))
     clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
-    return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2)
+    level_sd = np.where(thetas > 0, recovery.level_sd, 0.0)
+    return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2 + level_sd**2)
 
 
 def _last_frame(frames: Array, moment_s: float) -> float:

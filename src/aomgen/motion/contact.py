@@ -17,7 +17,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.motion.grip import Patch, held_patches
 from aomgen.motion.hand import EMPTY_GRIP
 from aomgen.motion.path import mean_pose
-from aomgen.motion.push import pushing_patches
+from aomgen.motion.push import MIN_WAY_M, pushing_patches
 from aomgen.physics.hand_surface import hand_surface
 from aomgen.physics.robot import RobotModel
 
@@ -107,7 +107,9 @@ def find_contacts(
     patches = held_patches(robot.pads, Ts_ee_body, points_ee, axes_ee) if open_hand else ()
     if not patches and robot.hand_bodies:
         points, normals = (surface := hand_surface(robot)).posed(Ts_ee_body)
-        patches = pushing_patches((points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee))
+        patches = pushing_patches(
+            (points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee, path.Ts_world_part)
+        )
     if not patches:
         patches = (_nearest(points_ee),)
     sd_m = float(np.sqrt(np.mean([patch.covariance.trace() / 3 for patch in patches])))
@@ -118,9 +120,14 @@ def find_contacts(
     )
 
 
-def _way_ee(Ts_world_ee: Array) -> Array:
-    """The hand's displacement (3,) over the path, end-effector frame, [m]."""
-    return Ts_world_ee[0, :3, :3].T @ (Ts_world_ee[-1, :3, 3] - Ts_world_ee[0, :3, 3])
+def _way_ee(Ts_world_ee: Array, Ts_world_part: Array) -> Array:
+    """Way (3,) of the part at the hand over the path, of the hand if the part rests; end-effector frame, [m]."""
+    T_world_ee = Ts_world_ee[len(Ts_world_ee) // 2]
+    touched = apply(invert(Ts_world_part[len(Ts_world_part) // 2]), T_world_ee[:3, 3])
+    first, last = apply(Ts_world_part[[0, -1]], touched)
+    if not np.linalg.norm(last - first) > MIN_WAY_M:
+        first, last = Ts_world_ee[[0, -1], :3, 3]
+    return T_world_ee[:3, :3].T @ (last - first)
 
 
 def _carried(patch: Patch, Ts_world_ee: Array) -> ContactPatch:

@@ -19,6 +19,8 @@ STILL_M = 0.0025
 # Fingers that hold slide or give way about this far before the part follows, [m].
 _SLACK_M = 0.01
 _CANDIDATES = 101
+# Joint logs of a resting hand wander by less than this, smoothed, [m].
+_JITTER_M = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +57,16 @@ class Way:
         """Farthest distance (D,) from the first point so far, [m]."""
         return np.maximum.accumulate(np.linalg.norm(self.points - self.points[0], axis=1))
 
+    @property
+    def length(self) -> Array:
+        """Length (D,) of the way gone so far, [m]; to and fro within `_JITTER_M` is none."""
+        gone, anchor = np.zeros(len(self.points)), 0
+        for k in range(1, len(gone)):
+            step = float(np.linalg.norm(self.points[k] - self.points[anchor]))
+            gone[k] = max(gone[k - 1], gone[anchor] + step)
+            anchor = k if step >= _JITTER_M else anchor
+        return gone
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight:
@@ -72,7 +84,7 @@ class Sight:
 def leaving(way: Way, times_s: Array, departures: Array, sight: Sight, *, held: bool) -> Moment:
     """When the part leaves its first place.
 
-    The departure is taken to be `k max(0, u - u0)^p` with u the hand's travel: 0 while the hand comes or
+    The departure is taken to be `k max(0, u - u0)^p` with u the hand's travel (its way, if not held): 0 while the hand comes or
     slides, then growing with it. k is fitted, p is summed over, u0 has a posterior. Less than a pixel
     does not show, so the part moves that much before; the moment is when the hand gets there.
 
@@ -89,7 +101,8 @@ def leaving(way: Way, times_s: Array, departures: Array, sight: Sight, *, held: 
     clean = clean - float(np.median(clean[:2]))
     middle = int(np.argmax(clean >= _EARLY * clean.max()))
     early = slice(0, min(max(middle, 2), len(times_s) - 1) + 1)
-    travel = way.travel
+    # A hand that holds nothing comes from aside: its distance from where it was tells nothing.
+    travel = way.travel if held else way.length
     along = np.interp(times_s[early], way.times_s, travel)
     offsets = np.linspace(0.0, float(along[-1]), _CANDIDATES)
     slack = np.maximum(0.0, offsets - sight.pixel_m)

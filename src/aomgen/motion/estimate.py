@@ -62,7 +62,7 @@ def estimate_motion(
             moved.check()
         signs.check()
         progress(0.4, "joint")
-        first = touched(demo, view, (interval.start.time_s, interval.end.time_s), params)
+        first = touched(demo, view, seen, interval, params)
         doors, drawers = (
             _answer(demo, masks_at, curve, moved.odds, recover(first, joint_type, params), params)
             for joint_type in ("revolute", "prismatic")

@@ -1,6 +1,6 @@
 """What the robot's own log says at given moments: hand pose, speed, grip and distance to the part."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from aomgen.core.joint_log import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.motion.filters import runs
+from aomgen.physics.hand_surface import hand_surface
 from aomgen.physics.robot import FingerPad, RobotModel
 
 _PAD_GRID = 9
@@ -22,6 +23,10 @@ _NEAR_GRASP_M = 0.10
 EMPTY_GRIP = 0.96
 # Fingers this much farther away than at their nearest count as touching, [m].
 _NEAR_TOUCH_M = 0.01
+# A film of the part at rest that ends when the hand is near, [s].
+_REST_S = 0.25
+# Every so many points of the hand's surface tell its distance, 1 cm apart.
+_EVERY = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,6 +151,37 @@ def touch_interval(signals: HandSignals) -> Touch:
             return Touch(first=first, last=last, gripped=True)
     near = signals.distances_m <= float(signals.distances_m.min()) + _NEAR_TOUCH_M
     return Touch(first=int(np.argmax(near)), last=count - 1, gripped=False)
+
+
+def reached(touch: Touch, signals: HandSignals, gaps_m: Array) -> Touch:
+    """The touch of a hand that grips nothing, by the distance of its whole surface.
+
+    Knuckles and backs of fingers push as well as pads. It begins a moment before the surface is about as
+    near as it ever comes, so that its first frames show the part at rest.
+
+    Args:
+        touch: From `touch_interval`.
+        signals: Of the same frames.
+        gaps_m: Smallest distance of the hand's surface to the part at its scanned place (T,), [m].
+    """
+    near = int(np.argmax(gaps_m <= float(gaps_m.min()) + _NEAR_TOUCH_M))
+    first = int(np.searchsorted(signals.times_s, signals.times_s[near] - _REST_S))
+    return replace(touch, first=first)
+
+
+def surface_gaps(
+    robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array, clock_offset_s: float
+) -> Array:
+    """Smallest distance (T,) of the hand's surface to the part at its scanned place, [m].
+
+    Args: as in `hand_signals`; infinite for an arm without a hand.
+    """
+    surface = hand_surface(robot)
+    bodies = robot.link_poses(*log.at(times_s + clock_offset_s))
+    tree = cKDTree(points_moving)
+    if not len(surface.points_body):
+        return np.full(len(times_s), np.inf)
+    return np.array([tree.query(surface.posed(Ts)[0][::_EVERY])[0].min() for Ts in bodies])
 
 
 def _plateau(run: NDArray[np.intp], grip: Array, tolerance: float) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from aomgen.motion.evidence import MotionSigns
 from aomgen.motion.exposure import matched_frames
 from aomgen.motion.filters import grown, smooth
 from aomgen.motion.following import following
-from aomgen.motion.hand import HandSignals, Touch, hand_signals, touch_interval
+from aomgen.motion.hand import HandSignals, Touch, hand_signals, reached, surface_gaps, touch_interval
 from aomgen.motion.keyframes import (
     Departures,
     Interval,
@@ -81,13 +81,17 @@ class KeyframeView:
                 "check that the camera stands still and that the video shows the whole motion",
             )
         signals = hand_signals(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
+        touch = touch_interval(signals)
+        if not touch.gripped and demo.robot.hand_bodies:
+            gaps = surface_gaps(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
+            touch = reached(touch, signals, gaps)
         return KeyframeView(
             camera=small,
             frames_srgb=film.frames_srgb[good],
             masks=masks[good],
             region=region,
             signals=signals,
-            touch=touch_interval(signals),
+            touch=touch,
             way=_way(demo, float(times[0]), float(times[-1])),
             pixel_m=float(np.median(small.project(demo.points_moving)[1])) / small.fx,
         )

@@ -1,6 +1,6 @@
 """Contact, joint and joint values from the hand's path during the touch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,10 +8,13 @@ from aomgen.core.joint import Joint, JointType
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.ends import Sight
 from aomgen.motion.geometry import Shape, shape_of
-from aomgen.motion.joint import Candidates, JointEstimate, candidates
+from aomgen.motion.joint import Candidates, JointEstimate, JointParams, candidates
 from aomgen.motion.keyframe_view import KeyframeView
+from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.params import MotionParams
+from aomgen.motion.pushed import Picture, loose, pushed_course
 from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values, smooth_within
 
 _DENSE_STEP_S = 0.01
@@ -20,7 +23,12 @@ _SMOOTH_S = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """Joint and values along the touch, with the refined interval."""
+    """Joint and values along the touch, with the refined interval.
+
+    Attributes:
+        levels: Values along the touch of the part at rest, before and after.
+        level_sd: Standard deviation of the first one beyond that of the hand's path, [rad] or [m].
+    """
 
     contacts: Contacts
     found: Candidates
@@ -28,6 +36,7 @@ class Recovery:
     joint: Joint
     interval: tuple[float, float]
     levels: tuple[float, float]
+    level_sd: float
     times_s: Array
     values: Array
     face_normal: Array
@@ -42,33 +51,38 @@ class Touched:
         seen: Start and end as seen in the picture, [s].
         touch_s: First and last moment at which the hand can move the part, [s].
         gripped: The hand held the part before and after.
+        joint: How the hand's way is read.
         shape: Of the parts.
         surface: Points of the moving part (N, 3), world frame, [m].
         contacts, found: By the interval seen.
+        picture: What the film shows of start and end.
     """
 
     demo: Demonstration
     seen: tuple[float, float]
     touch_s: tuple[float, float]
     gripped: bool
+    joint: JointParams
     shape: Shape
     surface: Array
     contacts: Contacts
     found: Candidates
+    picture: Picture
 
 
 def touched(
-    demo: Demonstration, view: KeyframeView, seen: tuple[float, float], params: MotionParams
+    demo: Demonstration, view: KeyframeView, departures: Departures, interval: Interval, params: MotionParams
 ) -> Touched:
-    """Contact, and either type's joint, by the interval seen.
+    """Contact, and either type's joint, by the interval seen and the departures that it was read from.
 
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
     """
+    seen = (interval.start.time_s, interval.end.time_s)
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
-    if not touch.gripped:
-        touch_s = (touch_s[0], min(touch_s[1], seen[1] + 0.5))
+    inside = slice(touch.first, touch.last + 1)
+    joint = params.joint if touch.gripped else replace(params.joint, noise=loose(params.joint.noise))
     shape = shape_of(demo.points_static, demo.points_moving)
     surface = demo.surface_moving(params.contact.spacing_m)
     begin = PartPath.carried(
@@ -77,16 +91,22 @@ def touched(
         (touch_s if touch.gripped else seen)[0] + demo.clock_offset_s,
         _begin(seen, demo, params),
     )
-    contacts, found = _explained(demo, shape, surface, begin, seen, params)
+    contacts, found = _explained(demo, shape, surface, begin, seen, joint)
     return Touched(
         demo=demo,
         seen=seen,
         touch_s=touch_s,
         gripped=touch.gripped,
+        joint=joint,
         shape=shape,
         surface=surface,
         contacts=contacts,
         found=found,
+        picture=Picture(
+            times_s=frame_times[inside],
+            seen=Departures(left=departures.left[inside], ahead=departures.ahead[inside]),
+            sight=Sight(noise=interval.threshold / 3, pixel_m=0.0),
+        ),
     )
 
 
@@ -108,6 +128,9 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
         reference = int(np.argmin(np.abs(times - interval[0])))
         path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
         values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
+        if not first.gripped:
+            pushed = pushed_course(times, values, interval, leave, first.picture)
+            return _Course(interval=pushed.interval, levels=pushed.levels, values=pushed.values)
         felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=first.gripped)
         start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
         return _Course(interval=(start, end), levels=levels, values=values)
@@ -116,7 +139,7 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
     moments = _begin(course.interval, demo, params)
     thetas = np.interp(moments - offset_s, times, course.values) - course.levels[0]
     begin = PartPath(times_log_s=moments, Ts_world_part=first.found.of(joint_type).joint.motion(thetas))
-    contacts, found = _explained(demo, shape, first.surface, begin, course.interval, params)
+    contacts, found = _explained(demo, shape, first.surface, begin, course.interval, first.joint)
     course = along(found, course.interval)
     estimate = found.of(joint_type)
     return Recovery(
@@ -126,6 +149,7 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
         joint=estimate.joint,
         interval=course.interval,
         levels=course.levels,
+        level_sd=0.0 if first.gripped else leave,
         times_s=times,
         values=course.values,
         face_normal=shape.face_normal,
@@ -147,12 +171,12 @@ def _explained(
     surface: Array,
     begin: PartPath,
     interval: tuple[float, float],
-    params: MotionParams,
+    params: JointParams,
 ) -> tuple[Contacts, Candidates]:
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
     contacts = find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
     held = poses_at(demo, _dense(interval) + demo.clock_offset_s)
-    return contacts, candidates(held, contacts.grasp_ee, shape, params.joint)
+    return contacts, candidates(held, contacts.grasp_ee, shape, params)
 
 
 def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:

@@ -1,0 +1,100 @@
+"""The course of a part that is pushed or hooked: a hand that does not hold it takes it forward only.
+
+Before the hand meets the part and after it lets go, it moves freely. In between, the part is as far as the
+hand ever pushed it; the picture tells where on the hand's way that begins and ends.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aomgen.core.values import Array, freeze
+from aomgen.motion.ends import STILL_M, Sight, Way, arriving, leaving
+from aomgen.motion.joint_noise import SCALES, NoisePrior
+from aomgen.motion.keyframes import Departures
+
+# A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
+# 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
+_LOOSE_RATE, _LOOSE_SPREAD = 0.06, 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """What the film shows of the two ends.
+
+    Attributes:
+        times_s: Times of the frames of the touch (T,), [s].
+        seen: The part's departures in them.
+        sight: What the picture can tell.
+    """
+
+    times_s: Array
+    seen: Departures
+    sight: Sight
+
+    def __post_init__(self) -> None:
+        freeze(self, "times_s", self.times_s, (len(self.seen.left),))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PushedCourse:
+    """Joint values along a touch without a grip.
+
+    Attributes:
+        values: How far the part is (T,), never falling, [rad] or [m].
+        interval: Start and end of the motion, [s].
+        levels: Values of the part at rest before and after.
+    """
+
+    values: Array
+    interval: tuple[float, float]
+    levels: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        freeze(self, "values", self.values, (None,))
+
+
+def pushed_course(
+    times_s: Array, values: Array, seen_s: tuple[float, float], leave: float, picture: Picture
+) -> PushedCourse:
+    """Follow a part by the value that the hand's way would give it.
+
+    Args:
+        times_s: Dense times of the touch (T,), [s].
+        values: The joint value if the hand held the part all the time (T,), smooth, growing in the
+            demonstrated direction.
+        seen_s: A first guess of start and end, [s]; the hand pushes at their middle.
+        leave: Change of the value at which a motion has begun, `LEAVE_RAD` or `LEAVE_M`.
+        picture: Of the touch.
+    """
+    farthest = _farthest(values, int(np.argmin(np.abs(times_s - sum(seen_s) / 2))))
+    along = np.zeros((len(values), 3))
+    along[:, 0] = farthest * (STILL_M / leave)
+    way = Way(times_s=times_s, points=along)
+    start = leaving(way, picture.times_s, picture.seen.left, picture.sight, held=False)
+    end = arriving(way, picture.times_s, picture.seen.ahead, picture.sight, held=False)
+    interval = (min(start.time_s, end.time_s), max(start.time_s, end.time_s))
+    first, last = np.interp(interval, times_s, farthest)
+    return PushedCourse(values=farthest, interval=interval, levels=(first - leave, last + leave))
+
+
+def _farthest(values: Array, middle: int) -> Array:
+    """Values (T,) without what the hand moves backwards: before it comes to the part, and when it leaves it."""
+    return np.concatenate(
+        [np.minimum.accumulate(values[: middle + 1][::-1])[::-1], np.maximum.accumulate(values[middle:])[1:]]
+    )
+
+
+def loose(noise: NoisePrior) -> NoisePrior:
+    """Usual flaws of a path on which the hand only pushes or hooks: it slides across the motion."""
+    spreads = [
+        _LOOSE_SPREAD if name in ("bar", "straight") else spread
+        for name, spread in zip(SCALES, noise.spreads, strict=True)
+    ]
+    return replace(
+        noise,
+        face_rate=_LOOSE_RATE / 4,
+        bar_rate=_LOOSE_RATE,
+        straight_rate=_LOOSE_RATE,
+        spreads=tuple(spreads),
+    )
