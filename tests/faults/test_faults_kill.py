@@ -11,7 +11,7 @@ import numpy as np
 from aomgen.io.episode_folder import list_committed, read_episode
 
 SCRIPT = Path(__file__).with_name("killed_run.py")
-KILLS = 12
+KILLS = 8
 
 
 def start(out: Path) -> subprocess.Popen:

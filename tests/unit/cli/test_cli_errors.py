@@ -2,21 +2,39 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
+from subprocess import CompletedProcess
+from unittest.mock import patch
 
 import pytest
 
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
+from aomgen.cli import main
 
 
-def aomgen(*arguments: object, folder: Path) -> subprocess.CompletedProcess:
-    """Run the command line as a user does."""
+def started(*arguments: object, folder: Path) -> CompletedProcess:
+    """Run the command line as a user does; shows also what native libraries write."""
     command = [sys.executable, "-c", "from aomgen.cli import main; main()", *map(str, arguments)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
 
 
-def one_sentence(result: subprocess.CompletedProcess, code: int, *words: str) -> None:
+def aomgen(*arguments: object, folder: Path) -> CompletedProcess:
+    """Run the command line in this process, which has imported everything already."""
+    words = ["aomgen", *map(str, arguments)]
+    out, err, code = StringIO(), StringIO(), 0
+    with chdir(folder), redirect_stdout(out), redirect_stderr(err), patch.object(sys, "argv", words):
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+def one_sentence(result: CompletedProcess, code: int, *words: str) -> None:
     assert result.returncode == code, result.stderr
     lines = result.stderr.strip().splitlines()
     assert len(lines) == 1, result.stderr
@@ -36,14 +54,15 @@ def test_a_damaged_capture_starts_nothing(capture_copy, tmp_path):
     video = capture_copy / "demo" / "front.mp4"
     assert aomgen("init", capture_copy, folder=tmp_path).returncode == 0
     video.write_bytes(video.read_bytes()[:100_000])
-    result = aomgen("run", "project.toml", folder=tmp_path)
+    result = started("run", "project.toml", folder=tmp_path)
     one_sentence(result, 3, "front.mp4", "copy or export the video again")
     assert not (tmp_path / "out").exists()
 
 
-def test_init_does_not_overwrite(capture_copy, tmp_path):
+@pytest.mark.parametrize("call", [aomgen, started])
+def test_init_does_not_overwrite(sample, tmp_path, call: Callable[..., CompletedProcess]):
     (tmp_path / "project.toml").write_text("")
-    one_sentence(aomgen("init", capture_copy, folder=tmp_path), 2, "exists already")
+    one_sentence(call("init", sample, folder=tmp_path), 2, "exists already")
 
 
 @pytest.mark.parametrize(
@@ -59,8 +78,8 @@ def test_a_wrong_project(tmp_path, text, words):
     one_sentence(aomgen("run", "project.toml", folder=tmp_path), 2, *words)
 
 
-def test_an_unknown_stage_lists_the_known(capture_copy, tmp_path):
-    aomgen("init", capture_copy, folder=tmp_path)
+def test_an_unknown_stage_lists_the_known(sample, tmp_path):
+    aomgen("init", sample, folder=tmp_path)
     result = aomgen("run", "project.toml", "--until", "dreaming", folder=tmp_path)
     one_sentence(result, 2, "dreaming", "structure, gaussians")
 
@@ -90,7 +109,7 @@ def test_an_asset_without_a_joint(tmp_path):
         if prim.IsA(UsdPhysics.Joint):
             stage.RemovePrim(prim.GetPath())
     stage.Save()
-    one_sentence(aomgen("check", "box.usda", folder=tmp_path), 3, "box.usda", "joint")
+    one_sentence(started("check", "box.usda", folder=tmp_path), 3, "box.usda", "joint")
 
 
 def test_no_ground_truth_no_score(sample, tmp_path):

@@ -56,7 +56,7 @@ def _run(
     *,
     intrinsics: Intrinsics | None = INTRINSICS,
     demo: dict[str, DemoView] | None = None,
-    params: StructureParams | None = None,
+    params: StructureParams = FEW_FEATURES,
 ) -> Structure:
     photographs = Photographs(images=images, intrinsics=intrinsics, demo=demo or {})
     return run_structure(photographs, {}, folder, silent, params)
@@ -124,7 +124,7 @@ def test_foreign_and_repeated_images_are_listed_and_unused(photographs, tmp_path
     again = tmp_path / "again.jpg"
     write_image(again, read_image(images["05.png"]))
     images["again.jpg"] = again
-    structure = _run(images, tmp_path / "out", demo={"front": view}, params=FEW_FEATURES)
+    structure = _run(images, tmp_path / "out", demo={"front": view})
     assert set(structure.dropped) == {"foreign0.png", "foreign1.png", "again.jpg"}
     assert "shows the same as" in structure.dropped["again.jpg"]
     assert "too few matches" in structure.dropped["foreign0.png"]
@@ -136,7 +136,7 @@ def test_a_few_places_photographed_again_and_again_are_refused(photographs, tmp_
     images, *_ = photographs
     few = {f"{i}{name}": path for name, path in list(images.items())[:4] for i in range(3)}
     with pytest.raises(ReconstructionError, match="12 images, 8 of them twice"):
-        _run(few, tmp_path, params=FEW_FEATURES)
+        _run(few, tmp_path)
 
 
 def _half_blind(images: dict[str, Path]):
@@ -157,7 +157,7 @@ def _half_blind(images: dict[str, Path]):
 def test_global_mapping_helps_where_incremental_mapping_stops(photographs, tmp_path, monkeypatch):
     images, cameras, view, _ = photographs
     monkeypatch.setattr(Workspace, "map", _half_blind(images))
-    structure = _run(images, tmp_path, demo={"front": view, "side": view}, params=FEW_FEATURES)
+    structure = _run(images, tmp_path, demo={"front": view, "side": view})
     assert structure.figures["mapper"] == "global"
     assert structure.figures["tried"]["incremental"]["registered"] == 6
     assert structure.dropped == {}
@@ -169,7 +169,7 @@ def test_global_mapping_finds_the_focal_length(photographs, tmp_path, monkeypatc
     images, cameras, view, _ = photographs
     monkeypatch.setattr(Workspace, "map", lambda work, group: None)
     demo = {"front": replace(view, intrinsics=None)}
-    structure = _run(images, tmp_path, intrinsics=None, demo=demo, params=FEW_FEATURES)
+    structure = _run(images, tmp_path, intrinsics=None, demo=demo)
     assert structure.figures["mapper"] == "global"
     scan = next(iter(structure.cameras_recon.values()))
     assert scan.fx == pytest.approx(320, rel=0.02)
@@ -183,7 +183,7 @@ def test_a_result_of_half_the_images_is_refused(photographs, tmp_path, monkeypat
     monkeypatch.setattr(Workspace, "map", _half_blind(images))
     monkeypatch.setattr(Workspace, "map_globally", _half_blind(images))
     with pytest.raises(ReconstructionError, match=r"6 of 12 images"):
-        _run(images, tmp_path, params=FEW_FEATURES)
+        _run(images, tmp_path)
 
 
 def _vetted(count: int, error_px: float) -> Vetted:
@@ -228,7 +228,7 @@ def test_a_fixed_camera_that_shows_something_else_is_refused(photographs, tmp_pa
     noise = np.random.default_rng(1).integers(0, 255, (240, 320, 3)).astype(np.uint8)
     view = DemoView(first_srgb=noise, median_srgb=noise, intrinsics=INTRINSICS)
     with pytest.raises(ReconstructionError, match="front"):
-        _run(images, tmp_path, demo={"front": view}, params=StructureParams(max_features=1500))
+        _run(images, tmp_path, demo={"front": view})
 
 
 def test_a_damaged_structure_is_named(tmp_path):
