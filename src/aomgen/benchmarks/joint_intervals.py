@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.benchmarks.joint_worlds import JointWorld, draw_world
+from aomgen.benchmarks.joint_worlds import GRASP_SD_M, JointWorld, draw_world
 from aomgen.core.transforms import angle_between
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.motion.geometry import shape_of
 from aomgen.motion.joint import JointEstimate, estimate_joint
+from aomgen.motion.path import Hold
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +44,8 @@ def measure_world(seed: int) -> IntervalRow:
     failure = ""
     try:
         shape = shape_of(world.points_static, world.points_moving)
-        estimate = estimate_joint(world.Ts_world_ee, world.grasp_ee, shape)
+        hold = Hold(point_ee=world.grasp_ee, closing_ee=world.closing_ee, sd_m=GRASP_SD_M)
+        estimate = estimate_joint(world.Ts_world_ee, hold, shape)
         failure = "" if estimate.joint.type == kind else "wrong type"
     except EstimationError as error:
         failure = type(error).__name__

@@ -16,15 +16,15 @@ from aomgen.motion.theta import path_values, values_at_frames
 
 # One of so many samples of the joint is carried to the values.
 _EVERY = 8
-# Grasps give way along the motion by this per travel (simulated contact with doors and drawers), [m/m].
-GIVE_RATE = 0.002
 
 
 def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: float) -> MotionEstimate:
     """The estimate as the rest of the pipeline reads it."""
     frames = demo.video.times_s
     estimate = recovery.estimate
-    thetas = values_at_frames(frames, recovery.times_s, recovery.values, recovery.interval, recovery.levels)
+    thetas = values_at_frames(
+        frames, (recovery.times_s, recovery.values), recovery.interval, recovery.levels, recovery.leave
+    )
     moving = (frames >= recovery.interval[0]) & (frames <= recovery.interval[1])
     joint = Joint(
         type=recovery.joint.type,
@@ -61,7 +61,7 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
 
 
 def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Array) -> Array:
-    """Standard deviation (F,) of the values, [rad] or [m]: of the joint, of the grasp, of the clock."""
+    """Standard deviation (F,) of the values, [rad] or [m]: of the joint, the grasp, the clock and the level at rest."""
     estimate, joint = recovery.estimate, recovery.joint
     first, last = recovery.interval
     moments = np.clip(frames, first, last)
@@ -73,7 +73,7 @@ def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Ar
     ]
     offset = apply(poses[0], estimate.grasp_ee) - joint.origin
     radius = float(np.linalg.norm(np.cross(offset, joint.axis))) if joint.type == "revolute" else 1.0
-    grasp_sd = np.hypot(estimate.residual_m / radius, GIVE_RATE * thetas)
+    grasp_sd = np.hypot(estimate.residual_m / radius, estimate.give_rate * thetas)
     speed = np.abs(np.interp(frames, recovery.times_s, np.gradient(recovery.values, recovery.times_s)))
     clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
     level_sd = np.where(thetas > 0, recovery.level_sd, 0.0)

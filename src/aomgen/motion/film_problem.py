@@ -48,8 +48,8 @@ class FilmProblem:
     distortion_px: float
 
     @staticmethod
-    def of(film: PartFilm, hand: HandAnswer, frames: NDArray[np.intp], slip_share: float) -> "FilmProblem":
-        """Set up the prior; `slip_share` is the standard deviation of a steady slip, as share of the value."""
+    def of(film: PartFilm, hand: HandAnswer, frames: NDArray[np.intp]) -> "FilmProblem":
+        """Set up the prior."""
         joint = hand.joint
         pivot = joint.origin + joint.axis * ((hand.held_world - joint.origin) @ joint.axis)
         begin, end = hand.interval
@@ -57,8 +57,7 @@ class FilmProblem:
         length = _ALIKE_SHARE * (end - begin)
         alike = np.exp(-0.5 * ((moments[:, None] - moments[frames]) / length) ** 2)
         own = np.linalg.inv(alike[frames] + _ROUGHNESS * np.eye(len(frames)))
-        sd = np.hypot(hand.theta_sd, slip_share * np.abs(hand.thetas))
-        during = hand.times_s >= begin
+        during = (hand.thetas > 0) | (hand.times_s >= begin)
         count = len(hand.covariance)
         precision = np.zeros((count + len(frames),) * 2)
         precision[:count, :count] = np.linalg.inv(hand.covariance)
@@ -69,7 +68,7 @@ class FilmProblem:
             frames=frames,
             pivot=pivot,
             lever=value_lever(hand, pivot) * during[:, None],
-            spread=np.asarray((sd * during)[:, None] * (alike @ own), np.float64),
+            spread=np.asarray((hand.theta_sd * during)[:, None] * (alike @ own), np.float64),
             precision=precision,
             distortion_px=_DISTORTION_PX * np.sqrt(len(frames) / _INDEPENDENT_FRAMES),
         )

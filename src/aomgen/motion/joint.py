@@ -14,9 +14,9 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
 from aomgen.motion.geometry import Shape
 from aomgen.motion.joint_fit import JointModel, Posterior, fitted, posterior
-from aomgen.motion.joint_models import Prismatic, Revolute
-from aomgen.motion.joint_noise import BEND_SHARE, SCALES, Course, NoisePrior
-from aomgen.motion.path import HandPath, thin
+from aomgen.motion.joint_models import Prismatic, Revolute, first_axes
+from aomgen.motion.joint_noise import BEND_SHARE, SCALES, Course, NoisePrior, give_rate, held_rate
+from aomgen.motion.path import HandPath, Hold, thin
 
 _REMEDY = "record a longer demonstration"
 # Sizes of flaws this many standard deviations above their medians are looked into.
@@ -30,7 +30,6 @@ class JointParams:
 
     Attributes:
         noise: Usual flaws of the evidence.
-        grasp_sd_m: Error of the first guess of the held point, [m].
         nodes: Stretches the path is thinned to.
         smooth: Samples averaged when measuring travel.
         min_turn_rad, min_travel_m: Shortest motion that tells a joint.
@@ -40,7 +39,6 @@ class JointParams:
     """
 
     noise: NoisePrior = field(default_factory=NoisePrior)
-    grasp_sd_m: float = 0.008
     nodes: int = 24
     smooth: int = 11
     min_turn_rad: float = float(np.radians(15.0))
@@ -61,6 +59,7 @@ class JointEstimate:
         origin_sd_m: The same of the axis line near the contact, [m]; 0 for a prismatic joint.
         axis_ci95_rad, origin_ci95_m: Radii around direction and line that hold the true ones with 95 %.
         residual_m: Unsteadiness of the hand along the path, [m].
+        give_rate: Slip along the way of the part per travel, standard deviation, [m/m].
         turn_ratio: Turn of the hand over turn of the part; 0 for a prismatic joint.
         margin: Twice the log evidence of this type over the other one.
         axes, origins, grasps: Equally likely axes (S, 3), points on them (S, 3) [m] and held points (S, 3) [m].
@@ -73,6 +72,7 @@ class JointEstimate:
     axis_ci95_rad: float
     origin_ci95_m: float
     residual_m: float
+    give_rate: float
     turn_ratio: float
     margin: float
     axes: Array
@@ -108,13 +108,13 @@ class Candidates:
 
 
 def candidates(
-    Ts_world_ee: Array, grasp_ee: Array, shape: Shape | None = None, params: JointParams | None = None
+    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
 ) -> Candidates:
     """Explain the hand's poses while it holds the part by either type of joint.
 
     Args:
         Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
-        grasp_ee: First guess of the held point (3,), end-effector frame, [m].
+        hold: Where and how the hand holds the part.
         shape: The parts' shape, or None to use the path alone.
         params: Limits and assumed errors.
 
@@ -125,7 +125,7 @@ def candidates(
     the edges remain as a belief. Not checked: that the hand holds the same part all the time.
     """
     params = params or JointParams()
-    path = thin(Ts_world_ee, grasp_ee, nodes=params.nodes, smooth=params.smooth)
+    path = thin(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
     points = path.points_world
     extent = float(np.linalg.norm(points - points[0], axis=1).max())
     if not extent >= params.min_travel_m:
@@ -136,8 +136,10 @@ def candidates(
         )
     revolute, prismatic = explanations(path, shape, params)
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
-    # The middle half of the nodes against the outer half tells the bulge.
-    unsteady, slip = prismatic.scales[0] * np.sqrt(4 / params.nodes), prismatic.scales[-1] * extent
+    # The middle half of the nodes against the outer half tells the bulge. Bars are along hinges, so that arcs
+    # bend in the direction that the fingers hold best.
+    unsteady = prismatic.scales[0] * np.sqrt(4 / params.nodes)
+    slip = held_rate(prismatic.scales, prismatic.model.firmness) * extent
     return Candidates(
         revolute=_estimate(path, revolute, "revolute", margin),
         prismatic=_estimate(path, prismatic, "prismatic", -margin),
@@ -183,13 +185,13 @@ def chosen_type(found: Candidates, film_margin: float = 0.0, params: JointParams
 
 
 def estimate_joint(
-    Ts_world_ee: Array, grasp_ee: Array, shape: Shape | None = None, params: JointParams | None = None
+    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
 ) -> JointEstimate:
     """The joint from the hand's poses alone, axis positive in the direction of the demonstration.
 
     See `candidates` for the arguments, and `chosen_type` for what is refused.
     """
-    found = candidates(Ts_world_ee, grasp_ee, shape, params)
+    found = candidates(Ts_world_ee, hold, shape, params)
     return found.of(chosen_type(found, params=params))
 
 
@@ -204,10 +206,9 @@ def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tu
             turns_world=turns,
             start=start,
             middle=middle,
-            grasp_sd_m=params.grasp_sd_m,
             reach_m=np.inf if shape is None else shape.reach_m(middle),
         )
-        for start in _first_axes(path, turns)
+        for start in first_axes(path, turns)
     ]
     along = np.linalg.svd(points - middle)[2][0]
     drawer = Prismatic(path=path, turns_world=turns, start=along, middle=middle)
@@ -257,20 +258,6 @@ def _refuse_hidden_arc(found: Candidates, params: JointParams) -> None:
     raise AmbiguousJointError("joint", problem, "hold the handle firmly or record a longer motion")
 
 
-def _first_axes(path: HandPath, turns_world: Array) -> list[Array]:
-    """Rotation axis of the hand, and four directions across the path's chord.
-
-    A short or unsteady arc hardly tells its plane, so its plane is not trusted.
-    """
-    points = path.points_world
-    axes = []
-    if np.linalg.norm(turns_world, axis=1).max() > np.radians(3.0):
-        axes.append(np.linalg.svd(turns_world)[2][0])
-    _, _, (_, second, third) = np.linalg.svd(points - points.mean(0))
-    diagonals = np.array([third + second, third - second]) / np.sqrt(2)
-    return [*axes, third, second, *diagonals]
-
-
 def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: float) -> JointEstimate:
     model, x = found.model, found.mean
     values = model.values(x)
@@ -279,6 +266,8 @@ def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: f
     held = path.points_world[0]
     revolute = joint_type == "revolute"
     axis, origin = (row[0] for row in _near(model, x[None], held))
+    way = np.cross(axis, held - origin) if revolute else axis
+    way = way / max(float(np.linalg.norm(way)), 1e-9)
     axes, origins = _near(model, found.draws, held)
     angles = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
     across = (origins - origin) * revolute
@@ -297,6 +286,7 @@ def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: f
         axis_ci95_rad=float(np.percentile(angles, 95)),
         origin_ci95_m=float(np.percentile(gaps, 95)),
         residual_m=float(found.scales[0]),
+        give_rate=give_rate(joint_type, found.scales, float(way @ path.closing_world)),
         turn_ratio=float(x[9]) if revolute else 0.0,
         margin=margin,
         axes=sign * axes,

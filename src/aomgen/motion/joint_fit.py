@@ -71,7 +71,7 @@ def solve(model: JointModel, course: Course, scales: Array, hint: AxisHint | Non
 
     Source: Levenberg, 1944; Marquardt, 1963.
     """
-    known = factors(course, scales)
+    known = factors(course, scales, model.firmness)
     whiten = np.stack([known[kind][0] for kind in model.kinds])
 
     def at(x: Array) -> tuple[float, Array, Array]:
@@ -138,7 +138,7 @@ def gaussian(
     model: JointModel, evidence: Evidence, course: Course, scales: Array
 ) -> tuple[float, Array, Array]:
     """Log evidence, step (P,) to the mean and information (P, P) at given sizes of the flaws."""
-    known = factors(course, scales)
+    known = factors(course, scales, model.firmness)
     (rows, slopes), (beliefs, lean) = evidence.data, evidence.prior
     whiten = np.stack([known[kind][0] for kind in model.kinds])
     r = np.concatenate([(whiten @ rows[..., None]).ravel(), beliefs])

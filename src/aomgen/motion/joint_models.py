@@ -43,7 +43,6 @@ class Revolute:
         turns_world: Its `turns_world` (K, 3).
         start: First guess of the axis (3,).
         middle: Reference point (3,), [m].
-        grasp_sd_m: Standard deviation of the first guess of the held point, [m].
         reach_m: The object's farthest point from the path's middle; no hinge is farther away, [m].
     """
 
@@ -51,10 +50,10 @@ class Revolute:
     turns_world: Array
     start: Array
     middle: Array
-    grasp_sd_m: float
     reach_m: float
 
     kinds = ("face", "bar", "tilt", "tilt", "pivot")
+    firmness = 1.0
     steps = np.array([1e-2, 1e-2, *[1e-2] * 4, *[3e-3] * 3, 0.1])
 
     def lines(self, x: Array) -> tuple[Array, Array]:
@@ -77,7 +76,7 @@ class Revolute:
 
     def grasp(self, x: Array) -> Array:
         """Held point (..., 3), end-effector frame, [m]."""
-        return self.path.grasp_ee + x[..., 6:9]
+        return self.path.hold.point_ee + x[..., 6:9]
 
     def values(self, x: Array) -> Array:
         """Turn of the part (K,) since the first node, [rad]."""
@@ -114,7 +113,7 @@ class Revolute:
         radius = np.maximum(np.abs(x[..., 4:5]), 1e-3)
         size = np.log(radius / RADIUS_M) / RADIUS_SPREAD
         beyond = np.log(np.maximum(radius / self.reach_m, 1.0)) / REACH_SPREAD
-        return np.concatenate([x[..., 6:9] / self.grasp_sd_m, ratio, size, beyond], axis=-1)
+        return np.concatenate([x[..., 6:9] / self.path.hold.sd_m, ratio, size, beyond], axis=-1)
 
     def log_any_place(self, x: Array) -> float:
         """Log density of an axis' place of which only the usual size is known, see `beliefs`."""
@@ -123,12 +122,15 @@ class Revolute:
     @property
     def log_beliefs(self) -> float:
         """Normalization of `beliefs`."""
-        return -float(np.log(self.grasp_sd_m) * 3 + np.log(RATIO_SD) + 2 * np.log(2 * np.pi))
+        return -float(np.log(self.path.hold.sd_m) * 3 + np.log(RATIO_SD) + 2 * np.log(2 * np.pi))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prismatic:
     """The held point goes straight and the hand does not turn.
+
+    Fingers hold the part in the direction in which they close, and it slips along their pads. So a path
+    strays less along the closing direction, as far as that is across the way, than across it.
 
     Unknowns (4,): tilt of the axis against `start` (2), place of the line across `start` from `middle` (2).
     """
@@ -138,8 +140,14 @@ class Prismatic:
     start: Array
     middle: Array
 
-    kinds = ("straight", "straight", "tilt", "tilt", "tilt")
+    kinds = ("straight", "bar", "tilt", "tilt", "tilt")
     steps = np.array([1e-2, 1e-2, 1e-2, 1e-2])
+
+    @property
+    def firmness(self) -> float:
+        """Share of the closing direction in the direction of the first row of `data`, squared."""
+        across = tangent_basis(self.start) @ self.path.closing_world
+        return float(across @ across)
 
     def lines(self, x: Array) -> tuple[Array, Array]:
         """Directions and points (..., 3) of the lines that unknowns (..., 4) mean."""
@@ -158,7 +166,7 @@ class Prismatic:
     def grasp(self, x: Array) -> Array:
         """Held point (3,), end-effector frame, [m]; a straight path does not tell it."""
         del x
-        return self.path.grasp_ee
+        return self.path.hold.point_ee
 
     def values(self, x: Array) -> Array:
         """Travel of the part (K,) since the first node, [m]."""
@@ -169,7 +177,11 @@ class Prismatic:
         """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 4)."""
         place = self.middle + x[..., 2:4] @ tangent_basis(self.start)
         offsets = self.path.points_world - place[..., None, :]
-        rows = [(offsets @ unit[..., None])[..., 0] for unit in _frame(self.start, x)[1:]]
+        first, second = ((offsets @ unit[..., None])[..., 0] for unit in _frame(self.start, x)[1:])
+        across = tangent_basis(self.start) @ self.path.closing_world
+        c, s = across / max(float(np.linalg.norm(across)), 1e-9)
+        c, s = (c, s) if c or s else (1.0, 0.0)
+        rows = [c * first + s * second, c * second - s * first]
         turns = np.broadcast_to(self.turns_world.T, (*x.shape[:-1], 3, len(self.turns_world)))
         return np.concatenate([np.stack(rows, axis=-2), turns], axis=-2)
 
@@ -214,6 +226,20 @@ def _cross(a: Array, b: Array) -> Array:
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def first_axes(path: HandPath, turns_world: Array) -> list[Array]:
+    """Rotation axis of the hand, and four directions across the path's chord.
+
+    A short or unsteady arc hardly tells its plane, so its plane is not trusted.
+    """
+    points = path.points_world
+    axes = []
+    if np.linalg.norm(turns_world, axis=1).max() > np.radians(3.0):
+        axes.append(np.linalg.svd(turns_world)[2][0])
+    _, _, (_, second, third) = np.linalg.svd(points - points.mean(0))
+    diagonals = np.array([third + second, third - second]) / np.sqrt(2)
+    return [*axes, third, second, *diagonals]
 
 
 def first_circle(points: Array, middle: Array, tangents: Array, turns: Array) -> tuple[Array, float]:

@@ -9,12 +9,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from aomgen.core.joint import JointType
 from aomgen.core.values import Array, freeze
 
 # A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
 # number squared (doors opened by contact).
 BEND_SHARE = 0.22
 _WAVES = 5
+# Grasps give way along the motion by this per travel, more where a handle rolls between the fingers (simulated
+# contact with 27 doors and lids, 18 drawers and sliding panels), [m/m].
+_GIVE_RATES = {"prismatic": 0.002, "revolute": 0.004}
+# Hands that slide along the bar of a drawer lose 0.05 to 0.23 of that along the pull (10 drawers).
+_LOST_SHARE = 0.16
 # Unsteadiness of a node at which the hand may not have held the part, over that of the others.
 _DOUBT = 100.0
 # Sizes are looked for between so many standard deviations from their medians.
@@ -32,10 +38,11 @@ class NoisePrior:
 
     Attributes:
         place_m, turn_rad: Unsteadiness of hand pose from stretch to stretch.
-        face_rate, bar_rate: Slip along the part's face and along the handle's bar per travel, [m/m].
+        face_rate, bar_rate: Slip along the part's face, and along the handle's bar or the fingers' pads
+            on a straight path, per travel, [m/m].
         tilt_rate: Turn of the hand across the joint's axis per travel, [rad/m].
         pivot_rate: Uneven turn of the handle in the fingers per travel, [rad/m].
-        straight_rate: Slip across a straight path per travel, [m/m].
+        straight_rate: Slip in the direction in which the fingers close per travel, [m/m].
         spreads: Standard deviation of the logarithm of each, in this order.
     """
 
@@ -46,7 +53,7 @@ class NoisePrior:
     tilt_rate: float = 0.016
     pivot_rate: float = 0.015
     straight_rate: float = 0.0015
-    spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.2, 1.4, 1.2, 1.2)
+    spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.8, 1.4, 1.2, 1.2)
 
     @property
     def medians(self) -> Array:
@@ -118,23 +125,56 @@ class Course:
         return np.diag((sd * self.doubt) ** 2)
 
 
-def covariances(course: Course, scales: Array) -> dict[str, Array]:
-    """Covariance (K, K) of each kind of residual, by name."""
-    place, turn, face, bar, tilt, pivot, straight = scales
+def covariances(course: Course, scales: Array, firmness: float = 1.0) -> dict[str, Array]:
+    """Covariance (K, K) of each kind of residual, by name.
+
+    Args:
+        course: Nodes of the path.
+        scales: Sizes of the flaws (7,).
+        firmness: Square of the cosine between the "straight" direction and that in which the fingers
+            close; by the rest they give way as along the bar.
+    """
+    place, turn, face, bar, tilt, pivot, _ = scales
     white_m, white_rad = course.white(place), course.white(turn)
     return {
         "face": white_m + course.steady(face),
         "bar": white_m + course.steady(bar),
         "tilt": white_rad + course.steady(tilt),
-        "straight": white_m + course.steady(straight),
+        "straight": white_m + course.steady(held_rate(scales, firmness)),
         "pivot": white_rad + course.uneven(pivot),
     }
 
 
-def factors(course: Course, scales: Array) -> dict[str, tuple[Array, float]]:
+def held_rate(scales: Array, firmness: float) -> float:
+    """Slip per travel [m/m] of a straight path in the direction across it that the fingers hold best.
+
+    Args:
+        scales: Sizes of the flaws (7,).
+        firmness: See `covariances`.
+    """
+    straight, bar = scales[SCALES.index("straight")], scales[SCALES.index("bar")]
+    return float(np.sqrt(firmness * straight**2 + (1 - firmness) * bar**2))
+
+
+def give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
+    """Slip per travel [m/m] along the way of the part, which no path of a hand shows.
+
+    Args:
+        joint_type: Of the part.
+        scales: Sizes of the flaws (7,).
+        closing: Cosine between the way and the direction in which the fingers close.
+
+    Source: a sliding contact gives way against the whole of the force on it (Coulomb), so that a hand
+    that slides along the bar also loses a share of that along its pull.
+    """
+    along_pads = np.sqrt(max(1 - closing**2, 0.0))
+    return float(np.hypot(_GIVE_RATES[joint_type], _LOST_SHARE * along_pads * scales[SCALES.index("bar")]))
+
+
+def factors(course: Course, scales: Array, firmness: float = 1.0) -> dict[str, tuple[Array, float]]:
     """Matrix (K, K) that makes residuals white and log determinant of each covariance, by name."""
     found = {}
-    for name, covariance in covariances(course, scales).items():
+    for name, covariance in covariances(course, scales, firmness).items():
         L = np.linalg.cholesky(covariance)
         found[name] = (np.linalg.inv(L), 2 * float(np.log(np.diag(L)).sum()))
     return found

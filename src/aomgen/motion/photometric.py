@@ -34,7 +34,6 @@ class PhotometricParams:
         dilate_px: Margin around the robot, [px].
         bands: Image detail, coarse to fine.
         rounds: Gauss-Newton steps in each band.
-        slip_share: Standard deviation of a steady slip, as share of the value.
         accept_sd: Held-out evidence has to improve by this many of its standard errors.
         min_explained: Share of the film's detail that the painted part has to explain: with less, its
             light has changed more than its place.
@@ -51,7 +50,6 @@ class PhotometricParams:
         Band(blur_px=0.7, wide_px=4.0, margin_px=2),
     )
     rounds: int = 3
-    slip_share: float = 0.01
     accept_sd: float = 2.0
     min_explained: float = 0.5
     camera_sd_rad: float = 0.001
@@ -136,7 +134,7 @@ def refine(
     film = part_film(
         demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
     )
-    problem = FilmProblem.of(film, hand, fitted, params.slip_share)
+    problem = FilmProblem.of(film, hand, fitted)
     y, covariance = problem.solve(params.bands, params.rounds)
     return _judged(problem, y, covariance, held_out, params)
 

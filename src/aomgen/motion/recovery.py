@@ -14,8 +14,9 @@ from aomgen.motion.joint import Candidates, JointEstimate, JointParams, candidat
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.params import MotionParams
+from aomgen.motion.path import Hold
 from aomgen.motion.pushed import Picture, loose, pushed_course
-from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values, smooth_within
+from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values, resting, smooth_within
 
 _DENSE_STEP_S = 0.01
 _SMOOTH_S = 0.2
@@ -26,8 +27,14 @@ class Recovery:
     """Joint and values along the touch, with the refined interval.
 
     Attributes:
+        contacts: By the refined interval.
+        found, estimate: What the hand's path says, and of the type that is recovered.
+        joint: The same.
+        interval: Start and end of the motion, [s].
         levels: Values along the touch of the part at rest, before and after.
         level_sd: Standard deviation of the first one beyond that of the hand's path, [rad] or [m].
+        times_s, values: Dense series (T,) over the touch.
+        face_normal: Outward normal of the part's face (3,) at value 0.
     """
 
     contacts: Contacts
@@ -40,6 +47,11 @@ class Recovery:
     times_s: Array
     values: Array
     face_normal: Array
+
+    @property
+    def leave(self) -> float:
+        """Value by which the part has left or not reached its ends, [rad] or [m]."""
+        return LEAVE_RAD if self.joint.type == "revolute" else LEAVE_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +154,8 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
     contacts, found = _explained(demo, shape, first.surface, begin, course.interval, first.joint)
     course = along(found, course.interval)
     estimate = found.of(joint_type)
+    # A part that creeps off does not tell where it rested.
+    rest = resting(times, course.values, seen[0])
     return Recovery(
         contacts=contacts,
         found=found,
@@ -149,7 +163,7 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
         joint=estimate.joint,
         interval=course.interval,
         levels=course.levels,
-        level_sd=0.0 if first.gripped else leave,
+        level_sd=(float(np.std(rest)) if len(rest) else 0.0) if first.gripped else leave,
         times_s=times,
         values=course.values,
         face_normal=shape.face_normal,
@@ -176,7 +190,11 @@ def _explained(
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
     contacts = find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
     held = poses_at(demo, _dense(interval) + demo.clock_offset_s)
-    return contacts, candidates(held, contacts.grasp_ee, shape, params)
+    # Fingers that do not stand against each other push, and hold in no direction.
+    normals = [patch.normal for patch in contacts.patches]
+    pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
+    hold = Hold(point_ee=contacts.grasp_ee, closing_ee=demo.robot.closing_ee if pinched else None)
+    return contacts, candidates(held, hold, shape, params)
 
 
 def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:

@@ -12,6 +12,10 @@ from aomgen.motion.filters import smooth
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7
+# Smoothing moves a value by so many standard deviations of its noise at most.
+_NOISE_SDS = 3.0
+# While it is held, a part that rests is looked at from so long to so long before it moves, [s].
+_REST_S = (0.5, 0.1)
 # The part has left its first state when its value differs by this much.
 LEAVE_RAD = float(np.radians(0.5))
 LEAVE_M = 0.002
@@ -96,6 +100,9 @@ def smooth_within(values: Array, step_s: float, window_s: float, tolerance: floa
     window = max(3, 2 * round(window_s / step_s / 2) + 1)
     low, high = minimum_filter1d(values, window), maximum_filter1d(values, window)
     smoothed = np.clip(smooth(values, step_s, window_s), low, high)
+    # A quick motion bends within the window: what noise does not explain was no noise.
+    noise = _NOISE_SDS * 1.4826 * float(np.median(np.abs(values - smoothed)))
+    smoothed = np.clip(smoothed, values - noise, values + noise)
     way = 1.0 if values[-1] >= values[0] else -1.0
     rising, ceiling = way * smoothed, np.maximum.accumulate(way * smoothed)
     if not float((ceiling - rising).max()) <= tolerance:
@@ -123,17 +130,23 @@ def leaving_and_arriving(
     start_s, end_s = seen
     first_level, last_level = np.interp(seen, times_s, values)
     if gripped:
-        first_level = _level(values[(times_s >= start_s - 0.5) & (times_s <= start_s - 0.1)], first_level)
+        first_level = _level(resting(times_s, values, start_s), first_level)
         last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
     left = np.abs(values - first_level) > tolerance
     ahead = np.abs(values - last_level) > tolerance
     # From the middle of the motion outwards, so that the approach and the retreat do not count.
     middle = int(np.argmin(np.abs(times_s - (start_s + end_s) / 2)))
-    resting = np.flatnonzero(~left[: middle + 1])
+    still = np.flatnonzero(~left[: middle + 1])
     arrived = np.flatnonzero(~ahead[middle:])
-    begin = float(times_s[min(resting[-1] + 1, middle)]) if len(resting) else float(times_s[0])
+    begin = float(times_s[min(still[-1] + 1, middle)]) if len(still) else float(times_s[0])
     finish = float(times_s[max(middle + arrived[0] - 1, middle)]) if len(arrived) else float(times_s[-1])
     return (begin, finish), (float(first_level), float(last_level))
+
+
+def resting(times_s: Array, values: Array, start_s: float) -> Array:
+    """Those of the values (T,) at which a held part rests before a motion that starts then."""
+    since, until = _REST_S
+    return values[(times_s >= start_s - since) & (times_s <= start_s - until)]
 
 
 def _level(values: Array, otherwise: float) -> float:
@@ -142,19 +155,31 @@ def _level(values: Array, otherwise: float) -> float:
 
 def values_at_frames(
     frame_times_s: Array,
-    times_s: Array,
-    values: Array,
+    course: tuple[Array, Array],
     interval: tuple[float, float],
     levels: tuple[float, float],
+    tolerance: float,
 ) -> Array:
-    """Values (F,) at frame times: 0 before the interval, held after it, never below 0.
+    """Values (F,) at frame times, never below 0; the part rests before and after.
+
+    The interval begins when the value has left its first level by a tolerance. On the way there, from the
+    last moment at that level on, the value is what the hand shows; so it is up to the last level.
 
     Args:
         frame_times_s: Video frame times (F,).
-        times_s, values: The dense series (T,), smooth.
+        course: Times (T,) and values (T,) of the dense series, smooth.
         interval: Start and end of the motion, [s].
         levels: First and last level of the values.
+        tolerance: `LEAVE_RAD` or `LEAVE_M`.
     """
-    inside = np.interp(frame_times_s, times_s, values) - levels[0]
-    held = np.where(frame_times_s > interval[1], levels[1] - levels[0], inside)
-    return np.maximum(np.where(frame_times_s < interval[0], 0.0, held), 0.0)
+    times, values = course
+    start_s, end_s = interval
+    inside = np.interp(frame_times_s, times, values) - levels[0]
+    last = levels[1] - levels[0]
+    left = times[(times <= start_s) & (values - levels[0] <= 0)]
+    reached = times[(times >= end_s) & (values >= levels[1])]
+    leaving = (frame_times_s >= (left[-1] if len(left) else start_s)) & (inside <= tolerance)
+    arriving = (frame_times_s <= (reached[0] if len(reached) else end_s)) & (inside >= last - tolerance)
+    thetas = np.where((frame_times_s < start_s) & ~leaving, 0.0, inside)
+    thetas = np.where((frame_times_s > end_s) & ~arriving, last, thetas)
+    return np.maximum(thetas, 0.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aomgen.benchmarks.joint_intervals import IntervalRow, interval_figures, measure_world
-from aomgen.benchmarks.joint_worlds import draw_world
+from aomgen.benchmarks.joint_worlds import draw_world, in_part
 
 
 def row(error: float, radius: float, failure: str = "") -> IntervalRow:
@@ -28,7 +28,18 @@ def test_a_seed_is_a_world() -> None:
 
 
 def test_most_intervals_hold_the_truth() -> None:
-    rows = [measure_world(seed) for seed in range(8)]
+    rows = [measure_world(seed) for seed in range(8, 16)]
     assert sum(bool(item.failure) for item in rows) <= 1
     held = [item.axis[0] <= item.axis[1] and item.origin[0] <= item.origin[1] for item in rows]
     assert sum(held) >= 6
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_straight_pulls_slip_along_the_pads(seed: int) -> None:
+    world = draw_world(seed, "prismatic", 0.15)
+    slip = in_part(world) - in_part(world)[0]
+    closing = world.Ts_world_ee[0, :3, :3] @ world.closing_ee
+    across = closing - (closing @ world.joint.axis) * world.joint.axis
+    if np.linalg.norm(across) > 0.9:
+        loosest = np.linalg.norm(np.cross(slip, world.joint.axis), axis=1).max()
+        assert np.abs(slip @ across).max() < 0.002 + 0.2 * loosest

@@ -8,7 +8,7 @@ from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.motion.geometry import AxisHint, shape_of
 from aomgen.motion.joint import estimate_joint
 from aomgen.motion.joint_models import Revolute
-from aomgen.motion.path import HandPath
+from aomgen.motion.path import HandPath, Hold
 
 HANDLE = R @ [0.18, -0.2, 0.13]
 FRONT = R @ [0, -1.0, 0]
@@ -73,7 +73,7 @@ def test_the_shape_helps_a_short_arc() -> None:
     prior = shape_of(BODY, DOOR)
 
     def error(shape) -> float:
-        joint = estimate_joint(poses, np.zeros(3), shape).joint
+        joint = estimate_joint(poses, Hold(point_ee=np.zeros(3)), shape).joint
         return float(np.linalg.norm(np.cross(hinge - joint.origin, joint.axis)))
 
     assert error(prior) < 0.02
@@ -85,13 +85,14 @@ def test_no_hinge_is_farther_away_than_the_object_reaches() -> None:
     shape = shape_of(BODY, DOOR)
     farthest = np.linalg.norm(np.concatenate([BODY, DOOR]) - HANDLE, axis=1).max()
     assert shape.reach_m(HANDLE) == pytest.approx(farthest, rel=0.1)
-    path = HandPath(Ts_world_ee=np.repeat(np.eye(4)[None], 4, 0), grasp_ee=np.zeros(3), length_m=0.1)
+    path = HandPath(
+        Ts_world_ee=np.repeat(np.eye(4)[None], 4, 0), hold=Hold(point_ee=np.zeros(3)), length_m=0.1
+    )
     door = Revolute(
         path=path,
         turns_world=np.zeros((4, 3)),
         start=R[:, 2],
         middle=HANDLE,
-        grasp_sd_m=0.01,
         reach_m=shape.reach_m(HANDLE),
     )
     x = door.first()

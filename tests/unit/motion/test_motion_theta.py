@@ -5,7 +5,14 @@ import pytest
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.motion.theta import LEAVE_RAD, leaving_and_arriving, path_values, smooth_within, values_at_frames
+from aomgen.motion.theta import (
+    LEAVE_RAD,
+    leaving_and_arriving,
+    path_values,
+    resting,
+    smooth_within,
+    values_at_frames,
+)
 
 HINGE = np.array([0.6, 0.2, 0.0])
 NORMAL = np.array([-1.0, 0, 0])
@@ -80,8 +87,37 @@ def test_running_time_backwards_swaps_start_and_end() -> None:
 def test_frames_rest_before_the_start_and_after_the_end() -> None:
     times, values = moving_series()
     frames = np.array([0.0, 0.5, 2.0, 3.5, 9.0])
-    thetas = values_at_frames(frames, times, values, (1.0, 3.0), (0.3, 1.3))
+    thetas = values_at_frames(frames, (times, values), (1.0, 3.0), (0.3, 1.3), LEAVE_RAD)
     assert thetas == pytest.approx([0, 0, 0.5, 1.0, 1.0], abs=1e-6)
+
+
+def test_frames_between_rest_and_leaving_show_what_the_hand_shows() -> None:
+    times, values = moving_series()
+    left, arrived = 1.0 + 2 * LEAVE_RAD, 3.0 - 2 * LEAVE_RAD
+    frames = np.array([0.9, 1.01, arrived + 0.01, 3.1])
+    thetas = values_at_frames(frames, (times, values), (left, arrived), (0.3, 1.3), LEAVE_RAD)
+    assert thetas[[0, 3]] == pytest.approx([0.0, 1.0], abs=1e-6)
+    assert 0 < thetas[1] < LEAVE_RAD
+    assert 1 - LEAVE_RAD < thetas[2] < 1
+
+
+def test_a_hand_that_moves_much_before_the_picture_does_is_not_believed() -> None:
+    times, values = moving_series()
+    thetas = values_at_frames(np.array([1.6]), (times, values), (2.0, 3.0), (0.3, 1.3), LEAVE_RAD)
+    assert thetas[0] == 0.0
+
+
+def test_what_rests_is_looked_at_before_it_moves() -> None:
+    times = np.array([0.0, 0.6, 0.8, 0.95, 1.2])
+    assert resting(times, np.arange(5.0), 1.0).tolist() == [1.0, 2.0]
+
+
+def test_a_pull_quicker_than_the_window_is_not_smoothed_away() -> None:
+    values = 0.1 * _course((0, 0), (1, 0), (1.1, 1), (2, 1))
+    noisy = values + np.random.default_rng(0).normal(0, 0.0003, len(values))
+    smoothed = smooth_within(noisy, 0.01, 0.2, 0.002)
+    assert np.abs(smoothed - values).max() < 0.003
+    assert np.std(smoothed[120:190]) < 0.0002
 
 
 def _course(*corners: tuple[float, float]) -> np.ndarray:
