@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 from scipy.optimize import minimize
 
-from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.motion.edges import Box, face_normal, footprint_yaw, upright_box
 from aomgen.motion.joint_models import tangent_basis
@@ -26,6 +26,10 @@ SIDE_SD_M = 0.01
 # Another box has to be this much smaller than the upright one around the whole object to be preferred.
 _CLEARLY = 0.75
 _TAIL_PERCENT = 1.0
+# A body's walls stand this far outside of its door's or drawer's sides at most, [m].
+_BESIDE_M = 0.02
+# Fewer points have no box.
+_FEWEST = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,10 +164,20 @@ def shape_of(points_static: Array, points_moving: Array) -> Shape:
     ):
         if _volume(box) < _CLEARLY * _volume(best):
             best = box
-    static = _box_about(points_static, best.T_world_box[:3, :3])
+    static = _box_about(_beside(points_static, best), best.T_world_box[:3, :3])
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
     corners = apply(around.T_world_box, signs * around.half_extents)
     return Shape(box=best, face_normal=face_normal(static, best), corners=corners)
+
+
+def _beside(points_static: Array, box: Box) -> Array:
+    """Those static points (N, 3) that lie before, behind, beside, over or under the part's box.
+
+    Another door of the same object that stands ajar says nothing of this one's face.
+    """
+    inside = np.abs(apply(invert(box.T_world_box), points_static)) <= box.half_extents + _BESIDE_M
+    near = points_static[inside.sum(1) >= 2]
+    return near if len(near) >= _FEWEST else points_static
 
 
 def _leaning_box(points: Array, upright: Box) -> Box:

@@ -130,6 +130,8 @@ def leaving_and_arriving(
     start_s, end_s = seen
     first_level, last_level = np.interp(seen, times_s, values)
     if gripped:
+        # A film that begins gripped leaves no time to rest in: its first value is the level then.
+        first_level = values[0] if times_s[0] <= start_s else first_level
         first_level = _level(resting(times_s, values, start_s), first_level)
         last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
     left = np.abs(values - first_level) > tolerance

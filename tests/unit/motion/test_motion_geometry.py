@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_motion_edges import BODY, DOOR, R
+from test_motion_edges import BODY, DOOR, R, box_points
 
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.motion.geometry import AxisHint, shape_of
@@ -100,3 +100,15 @@ def test_no_hinge_is_farther_away_than_the_object_reaches() -> None:
     assert door.beliefs(x)[-1] == 0
     x[4] = 2.0 * door.reach_m
     assert door.beliefs(x)[-1] > 5
+
+
+@pytest.mark.parametrize("ajar", [0.0, 0.5, 1.2, 2.6])
+def test_another_door_of_the_object_that_stands_ajar_does_not_mislead(ajar: float) -> None:
+    """A second cupboard to the right, hinged at its far side: its door belongs to the static part."""
+    hinge = R @ [0.65, -0.145, 0.13]
+    door = box_points((0.23, -0.17, 0.01), (0.65, -0.145, 0.25), 6)
+    swung = (door - hinge) @ matrix_from_rotvec([0.0, 0.0, ajar]).T + hinge
+    static = np.concatenate([BODY, box_points((0.22, -0.14, 0), (0.66, 0.2, 0.26), 5), swung])
+    shape = shape_of(static, DOOR)
+    assert np.degrees(angle_between(shape.face_normal, FRONT)) < 2
+    assert min(np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.hinges()) < 2

@@ -84,6 +84,15 @@ def test_running_time_backwards_swaps_start_and_end() -> None:
     assert back_end == pytest.approx(times[-1] - start, abs=0.03)
 
 
+def test_a_film_that_begins_gripped_just_before_the_motion_knows_the_first_level() -> None:
+    """Held from 0.95 s on; the motion begins at 1 s."""
+    times, values = moving_series()
+    late = times >= 0.95
+    (start, _), levels = leaving_and_arriving(times[late], values[late], (1.04, 2.7), LEAVE_RAD, gripped=True)
+    assert start == pytest.approx(1.0 + 2 * LEAVE_RAD, abs=0.02)
+    assert levels[0] == pytest.approx(0.3, abs=0.005)
+
+
 def test_frames_rest_before_the_start_and_after_the_end() -> None:
     times, values = moving_series()
     frames = np.array([0.0, 0.5, 2.0, 3.5, 9.0])
