@@ -249,10 +249,10 @@ def test_where_the_world_stands_changes_nothing() -> None:
     seen_here = there.joint.moved(invert(T))
     assert (there.joint.type, there.direction) == (here.joint.type, here.direction)
     assert angle_between(seen_here.axis, here.joint.axis) < np.radians(0.05)
-    assert line_gap_m(here.joint, seen_here) < 3e-4
-    assert there.thetas == pytest.approx(here.thetas, abs=np.radians(0.1))
+    # "Up" is the only direction that the world has: leaning, a part's box is found in another way.
+    assert line_gap_m(here.joint, seen_here) < 1e-3
+    assert there.thetas == pytest.approx(here.thetas, abs=np.radians(0.15))
     assert (there.start_s, there.end_s) == (here.start_s, here.end_s)
-    # "Up" is the only direction that the world has; leaning, boxes are found in another way.
     for mine, moved in zip(here.contacts, there.contacts, strict=True):
         assert apply(invert(T), moved.point) == pytest.approx(mine.point, abs=3e-3)
 
