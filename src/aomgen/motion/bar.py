@@ -1,27 +1,38 @@
 """A bar that crosses a gripper's pads, found in the few points that a thin thing is reconstructed with."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.values import Array
 
-# A line is supported where the bar's points are, in steps of this, [m].
+# Where a bar is, is decided by what lies within this of its middle: twice what thin surfaces are off, [m].
+_MIDDLE_M = 0.004
+_PLACES_M = 0.001
+# A bar is supported where its points are, in steps of this, [m]. What is behind it, at least a finger's thickness
+# away, is not reached over a gap of more steps than these.
 _STEP_M = 0.004
+_GAP = 5
+# Steps to either side of the pad's middle.
+_REACH = 32
 # What is seen of a bar has at least this share of its steps occupied.
-_MIN_OCCUPIED = 0.5
+_MIN_OCCUPIED = 1 / 3
 # Share of what is between the pads that belongs to the bar; less is a thing of another shape.
 _MIN_SHARE = 0.7
-_MOST_POINTS = 80
+# A bar is along an axis of the object's box, whose yaw is known to 2.5 degrees, to this angle, [rad].
+_ALONG_SD_RAD = float(np.radians(3.0))
+# Points within this of each other are off alike, [m].
+_PATCH_M = 0.01
 
 
-def swept_bar(local: Array, half: Array, widths_m: tuple[float, float], flatness: float) -> Array | None:
-    """The bar's points spread evenly along it; None if what crosses the pad is no bar.
+def swept_bar(local: Array, half: Array, ways: Array, depth_m: float, flatness: float) -> Array | None:
+    """The bar as matter that is even along it; None if what crosses the pad is no bar.
 
     Args:
         local: Points (N, 3) in a face's frame, z towards the other face, between both and some way
             beside them, [m].
         half: Half extents of the face (2,), [m].
-        widths_m: What decides where the bar is lies within the first of these of its middle, seen on the
-            face, and all of it within the second: a bar is about as deep as the pads are open, [m].
+        ways: Unit directions (W, 2) in which a bar may run.
+        depth_m: How far the pads are open, [m]: a bar is about as deep as it is thick.
         flatness: How likely a side of the bar lies flat against the face, 0..1; a bar that does not is
             touched along its middle, on average.
 
@@ -31,25 +42,24 @@ def swept_bar(local: Array, half: Array, widths_m: tuple[float, float], flatness
     Not checked: bars that bend by more than their width beside the pads.
     """
     flat = local[:, :2]
-    found = _line(flat, half, widths_m[0])
-    if found is None:
+    point, direction, near = _line(flat, half, ways, depth_m)
+    if near.sum() < 2:
         return None
-    point, direction = found
-    for _ in range(2):
-        near = np.abs((flat - point) @ _across(direction)) <= widths_m[0]
-        point = flat[near].mean(0)
-        direction = np.linalg.svd(flat[near] - point, full_matrices=False)[2][0]
-    inside = np.all(np.abs(flat) <= half, axis=1)
     places = (flat[near] - point) @ direction
     low, high = float(places.min()), float(places.max())
     occupied = len(np.unique(np.floor((places - low) / _STEP_M)))
-    within = np.abs((flat - point) @ _across(direction)) <= widths_m[1]
+    inside = np.all(np.abs(flat) <= half, axis=1)
+    within = np.abs((flat - point) @ _across(direction)) <= max(_MIDDLE_M, (depth_m + _MIDDLE_M) / 2)
     if inside.any() and not within[inside].mean() >= _MIN_SHARE:
         return None
     if not (high - low >= 2 * half.max() and occupied * _STEP_M >= _MIN_OCCUPIED * (high - low)):
         return None
-    steps = np.arange(low, high, _STEP_M / 2)
-    off = flatness * (flat[near] - point) @ _across(direction)
+    # It goes on where it was not seen, as far as it does in between.
+    unseen = _GAP * _STEP_M / 2
+    steps = np.arange(low - unseen, high + unseen, _STEP_M / 2)
+    # As deep as the pads are open, in place of as deep as it was reconstructed.
+    ranks = np.argsort(np.argsort((flat[near] - point) @ _across(direction)))
+    off = flatness * depth_m * ((ranks + 0.5) / len(ranks) - 0.5)
     ahead = point + steps[:, None, None] * direction + off[:, None] * _across(direction)
     heights = np.broadcast_to(local[near, 2], ahead.shape[:2])
     return np.concatenate([ahead, heights[..., None]], axis=-1).reshape(-1, 3)
@@ -59,28 +69,52 @@ def _across(direction: Array) -> Array:
     return np.array([-direction[1], direction[0]])
 
 
-def _line(flat: Array, half: Array, width_m: float) -> tuple[Array, Array] | None:
-    """Point (2,) and direction (2,) of the line over the face along which points (N, 2) go farthest."""
-    if len(flat) < 4:
-        return None
-    thinned = flat[:: int(np.ceil(len(flat) / _MOST_POINTS))]
-    first, second = np.triu_indices(len(thinned), 1)
-    ways = thinned[second] - thinned[first]
-    lengths = np.linalg.norm(ways, axis=1)
-    directions = ways / np.maximum(lengths, 1e-9)[:, None]
-    normals = np.stack([-directions[:, 1], directions[:, 0]], 1)
-    places = np.einsum("ld,ld->l", normals, thinned[first])
-    # The line passes over the face: its corners are not all on one side.
-    corners = half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-    sides = normals @ corners.T - places[:, None]
-    usable = (lengths > half.max()) & (sides.min(1) < 0) & (sides.max(1) > 0)
-    if not usable.any():
-        return None
-    normals, places, directions = normals[usable], places[usable], directions[usable]
-    near = np.abs(flat @ normals.T - places) <= width_m
-    bins = np.floor(flat @ directions.T / _STEP_M).astype(np.int64)
-    bins = np.clip(bins + 32, 0, 63)
-    flags = np.where(near, np.left_shift(np.uint64(1), bins.astype(np.uint64)), np.uint64(0))
-    scores = np.bitwise_count(np.bitwise_or.reduce(flags, axis=0))
-    best = int(np.argmax(scores + near.mean(0)))
-    return normals[best] * places[best], directions[best]
+def _line(flat: Array, half: Array, ways: Array, depth_m: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Point (2,) and direction (2,) of the line over the face along which points (N, 2) go on farthest, and which do."""
+    best, found = -1.0, (np.zeros(2), np.array([1.0, 0.0]), np.zeros(len(flat), bool))
+    for way in ways:
+        across, along = flat @ _across(way), flat @ way
+        room = np.abs(_across(way)) @ half
+        offsets = np.arange(-room, room, _PLACES_M)
+        near = np.abs(across[:, None] - offsets) <= _MIDDLE_M
+        bins = np.floor(along / _STEP_M).astype(np.int64) + _REACH
+        kept = (bins >= 0) & (bins < 2 * _REACH)
+        occupied = np.zeros((2 * _REACH, len(offsets)), bool)
+        np.logical_or.at(occupied, bins[kept], near[kept])
+        reached = _reached(occupied)
+        scores = reached.sum(0) + near.mean(0)
+        k = int(np.argmax(scores))
+        if scores[k] > best:
+            which = near[:, k] & kept
+            which[kept] &= reached[bins[kept], k]
+            best, found = float(scores[k]), (*_turned(flat[which], way, depth_m), which)
+    return found
+
+
+def _turned(flat: Array, way: Array, depth_m: float) -> tuple[Array, Array]:
+    """Point and direction of points (N, 2) that are nearly along a way."""
+    if len(flat) < 2:
+        return np.zeros(2), way
+    point = flat.mean(0)
+    along, across = (flat - point) @ way, (flat - point) @ _across(way)
+    patches = len(np.unique(np.floor(along / _PATCH_M)))
+    spread = float(along @ along)
+    # What points all over the bar's depth tell of the angle, against what is known before.
+    noise2 = depth_m**2 / 12 * len(flat) / patches
+    slope = float(along @ across) / (spread + noise2 / _ALONG_SD_RAD**2)
+    direction = way + slope * _across(way)
+    return point, direction / np.linalg.norm(direction)
+
+
+def _reached(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which occupied steps (2 R, L) of lines are reached from their middles without too wide a gap."""
+    ahead, behind = occupied[_REACH:], occupied[:_REACH][::-1]
+    return np.concatenate([_onwards(behind)[::-1], _onwards(ahead)])
+
+
+def _onwards(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    steps = np.arange(len(occupied))[:, None]
+    last = np.maximum.accumulate(np.where(occupied, steps, -1), axis=0)
+    before = np.concatenate([np.full((1, last.shape[1]), -1), last[:-1]])
+    broken = np.logical_or.accumulate(occupied & (steps - before > _GAP + 1), axis=0)
+    return occupied & ~broken

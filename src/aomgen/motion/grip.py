@@ -19,9 +19,11 @@ SURFACE_SD_M = 0.002
 SOFT_M = 5e-5
 # What is between the pads may look thinner than their opening by this much on each side, [m].
 _THINNER_M = 0.01
-_GRID = 23
+_GRID = 61
 # The sides of a bar are known to this angle: the object's yaw to 2.5 degrees, the pads' slant to 1.5, [rad].
 _ROLL_SD_RAD = float(np.radians(3.0))
+# A bar lies in the pads' plane to 30 degrees, or it would turn the hand.
+_IN_PLANE = float(np.cos(np.radians(30.0)))
 # A bar is followed this far beside the pads, [m].
 _BESIDE_M = 0.05
 # Places with less than this share of the most matter hold strays of the surface behind.
@@ -84,7 +86,7 @@ def held_patches(
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
         openings = face.openings(face.grid, other)
-        matter = face.matter(points_ee, other, flatness)
+        matter = face.matter(points_ee, other, axes_ee, flatness)
         if not (len(matter) and openings.min() > 0):
             return ()
         covered = face.covered(matter)
@@ -134,16 +136,23 @@ class _Face:
         on_face = points_ee - heights[:, None] * self.normal
         return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
 
-    def matter(self, points_ee: Array, other: "_Face", flatness: float) -> Array:
+    def matter(self, points_ee: Array, other: "_Face", axes_ee: Array, flatness: float) -> Array:
         """What of points (N, 3) is between both faces (K, 3), in this one's frame; a bar as `swept_bar`."""
         local = apply(self.T_face_ee, points_ee)
         margin = 2 * SURFACE_SD_M
         between = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
         near = local[between & np.all(np.abs(local[:, :2]) < self.half + _BESIDE_M, axis=1)]
-        depth = float(np.median(self.openings(self.grid, other))) / 2 + SURFACE_SD_M
-        bar = swept_bar(near, self.half, (margin, max(margin, depth)), flatness)
+        opening = float(np.median(self.openings(self.grid, other)))
+        bar = swept_bar(near, self.half, self.ways(axes_ee), opening, flatness)
         matter = near if bar is None else bar
         return matter[np.all(np.abs(matter[:, :2]) < self.half + margin, axis=1)]
+
+    def ways(self, axes_ee: Array) -> Array:
+        """Directions (W, 2) in the face's plane of those unit axes (A, 3) that lie nearly in it."""
+        flat = axes_ee @ self.T_face_ee[:2, :3].T
+        lengths = np.linalg.norm(flat, axis=1)
+        in_plane = lengths > _IN_PLANE
+        return flat[in_plane] / lengths[in_plane, None]
 
     def covered(self, matter: Array) -> Array:
         """How much of the near side of matter (K, 3) is in front of the grid (G,), as a share of the most, 0..1."""
