@@ -1,9 +1,11 @@
 """A bar that crosses a gripper's pads, found in the few points that a thin thing is reconstructed with."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.values import Array
+from aomgen.core.values import Array, freeze
 
 # Where a bar is, is decided by what lies within this of its middle: twice what thin surfaces are off, [m].
 _MIDDLE_M = 0.004
@@ -18,20 +20,42 @@ _REACH = 32
 _MIN_OCCUPIED = 1 / 3
 # Share of what is between the pads that belongs to the bar; less is a thing of another shape.
 _MIN_SHARE = 0.7
-# A bar is along an axis of the object's box, whose yaw is known to 2.5 degrees, to this angle, [rad].
-_ALONG_SD_RAD = float(np.radians(3.0))
+# Directions all around: over the width of a pad, a line between two of them leaves a bar by less than its middle.
+_FAN = 12
 # Points within this of each other are off alike, [m].
 _PATCH_M = 0.01
 
 
-def swept_bar(local: Array, half: Array, ways: Array, depth_m: float, flatness: float) -> Array | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ways:
+    """Directions in which a bar may run over a face.
+
+    Attributes:
+        directions: Unit (W, 2).
+        sd_rad: How far a bar may be off the nearest one.
+    """
+
+    directions: Array
+    sd_rad: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "directions", self.directions, (None, 2))
+
+    @staticmethod
+    def any() -> "Ways":
+        """All around, in as many steps as the width of a bar asks for."""
+        angles = np.pi / _FAN * np.arange(_FAN)
+        return Ways(directions=np.stack([np.cos(angles), np.sin(angles)], 1), sd_rad=np.pi / _FAN / 2)
+
+
+def swept_bar(local: Array, half: Array, ways: "Ways", depth_m: float, flatness: float) -> Array | None:
     """The bar as matter that is even along it; None if what crosses the pad is no bar.
 
     Args:
         local: Points (N, 3) in a face's frame, z towards the other face, between both and some way
             beside them, [m].
         half: Half extents of the face (2,), [m].
-        ways: Unit directions (W, 2) in which a bar may run.
+        ways: How a bar may run.
         depth_m: How far the pads are open, [m]: a bar is about as deep as it is thick.
         flatness: How likely a side of the bar lies flat against the face, 0..1; a bar that does not is
             touched along its middle, on average.
@@ -69,10 +93,10 @@ def _across(direction: Array) -> Array:
     return np.array([-direction[1], direction[0]])
 
 
-def _line(flat: Array, half: Array, ways: Array, depth_m: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _line(flat: Array, half: Array, ways: Ways, depth_m: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Point (2,) and direction (2,) of the line over the face along which points (N, 2) go on farthest, and which do."""
     best, found = -1.0, (np.zeros(2), np.array([1.0, 0.0]), np.zeros(len(flat), bool))
-    for way in ways:
+    for way in ways.directions:
         across, along = flat @ _across(way), flat @ way
         room = np.abs(_across(way)) @ half
         offsets = np.arange(-room, room, _PLACES_M)
@@ -87,11 +111,11 @@ def _line(flat: Array, half: Array, ways: Array, depth_m: float) -> tuple[Array,
         if scores[k] > best:
             which = near[:, k] & kept
             which[kept] &= reached[bins[kept], k]
-            best, found = float(scores[k]), (*_turned(flat[which], way, depth_m), which)
+            best, found = float(scores[k]), (*_turned(flat[which], way, ways.sd_rad, depth_m), which)
     return found
 
 
-def _turned(flat: Array, way: Array, depth_m: float) -> tuple[Array, Array]:
+def _turned(flat: Array, way: Array, sd_rad: float, depth_m: float) -> tuple[Array, Array]:
     """Point and direction of points (N, 2) that are nearly along a way."""
     if len(flat) < 2:
         return np.zeros(2), way
@@ -101,7 +125,7 @@ def _turned(flat: Array, way: Array, depth_m: float) -> tuple[Array, Array]:
     spread = float(along @ along)
     # What points all over the bar's depth tell of the angle, against what is known before.
     noise2 = depth_m**2 / 12 * len(flat) / patches
-    slope = float(along @ across) / (spread + noise2 / _ALONG_SD_RAD**2)
+    slope = float(along @ across) / (spread + noise2 / sd_rad**2)
     direction = way + slope * _across(way)
     return point, direction / np.linalg.norm(direction)
 

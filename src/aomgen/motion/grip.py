@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.bar import swept_bar
+from aomgen.motion.bar import Ways, swept_bar
 from aomgen.physics.robot_parts import FingerPad
 
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
@@ -143,16 +143,19 @@ class _Face:
         between = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
         near = local[between & np.all(np.abs(local[:, :2]) < self.half + _BESIDE_M, axis=1)]
         opening = float(np.median(self.openings(self.grid, other)))
-        bar = swept_bar(near, self.half, self.ways(axes_ee), opening, flatness)
+        bars = (
+            swept_bar(near, self.half, ways, opening, flatness) for ways in (self.ways(axes_ee), Ways.any())
+        )
+        bar = next((bar for bar in bars if bar is not None), None)
         matter = near if bar is None else bar
         return matter[np.all(np.abs(matter[:, :2]) < self.half + margin, axis=1)]
 
-    def ways(self, axes_ee: Array) -> Array:
-        """Directions (W, 2) in the face's plane of those unit axes (A, 3) that lie nearly in it."""
+    def ways(self, axes_ee: Array) -> Ways:
+        """Directions in the face's plane of those unit axes (A, 3) that lie nearly in it."""
         flat = axes_ee @ self.T_face_ee[:2, :3].T
         lengths = np.linalg.norm(flat, axis=1)
         in_plane = lengths > _IN_PLANE
-        return flat[in_plane] / lengths[in_plane, None]
+        return Ways(directions=flat[in_plane] / lengths[in_plane, None], sd_rad=_ROLL_SD_RAD)
 
     def covered(self, matter: Array) -> Array:
         """How much of the near side of matter (K, 3) is in front of the grid (G,), as a share of the most, 0..1."""

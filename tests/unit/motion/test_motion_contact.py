@@ -79,6 +79,34 @@ def test_a_bar_of_few_points_is_followed_across_the_pads(robot: RobotModel) -> N
     assert abs(middle[2] + np.tan(np.radians(20)) * middle[0]) < 0.005
 
 
+def test_what_a_bar_is_mounted_on_is_not_taken_for_it(robot: RobotModel) -> None:
+    """Nine points of a leaning bar in three places and a dense wall 35 mm behind: the bar's line is told."""
+    log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
+    lean = matrix_from_rotvec([0, np.radians(20), 0])
+    places = np.array([-0.03, -0.028, -0.026, -0.008, -0.006, -0.004, 0.014, 0.016, 0.018])
+    seen = np.stack([places, np.zeros(9), np.zeros(9)], 1)
+    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.1, 0.1, 81), np.linspace(-0.05, 0.05, 41)))
+    wall = np.stack([u, v, np.full(len(u), 0.035)], 1)
+    points = apply(T_world_ee, np.concatenate([seen, wall]) @ lean.T)
+    axes = (T_world_ee[:3, :3] @ lean).T
+    middle = middle_ee(robot, find_contacts(robot, log, points, axes, resting(robot, log)))
+    bare = middle_ee(robot, find_contacts(robot, log, points[:9], axes, resting(robot, log)))
+    assert middle == pytest.approx(bare, abs=1e-3)
+    # Pressed where the pads come nearest: at the end and on the side of the bar that are nearest to the tips.
+    assert middle[0] < -0.004
+    assert 0.0 < middle[2] + np.tan(np.radians(20)) * middle[0] < 0.010
+
+
+def test_a_bar_goes_on_where_it_was_not_seen(robot: RobotModel) -> None:
+    """Seen from one side of the pads to their middle only, it is pressed at their other edge all the same."""
+    log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
+    lean = matrix_from_rotvec([0, np.radians(20), 0])
+    half = np.stack([np.linspace(-0.001, 0.05, 30), np.zeros(30), np.zeros(30)], 1) @ lean.T
+    axes = (T_world_ee[:3, :3] @ lean).T
+    contacts = find_contacts(robot, log, apply(T_world_ee, half), axes, resting(robot, log))
+    assert middle_ee(robot, contacts)[0] < -0.004
+
+
 def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
     """The edge of a lid that fills the pads: the touch lies in the middle of their width."""
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
