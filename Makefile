@@ -14,7 +14,7 @@ demo: install
 	$(BIN)/aomgen demo $(OUT)
 
 test: $(VENV)/dev.stamp weights
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

@@ -65,6 +65,8 @@ def swept_bar(local: Array, half: Array, ways: "Ways", depth_m: float, flatness:
 
     Not checked: bars that bend by more than their width beside the pads.
     """
+    if not len(local):
+        return None
     flat = local[:, :2]
     point, direction, near = _line(flat, half, ways, depth_m)
     if near.sum() < 2:
