@@ -243,18 +243,21 @@ def test_the_joint_is_found() -> None:
     assert found.thetas == pytest.approx(thetas_at(FRAMES_S), abs=np.radians(0.7))
 
 
-def test_where_the_world_stands_changes_nothing() -> None:
-    T = transform(matrix_from_rotvec([0.1, -0.15, 2.0]), np.array([0.7, -0.4, 0.3]))
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.1, -0.15)])
+def test_where_the_world_stands_changes_nothing(lean: tuple[float, float]) -> None:
+    T = transform(matrix_from_rotvec([*lean, 2.0]), np.array([0.7, -0.4, 0.3]))
     here, there = opened(), estimate_motion(elsewhere(world(), T), QUICK)
     seen_here = there.joint.moved(invert(T))
     assert (there.joint.type, there.direction) == (here.joint.type, here.direction)
     assert angle_between(seen_here.axis, here.joint.axis) < np.radians(0.05)
-    # "Up" is the only direction that the world has: leaning, a part's box is found in another way.
-    assert line_gap_m(here.joint, seen_here) < 1e-3
-    assert there.thetas == pytest.approx(here.thetas, abs=np.radians(0.15))
     assert (there.start_s, there.end_s) == (here.start_s, here.end_s)
+    # "Up" is the only direction that the world has: leaning, a part's box is found in another way, and with
+    # it which side of a bar is flat against the fingers.
+    upright = lean == (0.0, 0.0)
+    assert line_gap_m(here.joint, seen_here) < (3e-4 if upright else 1e-3)
+    assert there.thetas == pytest.approx(here.thetas, abs=np.radians(0.05 if upright else 0.15))
     for mine, moved in zip(here.contacts, there.contacts, strict=True):
-        assert apply(invert(T), moved.point) == pytest.approx(mine.point, abs=3e-3)
+        assert apply(invert(T), moved.point) == pytest.approx(mine.point, abs=1e-3 if upright else 1e-2)
 
 
 def test_time_turned_back_closes_what_was_opened() -> None:

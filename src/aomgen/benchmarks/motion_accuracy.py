@@ -121,7 +121,7 @@ def cases(count: int, first_seed: int) -> list[Case]:
             kind = kinds[(k + k // len(categories)) % len(kinds)]
             category = categories[k % len(categories)]
             if group == "beyond" and kind == "open":
-                category = OTHERS[k // len(categories) % len(OTHERS)]
+                category = OTHERS[k % len(OTHERS)]
             result.append(
                 Case(category=category, seed=first_seed + k // len(categories), kind=kind, group=group)
             )
