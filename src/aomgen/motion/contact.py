@@ -2,7 +2,8 @@
 
 A part that is between the fingers is held: the patches lie on the pads, where their faces come nearest
 to each other over the part. Any other touch pushes: it lies where the hand's surface is near the part
-and faces the way the part goes.
+and faces the way the part goes. Fingers that closed on something that the scan hardly saw hold it
+anywhere on their pads.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.grip import Patch, held_patches
+from aomgen.motion.grip import Patch, held_patches, unseen_patches
 from aomgen.motion.hand import EMPTY_GRIP
 from aomgen.motion.path import mean_pose
 from aomgen.motion.push import MIN_WAY_M, pushing_patches
@@ -111,7 +112,10 @@ def find_contacts(
             (points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee, path.Ts_world_part)
         )
     if not patches:
-        patches = (_nearest(points_ee),)
+        closed_on_it = open_hand and len(robot.pads) >= 2
+        patches = (
+            unseen_patches(robot.pads, Ts_ee_body, points_ee) if closed_on_it else (_nearest(points_ee),)
+        )
     sd_m = float(np.sqrt(np.mean([patch.covariance.trace() / 3 for patch in patches])))
     return Contacts(
         patches=tuple(_carried(patch, Ts_world_ee) for patch in patches),

@@ -81,7 +81,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=("motion_method",),
-        version=19,
+        version=20,
         weight=10,
         function=lazily("recovery", "motion"),
     ),

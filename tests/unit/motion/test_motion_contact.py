@@ -107,6 +107,18 @@ def test_a_bar_goes_on_where_it_was_not_seen(robot: RobotModel) -> None:
     assert middle_ee(robot, contacts)[0] < -0.004
 
 
+def test_what_the_scan_did_not_see_is_held_all_over_the_pads(robot: RobotModel) -> None:
+    """Fingers closed on a handle of which nothing was reconstructed; the rest of the part is beside the palm."""
+    log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
+    part = np.random.default_rng(0).uniform([0.08, 0.05, -0.1], [0.3, 0.06, -0.05], (500, 3))
+    away = transform(np.eye(3), T_world_ee[:3, :3] @ [-0.01, 0, 0])
+    path = PartPath(times_log_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([np.eye(4), away]))
+    contacts = find_contacts(robot, log, apply(T_world_ee, part), AXES, path)
+    assert {patch.finger for patch in contacts.patches} == {"left", "right"}
+    assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.01)
+    assert contacts.grasp_sd_m > 0.005
+
+
 def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
     """The edge of a lid that fills the pads: the touch lies in the middle of their width."""
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
