@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_closing
 from scipy.spatial import cKDTree
 
 from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.reconstruction.looks.lamp_search import EDGE_M, found_lamp, without_shadow
+from aomgen.reconstruction.looks.lamp_search import EDGE_M, closed_at, found_lamp, without_shadow
 from aomgen.reconstruction.looks.robot_views import Film
 from aomgen.reconstruction.looks.twin_training import sharpened
 from aomgen.twin.lamp import Lamp, shadowed, unshaded
@@ -184,3 +185,10 @@ def test_a_lamp_needs_a_direction_and_a_shade():
         Lamp(direction=np.zeros(3), T_world_plane=PLANE, shade=SHADE)
     with pytest.raises(ValueError, match="shade"):
         Lamp(direction=np.array([0, 0, 1.0]), T_world_plane=PLANE, shade=np.zeros(3))
+
+
+def test_gaps_are_closed_at_single_cells_as_on_the_whole_grid() -> None:
+    rng = np.random.default_rng(5)
+    grid = rng.random((40, 30)) < 0.3
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(2, 38), np.arange(2, 28), indexing="ij"))
+    assert np.array_equal(closed_at(grid, (x, y)), binary_closing(grid)[x, y])

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, binary_erosion
+from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from aomgen.core.camera import Camera
@@ -180,10 +180,10 @@ class _Fallen:
         self._moving = [apply(to_plane, _some(bodies)) for bodies in watched.moving]
         self._still = apply(to_plane, _some(watched.fixed))
         places = apply(to_plane, watched.points)[:, :2]
-        self._low = places.min(0) - CELL_M
+        self._low = places.min(0) - 2 * CELL_M
         cells = ((places - self._low) / CELL_M).astype(int)
         self._cells = cells[:, 0], cells[:, 1]
-        self._shape = tuple(cells.max(0) + 2)
+        self._shape = tuple(cells.max(0) + 3)
 
     def dark(self, direction: Array) -> Array:
         """Which places are in shadow in every picture (T, N), 0 or 1."""
@@ -197,7 +197,20 @@ class _Fallen:
         cells = cells[((cells >= 0) & (cells < self._shape)).all(1) & (points[:, 2] > 0)]
         grid = np.zeros(self._shape, bool)
         grid[cells[:, 0], cells[:, 1]] = True
-        return binary_closing(grid)[self._cells]
+        return closed_at(grid, self._cells)
+
+
+def closed_at(grid: NDArray[np.bool_], cells: tuple[NDArray, NDArray]) -> NDArray[np.bool_]:
+    """What `scipy.ndimage.binary_closing` of a grid gives at some cells (N,), none within two of its border.
+
+    Where places lie far apart the grid is huge and nearly empty, so that only these cells are worked out.
+    """
+    cross = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+
+    def dilated(x: NDArray, y: NDArray) -> NDArray[np.bool_]:
+        return np.logical_or.reduce([grid[x + a, y + b] for a, b in cross])
+
+    return np.logical_and.reduce([dilated(cells[0] + a, cells[1] + b) for a, b in cross])
 
 
 def _some(bodies: Gaussians) -> Array:
