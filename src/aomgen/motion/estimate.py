@@ -11,10 +11,10 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_answer import asked_film, hand_answer
 from aomgen.motion.film_fit import Answer as FilmAnswer
 from aomgen.motion.film_type import film_margin
-from aomgen.motion.hand_answer import HandAnswer
 from aomgen.motion.joint import Candidates, chosen_type
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
+from aomgen.motion.photometric import Witness, witness
 from aomgen.motion.recovery import Recovery, recover, touched
 from aomgen.physics.robot_masks import MasksAt, robot_masks
 
@@ -67,10 +67,8 @@ def estimate_motion(
             _answer(demo, masks_at, curve, moved.odds, recover(first, joint_type, params), params)
             for joint_type in ("revolute", "prismatic")
         )
-        progress(0.9, "type of the joint")
-        film = film_margin(
-            demo, masks_at, doors.hand, (doors.as_filmed, drawers.as_filmed), params.photometric
-        )
+    progress(0.9, "type of the joint")
+    film = film_margin(doors.seen, (doors.as_filmed, drawers.as_filmed), params.photometric)
     found = min((doors.found, drawers.found), key=lambda item: abs(item.margin))
     answer = doors if chosen_type(found, film, params.joint) == "revolute" else drawers
     return replace(answer.refined, type_margin=abs(found.margin + film))
@@ -78,10 +76,10 @@ def estimate_motion(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
-    """The answer if the joint is of a type: by the hand's path, and refined on the film."""
+    """The answer if the joint is of a type: by the hand's path, the film as read for it, and refined on it."""
 
     found: Candidates
-    hand: HandAnswer
+    seen: Witness | None
     refined: MotionEstimate
 
     @property
@@ -101,5 +99,6 @@ def _answer(
     lines = (recovery.estimate.axes, recovery.estimate.origins)
     estimate = assemble(demo, curve, recovery, odds)
     hand = hand_answer(demo, estimate, lines)
-    refined = asked_film(demo, masks_at, estimate, hand, params.photometric)
-    return _Answer(found=recovery.found, hand=hand, refined=refined)
+    seen = witness(demo, masks_at, hand, params.photometric)
+    refined = asked_film(seen, estimate, hand, params.photometric)
+    return _Answer(found=recovery.found, seen=seen, refined=refined)

@@ -12,8 +12,7 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_problem import value_lever
 from aomgen.motion.hand_answer import HandAnswer
 from aomgen.motion.joint_models import tangent_basis
-from aomgen.motion.photometric import PhotometricParams, refine
-from aomgen.physics.robot_masks import MasksAt
+from aomgen.motion.photometric import PhotometricParams, Witness, refine
 
 _DRAWS = 4000
 # Far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
@@ -21,8 +20,7 @@ _LEAST_VARIANCE = 1e-10
 
 
 def asked_film(
-    demo: Demonstration,
-    masks_at: MasksAt,
+    seen: Witness | None,
     estimate: MotionEstimate,
     hand: HandAnswer,
     params: PhotometricParams | None = None,
@@ -30,13 +28,12 @@ def asked_film(
     """The estimate with joint, values and their errors refined on the film, or as it was.
 
     Args:
-        demo: What the estimate was made from.
-        masks_at: Draws the robot.
+        seen: The film as read for the hand's answer.
         estimate: The hand's answer.
         hand: The same as a prior.
         params: Of the refinement.
     """
-    refined = refine(demo, masks_at, hand, params)
+    refined = refine(seen, hand, params)
     if not refined.accepted:
         return estimate
     revolute = refined.joint.type == "revolute"

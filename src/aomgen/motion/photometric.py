@@ -17,11 +17,14 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_fit import Band, compared
 from aomgen.motion.film_problem import FilmProblem
 from aomgen.motion.hand_answer import HandAnswer
-from aomgen.motion.part_film import part_film
+from aomgen.motion.part_film import PartFilm, part_film
 from aomgen.physics.robot_masks import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].
 _SETTLED_S: Final = 0.1
+# Fewer frames that show the part tell nothing.
+MIN_FRAMES: Final = 3
+_MIN_RESTING: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,32 +114,60 @@ class Refinement:
         return float(np.sqrt(np.trace(self.covariance[2:, 2:])))
 
 
-def refine(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Witness:
+    """What the film shows of the part.
+
+    Attributes:
+        film: Around the part's way, and the part painted.
+        fitted: Frames that answers are fitted to.
+        held_out: Frames that judge them.
+    """
+
+    film: PartFilm
+    fitted: NDArray[np.intp]
+    held_out: NDArray[np.intp]
+
+
+def witness(
     demo: Demonstration, masks_at: MasksAt, hand: HandAnswer, params: PhotometricParams | None = None
-) -> Refinement:
-    """Ask the film about joint and joint values.
+) -> Witness | None:
+    """Read the film; None where it shows too little of the part before or during the motion.
 
     Args:
         demo: Film, camera, and the scene as scanned.
         masks_at: Draws the robot.
-        hand: First answer and prior.
+        hand: Where and when the part goes, roughly.
         params: See there.
-
-    Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: that
-    the film shows the part before it moves (without that nothing is painted and the hand's answer
-    is returned), and camera errors that leave the part at rest where it is.
     """
     params = params or PhotometricParams()
     fitted, held_out, resting = chosen_frames(hand, params.knots)
-    if len(fitted) < 3 or len(resting) < 2:
-        return _kept(hand, f"the film shows {len(resting)} frames before and {len(fitted)} during the motion")
+    if len(fitted) < MIN_FRAMES or len(resting) < _MIN_RESTING:
+        return None
     moments = (resting, np.concatenate([fitted, held_out]), float(hand.thetas.max()))
     film = part_film(
         demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
     )
-    problem = FilmProblem.of(film, hand, fitted)
+    return Witness(film=film, fitted=fitted, held_out=held_out)
+
+
+def refine(seen: Witness | None, hand: HandAnswer, params: PhotometricParams | None = None) -> Refinement:
+    """Ask the film about joint and joint values.
+
+    Args:
+        seen: The film as read for this answer; where it is None the hand's answer stays.
+        hand: First answer and prior.
+        params: See there.
+
+    Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: camera
+    errors that leave the part at rest where it is.
+    """
+    params = params or PhotometricParams()
+    if seen is None:
+        return _kept(hand, "the film shows too few frames before or during the motion")
+    problem = FilmProblem.of(seen.film, hand, seen.fitted)
     y, covariance = problem.solve(params.bands, params.rounds)
-    return _judged(problem, y, covariance, held_out, params)
+    return _judged(problem, y, covariance, seen.held_out, params)
 
 
 def chosen_frames(
@@ -168,8 +199,8 @@ def _judged(
     """The refined answer if held-out frames (N,) agree better with it."""
     hand, joint, thetas = problem.hand, problem.joint(y), np.maximum(problem.thetas(y), 0.0)
     seen = compared(problem.film, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1])
-    if len(seen) < 3:
-        return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need 3")
+    if len(seen) < MIN_FRAMES:
+        return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need {MIN_FRAMES}")
     gains = np.array([item.cost_before - item.cost_after for item in seen])
     improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
     explained = float(np.median([item.explained_after for item in seen]))

@@ -16,7 +16,7 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_fit import shifted
 from aomgen.motion.film_problem import value_lever
 from aomgen.motion.hand_answer import HandAnswer
-from aomgen.motion.photometric import chosen_frames, refine
+from aomgen.motion.photometric import chosen_frames, refine, witness
 from aomgen.splatting.rasterizer import render
 
 HINGE = Joint(type="revolute", axis=np.array([0, 0, 1.0]), origin=np.zeros(3), lower=0.0, upper=1.0)
@@ -137,7 +137,7 @@ def test_a_wrong_hinge_is_put_right_whatever_the_exposure_and_the_arm(arm):
     made = world(gains=1 - 0.2 * SHARES, arm=arm)
     hand = made.hand(WRONG, 0.97)
     before = _errors(made, hand.joint, hand.thetas)
-    answer = refine(made.demo, made.masks_at, hand)
+    answer = refine(witness(made.demo, made.masks_at, hand), hand)
     after = _errors(made, answer.joint, answer.thetas)
     assert answer.accepted, answer.reason
     assert answer.evidence is not None
@@ -152,7 +152,7 @@ def test_a_wrong_hinge_is_put_right_whatever_the_exposure_and_the_arm(arm):
 def test_a_wrong_slide_is_put_right():
     made = world(SLIDE)
     hand = made.hand(np.array([0.03, -0.03]), 0.97)
-    answer = refine(made.demo, made.masks_at, hand)
+    answer = refine(witness(made.demo, made.masks_at, hand), hand)
     assert answer.accepted, answer.reason
     assert angle_between(answer.joint.axis, SLIDE.axis) < 0.5 * angle_between(hand.joint.axis, SLIDE.axis)
     assert np.abs(answer.thetas - made.thetas).max() < 0.002
@@ -161,7 +161,7 @@ def test_a_wrong_slide_is_put_right():
 def test_a_plain_panel_says_nothing_and_the_hand_is_kept():
     made = world(contrast=0.0)
     hand = made.hand(WRONG, 0.97)
-    answer = refine(made.demo, made.masks_at, hand)
+    answer = refine(witness(made.demo, made.masks_at, hand), hand)
     assert not answer.accepted
     assert answer.reason
     assert answer.joint == hand.joint
@@ -171,7 +171,7 @@ def test_a_plain_panel_says_nothing_and_the_hand_is_kept():
 def test_a_film_that_begins_with_the_motion_is_not_asked():
     made = world()
     hand = replace(made.hand(WRONG, 0.97), interval=(0.0, 3.0))
-    answer = refine(made.demo, made.masks_at, hand)
+    answer = refine(witness(made.demo, made.masks_at, hand), hand)
     assert not answer.accepted
     assert "before" in answer.reason
 
