@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
@@ -12,7 +11,7 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.direction import direction_of
 from aomgen.motion.drift import hand_drift
 from aomgen.motion.recovery import Recovery, first_frame, poses_at
-from aomgen.motion.theta import path_values, values_at_frames
+from aomgen.motion.theta import leave_of, path_values, values_at_frames
 
 # One of so many samples of the joint is carried to the values.
 _EVERY = 8
@@ -21,25 +20,17 @@ _EVERY = 8
 def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: float) -> MotionEstimate:
     """The estimate as the rest of the pipeline reads it."""
     frames = demo.video.times_s
-    estimate = recovery.estimate
-    thetas = values_at_frames(
-        frames, (recovery.times_s, recovery.values), recovery.interval, recovery.levels, recovery.leave
-    )
-    moving = (frames >= recovery.interval[0]) & (frames <= recovery.interval[1])
-    joint = Joint(
-        type=recovery.joint.type,
-        axis=recovery.joint.axis,
-        origin=recovery.joint.origin,
-        lower=0.0,
-        upper=float(thetas.max()),
-    )
+    estimate, course = recovery.estimate, recovery.course
+    thetas = values_at_frames(frames, course, leave_of(estimate.joint.type))
+    moving = (frames >= course.interval[0]) & (frames <= course.interval[1])
+    joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
     poses = poses_at(demo, frames + demo.clock_offset_s)
     drift = hand_drift(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
     return MotionEstimate(
         clock_offset_s=demo.clock_offset_s,
         clock_offset_sd_s=demo.clock_sd_s,
-        start_s=first_frame(frames, recovery.interval[0]),
-        end_s=_last_frame(frames, recovery.interval[1]),
+        start_s=first_frame(frames, course.interval[0]),
+        end_s=_last_frame(frames, course.interval[1]),
         curve=curve,
         contacts=recovery.contacts.patches,
         grasp_ee=estimate.grasp_ee,
@@ -62,8 +53,9 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
 
 def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Array) -> Array:
     """Standard deviation (F,) of the values, [rad] or [m]: of the joint, the grasp, the clock and the level at rest."""
-    estimate, joint = recovery.estimate, recovery.joint
-    first, last = recovery.interval
+    estimate, course = recovery.estimate, recovery.course
+    joint = estimate.joint
+    first, last = course.interval
     moments = np.clip(frames, first, last)
     poses = poses_at(demo, np.concatenate([[first], moments]) + demo.clock_offset_s)
     draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
@@ -74,7 +66,7 @@ def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Ar
     offset = apply(poses[0], estimate.grasp_ee) - joint.origin
     radius = float(np.linalg.norm(np.cross(offset, joint.axis))) if joint.type == "revolute" else 1.0
     grasp_sd = np.hypot(estimate.residual_m / radius, estimate.give_rate * thetas)
-    speed = np.abs(np.interp(frames, recovery.times_s, np.gradient(recovery.values, recovery.times_s)))
+    speed = np.abs(np.interp(frames, course.times_s, np.gradient(course.values, course.times_s)))
     clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
     level_sd = np.where(thetas > 0, recovery.level_sd, 0.0)
     return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2 + level_sd**2)

@@ -12,6 +12,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.motion.ends import STILL_M, Sight, Way, arriving, leaving
 from aomgen.motion.joint_noise import SCALES, NoisePrior
 from aomgen.motion.keyframes import Departures
+from aomgen.motion.theta import ValueCourse
 
 # A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
 # 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
@@ -36,27 +37,9 @@ class Picture:
         freeze(self, "times_s", self.times_s, (len(self.seen.left),))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PushedCourse:
-    """Joint values along a touch without a grip.
-
-    Attributes:
-        values: How far the part is (T,), never falling, [rad] or [m].
-        interval: Start and end of the motion, [s].
-        levels: Values of the part at rest before and after.
-    """
-
-    values: Array
-    interval: tuple[float, float]
-    levels: tuple[float, float]
-
-    def __post_init__(self) -> None:
-        freeze(self, "values", self.values, (None,))
-
-
 def pushed_course(
     times_s: Array, values: Array, seen_s: tuple[float, float], leave: float, picture: Picture
-) -> PushedCourse:
+) -> ValueCourse:
     """Follow a part by the value that the hand's way would give it.
 
     Args:
@@ -75,7 +58,9 @@ def pushed_course(
     end = arriving(way, picture.times_s, picture.seen.ahead, picture.sight, held=False)
     interval = (min(start.time_s, end.time_s), max(start.time_s, end.time_s))
     first, last = np.interp(interval, times_s, farthest)
-    return PushedCourse(values=farthest, interval=interval, levels=(first - leave, last + leave))
+    return ValueCourse(
+        times_s=times_s, values=farthest, interval=interval, levels=(first - leave, last + leave)
+    )
 
 
 def _farthest(values: Array, middle: int) -> Array:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aomgen.core.joint import Joint, JointType
+from aomgen.core.joint import JointType
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
@@ -16,7 +16,14 @@ from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.params import MotionParams
 from aomgen.motion.path import Hold
 from aomgen.motion.pushed import Picture, loose, pushed_course
-from aomgen.motion.theta import LEAVE_M, LEAVE_RAD, leaving_and_arriving, path_values, resting, smooth_within
+from aomgen.motion.theta import (
+    ValueCourse,
+    leave_of,
+    leaving_and_arriving,
+    path_values,
+    resting,
+    smooth_within,
+)
 
 _DENSE_STEP_S = 0.01
 _SMOOTH_S = 0.2
@@ -29,29 +36,17 @@ class Recovery:
     Attributes:
         contacts: By the refined interval.
         found, estimate: What the hand's path says, and of the type that is recovered.
-        joint: The same.
-        interval: Start and end of the motion, [s].
-        levels: Values along the touch of the part at rest, before and after.
-        level_sd: Standard deviation of the first one beyond that of the hand's path, [rad] or [m].
-        times_s, values: Dense series (T,) over the touch.
+        course: Values along the touch.
+        level_sd: Standard deviation of its first level beyond that of the hand's path, [rad] or [m].
         face_normal: Outward normal of the part's face (3,) at value 0.
     """
 
     contacts: Contacts
     found: Candidates
     estimate: JointEstimate
-    joint: Joint
-    interval: tuple[float, float]
-    levels: tuple[float, float]
+    course: ValueCourse
     level_sd: float
-    times_s: Array
-    values: Array
     face_normal: Array
-
-    @property
-    def leave(self) -> float:
-        """Value by which the part has left or not reached its ends, [rad] or [m]."""
-        return LEAVE_RAD if self.joint.type == "revolute" else LEAVE_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,19 +128,18 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
     demo, shape, seen, offset_s = first.demo, first.shape, first.seen, first.demo.clock_offset_s
     times = _dense(first.touch_s)
     poses = poses_at(demo, times + offset_s)
-    leave = LEAVE_RAD if joint_type == "revolute" else LEAVE_M
+    leave = leave_of(joint_type)
 
-    def along(found: Candidates, interval: tuple[float, float]) -> _Course:
+    def along(found: Candidates, interval: tuple[float, float]) -> ValueCourse:
         estimate = found.of(joint_type)
         reference = int(np.argmin(np.abs(times - interval[0])))
         path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
         values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
         if not first.gripped:
-            pushed = pushed_course(times, values, interval, leave, first.picture)
-            return _Course(interval=pushed.interval, levels=pushed.levels, values=pushed.values)
-        felt, levels = leaving_and_arriving(times, values, seen, leave, gripped=first.gripped)
+            return pushed_course(times, values, interval, leave, first.picture)
+        felt, levels = leaving_and_arriving(times, values, seen, leave)
         start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
-        return _Course(interval=(start, end), levels=levels, values=values)
+        return ValueCourse(times_s=times, values=values, interval=(start, end), levels=levels)
 
     course = along(first.found, seen)
     moments = _begin(course.interval, demo, params)
@@ -153,30 +147,16 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
     begin = PartPath(times_log_s=moments, Ts_world_part=first.found.of(joint_type).joint.motion(thetas))
     contacts, found = _explained(demo, shape, first.surface, begin, course.interval, first.joint)
     course = along(found, course.interval)
-    estimate = found.of(joint_type)
     # A part that creeps off does not tell where it rested.
     rest = resting(times, course.values, seen[0])
     return Recovery(
         contacts=contacts,
         found=found,
-        estimate=estimate,
-        joint=estimate.joint,
-        interval=course.interval,
-        levels=course.levels,
+        estimate=found.of(joint_type),
+        course=course,
         level_sd=(float(np.std(rest)) if len(rest) else 0.0) if first.gripped else leave,
-        times_s=times,
-        values=course.values,
         face_normal=shape.face_normal,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Course:
-    """Joint values over the touch, and the interval and levels read from them."""
-
-    interval: tuple[float, float]
-    levels: tuple[float, float]
-    values: Array
 
 
 def _explained(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from aomgen.core.joint import Joint
+from aomgen.core.joint import Joint, JointType
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.motion.filters import smooth
@@ -37,6 +37,32 @@ class PathValues:
     def __post_init__(self) -> None:
         freeze(self, "values", self.values, (None,))
         freeze(self, "slip_m", self.slip_m, (len(self.values),))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValueCourse:
+    """Joint values along a touch, and when and where the part rests.
+
+    Attributes:
+        times_s: Dense times (T,), [s].
+        values: (T,), smooth, growing in the demonstrated direction, [rad] or [m].
+        interval: Start and end of the motion, [s].
+        levels: Values of the part at rest before and after.
+    """
+
+    times_s: Array
+    values: Array
+    interval: tuple[float, float]
+    levels: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        freeze(self, "times_s", self.times_s, (None,))
+        freeze(self, "values", self.values, (len(self.times_s),))
+
+
+def leave_of(joint_type: JointType) -> float:
+    """Value by which a part has left its first state or not reached its last one, [rad] or [m]."""
+    return LEAVE_RAD if joint_type == "revolute" else LEAVE_M
 
 
 def path_values(
@@ -112,16 +138,15 @@ def smooth_within(values: Array, step_s: float, window_s: float, tolerance: floa
 
 
 def leaving_and_arriving(
-    times_s: Array, values: Array, seen: tuple[float, float], tolerance: float, *, gripped: bool
+    times_s: Array, values: Array, seen: tuple[float, float], tolerance: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Refine the motion's interval from the values along the touch.
+    """Refine the motion's interval from the values along the touch of a hand that holds the part.
 
     Args:
         times_s: Dense times (T,) from touch to release, [s].
         values: Joint values (T,), smooth.
         seen: Start and end as seen in the picture, [s].
         tolerance: Difference that counts as motion, `LEAVE_RAD` or `LEAVE_M`.
-        gripped: The hand held the part before and after; else the levels are read at `seen`.
 
     Returns:
         The interval (first time at which the value differs from its first level, last time at which
@@ -129,11 +154,10 @@ def leaving_and_arriving(
     """
     start_s, end_s = seen
     first_level, last_level = np.interp(seen, times_s, values)
-    if gripped:
-        # A film that begins gripped leaves no time to rest in: its first value is the level then.
-        first_level = values[0] if times_s[0] <= start_s else first_level
-        first_level = _level(resting(times_s, values, start_s), first_level)
-        last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
+    # A film that begins gripped leaves no time to rest in: its first value is the level then.
+    first_level = values[0] if times_s[0] <= start_s else first_level
+    first_level = _level(resting(times_s, values, start_s), first_level)
+    last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
     left = np.abs(values - first_level) > tolerance
     ahead = np.abs(values - last_level) > tolerance
     # From the middle of the motion outwards, so that the approach and the retreat do not count.
@@ -155,13 +179,7 @@ def _level(values: Array, otherwise: float) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
 
-def values_at_frames(
-    frame_times_s: Array,
-    course: tuple[Array, Array],
-    interval: tuple[float, float],
-    levels: tuple[float, float],
-    tolerance: float,
-) -> Array:
+def values_at_frames(frame_times_s: Array, course: ValueCourse, tolerance: float) -> Array:
     """Values (F,) at frame times, never below 0; the part rests before and after.
 
     The interval begins when the value has left its first level by a tolerance. On the way there, from the
@@ -169,19 +187,18 @@ def values_at_frames(
 
     Args:
         frame_times_s: Video frame times (F,).
-        course: Times (T,) and values (T,) of the dense series, smooth.
-        interval: Start and end of the motion, [s].
-        levels: First and last level of the values.
+        course: Along the touch.
         tolerance: `LEAVE_RAD` or `LEAVE_M`.
     """
-    times, values = course
-    start_s, end_s = interval
-    inside = np.interp(frame_times_s, times, values) - levels[0]
-    last = levels[1] - levels[0]
-    left = times[(times <= start_s) & (values - levels[0] <= 0)]
-    reached = times[(times >= end_s) & (values >= levels[1])]
+    times, values = course.times_s, course.values
+    start_s, end_s = course.interval
+    first, last = course.levels
+    inside = np.interp(frame_times_s, times, values) - first
+    whole = last - first
+    left = times[(times <= start_s) & (values <= first)]
+    reached = times[(times >= end_s) & (values >= last)]
     leaving = (frame_times_s >= (left[-1] if len(left) else start_s)) & (inside <= tolerance)
-    arriving = (frame_times_s <= (reached[0] if len(reached) else end_s)) & (inside >= last - tolerance)
+    arriving = (frame_times_s <= (reached[0] if len(reached) else end_s)) & (inside >= whole - tolerance)
     thetas = np.where((frame_times_s < start_s) & ~leaving, 0.0, inside)
-    thetas = np.where((frame_times_s > end_s) & ~arriving, last, thetas)
+    thetas = np.where((frame_times_s > end_s) & ~arriving, whole, thetas)
     return np.maximum(thetas, 0.0)

@@ -7,8 +7,8 @@ from aomgen.motion.ends import Sight, Way
 from aomgen.motion.hand import HandSignals, Touch, reached
 from aomgen.motion.joint_noise import NoisePrior
 from aomgen.motion.keyframes import Departures
-from aomgen.motion.pushed import Picture, PushedCourse, loose, pushed_course
-from aomgen.motion.theta import LEAVE_M
+from aomgen.motion.pushed import Picture, loose, pushed_course
+from aomgen.motion.theta import LEAVE_M, ValueCourse
 
 TIMES = np.arange(0.0, 8.0, 0.01, dtype=np.float64)
 FRAMES = np.arange(0.0, 8.0, 0.1, dtype=np.float64)
@@ -17,7 +17,7 @@ HAND = np.interp(TIMES, [0, 1, 2, 6, 6.5, 8], [-0.03, 0, 0, 0.1, 0.1, 0.02])
 PART = np.interp(FRAMES, [2, 6], [0, 0.1])
 
 
-def course(left: np.ndarray, ahead: np.ndarray, seen_s: tuple[float, float]) -> PushedCourse:
+def course(left: np.ndarray, ahead: np.ndarray, seen_s: tuple[float, float]) -> ValueCourse:
     picture = Picture(
         times_s=FRAMES, seen=Departures(left=left, ahead=ahead), sight=Sight(noise=0.004, pixel_m=0.0)
     )

@@ -7,6 +7,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.motion.theta import (
     LEAVE_RAD,
+    ValueCourse,
     leaving_and_arriving,
     path_values,
     resting,
@@ -66,9 +67,13 @@ def moving_series() -> tuple[np.ndarray, np.ndarray]:
     return times, 0.3 + np.interp(times, [1.0, 3.0], [0, 1.0])
 
 
+def course(times: np.ndarray, values: np.ndarray, interval: tuple[float, float]) -> ValueCourse:
+    return ValueCourse(times_s=times, values=values, interval=interval, levels=(0.3, 1.3))
+
+
 def test_the_interval_is_where_the_value_has_left_and_not_arrived() -> None:
     times, values = moving_series()
-    (start, end), levels = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD, gripped=True)
+    (start, end), levels = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD)
     assert start == pytest.approx(1.0 + 2 * LEAVE_RAD, abs=0.02)
     assert end == pytest.approx(3.0 - 2 * LEAVE_RAD, abs=0.02)
     assert levels == pytest.approx((0.3, 1.3), abs=0.002)
@@ -76,10 +81,10 @@ def test_the_interval_is_where_the_value_has_left_and_not_arrived() -> None:
 
 def test_running_time_backwards_swaps_start_and_end() -> None:
     times, values = moving_series()
-    (start, end), _ = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD, gripped=True)
+    (start, end), _ = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD)
     turned = times[-1] - times[::-1]
     seen = (float(times[-1]) - 2.7, float(times[-1]) - 1.2)
-    (back_start, back_end), _ = leaving_and_arriving(turned, values[::-1], seen, LEAVE_RAD, gripped=True)
+    (back_start, back_end), _ = leaving_and_arriving(turned, values[::-1], seen, LEAVE_RAD)
     assert back_start == pytest.approx(times[-1] - end, abs=0.03)
     assert back_end == pytest.approx(times[-1] - start, abs=0.03)
 
@@ -88,7 +93,7 @@ def test_a_film_that_begins_gripped_just_before_the_motion_knows_the_first_level
     """Held from 0.95 s on; the motion begins at 1 s."""
     times, values = moving_series()
     late = times >= 0.95
-    (start, _), levels = leaving_and_arriving(times[late], values[late], (1.04, 2.7), LEAVE_RAD, gripped=True)
+    (start, _), levels = leaving_and_arriving(times[late], values[late], (1.04, 2.7), LEAVE_RAD)
     assert start == pytest.approx(1.0 + 2 * LEAVE_RAD, abs=0.02)
     assert levels[0] == pytest.approx(0.3, abs=0.005)
 
@@ -96,7 +101,7 @@ def test_a_film_that_begins_gripped_just_before_the_motion_knows_the_first_level
 def test_frames_rest_before_the_start_and_after_the_end() -> None:
     times, values = moving_series()
     frames = np.array([0.0, 0.5, 2.0, 3.5, 9.0])
-    thetas = values_at_frames(frames, (times, values), (1.0, 3.0), (0.3, 1.3), LEAVE_RAD)
+    thetas = values_at_frames(frames, course(times, values, (1.0, 3.0)), LEAVE_RAD)
     assert thetas == pytest.approx([0, 0, 0.5, 1.0, 1.0], abs=1e-6)
 
 
@@ -104,7 +109,7 @@ def test_frames_between_rest_and_leaving_show_what_the_hand_shows() -> None:
     times, values = moving_series()
     left, arrived = 1.0 + 2 * LEAVE_RAD, 3.0 - 2 * LEAVE_RAD
     frames = np.array([0.9, 1.01, arrived + 0.01, 3.1])
-    thetas = values_at_frames(frames, (times, values), (left, arrived), (0.3, 1.3), LEAVE_RAD)
+    thetas = values_at_frames(frames, course(times, values, (left, arrived)), LEAVE_RAD)
     assert thetas[[0, 3]] == pytest.approx([0.0, 1.0], abs=1e-6)
     assert 0 < thetas[1] < LEAVE_RAD
     assert 1 - LEAVE_RAD < thetas[2] < 1
@@ -112,7 +117,7 @@ def test_frames_between_rest_and_leaving_show_what_the_hand_shows() -> None:
 
 def test_a_hand_that_moves_much_before_the_picture_does_is_not_believed() -> None:
     times, values = moving_series()
-    thetas = values_at_frames(np.array([1.6]), (times, values), (2.0, 3.0), (0.3, 1.3), LEAVE_RAD)
+    thetas = values_at_frames(np.array([1.6]), course(times, values, (2.0, 3.0)), LEAVE_RAD)
     assert thetas[0] == 0.0
 
 
