@@ -149,6 +149,24 @@ def test_what_shows_through_a_front_is_the_front():
     assert unseen.item() == BACKGROUND
 
 
+@pytest.mark.parametrize("up", [0, 1, 2])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_outer_faces_have_some_thickness_but_not_the_one_that_lies_on_a_table(up, sign):
+    """The world stands on each face of the object in turn."""
+    rows = np.roll(np.eye(3), 2 - up, axis=0)
+    rows[2] *= sign
+    rows[1] *= sign
+    panel = Panel.of_shape(
+        transform(rows, np.zeros(3)), np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 0, -0.8, 0]), 0.01
+    )
+    outside = [[-0.005, 0.5, -0.4], [0.5, -0.005, -0.4], [0.5, 0.5, -0.805]]
+    outside += [[1.005, 0.5, -0.4], [0.5, 1.005, -0.4], [0.5, 0.5, 0.105]]
+    found = panel.labels_local(np.array(outside))
+    found[5] = STATIC if panel.object_high[2] > 0 else BACKGROUND
+    down = up if sign > 0 else up + 3
+    assert [k for k in range(6) if found[k] == BACKGROUND] == [down]
+
+
 def test_labels_move_with_the_panel():
     rng = np.random.default_rng(5)
     shape = np.array([0, 1, 0, 1, -0.05, 0.1, 0.2, 0.1, 0.3, 0.2, -0.8, 0.0])

@@ -15,6 +15,9 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 
+# A face looks down when its normal does to 45 degrees, cosine.
+_DOWN = float(np.cos(np.radians(45.0)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
@@ -47,17 +50,20 @@ class Panel:
             shape: (12,): left, right, lower and upper edge of the panel, its seam, reach of its
                 handles; how far the object goes beyond the panel to the left, right, below and
                 above (>= 0); the object's back; how far it stands out beside the panel (>= 0). [m]
-            margin_m: Thickness given to the object's outer faces, not to its lower one, which
+            margin_m: Thickness given to the object's outer faces, not to the one that looks down, which
                 lies on other things.
         """
         left, right, lower, upper, seam, reach = shape[:6]
         beyond = shape[6:10]
+        up = T_world_panel[2, :3]
+        margins_low = np.where(up > _DOWN, 0.0, margin_m)
+        margins_high = np.where(up < -_DOWN, 0.0, margin_m)
         return cls(
             T_world_panel=T_world_panel,
             low=np.array([left, lower, seam]),
             high=np.array([right, upper, reach]),
-            object_low=np.array([left - beyond[0] - margin_m, lower - beyond[2], shape[10] - margin_m]),
-            object_high=np.array([right + beyond[1], upper + beyond[3], shape[11]]) + margin_m,
+            object_low=np.array([left - beyond[0], lower - beyond[2], shape[10]]) - margins_low,
+            object_high=np.array([right + beyond[1], upper + beyond[3], shape[11]]) + margins_high,
         )
 
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
