@@ -64,6 +64,11 @@ HINGE = Joint(
     lower=0.0,
     upper=float(np.radians(40)),
 )
+SLIDE = Joint(type="prismatic", axis=np.array([0, -1.0, 0]), origin=HANDLE, lower=0.0, upper=0.14)
+JOINTS = {"door": HINGE, "drawer": SLIDE}
+both = pytest.mark.parametrize("kind", JOINTS)
+# Values are compared in these units: a tenth of a degree of a door, 0.3 mm of a drawer.
+UNIT = {"door": float(np.radians(0.1)), "drawer": 3e-4}
 
 
 def sheet(corner: list[float], sides: list[list[float]], seed: int) -> Gaussians:
@@ -131,19 +136,20 @@ def solved(robot: RobotModel, Ts_world_ee: Array, first: Array) -> Array:
     return np.array(rows)
 
 
-def thetas_at(times_s: Array) -> Array:
-    """Opened as far (T,) at film times (T,), [rad]."""
+def thetas_at(joint: Joint, times_s: Array) -> Array:
+    """Opened as far (T,) at film times (T,), [rad] or [m]."""
     u = np.clip((times_s - MOTION_S[0]) / (MOTION_S[1] - MOTION_S[0]), 0, 1)
-    return HINGE.upper * u**3 * (10 - 15 * u + 6 * u**2)
+    return joint.upper * u**3 * (10 - 15 * u + 6 * u**2)
 
 
 @cache
-def world() -> Demonstration:
-    """A hand that comes, holds the handle, opens the door and goes."""
+def world(kind: str) -> Demonstration:
+    """A hand that comes, holds the handle, opens the door or pulls it out as a drawer's front, and goes."""
+    joint = JOINTS[kind]
     robot = load_robot("ur5e_2f85")
     times = np.linspace(0, LENGTH_S, 51)
     T_first = transform(R_WORLD_HAND, HANDLE)
-    held = HINGE.motion(thetas_at(times)) @ T_first
+    held = joint.motion(thetas_at(joint, times)) @ T_first
     off = 0.1 * np.interp(times, [0, NEAR_S[0], NEAR_S[1], LENGTH_S], [1, 0, 0, 1])
     held[:, :3, 3] -= off[:, None] * held[:, :3, 2]
     log = JointLog(
@@ -162,8 +168,8 @@ def world() -> Demonstration:
     parts = np.zeros(len(moving), np.int32)
     frames = np.stack(
         [
-            session.draw(moving, Parts(indices=parts, Ts_world_part=HINGE.motion(theta)[None])).rgb
-            for theta in thetas_at(FRAMES_S)
+            session.draw(moving, Parts(indices=parts, Ts_world_part=joint.motion(theta)[None])).rgb
+            for theta in thetas_at(joint, FRAMES_S)
         ]
     )
     with robot_masks(robot, camera, log) as masks_at:
@@ -182,8 +188,8 @@ def world() -> Demonstration:
 
 
 @cache
-def opened() -> MotionEstimate:
-    return estimate_motion(world(), QUICK)
+def opened(kind: str) -> MotionEstimate:
+    return estimate_motion(world(kind), QUICK)
 
 
 def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
@@ -216,10 +222,10 @@ def elsewhere(demo: Demonstration, T: Array) -> Demonstration:
     )
 
 
-def backwards(demo: Demonstration) -> Demonstration:
+def backwards(demo: Demonstration, joint: Joint) -> Demonstration:
     """Film, log and gripper backwards, and the scene as it would be scanned before that."""
     log, film, moving = demo.log, demo.video, demo.labels == MOVING
-    gone = demo.scene.select(moving).transformed(HINGE.motion(HINGE.upper))
+    gone = demo.scene.select(moving).transformed(joint.motion(joint.upper))
     return replace(
         demo,
         video=replace(film, frames_srgb=film.frames_srgb[::-1]),
@@ -230,23 +236,26 @@ def backwards(demo: Demonstration) -> Demonstration:
 
 
 def line_gap_m(first: Joint, second: Joint) -> float:
-    """Distance of one axis' origin from the other axis, [m]."""
+    """Distance of one axis' origin from the other axis, [m]; 0 for drawers, whose axes have no place."""
     offset = second.origin - first.origin
-    return float(np.linalg.norm(offset - (offset @ first.axis) * first.axis))
+    across = offset - (offset @ first.axis) * first.axis
+    return float(np.linalg.norm(across)) if first.type == "revolute" else 0.0
 
 
-def test_the_joint_is_found() -> None:
-    found = opened()
-    assert (found.joint.type, found.direction) == ("revolute", "opening")
-    assert angle_between(found.joint.axis, HINGE.axis) < np.radians(0.5)
-    assert line_gap_m(HINGE, found.joint) < 0.004
-    assert found.thetas == pytest.approx(thetas_at(FRAMES_S), abs=np.radians(0.7))
+@both
+def test_the_joint_is_found(kind: str) -> None:
+    found, joint = opened(kind), JOINTS[kind]
+    assert (found.joint.type, found.direction) == (joint.type, "opening")
+    assert angle_between(found.joint.axis, joint.axis) < np.radians(0.5)
+    assert line_gap_m(joint, found.joint) < 0.004
+    assert found.thetas == pytest.approx(thetas_at(joint, FRAMES_S), abs=7 * UNIT[kind])
 
 
+@both
 @pytest.mark.parametrize("lean", [(0.0, 0.0), (0.1, -0.15)])
-def test_where_the_world_stands_changes_nothing(lean: tuple[float, float]) -> None:
+def test_where_the_world_stands_changes_nothing(kind: str, lean: tuple[float, float]) -> None:
     T = transform(matrix_from_rotvec([*lean, 2.0]), np.array([0.7, -0.4, 0.3]))
-    here, there = opened(), estimate_motion(elsewhere(world(), T), QUICK)
+    here, there = opened(kind), estimate_motion(elsewhere(world(kind), T), QUICK)
     seen_here = there.joint.moved(invert(T))
     assert (there.joint.type, there.direction) == (here.joint.type, here.direction)
     assert angle_between(seen_here.axis, here.joint.axis) < np.radians(0.05)
@@ -255,17 +264,18 @@ def test_where_the_world_stands_changes_nothing(lean: tuple[float, float]) -> No
     # it which side of a bar is flat against the fingers.
     upright = lean == (0.0, 0.0)
     assert line_gap_m(here.joint, seen_here) < (3e-4 if upright else 1e-3)
-    assert there.thetas == pytest.approx(here.thetas, abs=np.radians(0.05 if upright else 0.15))
+    assert there.thetas == pytest.approx(here.thetas, abs=(0.5 if upright else 1.5) * UNIT[kind])
     for mine, moved in zip(here.contacts, there.contacts, strict=True):
         assert apply(invert(T), moved.point) == pytest.approx(mine.point, abs=1e-3 if upright else 1e-2)
 
 
-def test_time_turned_back_closes_what_was_opened() -> None:
-    forth, back = opened(), estimate_motion(backwards(world()), QUICK)
+@both
+def test_time_turned_back_closes_what_was_opened(kind: str) -> None:
+    forth, back = opened(kind), estimate_motion(backwards(world(kind), JOINTS[kind]), QUICK)
     assert back.joint.type == forth.joint.type
     assert (forth.direction, back.direction) == ("opening", "closing")
     assert angle_between(back.joint.axis, -forth.joint.axis) < np.radians(0.3)
     assert line_gap_m(forth.joint, back.joint) < 2e-3
-    assert back.thetas == pytest.approx(forth.thetas[-1] - forth.thetas[::-1], abs=np.radians(0.5))
+    assert back.thetas == pytest.approx(forth.thetas[-1] - forth.thetas[::-1], abs=5 * UNIT[kind])
     assert back.start_s == pytest.approx(LENGTH_S - forth.end_s, abs=0.11)
     assert back.end_s == pytest.approx(LENGTH_S - forth.start_s, abs=0.11)
