@@ -1,5 +1,7 @@
 """A cabinet with a door, looked at by exact cameras: its panel is hidden and asked back."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -54,10 +56,12 @@ def drawn_box(mask: np.ndarray) -> np.ndarray:
     return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
 
 
-def prompted(size: float = 1.0, yaw: float = 0.0, masks: str = "none") -> list[PromptedView]:
+def prompted(
+    size: float = 1.0, yaw: float = 0.0, masks: str = "none", eyes: Sequence[list[float]] = EYES
+) -> list[PromptedView]:
     """Two boxes of each part; masks are absent, right, or show the upper half of the door only."""
     views = []
-    for eye, part in zip(EYES, (STATIC, MOVING, STATIC, MOVING), strict=True):
+    for eye, part in zip(eyes, (STATIC, MOVING, STATIC, MOVING), strict=True):
         camera, points, labels = seen_by(eye, size, yaw)
         mask = labels == part
         half = mask & (np.arange(150)[:, None] < drawn_box(mask)[[1, 3]].mean())
@@ -91,6 +95,19 @@ def test_the_panel_of_a_cabinet_is_found_from_boxes(masks):
 def test_size_and_place_of_the_cabinet_do_not_matter(size, yaw):
     fit = fit_panel(prompted(size, yaw), np.random.default_rng(0))
     assert min(agreement(fit.panel, size, yaw).values()) > 0.9
+
+
+@pytest.mark.parametrize(
+    "eyes",
+    [
+        ([0.22, -0.73, 0.3], [1.01, -1.18, 0.5], [0.79, -1.11, 0.58], [-0.65, -0.87, 0.58]),
+        ([-0.36, -1.13, 0.36], [0.81, -1.13, 0.88], [0.43, -0.91, 0.57], [-0.14, -1.12, 0.86]),
+    ],
+)
+def test_the_seam_behind_the_panel_is_found_from_wherever_it_is_looked_at(eyes):
+    """From these places a seam at twice or five times the door's thickness explains the boxes nearly as well."""
+    fit = fit_panel(prompted(masks="right", eyes=eyes), np.random.default_rng(0))
+    assert fit.panel.low[2] == pytest.approx(DOOR[0, 1], abs=0.003)
 
 
 def test_boxes_drawn_a_little_wrong_still_give_the_panel():

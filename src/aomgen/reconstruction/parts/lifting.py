@@ -27,6 +27,7 @@ from aomgen.reconstruction.masks.segmenter import Segmenter
 from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams, affinity_labels, masked_scan
 from aomgen.reconstruction.parts.binding import MAX_DISTANCE_M, nearest_links
 from aomgen.reconstruction.parts.enclosed import with_enclosed
+from aomgen.reconstruction.parts.foot import with_foot
 from aomgen.reconstruction.parts.panel_fit import fit_panel
 from aomgen.reconstruction.parts.part_masks import ScanView, lift
 from aomgen.reconstruction.parts.part_votes import vote_parts
@@ -208,6 +209,7 @@ def _by_panel(
     painted = np.array([BACKGROUND, STATIC, MOVING], np.uint8)[np.argmax(votes, 1)]
     known = total > MIN_WEIGHT
     labels = np.where(known, painted, fit.panel.labels(gaussians.means)).astype(np.uint8)
+    labels = with_foot(gaussians, labels, fit.panel, prompted)
     confidence = np.where(known, votes.max(1) / np.maximum(total, 1e-9), 0.0)
     names = tuple(view.name for view in chosen)
     return ObjectLabels.judged(gaussians, prompted, labels, confidence, names, "panel")

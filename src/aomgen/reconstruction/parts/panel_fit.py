@@ -25,6 +25,9 @@ MAX_MASK_MISFIT = 0.25
 # Steps of the search, as shares of the panel's diagonal: coarse ones on fewer pixels.
 COARSE_STEPS = (0.2, 0.1, 0.05, 0.025)
 FINE_STEPS = (0.05, 0.025, 0.012, 0.006, 0.003)
+# The seam shows at the panel's edges only, where other numbers make up for a wrong one: it is looked for from
+# these places too, as shares of the panel's diagonal.
+SEAM_SHARES = (0.01, 0.03)
 # Most steps in one direction at once: far starts (a wall behind the object) are walked back so.
 MAX_STRIDES = 50
 COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
@@ -93,9 +96,18 @@ def fit_panel(views: list[PromptedView], rng: np.random.Generator) -> PanelFit:
         )
     found = [search.descend(start, coarse, COARSE_STEPS) for start in starts]
     shape = min(found, key=lambda item: item[1])[0]
-    shape, _ = search.descend(shape, fine, FINE_STEPS)
+    starts = [shape, *(_with_seam(shape, -share * size) for share in SEAM_SHARES)]
+    found = [search.descend(start, fine, FINE_STEPS) for start in starts]
+    shape = min(found, key=lambda item: item[1])[0]
     misfits = tuple(crop.misfit(search.panel(shape)) for crop in fine)
     return PanelFit(panel=Panel.of_shape(T_world_panel, shape, SKIN_SHARE * size), misfits=misfits)
+
+
+def _with_seam(shape: Array, seam_m: float) -> Array:
+    """A shape with another seam; the object's back stays behind it."""
+    changed = shape.copy()
+    changed[4], changed[10] = seam_m, min(shape[10], 2 * seam_m)
+    return changed
 
 
 def _surface(view: PromptedView) -> Array:
@@ -220,7 +232,7 @@ class _Search:
         left, right, lower, upper, seam, reach = shape[:6]
         if not (left < right and lower < upper and shape[10] < seam < 0 < reach):
             return np.inf
-        extent = right - left + upper - lower + shape[OVERHANG].sum() - shape[10]
+        extent = right - left + upper - lower + shape[OVERHANG].sum() - shape[10] - seam
         panel = self.panel(shape)
         return sum(crop.loss(panel) for crop in crops) + SIZE_PRICE * extent / self.size
 
