@@ -48,7 +48,7 @@ class Ways:
         return Ways(directions=np.stack([np.cos(angles), np.sin(angles)], 1), sd_rad=np.pi / _FAN / 2)
 
 
-def swept_bar(local: Array, half: Array, ways: "Ways", depth_m: float, flatness: float) -> Array | None:
+def swept_bar(local: Array, half: Array, ways: Ways, depth_m: float, flatness: float) -> Array | None:
     """The bar as matter that is even along it; None if what crosses the pad is no bar.
 
     Args:

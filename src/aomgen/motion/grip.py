@@ -100,18 +100,8 @@ def held_patches(
 def unseen_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
     """One patch all over each pad, for a gripper that holds what the scan hardly saw; see `held_patches`."""
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
-    tree = cKDTree(points_ee)
-    return tuple(
-        Patch(
-            finger=face.finger,
-            point=face.middle,
-            normal=face.normal,
-            covariance=(face.grid - face.middle).T @ (face.grid - face.middle) / len(face.grid)
-            + SURFACE_SD_M**2 * np.eye(3),
-            gap_m=float(tree.query(face.grid)[0].min()),
-        )
-        for face in faces
-    )
+    even = np.ones(_GRID**2)
+    return tuple(_pressed(face, even, even, even > 0, points_ee) for face in faces)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

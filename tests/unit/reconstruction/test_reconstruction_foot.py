@@ -4,13 +4,13 @@ from typing import cast
 
 import numpy as np
 
-from aomgen.conventions import BACKGROUND, STATIC
+from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import gaussians_of
 from aomgen.reconstruction.masks.segmenter import PreparedImage
 from aomgen.reconstruction.parts.foot import with_foot
 from aomgen.reconstruction.parts.panel import Panel
-from aomgen.reconstruction.parts.part_masks import ScanView
+from aomgen.reconstruction.parts.part_masks import ScanView, drawn_parts
 from aomgen.reconstruction.parts.prompted import PromptedImage
 
 # The object's box over the table at z = 0, and the plate under it, which is narrower (x and y, [m]).
@@ -35,14 +35,9 @@ SCENE = gaussians_of(
 
 def prompted(part: int, grow: float = 1.0) -> PromptedImage:
     """An image whose mask shows the plate; its box is larger by a factor."""
-    corners = np.array([[s * PLATE[0], t * PLATE[1], 0.003] for s in (-1, 1) for t in (-1, 1)])
-    pixels, _ = CAMERA.project(corners)
-    low, high = pixels.min(0), pixels.max(0)
-    mask = np.zeros((120, 160), bool)
-    v, u = np.mgrid[:120, :160] + 0.5
-    rays = np.stack([(u - 80) / 150, (v - 60) / 150, np.ones_like(u)], -1) @ CAMERA.T_world_cam[:3, :3].T
-    hits = CAMERA.center + rays * ((0.003 - CAMERA.center[2]) / rays[..., 2])[..., None]
-    mask = (np.abs(hits[..., 0]) < PLATE[0]) & (np.abs(hits[..., 1]) < PLATE[1])
+    mask = drawn_parts(SCENE, np.where(ON_PLATE, STATIC, BACKGROUND).astype(np.uint8), CAMERA)[STATIC]
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    low, high = np.array([columns[0], rows[0]]), np.array([columns[-1], rows[-1]]) + 1
     middle, half = (low + high) / 2, grow * (high - low) / 2
     view = ScanView(
         name="0.jpg", camera=CAMERA, image_srgb=np.zeros((120, 160, 3), np.uint8), robot=np.zeros_like(mask)
@@ -71,10 +66,11 @@ def test_masks_tell_a_plate_from_the_table() -> None:
 def test_a_mask_that_does_not_fill_its_box_is_not_believed() -> None:
     nothing = np.zeros(len(SCENE), np.uint8)
     assert shares(with_foot(SCENE, nothing, PANEL, [prompted(STATIC, grow=1.5)])) == (0.0, 0.0)
+    assert shares(with_foot(SCENE, nothing, PANEL, [prompted(MOVING)])) == (0.0, 0.0)
 
 
 def test_what_has_a_label_keeps_it_and_what_is_elsewhere_stays() -> None:
-    labelled = np.full(len(SCENE), 1, np.uint8)
+    labelled = np.full(len(SCENE), ROBOT, np.uint8)
     assert np.array_equal(with_foot(SCENE, labelled, PANEL, [prompted(STATIC)]), labelled)
     nothing = np.full(len(SCENE), BACKGROUND, np.uint8)
     lifted = SCENE.transformed(np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1.0]]))

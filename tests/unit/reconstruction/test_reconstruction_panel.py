@@ -176,12 +176,15 @@ def test_outer_faces_have_some_thickness_but_not_the_one_that_lies_on_a_table(up
     panel = Panel.of_shape(
         transform(rows, np.zeros(3)), np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 0, -0.8, 0]), 0.01
     )
-    outside = [[-0.005, 0.5, -0.4], [0.5, -0.005, -0.4], [0.5, 0.5, -0.805]]
-    outside += [[1.005, 0.5, -0.4], [0.5, 1.005, -0.4], [0.5, 0.5, 0.105]]
-    found = panel.labels_local(np.array(outside))
-    found[5] = STATIC if panel.object_high[2] > 0 else BACKGROUND
+    low, high = np.array([0, 0, -0.8]), np.array([1, 1, 0])
+    thickness = np.concatenate([low - panel.object_low, panel.object_high - high])
     down = up if sign > 0 else up + 3
-    assert [k for k in range(6) if found[k] == BACKGROUND] == [down]
+    assert thickness == pytest.approx(np.where(np.arange(6) == down, 0.0, 0.01))
+    # Before the front there may be handles, which are no outer face.
+    outside = [[-0.005, 0.5, -0.4], [0.5, -0.005, -0.4], [0.5, 0.5, -0.805]]
+    outside += [[1.005, 0.5, -0.4], [0.5, 1.005, -0.4]]
+    found = panel.labels_local(np.array(outside))
+    assert (found == np.where(np.arange(5) == down, BACKGROUND, STATIC)).all()
 
 
 def test_labels_move_with_the_panel():

@@ -11,17 +11,13 @@ from aomgen.conventions import BACKGROUND, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.reconstruction.parts.panel import Panel
+from aomgen.reconstruction.parts.panel import Panel, lower_face
 from aomgen.reconstruction.parts.panel_fit import MAX_MASK_MISFIT, box_misfit
-from aomgen.reconstruction.parts.part_masks import lift
+from aomgen.reconstruction.parts.part_masks import shown_by
 from aomgen.reconstruction.parts.prompted import PromptedImage
 
 # As high above and below the end of the box, as share of the object's diagonal.
 BAND_SHARE = 0.03
-# A Gaussian belongs to what this share of its pixels shows.
-MIN_INSIDE = 0.6
-# Painted weight that counts as seen, [px].
-MIN_WEIGHT = 0.05
 
 
 def with_foot(
@@ -35,23 +31,21 @@ def with_foot(
         panel: Of the object.
         prompted: Answers to the prompts; masks that do not fill their boxes are not asked.
     """
-    up = panel.T_world_panel[2, :3]
-    axis = int(np.argmax(np.abs(up)))
+    axis, side = lower_face(panel.T_world_panel)
     low, high = panel.object_low, panel.object_high
     local = apply(invert(panel.T_world_panel), np.asarray(gaussians.means, np.float64))
-    bottom = low[axis] if up[axis] > 0 else high[axis]
+    bottom = (low, high)[side][axis]
     across = [k for k in range(3) if k != axis]
     footprint = np.all((local[:, across] > low[across]) & (local[:, across] < high[across]), axis=1)
     band = BAND_SHARE * float(np.linalg.norm(high - low))
     at_foot = footprint & (np.abs(local[:, axis] - bottom) < band) & (labels == BACKGROUND)
-    inside, seen = np.zeros(len(gaussians)), np.zeros(len(gaussians))
-    for item in prompted:
-        mask = item.best_mask & _within(item.box, item.view.robot.shape)
-        if item.part == STATIC and box_misfit(mask, item.box) < MAX_MASK_MISFIT:
-            weights = lift(gaussians, item.view, [mask, ~mask & ~item.view.robot])
-            inside += weights[:, 0]
-            seen += weights.sum(1)
-    shown = (inside > MIN_INSIDE * seen) & (inside > MIN_WEIGHT)
+    clipped = [
+        (item, item.best_mask & _within(item.box, item.view.robot.shape))
+        for item in prompted
+        if item.part == STATIC
+    ]
+    masks = ((item.view, mask) for item, mask in clipped if box_misfit(mask, item.box) < MAX_MASK_MISFIT)
+    shown, _ = shown_by(gaussians, masks)
     return np.where(at_foot & shown, STATIC, labels).astype(np.uint8)
 
 

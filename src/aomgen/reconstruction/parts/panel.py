@@ -15,9 +15,6 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 
-# A face looks down when its normal does to 45 degrees, cosine.
-_DOWN = float(np.cos(np.radians(45.0)))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
@@ -55,15 +52,15 @@ class Panel:
         """
         left, right, lower, upper, seam, reach = shape[:6]
         beyond = shape[6:10]
-        up = T_world_panel[2, :3]
-        margins_low = np.where(up > _DOWN, 0.0, margin_m)
-        margins_high = np.where(up < -_DOWN, 0.0, margin_m)
+        margins = np.full((2, 3), margin_m)
+        axis, side = lower_face(T_world_panel)
+        margins[side, axis] = 0.0
         return cls(
             T_world_panel=T_world_panel,
             low=np.array([left, lower, seam]),
             high=np.array([right, upper, reach]),
-            object_low=np.array([left - beyond[0], lower - beyond[2], shape[10]]) - margins_low,
-            object_high=np.array([right + beyond[1], upper + beyond[3], shape[11]]) + margins_high,
+            object_low=np.array([left - beyond[0], lower - beyond[2], shape[10]]) - margins[0],
+            object_high=np.array([right + beyond[1], upper + beyond[3], shape[11]]) + margins[1],
         )
 
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
@@ -100,3 +97,10 @@ class Panel:
                 ours & (z < 0) & (hit_x > low[0]) & (hit_x < high[0]) & (hit_y > low[1]) & (hit_y < high[1])
             )
         return np.where(moves, MOVING, np.where(ours, STATIC, BACKGROUND)).astype(np.uint8)
+
+
+def lower_face(T_world_panel: Array) -> tuple[int, int]:
+    """Axis of the panel frame across the face of a box that looks down most, and its end: 0 low, 1 high."""
+    up = T_world_panel[2, :3]
+    axis = int(np.argmax(np.abs(up)))
+    return axis, 0 if up[axis] > 0 else 1

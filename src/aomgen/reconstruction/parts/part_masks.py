@@ -4,6 +4,7 @@ The prompts give a first guess in 3D; it is drawn into other views, and its box 
 segmenter again. Masks are never carried from image to image by appearance.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +14,14 @@ from scipy.ndimage import distance_transform_edt
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.values import Array
 from aomgen.errors import BackendError
 from aomgen.reconstruction.masks.segmenter import Mask, PreparedImage, clean
 from aomgen.splatting.rasterizer import contribution_weights, render
 
 MIN_AREA_PX = 120
+# A Gaussian belongs to what this share of its pixels shows, once it has painted as much as this, [px].
+MIN_INSIDE, MIN_SHOWN = 0.6, 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +46,21 @@ class PartMasks:
 def lift(gaussians: Gaussians, view: ScanView, masks: list[Mask]) -> NDArray[np.float32]:
     """Blended weight (N, M) of every Gaussian in each mask of one view."""
     return contribution_weights(gaussians, view.camera, np.stack(masks).astype(np.float32))
+
+
+def shown_by(gaussians: Gaussians, masks: Iterable[tuple[ScanView, Mask]]) -> tuple[NDArray[np.bool_], Array]:
+    """Which Gaussians (N,) masks show, and their blended weight (N,) inside of them.
+
+    Args:
+        gaussians: World frame.
+        masks: Views, and what a mask (H, W) is of in each.
+    """
+    inside, seen = np.zeros(len(gaussians)), np.zeros(len(gaussians))
+    for view, mask in masks:
+        weights = lift(gaussians, view, [mask, ~mask & ~view.robot])
+        inside += weights[:, 0]
+        seen += weights.sum(1)
+    return (inside > MIN_INSIDE * seen) & (inside > MIN_SHOWN), inside
 
 
 def drawn_parts(gaussians: Gaussians, labels: NDArray[np.uint8], camera: Camera) -> dict[int, Mask]:

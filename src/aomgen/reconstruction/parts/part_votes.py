@@ -9,7 +9,14 @@ from aomgen.core.progress import Progress
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.masks.segmenter import PreparedImage, Segmenter
-from aomgen.reconstruction.parts.part_masks import PartMasks, ScanView, drawn_parts, lift, prompt_again
+from aomgen.reconstruction.parts.part_masks import (
+    PartMasks,
+    ScanView,
+    drawn_parts,
+    lift,
+    prompt_again,
+    shown_by,
+)
 from aomgen.reconstruction.parts.pieces import VOXEL_M, largest_piece, settled
 from aomgen.reconstruction.parts.prompted import ObjectLabels, PromptedImage
 
@@ -41,15 +48,9 @@ def vote_parts(
     """
     labels = np.zeros(len(gaussians), np.uint8)
     for value in (STATIC, MOVING):
-        inside, seen = np.zeros(len(gaussians)), np.zeros(len(gaussians))
-        for item in prompted:
-            if item.part == value:
-                mask = item.best_mask
-                weights = lift(gaussians, item.view, [mask, ~mask & ~item.view.robot])
-                inside += weights[:, 0]
-                seen += weights.sum(1)
-        found = (inside > 0.6 * seen) & (inside > 0.05) & (bodies < 0)
-        labels[largest_piece(gaussians.means, found, inside, VOXEL_M)] = value
+        masks = ((item.view, item.best_mask) for item in prompted if item.part == value)
+        shown, inside = shown_by(gaussians, masks)
+        labels[largest_piece(gaussians.means, shown & (bodies < 0), inside, VOXEL_M)] = value
     progress(0.1, "prompts lifted")
     prepared = {item.view.name: item.prepared for item in prompted}
     masks = _ask_views(gaussians, labels, views, prepared, segmenter, progress)
