@@ -85,9 +85,13 @@ def find_support(
     )
     points = means[near]
     if len(points) >= MIN_SUPPORT:
-        # The most crowded height is the surface; around it a plane is fitted, outliers dropped.
-        counts, edges = np.histogram(points[:, 2], bins=np.arange(-0.08, 0.0801, 0.004) + low[2])
-        level = edges[counts.argmax()] + 0.002
+        # The surface is where most Gaussians lie and most area: a book's printed cover has as many small ones, the
+        # tail below the surface few large ones. Around it a plane is fitted, outliers dropped.
+        areas = np.sort(surroundings.scales[near], axis=1)[:, 1:].prod(1)
+        bins = np.arange(-0.08, 0.0801, 0.004) + low[2]
+        counts, edges = np.histogram(points[:, 2], bins=bins)
+        covered, _ = np.histogram(points[:, 2], bins=bins, weights=areas)
+        level = edges[(counts * covered).argmax()] + 0.002
         points = points[np.abs(points[:, 2] - level) < 0.02]
     plane = np.zeros(3)
     for reach in (0.02, 0.01, 0.006):
