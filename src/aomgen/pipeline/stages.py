@@ -101,7 +101,7 @@ STAGES: tuple[Stage, ...] = (
         title="removing the object, fitting assets",
         needs=("capture", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "seed", "image_size"),
-        version=3,
+        version=4,
         weight=25,
         function=lazily("generation", "replacement"),
     ),
