@@ -17,6 +17,15 @@ from aomgen.reconstruction.parts.panel_front import panel_frame
 BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.3]])
 DOOR = np.array([[0.03, -0.02, 0.04], [0.36, 0.0, 0.27]])
 HANDLE = np.array([[0.31, -0.05, 0.1], [0.33, -0.02, 0.2]])
+CABINET = ((BODY, STATIC), (DOOR, MOVING), (HANDLE, MOVING))
+# A lid on a lower body: its handle is a bar that stands out past the front edge, between the corners,
+# above a book that lies before the body.
+LID = np.array([[0.0, 0.0, 0.1], [0.5, 0.35, 0.13]])
+BOOK = np.array([[0.05, -0.2, 0.0], [0.45, -0.01, 0.05]])
+BAR = np.array([[0.15, -0.05, 0.11], [0.35, -0.03, 0.12]])
+CHEST_BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.1]])
+CHEST = ((CHEST_BODY, STATIC), (LID, MOVING), (BAR, MOVING), (BOOK, BACKGROUND))
+CHEST_EYES = ([-0.3, -1.0, 0.4], [-0.7, -0.7, 0.8], [0.8, -1.0, 0.4], [1.1, -0.8, 0.8])
 EYES = ([-0.3, -1.1, 0.5], [0.5, -1.2, 0.7], [0.9, -1.0, 0.45], [0.2, -1.2, 0.3])
 
 
@@ -26,8 +35,10 @@ def turned(yaw: float) -> np.ndarray:
     return transform(R, [0.7, -0.4, 0.0])
 
 
-def seen_by(eye: list[float], size: float = 1.0, yaw: float = 0.0) -> tuple[Camera, np.ndarray, np.ndarray]:
-    """Camera, surface points (H, W, 3) and part labels (H, W) of the cabinet on a table."""
+def seen_by(
+    eye: list[float], size: float = 1.0, yaw: float = 0.0, boxes: Sequence[tuple[np.ndarray, int]] = CABINET
+) -> tuple[Camera, np.ndarray, np.ndarray]:
+    """Camera, surface points (H, W, 3) and part labels (H, W) of the object on a table."""
     T_world_cabinet = turned(yaw)
     place = transform(T_world_cabinet[:3, :3], size * T_world_cabinet[:3, 3])
     T_cabinet_cam = look_at(size * np.array(eye), size * np.array([0.25, 0.1, 0.15]))
@@ -41,7 +52,7 @@ def seen_by(eye: list[float], size: float = 1.0, yaw: float = 0.0) -> tuple[Came
         -origin[2] / np.where(rays[..., 2] < 0, rays[..., 2], np.nan),
         np.zeros((150, 200), np.uint8),
     )
-    for box, value in ((BODY, STATIC), (DOOR, MOVING), (HANDLE, MOVING)):
+    for box, value in boxes:
         with np.errstate(divide="ignore"):
             hits = (size * box[:, None, None] - origin) / rays
         enter, leave = hits.min(0).max(-1), hits.max(0).min(-1)
@@ -152,9 +163,34 @@ def test_a_box_that_shows_no_surface_is_refused():
         fit_panel([views[0], hidden, views[3]], np.random.default_rng(0))
 
 
+def test_a_bar_past_the_edge_that_no_box_shows_is_found_by_the_masks():
+    views = []
+    for eye, part in zip(CHEST_EYES, (STATIC, MOVING, STATIC, MOVING), strict=True):
+        camera, points, labels = seen_by(eye, boxes=CHEST)
+        mask = labels == part
+        views.append(
+            PromptedView(part=part, camera=camera, points_world=points, box=drawn_box(mask), masks=(mask,))
+        )
+    panel = fit_panel(views, np.random.default_rng(0)).panel
+    bar = apply(turned(0.0), np.random.default_rng(0).uniform(*BAR, (200, 3)))
+    book = apply(turned(0.0), np.random.default_rng(0).uniform(*BOOK, (200, 3)))
+    assert np.mean(panel.labels(bar) == MOVING) > 0.95
+    assert not (panel.labels(book) == MOVING).any()
+
+
+def test_bars_past_the_edge_end_where_the_object_begins():
+    panel = Panel.of_shape(
+        np.eye(4), np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0.3, 0, 0, -0.8, 0, 0.2, 0.5, 0, 0]), margin_m=0.01
+    )
+    points = [[-0.1, 0.5, -0.02], [-0.005, 0.5, -0.02], [-0.1, 0.5, -0.1], [-0.3, 0.5, 0], [0.5, -0.1, 0]]
+    assert panel.labels(points).tolist() == [MOVING, STATIC, BACKGROUND, BACKGROUND, BACKGROUND]
+    points = [[1.2, 0.5, -0.02], [1.2, 0.5, 0.05], [1.4, 0.5, -0.02], [1.6, 0.5, 0.05]]
+    assert panel.labels(points).tolist() == [STATIC, MOVING, MOVING, BACKGROUND]
+
+
 def test_what_shows_through_a_front_is_the_front():
     panel = Panel.of_shape(
-        np.eye(4), np.array([0, 1, 0, 1, -0.05, 0.1, 0.2, 0.2, 0.0, 0.2, -0.8, 0.0]), margin_m=0.0
+        np.eye(4), np.array([0, 1, 0, 1, -0.05, 0.1, 0.2, 0.2, 0.0, 0.2, -0.8, *[0.0] * 5]), margin_m=0.0
     )
     inside = np.array([[[0.5, 0.5, -0.4]], [[1.1, 0.5, -0.4]], [[0.5, 0.5, -2.0]]])
     assert panel.labels(inside.reshape(-1, 3)).tolist() == [STATIC, STATIC, BACKGROUND]
@@ -174,7 +210,7 @@ def test_outer_faces_have_some_thickness_but_not_the_one_that_lies_on_a_table(up
     rows[2] *= sign
     rows[1] *= sign
     panel = Panel.of_shape(
-        transform(rows, np.zeros(3)), np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 0, -0.8, 0]), 0.01
+        transform(rows, np.zeros(3)), np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 0, -0.8, *[0] * 5]), 0.01
     )
     low, high = np.array([0, 0, -0.8]), np.array([1, 1, 0])
     thickness = np.concatenate([low - panel.object_low, panel.object_high - high])
@@ -189,7 +225,7 @@ def test_outer_faces_have_some_thickness_but_not_the_one_that_lies_on_a_table(up
 
 def test_labels_move_with_the_panel():
     rng = np.random.default_rng(5)
-    shape = np.array([0, 1, 0, 1, -0.05, 0.1, 0.2, 0.1, 0.3, 0.2, -0.8, 0.0])
+    shape = np.array([0, 1, 0, 1, -0.05, 0.1, 0.2, 0.1, 0.3, 0.2, -0.8, 0, 0.1, 0, 0, 0.2])
     points = rng.uniform(-1, 1.5, (4000, 3))
     there = Panel.of_shape(np.eye(4), shape, 0.01).labels(points)
     assert set(there.tolist()) == {BACKGROUND, STATIC, MOVING}

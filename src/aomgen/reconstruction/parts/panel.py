@@ -5,7 +5,7 @@ what makes the borders straight. Frame "panel": x along the panel, y up (or acro
 z out of the front, origin on the front face.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -25,6 +25,8 @@ class Panel:
         low, high: Corners (3,) of the moving part, panel frame, [m]. `low[2]` is the seam behind
             the panel; `high[2]` is how far handles reach.
         object_low, object_high: Corners (3,) of the closed object without handles, panel frame, [m].
+        beside: How far handles stand out past the panel's left, right, lower and upper edge (4,), where
+            the object is not, [m].
     """
 
     T_world_panel: Array
@@ -32,21 +34,24 @@ class Panel:
     high: Array
     object_low: Array
     object_high: Array
+    beside: Array = field(default_factory=lambda: np.zeros(4))
 
     def __post_init__(self) -> None:
         freeze(self, "T_world_panel", self.T_world_panel, (4, 4))
         for name in ("low", "high", "object_low", "object_high"):
             freeze(self, name, getattr(self, name), (3,))
+        freeze(self, "beside", self.beside, (4,))
 
     @classmethod
     def of_shape(cls, T_world_panel: Array, shape: Array, margin_m: float) -> Self:
-        """A panel from the twelve numbers that `panel_fit` searches.
+        """A panel from the sixteen numbers that `panel_fit` searches.
 
         Args:
             T_world_panel: Panel frame (4, 4).
-            shape: (12,): left, right, lower and upper edge of the panel, its seam, reach of its
+            shape: (16,): left, right, lower and upper edge of the panel, its seam, reach of its
                 handles; how far the object goes beyond the panel to the left, right, below and
-                above (>= 0); the object's back; how far it stands out beside the panel (>= 0). [m]
+                above (>= 0); the object's back; how far it stands out beside the panel (>= 0);
+                `beside` (>= 0). [m]
             margin_m: Thickness given to the object's outer faces, not to the one that looks down, which
                 lies on other things.
         """
@@ -61,6 +66,7 @@ class Panel:
             high=np.array([right, upper, reach]),
             object_low=np.array([left - beyond[0], lower - beyond[2], shape[10]]) - margins[0],
             object_high=np.array([right + beyond[1], upper + beyond[3], shape[11]]) + margins[1],
+            beside=shape[12:16],
         )
 
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
@@ -87,7 +93,12 @@ class Panel:
         low, high = self.object_low, self.object_high
         ours = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (z > low[2]) & (z < high[2])
         low, high = self.low, self.high
-        moves = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (z > low[2]) & (z < high[2])
+        deep = (z > low[2]) & (z < high[2])
+        moves = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & deep
+        if self.beside.any():
+            left, right, lower, upper = self.beside
+            near = (x > low[0] - left) & (x < high[0] + right) & (y > low[1] - lower) & (y < high[1] + upper)
+            moves |= near & deep & ~ours
         if center is not None and center[2] > 0:
             with np.errstate(invalid="ignore", divide="ignore"):
                 share = center[2] / (center[2] - z)

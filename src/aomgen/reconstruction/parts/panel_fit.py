@@ -35,8 +35,14 @@ MIN_FRONT_PIXELS = 20
 # Thickness of the object's outer faces, in which their Gaussians scatter, as share of the panel's
 # diagonal; half of it while boxes are compared, which show where the face itself is.
 SKIN_SHARE = 0.02
-# Of the numbers of `Panel.of_shape`: how far the object goes beyond the panel, never negative.
+# Of the numbers of `Panel.of_shape`: how far the object goes beyond the panel, never negative; how far
+# handles stand out past its edges.
 OVERHANG = [6, 7, 8, 9, 11]
+BESIDE = slice(12, 16)
+# Handles past an edge are looked for up to this share of the panel's diagonal; masks of every prompted view
+# have to agree better with one, by this loss (0.6 % of the mask): one view alone takes other things for it.
+MAX_BESIDE_SHARE, BESIDE_STEP_SHARE = 0.15, 0.01
+BESIDE_GAIN = 0.003
 # A mask beside a box: segmenters are wrong by whole faces, people by a few pixels.
 MASK_WEIGHT = 0.5
 # Price of size, so that edges lie on the outermost points and not somewhere in the air beyond.
@@ -99,6 +105,7 @@ def fit_panel(views: list[PromptedView], rng: np.random.Generator) -> PanelFit:
     starts = [shape, *(_with_seam(shape, -share * size) for share in SEAM_SHARES)]
     found = [search.descend(start, fine, FINE_STEPS) for start in starts]
     shape = min(found, key=lambda item: item[1])[0]
+    shape = search.with_handles(shape, fine)
     misfits = tuple(crop.misfit(search.panel(shape)) for crop in fine)
     return PanelFit(panel=Panel.of_shape(T_world_panel, shape, SKIN_SHARE * size), misfits=misfits)
 
@@ -139,9 +146,8 @@ def _start(crops: list["_Crop"], size: float, *, masked: bool) -> Array | None:
         [low[0] - outer_low[0], outer_high[0] - high[0], low[1] - outer_low[1], outer_high[1] - high[1]], 0
     )
     seam = -0.05 * size
-    return np.array(
-        [low[0], high[0], low[1], high[1], seam, 0.2 * size, *beyond, min(outer_low[2], 2 * seam), 0.0]
-    )
+    depth = [seam, 0.2 * size, *beyond, min(outer_low[2], 2 * seam), 0.0]
+    return np.array([low[0], high[0], low[1], high[1], *depth, *np.zeros(4)])
 
 
 def box_misfit(mask: Mask, box: Array) -> float:
@@ -232,7 +238,8 @@ class _Search:
         left, right, lower, upper, seam, reach = shape[:6]
         if not (left < right and lower < upper and shape[10] < seam < 0 < reach):
             return np.inf
-        extent = right - left + upper - lower + shape[OVERHANG].sum() - shape[10] - seam
+        sizes = right - left + upper - lower - shape[10] - seam
+        extent = sizes + shape[OVERHANG].sum() + shape[BESIDE].sum()
         panel = self.panel(shape)
         return sum(crop.loss(panel) for crop in crops) + SIZE_PRICE * extent / self.size
 
@@ -253,10 +260,27 @@ class _Search:
                     break
         return shape, best
 
+    def with_handles(self, shape: Array, crops: list[_Crop]) -> Array:
+        """The shape with handles past the panel's edges where the masks of every view show one."""
+        moving = [crop for crop in crops if crop.part == MOVING]
+        steps = np.arange(BESIDE_STEP_SHARE, MAX_BESIDE_SHARE, BESIDE_STEP_SHARE) * self.size
+        for edge in range(BESIDE.start, BESIDE.stop):
+            before = np.array([crop.loss(self.panel(shape)) for crop in moving])
+            best, found = self.loss(shape, crops), shape
+            for step in steps:
+                wider = shape.copy()
+                wider[edge] = step
+                gains = before - [crop.loss(self.panel(wider)) for crop in moving]
+                loss = self.loss(wider, crops)
+                if loss < best and (gains > BESIDE_GAIN).all():
+                    best, found = loss, wider
+            shape = found
+        return shape
+
     def _trials(self, shape: Array, step: float) -> list[Array]:
         """Each number up and down; edges of the panel also with the object's outline held still."""
         trials = []
-        for index in range(len(shape)):
+        for index in range(BESIDE.start):
             for sign in (1.0, -1.0):
                 change = np.zeros(len(shape))
                 change[index] = sign * step
