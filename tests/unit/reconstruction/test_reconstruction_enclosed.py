@@ -36,6 +36,23 @@ def test_a_missed_side_becomes_static_and_the_rest_stays():
     assert np.all(result[len(means) :] == BACKGROUND), "the table stays"
 
 
+def test_a_piece_of_an_open_door_moves_and_the_air_beside_it_is_not_the_body():
+    body, _ = box_surface(0.0)
+    rng = np.random.default_rng(2)
+    # A door that stands out from the corner of the front at y = -0.1, its handle, and the table before the body.
+    door = rng.uniform([0.45, -0.5, 0.07], [0.47, -0.1, 0.33], (800, 3))
+    handle = rng.uniform([0.42, -0.46, 0.15], [0.455, -0.44, 0.25], (60, 3))
+    table = np.column_stack([rng.uniform([0.5, -0.45], [0.9, -0.15], (500, 2)), np.full(500, 0.08)])
+    everything = np.concatenate([body, door, handle, table])
+    labels = np.full(len(everything), BACKGROUND, np.uint8)
+    labels[: len(body)] = STATIC
+    labels[len(body) : len(body) + len(door)] = MOVING
+    labels[-560:-500:2] = MOVING  # half of the handle was found
+    result = with_enclosed(everything, np.ones(len(everything)), labels)
+    assert np.mean(result[-560:-500] == MOVING) > 0.9
+    assert np.all(result[-500:] == BACKGROUND)
+
+
 def test_the_rectangle_follows_the_object():
     means, _ = box_surface(0.4)
     axis = upright_box_axes(means[:, :2])[:, 0]

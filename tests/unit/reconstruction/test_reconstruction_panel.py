@@ -10,7 +10,8 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.parts.panel import Panel
-from aomgen.reconstruction.parts.panel_fit import PromptedView, box_misfit, fit_panel, iou
+from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou
+from aomgen.reconstruction.parts.panel_fit import fit_panel
 from aomgen.reconstruction.parts.panel_front import panel_frame
 
 # Cabinet frame: x along the front, y into the room, z up; the front is at y = 0, the body behind it.
@@ -26,6 +27,17 @@ BAR = np.array([[0.15, -0.05, 0.11], [0.35, -0.03, 0.12]])
 CHEST_BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.1]])
 CHEST = ((CHEST_BODY, STATIC), (LID, MOVING), (BAR, MOVING), (BOOK, BACKGROUND))
 CHEST_EYES = ([-0.3, -1.0, 0.4], [-0.7, -0.7, 0.8], [0.8, -1.0, 0.4], [1.1, -0.8, 0.8])
+# The same cabinet with its door open by a quarter turn, its handle on what was the front; a drawer pulled out
+# of another one, seen from aside as well; a box whose lid stands upright.
+OPEN_DOOR = np.array([[0.01, -0.35, 0.04], [0.03, -0.02, 0.27]])
+OPEN_HANDLE = np.array([[-0.02, -0.32, 0.1], [0.01, -0.3, 0.2]])
+OPEN_CABINET = ((BODY, STATIC), (OPEN_DOOR, MOVING), (OPEN_HANDLE, MOVING))
+DRAWER = ((BODY, STATIC), *((np.array(sides), MOVING) for sides in (
+    [[0.05, -0.22, 0.05], [0.45, -0.2, 0.25]], [[0.07, -0.2, 0.06], [0.09, 0.0, 0.18]],
+    [[0.41, -0.2, 0.06], [0.43, 0.0, 0.18]], [[0.07, -0.2, 0.06], [0.43, 0.0, 0.07]],
+)))  # fmt: skip
+UPRIGHT_LID = ((CHEST_BODY, STATIC), (np.array([[0.0, 0.32, 0.1], [0.5, 0.35, 0.45]]), MOVING))
+OPEN_EYES = ([-0.7, -0.9, 0.5], [-0.6, -1.0, 0.7], [0.9, -1.0, 0.45], [0.6, -1.2, 0.6])
 EYES = ([-0.3, -1.1, 0.5], [0.5, -1.2, 0.7], [0.9, -1.0, 0.45], [0.2, -1.2, 0.3])
 
 
@@ -68,12 +80,16 @@ def drawn_box(mask: np.ndarray) -> np.ndarray:
 
 
 def prompted(
-    size: float = 1.0, yaw: float = 0.0, masks: str = "none", eyes: Sequence[list[float]] = EYES
+    size: float = 1.0,
+    yaw: float = 0.0,
+    masks: str = "none",
+    eyes: Sequence[list[float]] = EYES,
+    boxes: Sequence[tuple[np.ndarray, int]] = CABINET,
 ) -> list[PromptedView]:
     """Two boxes of each part; masks are absent, right, or show the upper half of the door only."""
     views = []
     for eye, part in zip(eyes, (STATIC, MOVING, STATIC, MOVING), strict=True):
-        camera, points, labels = seen_by(eye, size, yaw)
+        camera, points, labels = seen_by(eye, size, yaw, boxes)
         mask = labels == part
         half = mask & (np.arange(150)[:, None] < drawn_box(mask)[[1, 3]].mean())
         answers = {"none": (), "right": (mask,), "half": (half,)}[masks]
@@ -83,9 +99,11 @@ def prompted(
     return views
 
 
-def agreement(panel: Panel, size: float = 1.0, yaw: float = 0.0) -> dict[int, float]:
+def agreement(
+    panel: Panel, size: float = 1.0, yaw: float = 0.0, boxes: Sequence[tuple[np.ndarray, int]] = CABINET
+) -> dict[int, float]:
     """IoU of each part in a view that no prompt showed."""
-    camera, points, labels = seen_by([0.35, -1.0, 0.75], size, yaw)
+    camera, points, labels = seen_by([0.35, -1.0, 0.75], size, yaw, boxes)
     found = panel.labels_seen(points, camera.center)
     return {value: iou(found == value, labels == value) for value in (STATIC, MOVING)}
 
@@ -119,6 +137,26 @@ def test_the_seam_behind_the_panel_is_found_from_wherever_it_is_looked_at(eyes):
     """From these places a seam at twice or five times the door's thickness explains the boxes nearly as well."""
     fit = fit_panel(prompted(masks="right", eyes=eyes), np.random.default_rng(0))
     assert fit.panel.low[2] == pytest.approx(DOOR[0, 1], abs=0.003)
+
+
+@pytest.mark.parametrize("boxes", [OPEN_CABINET, DRAWER, UPRIGHT_LID], ids=["door", "drawer", "lid"])
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_parts_that_were_scanned_open_have_their_own_box(boxes, yaw):
+    views = prompted(yaw=yaw, masks="right", eyes=OPEN_EYES, boxes=boxes)
+    fit = fit_panel(views, np.random.default_rng(0))
+    assert np.mean(fit.misfits) < 0.06
+    # A drawer may still be explained as a thick front: less of it is right then.
+    assert min(agreement(fit.panel, yaw=yaw, boxes=boxes).values()) > 0.84
+
+
+def test_the_table_before_an_open_door_stays_table():
+    panel = fit_panel(
+        prompted(masks="right", eyes=OPEN_EYES, boxes=OPEN_CABINET), np.random.default_rng(0)
+    ).panel
+    around = np.random.default_rng(0).uniform([-0.1, -0.4, -0.01], [0.3, -0.1, 0.01], (500, 3))
+    assert np.mean(panel.labels(apply(turned(0.0), around)) > 0) < 0.02
+    handle = np.random.default_rng(0).uniform(*OPEN_HANDLE, (200, 3))
+    assert np.mean(panel.labels(apply(turned(0.0), handle)) == MOVING) > 0.95
 
 
 def test_boxes_drawn_a_little_wrong_still_give_the_panel():

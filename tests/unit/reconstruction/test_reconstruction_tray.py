@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
@@ -129,6 +130,26 @@ def test_doors_get_no_tray(robot):
     )
     twin = cabinet(robot, [box(*FRONT, [0.7, 0.2, 0.2])], hinge)
     assert with_tray(twin, robot, filmed(twin, robot)) is twin
+
+
+def sliding(axis: list[float]) -> Joint:
+    return replace(slide(), axis=np.array(axis, np.float64))
+
+
+@pytest.mark.parametrize("axis", [[1.0, 0, 0], [-1.0, 0, 0]])
+def test_a_panel_that_slides_along_its_body_gets_no_tray(robot, axis):
+    """What it uncovers would look like a tray that it takes along."""
+    panel = box([0.5, 0.285, 0.06], [0.65, 0.3, 0.24], [0.7, 0.2, 0.2])
+    scanned = cabinet(robot, [panel], sliding(axis))
+    assert with_tray(scanned, robot, filmed(cabinet(robot, [panel, tray()], sliding(axis)), robot)) is scanned
+
+
+def test_a_drawer_that_closes_gets_no_tray(robot):
+    """The tray that the scan saw lies before the body, not behind where the front goes."""
+    front = box([0.5, 0.085, 0.06], [0.8, 0.1, 0.24], [0.7, 0.2, 0.2])
+    scanned = cabinet(robot, [front], sliding([0.0, 1, 0]))
+    with_it = cabinet(robot, [front, tray()], sliding([0.0, 1, 0]))
+    assert with_tray(scanned, robot, filmed(with_it, robot)) is scanned
 
 
 def test_a_film_that_never_shows_it_open_gives_no_tray(robot):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from aomgen.conventions import MOVING, ROBOT
+from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.part_points import SOLID_OPACITY
@@ -39,6 +39,8 @@ HEIGHTS = (0.25, 0.5, 0.75, 0.95)
 MIN_GAIN = 0.3
 # Pixels that make a judgement.
 MIN_PIXELS = 100
+# A drawer's front lies at the end of its body to which it moves, no farther inside than this share of the body.
+MAX_INSIDE_SHARE = 0.2
 # Spacing of discs in pixels, and spread of each as share of the spacing.
 SPACING_PX = 1.0
 SPREAD = 0.7
@@ -78,7 +80,7 @@ def with_tray(twin: Twin, robot: RobotModel, film: Film) -> Twin:
         film: The demonstration.
 
     Returns:
-        The same twin when the joint turns, or when no tray explains the film clearly better.
+        The same twin when the part does not slide out of its body, or when no tray explains the film clearly better.
 
     Not checked: that the drawer's floor is level with the front's lower edge, and what it holds.
     """
@@ -105,15 +107,21 @@ def with_tray(twin: Twin, robot: RobotModel, film: Film) -> Twin:
 
 
 def _front(twin: Twin, travel_m: float) -> _Front | None:
-    """None for what is no drawer: turning parts, level axes only."""
+    """None for what is no drawer: parts that turn, slide along their body or into it; level axes only."""
     outward = np.asarray(twin.joint.axis, np.float64)
     up = np.array([0.0, 0.0, 1.0]) - outward[2] * outward
     members = (twin.labels == MOVING) & (twin.gaussians.opacities > SOLID_OPACITY)
     if twin.joint.type != "prismatic" or not travel_m > 0 or np.linalg.norm(up) < 0.5 or not members.any():
         return None
+    body = (twin.labels == STATIC) & (twin.gaussians.opacities > SOLID_OPACITY)
+    if not body.any():
+        return None
     up /= np.linalg.norm(up)
     axes = np.stack([np.cross(up, outward), up, outward], 1)
     low, high = np.quantile(twin.gaussians.means[members] @ axes, [0.02, 0.98], axis=0)
+    back, end = np.quantile(twin.gaussians.means[body] @ outward, [0.02, 0.98])
+    if (low[2] + high[2]) / 2 < end - MAX_INSIDE_SHARE * (end - back):
+        return None
     return _Front(axes=axes, low=low, high=high, travel_m=travel_m)
 
 

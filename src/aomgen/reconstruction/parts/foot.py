@@ -12,7 +12,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.reconstruction.parts.panel import Panel, lower_face
-from aomgen.reconstruction.parts.panel_fit import MAX_MASK_MISFIT, box_misfit
+from aomgen.reconstruction.parts.panel_crops import MAX_MASK_MISFIT, box_misfit
 from aomgen.reconstruction.parts.part_masks import shown_by
 from aomgen.reconstruction.parts.prompted import PromptedImage
 
@@ -31,9 +31,9 @@ def with_foot(
         panel: Of the object.
         prompted: Answers to the prompts; masks that do not fill their boxes are not asked.
     """
-    axis, side = lower_face(panel.T_world_panel)
+    axis, side = lower_face(panel.T_world_body)
     low, high = panel.object_low, panel.object_high
-    local = apply(invert(panel.T_world_panel), np.asarray(gaussians.means, np.float64))
+    local = apply(invert(panel.T_world_body), np.asarray(gaussians.means, np.float64))
     bottom = (low, high)[side][axis]
     across = [k for k in range(3) if k != axis]
     footprint = np.all((local[:, across] > low[across]) & (local[:, across] < high[across]), axis=1)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
+from aomgen.reconstruction.parts.enclosed import FLOOR_SHARE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,9 +25,12 @@ class Panel:
         T_world_panel: Panel frame (4, 4).
         low, high: Corners (3,) of the moving part, panel frame, [m]. `low[2]` is the seam behind
             the panel; `high[2]` is how far handles reach.
-        object_low, object_high: Corners (3,) of the closed object without handles, panel frame, [m].
-        beside: How far handles stand out past the panel's left, right, lower and upper edge (4,), where
-            the object is not, [m].
+        object_low, object_high: Corners (3,) of the object without handles, the moving part included
+            when it is closed, body frame, [m].
+        around: How far handles stand out past the panel's left, right, lower and upper edge, behind its
+            seam and before its reach (6,), where the object is not, [m].
+        T_panel_body: Body frame (4, 4): the panel's own for a closed object; upright for an open one,
+            whose panel leans or stands away from it.
     """
 
     T_world_panel: Array
@@ -34,13 +38,20 @@ class Panel:
     high: Array
     object_low: Array
     object_high: Array
-    beside: Array = field(default_factory=lambda: np.zeros(4))
+    around: Array = field(default_factory=lambda: np.zeros(6))
+    T_panel_body: Array = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         freeze(self, "T_world_panel", self.T_world_panel, (4, 4))
         for name in ("low", "high", "object_low", "object_high"):
             freeze(self, name, getattr(self, name), (3,))
-        freeze(self, "beside", self.beside, (4,))
+        freeze(self, "around", self.around, (6,))
+        freeze(self, "T_panel_body", self.T_panel_body, (4, 4))
+
+    @property
+    def T_world_body(self) -> Array:
+        """Body frame (4, 4), world frame."""
+        return self.T_world_panel @ self.T_panel_body
 
     @classmethod
     def of_shape(cls, T_world_panel: Array, shape: Array, margin_m: float) -> Self:
@@ -51,7 +62,7 @@ class Panel:
             shape: (16,): left, right, lower and upper edge of the panel, its seam, reach of its
                 handles; how far the object goes beyond the panel to the left, right, below and
                 above (>= 0); the object's back; how far it stands out beside the panel (>= 0);
-                `beside` (>= 0). [m]
+                the first four of `around` (>= 0). [m]
             margin_m: Thickness given to the object's outer faces, not to the one that looks down, which
                 lies on other things.
         """
@@ -66,7 +77,7 @@ class Panel:
             high=np.array([right, upper, reach]),
             object_low=np.array([left - beyond[0], lower - beyond[2], shape[10]]) - margins[0],
             object_high=np.array([right + beyond[1], upper + beyond[3], shape[11]]) + margins[1],
-            beside=shape[12:16],
+            around=np.array([*shape[12:16], 0.0, 0.0]),
         )
 
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
@@ -89,29 +100,34 @@ class Panel:
 
     def labels_local(self, local: NDArray, center: Array | None = None) -> NDArray[np.uint8]:
         """As `labels` and, with a camera centre (3,), `labels_seen`, for points in the panel frame."""
-        x, y, z = local[..., 0], local[..., 1], local[..., 2]
-        low, high = self.object_low, self.object_high
-        ours = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (z > low[2]) & (z < high[2])
-        low, high = self.low, self.high
-        deep = (z > low[2]) & (z < high[2])
-        moves = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & deep
-        if self.beside.any():
-            left, right, lower, upper = self.beside
-            near = (x > low[0] - left) & (x < high[0] + right) & (y > low[1] - lower) & (y < high[1] + upper)
-            moves |= near & deep & ~ours
+        body = local
+        if not np.array_equal(self.T_panel_body, np.eye(4)):
+            body = apply(invert(self.T_panel_body), local.reshape(-1, 3)).reshape(local.shape)
+        ours = np.all((body > self.object_low) & (body < self.object_high), axis=-1)
+        within = (local > self.low) & (local < self.high)
+        moves = np.all(within, axis=-1)
+        if self.around.any():
+            wide = (local > self.low - self.around[::2]) & (local < self.high + self.around[1::2])
+            # Past one side, not round a corner: there are other things.
+            near = np.all(wide, axis=-1) & (within.sum(-1) >= 2)
+            moves |= near & ~ours & self._above_floor(body)
         if center is not None and center[2] > 0:
+            z = local[..., 2]
             with np.errstate(invalid="ignore", divide="ignore"):
                 share = center[2] / (center[2] - z)
-                hit_x = center[0] + share * (x - center[0])
-                hit_y = center[1] + share * (y - center[1])
-            moves |= (
-                ours & (z < 0) & (hit_x > low[0]) & (hit_x < high[0]) & (hit_y > low[1]) & (hit_y < high[1])
-            )
+                hit = center[:2] + share[..., None] * (local[..., :2] - center[:2])
+            moves |= ours & (z < 0) & np.all((hit > self.low[:2]) & (hit < self.high[:2]), axis=-1)
         return np.where(moves, MOVING, np.where(ours, STATIC, BACKGROUND)).astype(np.uint8)
 
+    def _above_floor(self, body: NDArray) -> NDArray[np.bool_]:
+        """Which points (..., 3) of the body frame are higher than what the object stands on."""
+        axis, side = lower_face(self.T_world_body)
+        heights = (body[..., axis] - (self.object_low, self.object_high)[side][axis]) * (1, -1)[side]
+        return heights > FLOOR_SHARE * (self.object_high[axis] - self.object_low[axis])
 
-def lower_face(T_world_panel: Array) -> tuple[int, int]:
-    """Axis of the panel frame across the face of a box that looks down most, and its end: 0 low, 1 high."""
-    up = T_world_panel[2, :3]
+
+def lower_face(T_world_box: Array) -> tuple[int, int]:
+    """Axis of a box's frame across the face of a box that looks down most, and its end: 0 low, 1 high."""
+    up = T_world_box[2, :3]
     axis = int(np.argmax(np.abs(up)))
     return axis, 0 if up[axis] > 0 else 1

@@ -13,13 +13,16 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import BackendError, ReconstructionError
 from aomgen.reconstruction.masks.segmenter import Mask, PreparedImage, Segmenter
-from aomgen.reconstruction.parts.panel_fit import PromptedView, box_misfit, iou
+from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou
 from aomgen.reconstruction.parts.part_masks import ScanView, drawn_parts
 from aomgen.splatting.rasterizer import render
 
 STAGE = "parts"
 # Accumulated alpha from which a pixel shows a surface.
 SURFACE_ALPHA = 0.5
+# Masks that are this far from their box (2.5 % of it a side) are joined with what lies under a grid of so many
+# points a side, as far as this share of it is inside the box.
+MAX_MISFIT, GRID, MIN_INSIDE = 0.1, 6, 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +128,7 @@ def ask_prompts(
             image = prepared[view.name]
             clicks = [np.zeros((0, 3)), prompt.points] if len(prompt.points) else [prompt.points]
             masks = [image.mask(part, prompt.box, points) & ~view.robot for points in clicks]
+            masks = _filling(masks, image, np.asarray(prompt.box, np.float64), view.robot)
             answers.append(
                 PromptedImage(
                     view=view,
@@ -135,6 +139,38 @@ def ask_prompts(
                 )
             )
     return answers
+
+
+def _filling(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -> list[Mask]:
+    """The masks (H, W) and, where none fills its box, the best one joined with other things in the box.
+
+    Parts of several colors are cut into pieces. A missing piece is inside the box and makes the mask fill it,
+    twice as well at least: details and things behind change little.
+    """
+    best = min(masks, key=lambda mask: box_misfit(mask, box))
+    if box_misfit(best, box) <= MAX_MISFIT:
+        return masks
+    height, width = robot.shape
+    columns, rows = (np.linspace(box[k], box[k + 2], GRID + 2)[1:-1].astype(int) for k in (0, 1))
+    free = [
+        (column, row)
+        for row in rows[(rows >= 0) & (rows < height)]
+        for column in columns[(columns >= 0) & (columns < width)]
+        if not (best[row, column] or robot[row, column])
+    ]
+    if not free:
+        return masks
+    x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
+    x1, y1 = np.ceil(box[2:]).astype(int)
+    pieces = [piece & ~robot for piece in image.at_points(np.array(free) + 0.5).masks]
+    pieces = [p for p in pieces if p.any() and p[y0:y1, x0:x1].sum() >= MIN_INSIDE * p.sum()]
+    joined = best
+    while pieces:
+        found = min(pieces, key=lambda piece: box_misfit(joined | piece, box))
+        if not box_misfit(joined | found, box) < box_misfit(joined, box):
+            break
+        joined = joined | found
+    return [*masks, joined] if box_misfit(joined, box) < box_misfit(best, box) / 2 else masks
 
 
 def surface_seen(gaussians: Gaussians, camera: Camera, robot: NDArray[np.bool_]) -> Array:
