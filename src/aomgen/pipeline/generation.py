@@ -15,6 +15,7 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
 from aomgen.core.light import Light
+from aomgen.core.motion import Direction
 from aomgen.core.plan import FittedAsset
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
@@ -59,6 +60,8 @@ GAP_CELLS = 3
 
 def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """The scene without its object, its light, and every asset fitted to the motion."""
+    if run.project.assets:
+        require_opening(load_motion(run.folders["motion"]).direction)
     robot = robot_of(capture_of(run))
     twin = load_twin(run.folders["twin"])
     progress(0.0, "removing the object")
@@ -99,6 +102,20 @@ def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     )
     return {"assets": ", ".join(names), "light": light.source, "removed": cleared.removed, "filled": cleared.filled,
             "fit_residual_mm": float(np.max(residuals)) if residuals else 0.0}  # fmt: skip
+
+
+def require_opening(direction: Direction) -> None:
+    """Refuse to make episodes from a demonstration that closes its object.
+
+    Raises:
+        EstimationError: It does; assets are put in place closed, and are opened.
+    """
+    if direction != "opening":
+        raise EstimationError(
+            "demonstration video",
+            "closes the object; episodes are made from demonstrations that open it",
+            "record one that opens it, or leave `assets` empty: twin and motion of this one are complete",
+        )
 
 
 def plans(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
