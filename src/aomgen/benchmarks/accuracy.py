@@ -41,7 +41,8 @@ def score_estimates(
     offset = estimates["clock_offset_s"]
     figures["clock_offset_ms_error"] = None if offset is None else 1e3 * abs(offset - truth.clock_offset_s)
     figures.update(score_motion(estimates, truth, times_s, camera))
-    figures["refused"] = sorted(name for name, value in figures.items() if value is None)
+    unasked = set() if _touches(truth, times_s) else {"contact_mm"}
+    figures["refused"] = sorted(k for k, value in figures.items() if value is None and k not in unasked)
     return figures
 
 
@@ -121,16 +122,19 @@ def _demo_camera(estimates: dict[str, Any], truth: Truth, camera: str) -> dict[s
     }
 
 
-def _contact(estimates: dict[str, Any], truth: Truth, times_s: Array) -> float | None:
-    if not estimates["contacts"]:
-        return None
+def _touches(truth: Truth, times_s: Array) -> list[dict[str, Any]]:
+    """True contacts by which the part is moved at first; none where the hand hardly presses."""
     start_s = times_s[truth.start_frame]
     frames = np.flatnonzero((times_s >= start_s) & (times_s <= start_s + CONTACT_WINDOW_S))
-    touching = [item for frame in frames for item in truth.contacts[frame] if item["force"] >= CONTACT_MIN_N]
-    if not touching:
+    return [item for frame in frames for item in truth.contacts[frame] if item["force"] >= CONTACT_MIN_N]
+
+
+def _contact(estimates: dict[str, Any], truth: Truth, times_s: Array) -> float | None:
+    touches = _touches(truth, times_s)
+    if not estimates["contacts"] or not touches:
         return None
     true = np.average(
-        [item["point"] for item in touching], axis=0, weights=[item["force"] for item in touching]
+        [item["point"] for item in touches], axis=0, weights=[item["force"] for item in touches]
     )
     estimated = np.mean([item["point"] for item in estimates["contacts"]], axis=0)
     return float(1e3 * np.linalg.norm(estimated - true))

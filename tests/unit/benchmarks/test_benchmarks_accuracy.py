@@ -1,5 +1,6 @@
 """The scorer gives the error that was put in, and calls a refusal a refusal."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +119,13 @@ def test_refusals_are_listed(truth):
     estimates = estimates_of(truth) | {"joint": None, "theta": None, "start_s": None, "contacts": []}
     refused = score(estimates, truth)["refused"]
     assert {"joint.type_ok", "theta.rmse_deg", "keyframes.start_error_s", "contact_mm"} <= set(refused)
+
+
+def test_a_touch_too_light_to_be_known_is_not_refused(truth):
+    light = [[item | {"force": 0.5} for item in frame] for frame in truth.contacts]
+    figures = score(estimates_of(truth), replace(truth, contacts=light))
+    assert figures["contact_mm"] is None
+    assert figures["refused"] == []
 
 
 def test_image_figures():
