@@ -17,6 +17,8 @@ from aomgen.motion.theta import ValueCourse
 # A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
 # 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
 _LOOSE_RATE, _LOOSE_SPREAD = 0.06, 0.1
+# A hand leaves for good when it goes aside, farther than along the part's way, by this much within this time.
+_ASIDE_M, _ASIDE_S = 0.004, 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +40,12 @@ class Picture:
 
 
 def pushed_course(
-    times_s: Array, values: Array, seen_s: tuple[float, float], leave: float, picture: Picture
+    times_s: Array,
+    values: Array,
+    hand: tuple[Array, Array],
+    seen_s: tuple[float, float],
+    leave: float,
+    picture: Picture,
 ) -> ValueCourse:
     """Follow a part by the value that the hand's way would give it.
 
@@ -46,11 +53,16 @@ def pushed_course(
         times_s: Dense times of the touch (T,), [s].
         values: The joint value if the hand held the part all the time (T,), smooth, growing in the
             demonstrated direction.
+        hand: The touching point (T, 3) in the world, and as it would be seen from the part if it held it, [m].
         seen_s: A first guess of start and end, [s]; the hand pushes at their middle.
         leave: Change of the value at which a motion has begun, `LEAVE_RAD` or `LEAVE_M`.
         picture: Of the touch.
     """
-    farthest = _farthest(values, int(np.argmin(np.abs(times_s - sum(seen_s) / 2))))
+    middle = int(np.argmin(np.abs(times_s - sum(seen_s) / 2)))
+    gone = middle + _left(times_s[middle:], *(points[middle:] for points in hand))
+    farthest = _farthest(
+        np.concatenate([values[:gone], np.full(len(values) - gone, values[gone - 1])]), middle
+    )
     along = np.zeros((len(values), 3))
     along[:, 0] = farthest * (STILL_M / leave)
     way = Way(times_s=times_s, points=along)
@@ -61,6 +73,16 @@ def pushed_course(
     return ValueCourse(
         times_s=times_s, values=farthest, interval=interval, levels=(first - leave, last + leave)
     )
+
+
+def _left(times_s: Array, points_world: Array, points_part: Array) -> int:
+    """Index in (T,), at least 1, from which on the hand has left its part sideways; T when it never does."""
+    later = np.searchsorted(times_s, times_s + _ASIDE_S).clip(max=len(times_s) - 1)
+    aside = np.linalg.norm(points_part[later] - points_part, axis=1)
+    moved = np.linalg.norm(points_world[later] - points_world, axis=1)
+    # Of a way and what of it goes aside: more than half of its square.
+    off = (aside > _ASIDE_M) & (2 * aside**2 > moved**2)
+    return max(1, int(np.argmax(off))) if off.any() else len(times_s)
 
 
 def _farthest(values: Array, middle: int) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.core.joint import JointType
+from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
 from aomgen.motion.demonstration import Demonstration
@@ -136,7 +137,9 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
         path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
         values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
         if not first.gripped:
-            return pushed_course(times, values, interval, leave, first.picture)
+            points = apply(poses, estimate.grasp_ee[None])
+            hand = (points, apply(invert(estimate.joint.motion(values)), points))
+            return pushed_course(times, values, hand, interval, leave, first.picture)
         felt, levels = leaving_and_arriving(times, values, seen, leave)
         start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
         return ValueCourse(times_s=times, values=values, interval=(start, end), levels=levels)

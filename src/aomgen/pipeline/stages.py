@@ -81,7 +81,7 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=("motion_method",),
-        version=20,
+        version=21,
         weight=10,
         function=lazily("recovery", "motion"),
     ),

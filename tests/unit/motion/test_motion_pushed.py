@@ -17,11 +17,20 @@ HAND = np.interp(TIMES, [0, 1, 2, 6, 6.5, 8], [-0.03, 0, 0, 0.1, 0.1, 0.02])
 PART = np.interp(FRAMES, [2, 6], [0, 0.1])
 
 
-def course(left: np.ndarray, ahead: np.ndarray, seen_s: tuple[float, float]) -> ValueCourse:
+def course(
+    left: np.ndarray,
+    ahead: np.ndarray,
+    seen_s: tuple[float, float],
+    values: np.ndarray = HAND,
+    aside_m: np.ndarray | None = None,
+) -> ValueCourse:
+    along, aside = (np.zeros((len(TIMES), 3)) for _ in range(2))
+    along[:, 0] = values
+    aside[:, 2] = 0.0 if aside_m is None else aside_m
     picture = Picture(
         times_s=FRAMES, seen=Departures(left=left, ahead=ahead), sight=Sight(noise=0.004, pixel_m=0.0)
     )
-    return pushed_course(TIMES, HAND, seen_s, LEAVE_M, picture)
+    return pushed_course(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, picture)
 
 
 @pytest.mark.parametrize("seen_s", [(2.0, 6.0), (1.0, 8.0)])
@@ -37,6 +46,21 @@ def test_a_shadow_that_leaves_with_the_hand_is_no_motion() -> None:
     shadow = np.interp(FRAMES, [6.5, 7.5], [0.08, 0.0])
     found = course(PART * 6, 0.6 - PART * 6 + shadow, (2.0, 7.4))
     assert found.interval[1] == pytest.approx(5.92, abs=0.15)
+
+
+def test_a_hook_that_leaves_upward_and_onward_does_not_take_the_part_along() -> None:
+    onward = HAND + np.interp(TIMES, [6.5, 7.0], [0.0, 0.05])
+    shadow = np.interp(FRAMES, [6.5, 7.5], [0.08, 0.0])
+    upward = np.interp(TIMES, [6.45, 7.0], [0.0, 0.08])
+    found = course(PART * 6, 0.6 - PART * 6 + shadow, (2.0, 7.4), onward, upward)
+    assert found.interval[1] == pytest.approx(5.92, abs=0.15)
+    assert found.levels[1] == pytest.approx(0.1, abs=0.003)
+
+
+def test_a_fist_that_slides_along_the_part_still_pushes_it() -> None:
+    sliding = 0.3 * (HAND - HAND[0])
+    found = course(PART * 6, 0.6 - PART * 6, (2.0, 6.0), aside_m=sliding)
+    assert found.levels == pytest.approx((0.0, 0.1), abs=0.003)
 
 
 def test_a_hand_that_holds_nothing_slides_evenly_without_telling() -> None:
