@@ -112,18 +112,22 @@ class TrueSegmenter:
         return Image()
 
 
-def prompts():
-    box = np.array([10.0, 10, 100, 90])
-    return tuple(
-        Prompt(part=p, image="1.jpg", points=np.zeros((0, 3)), box=box) for p in ("static", "moving")
-    )
+def prompts(gaussians, labels, camera):
+    """Boxes that touch what the segmenter answers with."""
+    whole, lid, _, _ = true_masks(gaussians, labels, camera)
+    found = []
+    for part, mask in (("static", whole), ("moving", lid)):
+        rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        box = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+        found.append(Prompt(part=part, image="1.jpg", points=np.zeros((0, 3)), box=box))
+    return tuple(found)
 
 
 def scanned(gaussians, labels, folder, progress=silent):
     """A segmented scan, answers to its prompts and the segmenter, which counts what it prepares."""
     views = scan_views(gaussians)
     segmenter = TrueSegmenter(gaussians, labels, views)
-    prompted = ask_prompts(views, prompts(), segmenter)
+    prompted = ask_prompts(views, prompts(gaussians, labels, views[1].camera), segmenter)
     params = AffinityPartsParams(views=6, object_side=4, training=TRAINING, masks_folder=folder)
     return masked_scan(gaussians, views, prompted, segmenter, progress, params), prompted, segmenter, params
 
