@@ -60,9 +60,7 @@ def pushed_course(
     """
     middle = int(np.argmin(np.abs(times_s - sum(seen_s) / 2)))
     gone = middle + _left(times_s[middle:], *(points[middle:] for points in hand))
-    farthest = _farthest(
-        np.concatenate([values[:gone], np.full(len(values) - gone, values[gone - 1])]), middle
-    )
+    farthest = _farthest(values[np.minimum(np.arange(len(values)), gone - 1)], middle)
     along = np.zeros((len(values), 3))
     along[:, 0] = farthest * (STILL_M / leave)
     way = Way(times_s=times_s, points=along)

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
-from aomgen.core.part_points import SOLID_OPACITY
+from aomgen.core.part_points import surface_points
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import BackendError
@@ -110,16 +110,15 @@ def _front(twin: Twin, travel_m: float) -> _Front | None:
     """None for what is no drawer: parts that turn, slide along their body or into it; level axes only."""
     outward = np.asarray(twin.joint.axis, np.float64)
     up = np.array([0.0, 0.0, 1.0]) - outward[2] * outward
-    members = (twin.labels == MOVING) & (twin.gaussians.opacities > SOLID_OPACITY)
-    if twin.joint.type != "prismatic" or not travel_m > 0 or np.linalg.norm(up) < 0.5 or not members.any():
+    members, body = (surface_points(twin.gaussians, twin.labels, part) for part in (MOVING, STATIC))
+    if twin.joint.type != "prismatic" or not travel_m > 0 or np.linalg.norm(up) < 0.5:
         return None
-    body = (twin.labels == STATIC) & (twin.gaussians.opacities > SOLID_OPACITY)
-    if not body.any():
+    if not (len(members) and len(body)):
         return None
     up /= np.linalg.norm(up)
     axes = np.stack([np.cross(up, outward), up, outward], 1)
-    low, high = np.quantile(twin.gaussians.means[members] @ axes, [0.02, 0.98], axis=0)
-    back, end = np.quantile(twin.gaussians.means[body] @ outward, [0.02, 0.98])
+    low, high = np.quantile(members @ axes, [0.02, 0.98], axis=0)
+    back, end = np.quantile(body @ outward, [0.02, 0.98])
     if (low[2] + high[2]) / 2 < end - MAX_INSIDE_SHARE * (end - back):
         return None
     return _Front(axes=axes, low=low, high=high, travel_m=travel_m)

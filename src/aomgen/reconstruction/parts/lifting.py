@@ -32,13 +32,17 @@ from aomgen.reconstruction.parts.panel_fit import fit_panel
 from aomgen.reconstruction.parts.part_masks import ScanView, lift
 from aomgen.reconstruction.parts.part_votes import vote_parts
 from aomgen.reconstruction.parts.pieces import MIN_WEIGHT
-from aomgen.reconstruction.parts.prompted import ObjectLabels, PromptedImage, ask_prompts, surface_seen
+from aomgen.reconstruction.parts.prompted import (
+    MAX_MISFIT,
+    ObjectLabels,
+    PromptedImage,
+    ask_prompts,
+    surface_seen,
+)
 
 STAGE = "parts"
 PartsMethod = Literal["closed_form", "saga"]
 LOOSE_DISTANCE_M = 0.06
-# Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
-MAX_MISFIT = 0.1
 # Boxes explained worse than this (5 % of the box a side) are worth a warning.
 DOUBTED_MISFIT = 0.2
 # Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on

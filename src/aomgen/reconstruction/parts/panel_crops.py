@@ -52,9 +52,14 @@ def box_misfit(mask: Mask, box: Array) -> float:
         return 4.0
     gaps = abs(columns[0] - box[0]) + abs(columns[-1] + 1 - box[2])
     heights = abs(rows[0] - box[1]) + abs(rows[-1] + 1 - box[3])
+    return float(gaps / width + heights / height + 2 * (1 - share_inside(mask, box)))
+
+
+def share_inside(mask: Mask, box: Array) -> float:
+    """Share of a mask (H, W), not empty, that lies in a box x0, y0, x1, y1, [px]."""
     x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
     x1, y1 = np.ceil(box[2:]).astype(int)
-    return float(gaps / width + heights / height + 2 * (1 - mask[y0:y1, x0:x1].sum() / total))
+    return float(mask[y0:y1, x0:x1].sum() / mask.sum())
 
 
 def iou(first: Mask, second: Mask) -> float:

@@ -56,6 +56,8 @@ def fit_panel(views: list[PromptedView], rng: np.random.Generator) -> PanelFit:
     coarse = [Crop.of(view, T_world_panel, COARSE_PIXELS) for view in views]
     fine = [Crop.of(view, T_world_panel, FINE_PIXELS) for view in views]
     fit = _closed(coarse, fine, ClosedShapes(T_world_panel=T_world_panel, size=size))
+    if fit.loss <= OPEN_GAIN:
+        return fit
     opened = _open(coarse, fine, T_world_panel)
     return opened if opened is not None and opened.loss < fit.loss - OPEN_GAIN else fit
 

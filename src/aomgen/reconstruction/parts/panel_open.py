@@ -70,6 +70,8 @@ def open_shapes(
 ) -> list[tuple[OpenShapes, Array]]:
     """First shapes (17,) of open objects: the body level with what its masks show, or along the panel.
 
+    None where nothing of the body is seen.
+
     Args:
         crops: Prompted images, panel frame.
         T_world_panel: Panel frame (4, 4).
@@ -77,6 +79,8 @@ def open_shapes(
         closed: First shapes of the closed object; the panel's numbers are theirs.
     """
     body = apply(T_world_panel, np.concatenate([c.inside(masked=True) for c in crops if c.part == STATIC]))
+    if not len(body):
+        return []
     along = T_world_panel[:2, 0] / np.linalg.norm(T_world_panel[:2, 0])
     starts = []
     for axes in (upright_box_axes(body[:, :2]), np.stack([along, [-along[1], along[0]]], 1)):

@@ -13,16 +13,18 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import BackendError, ReconstructionError
 from aomgen.reconstruction.masks.segmenter import Mask, PreparedImage, Segmenter
-from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou
+from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou, share_inside
 from aomgen.reconstruction.parts.part_masks import ScanView, drawn_parts
 from aomgen.splatting.rasterizer import render
 
 STAGE = "parts"
 # Accumulated alpha from which a pixel shows a surface.
 SURFACE_ALPHA = 0.5
-# Masks that are this far from their box (2.5 % of it a side) are joined with what lies under a grid of so many
-# points a side, as far as this share of it is inside the box.
-MAX_MISFIT, GRID, MIN_INSIDE = 0.1, 6, 0.95
+# Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
+MAX_MISFIT = 0.1
+# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as far
+# as this share of it is inside the box.
+GRID, MIN_INSIDE = 6, 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,10 +162,8 @@ def _filling(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -
     ]
     if not free:
         return masks
-    x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
-    x1, y1 = np.ceil(box[2:]).astype(int)
     pieces = [piece & ~robot for piece in image.at_points(np.array(free) + 0.5).masks]
-    pieces = [p for p in pieces if p.any() and p[y0:y1, x0:x1].sum() >= MIN_INSIDE * p.sum()]
+    pieces = [p for p in pieces if p.any() and share_inside(p, box) >= MIN_INSIDE]
     joined = best
     while pieces:
         found = min(pieces, key=lambda piece: box_misfit(joined | piece, box))
