@@ -50,6 +50,7 @@ def episode(index: int) -> Episode:
         instruction="open the drawer",
         robot="ur5e_2f85",
         asset="drawer-1",
+        asset_usd="asset.usda",
         joint_names=tuple("abcdef"),
         fps=10,
         joints=joints,
@@ -65,6 +66,7 @@ def episode(index: int) -> Episode:
         T_world_object=np.eye(4),
         cameras={"front": camera},
         verdict={"passed": True},
+        simulation={"bolted": True},
     )
 
 

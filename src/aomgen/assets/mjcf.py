@@ -6,21 +6,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.assets.resistance import ARMATURE, CONTACT_FRICTION, HOLDING_SOLIMP, holding_friction
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
-from aomgen.core.transforms import apply, quat_from_matrix, transform
+from aomgen.core.transforms import quat_from_matrix, transform
 
 COLLIDER_GROUP = 3
 VISUAL_GROUP = 2
-# Keeps light doors stable in the solver, [kg m^2] or [kg].
-ARMATURE = 0.005
-GRAVITY = 9.81
-# A friction hinge holds a lid wherever it is left: it bears this many times its weight.
-HOLDS = 1.3
-# MuJoCo's default dry friction creeps by degrees a second under a load; this stands still.
-HARD_FRICTION = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-# A smaller load comes from the rounding of an axis in a file, [N m] or [N].
-NO_LOAD = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +48,6 @@ def add_asset(
     visual: bool = False,
     bolted: bool = True,
     prefix: str = "object_",
-    friction: tuple[float, float, float] = (0.8, 0.01, 0.0005),
 ) -> AssetNames:
     """Add an asset with a passive joint to a model under construction.
 
@@ -71,7 +62,6 @@ def add_asset(
         visual: Also add what is seen (group 2, no contacts). Colliders are in group 3.
         bolted: Weld the static link to the world; otherwise it gets a free joint.
         prefix: Start of every name that is added.
-        friction: Sliding, torsional, rolling coefficients of the colliders.
 
     Returns:
         The names that were added.
@@ -88,8 +78,8 @@ def add_asset(
         static.add_freejoint(name=free_joint)
     moving = static.add_body(name=f"{prefix}moving")
     _add_joint(moving, asset, f"{prefix}joint", damping, frictionloss)
-    static_geoms = _add_colliders(static, asset.static, f"{prefix}static_", friction)
-    moving_geoms = _add_colliders(moving, asset.moving, f"{prefix}moving_", friction)
+    static_geoms = _add_colliders(static, asset.static, f"{prefix}static_")
+    moving_geoms = _add_colliders(moving, asset.moving, f"{prefix}moving_")
     spec.add_exclude(name=f"{prefix}exclude", bodyname1=f"{prefix}static", bodyname2=f"{prefix}moving")
     visuals: tuple[str, ...] = ()
     if visual:
@@ -107,24 +97,6 @@ def add_asset(
         handle_geoms=tuple(name for name in moving_geoms if name.startswith(f"{prefix}moving_handle")),
         visual_geoms=visuals,
     )
-
-
-def holding_friction(asset: ArticulatedAsset) -> float:
-    """Dry friction that keeps the moving part where it is left, against its weight, [N m] or [N].
-
-    Enough for every value in the joint's range; 0 for upright hinges and level slides. The
-    asset stands upright.
-    """
-    joint, colliders = asset.joint, asset.moving.colliders
-    volumes = np.array([box.half_extents.prod() for box in colliders])
-    middle = volumes @ np.array([box.T_asset_box[:3, 3] for box in colliders]) / volumes.sum()
-    weight = np.array([0.0, 0.0, -GRAVITY * asset.moving.mass])
-    if joint.type == "prismatic":
-        load = abs(float(weight @ joint.axis))
-    else:
-        arms = apply(joint.motion(np.linspace(joint.lower, joint.upper, 40)), middle) - joint.origin
-        load = float(np.abs(np.cross(arms, weight) @ joint.axis).max())
-    return HOLDS * load if load > NO_LOAD else 0.0
 
 
 def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name: str) -> str:
@@ -191,12 +163,10 @@ def _add_joint(
         armature=ARMATURE,
     )
     if holding:
-        item.solimp_friction = HARD_FRICTION
+        item.solimp_friction = HOLDING_SOLIMP
 
 
-def _add_colliders(
-    body: mujoco.MjsBody, link: AssetLink, prefix: str, friction: tuple[float, float, float]
-) -> tuple[str, ...]:
+def _add_colliders(body: mujoco.MjsBody, link: AssetLink, prefix: str) -> tuple[str, ...]:
     """Box geoms that share the link's mass by volume."""
     volumes = np.array([box.half_extents.prod() for box in link.colliders])
     names = []
@@ -209,7 +179,7 @@ def _add_colliders(
             quat=quat_from_matrix(T[:3, :3]),
             size=box.half_extents,
             mass=float(link.mass * share),
-            friction=friction,
+            friction=CONTACT_FRICTION,
             group=COLLIDER_GROUP,
         )
         names.append(prefix + box.name)

@@ -1,14 +1,26 @@
-"""Articulated assets as self-contained USD: UsdGeom, UsdPreviewSurface, UsdPhysics."""
+"""Articulated assets as self-contained USD: UsdGeom, UsdPreviewSurface, UsdPhysics.
 
+What verification assumes about joint and contacts is written where importers look for it: joint
+resistance in the attributes of MuJoCo's `MjcJointAPI` and of PhysX's `PhysxJointAxisAPI`, contact friction
+in a physics material with `MjcMaterialAPI`. usd-core brings neither schema, so both are written by name.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from aomgen.assets.resistance import (
+    ARMATURE,
+    CONTACT_FRICTION,
+    HOLDING_SOLIMP,
+    RESISTANCES,
+    holding_friction,
+)
 from aomgen.conventions import linear_from_srgb
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
-from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
@@ -18,6 +30,7 @@ from aomgen.io.usd_stage import export_stage, new_stage
 
 # Our own attributes, for what UsdPhysics has no words for.
 NAMESPACE = "aomgen"
+CONTACT_MATERIAL = "contact"
 
 
 def write_usd(asset: ArticulatedAsset, path: Path) -> None:
@@ -26,6 +39,8 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     Metres, Z up, joint limits in degrees (revolute) or metres, colors linear, texture paths
     relative: `<stem>_textures/<link>_<mesh>.png`. Handle point, handle axis and category are
     custom attributes `aomgen:handle_point`, `aomgen:handle_axis`, `aomgen:category` of the root.
+    The joint has the nominal resistance of `assets.resistance`; all that verification tries are in
+    `aomgen:verified_damping` and `aomgen:verified_frictionloss`.
 
     Args:
         asset: Written as it stands at joint value 0.
@@ -45,9 +60,10 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     UsdPhysics.ArticulationRootAPI.Apply(root.GetPrim())
     root.GetPrim().SetDisplayName(asset.name)
     writer = _Writer(stage=stage, root=str(root.GetPath()), textures=textures)
+    writer.contact_material()
     static = writer.link(asset.static)
     moving = writer.link(asset.moving)
-    writer.joint(asset.joint, static, moving)
+    writer.joint(asset, static, moving)
     for name, kind, value in (
         ("category", Sdf.ValueTypeNames.String, asset.category),
         ("handle_point", Sdf.ValueTypeNames.Double3, _vector(asset.handle_point)),
@@ -134,7 +150,7 @@ class _Writer:
         return material
 
     def _collider(self, collider: BoxCollider, link_path: str) -> None:
-        from pxr import Gf, UsdGeom, UsdPhysics
+        from pxr import Gf, UsdGeom, UsdPhysics, UsdShade
 
         cube = UsdGeom.Cube.Define(self.stage, f"{link_path}/collision/{_identifier(collider.name)}")
         cube.CreateSizeAttr(2.0)
@@ -146,10 +162,29 @@ class _Writer:
         cube.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(w, x, y, z))
         cube.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(_vector(collider.half_extents))
         UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+        material = UsdShade.Material(self.stage.GetPrimAtPath(f"{self.root}/{CONTACT_MATERIAL}"))
+        UsdShade.MaterialBindingAPI.Apply(cube.GetPrim()).Bind(
+            material, UsdShade.Tokens.fallbackStrength, "physics"
+        )
 
-    def joint(self, joint: Joint, static: str, moving: str) -> None:
+    def contact_material(self) -> None:
+        """The physics material that all colliders share."""
+        from pxr import UsdPhysics, UsdShade
+
+        sliding, torsional, rolling = CONTACT_FRICTION
+        prim = UsdShade.Material.Define(self.stage, f"{self.root}/{CONTACT_MATERIAL}").GetPrim()
+        material = UsdPhysics.MaterialAPI.Apply(prim)
+        material.CreateStaticFrictionAttr(sliding)
+        material.CreateDynamicFrictionAttr(sliding)
+        material.CreateRestitutionAttr(0.0)
+        prim.AddAppliedSchema("MjcMaterialAPI")
+        _set(prim, "mjc:torsionalfriction", torsional)
+        _set(prim, "mjc:rollingfriction", rolling)
+
+    def joint(self, asset: ArticulatedAsset, static: str, moving: str) -> None:
         from pxr import Gf, UsdPhysics
 
+        joint = asset.joint
         kind = UsdPhysics.RevoluteJoint if joint.type == "revolute" else UsdPhysics.PrismaticJoint
         unit = 180.0 / np.pi if joint.type == "revolute" else 1.0
         item = kind.Define(self.stage, f"{self.root}/joint")
@@ -166,6 +201,47 @@ class _Writer:
         ):
             create_position(position)
             create_rotation(quat)
+        _set_resistance(item.GetPrim(), asset)
+
+
+def _set_resistance(prim: Any, asset: ArticulatedAsset) -> None:
+    """Damping, dry friction and armature of a joint prim for MuJoCo, PhysX and the record.
+
+    PhysX counts turning speeds in degrees. Its older `physxJoint:jointFriction` is a coefficient
+    without unit that no torque corresponds to, so it is left out.
+    """
+    tried, holding = RESISTANCES[asset.joint.type], holding_friction(asset)
+    frictions = [resistance.frictionloss + holding for resistance in tried]
+    dampings = [resistance.damping for resistance in tried]
+    prim.AddAppliedSchema("MjcJointAPI")
+    _set(prim, "mjc:damping", dampings[0])
+    _set(prim, "mjc:frictionloss", frictions[0])
+    _set(prim, "mjc:armature", ARMATURE)
+    if holding:
+        _set(prim, "mjc:solimpfriction", HOLDING_SOLIMP)
+    revolute = asset.joint.type == "revolute"
+    axis = "angular" if revolute else "linear"
+    prim.AddAppliedSchema(f"PhysxJointAxisAPI:{axis}")
+    for name, value in (
+        ("staticFrictionEffort", frictions[0]),
+        ("dynamicFrictionEffort", frictions[0]),
+        ("viscousFrictionCoefficient", dampings[0] * (np.pi / 180 if revolute else 1.0)),
+        ("armature", ARMATURE),
+    ):
+        _set(prim, f"physxJointAxis:{axis}:{name}", value)
+    _set(prim, f"{NAMESPACE}:verified_damping", dampings)
+    _set(prim, f"{NAMESPACE}:verified_frictionloss", frictions)
+
+
+def _set(prim: Any, name: str, value: float | Sequence[float]) -> None:
+    """Write an attribute of a schema that usd-core does not know: floats for PhysX, uniform doubles else."""
+    from pxr import Sdf
+
+    kinds, physx = Sdf.ValueTypeNames, name.startswith("physx")
+    single = kinds.Float if physx else kinds.Double
+    kind = single if isinstance(value, float) else kinds.DoubleArray
+    variability = Sdf.VariabilityVarying if physx else Sdf.VariabilityUniform
+    prim.CreateAttribute(name, kind, name.startswith(NAMESPACE), variability).Set(value)
 
 
 def _quat_from_x(axis: Array) -> Array:

@@ -58,8 +58,9 @@ def no_contacts() -> ContactLog:
 class Episode:
     """Everything about one demonstration except its pictures.
 
-    T frames at a constant rate, J arm joints. "action" is what the robot is asked to reach,
-    the plain fields are what it has reached.
+    T frames at a constant rate, J arm joints. The plain fields are what the robot has reached at
+    frame t; "action" at frame t is what it shall reach at frame t + 1, and at the last frame where it
+    shall stay.
 
     Attributes:
         index: Number of the variation that this episode renders; names its folder.
@@ -67,6 +68,7 @@ class Episode:
         instruction: Language instruction.
         robot: Robot model, for example "ur5e_2f85".
         asset: Name of the articulated object.
+        asset_usd: Path of its USD file, relative to the episode's folder.
         joint_names: J names.
         fps: Frames a second.
         joints, action_joints: (T, J), [rad].
@@ -79,6 +81,7 @@ class Episode:
         T_world_object: Object pose (4, 4).
         cameras: Camera of each video, by name.
         verdict: What verification measured; plain JSON values.
+        simulation: What verification assumed about object and control; plain JSON values.
     """
 
     index: int
@@ -86,6 +89,7 @@ class Episode:
     instruction: str
     robot: str
     asset: str
+    asset_usd: str
     joint_names: tuple[str, ...]
     fps: int
     joints: Array
@@ -101,6 +105,7 @@ class Episode:
     T_world_object: Array
     cameras: Mapping[str, Camera]
     verdict: Mapping[str, Any]
+    simulation: Mapping[str, Any]
 
     def __post_init__(self) -> None:
         count, names = len(self.thetas), len(self.joint_names)

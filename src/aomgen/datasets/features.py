@@ -1,9 +1,19 @@
-"""Which columns a dataset holds, and how they follow from an episode."""
+"""Which columns a dataset holds, and how they follow from an episode.
+
+LeRobot takes every `observation.*` for an input of a policy and every `action*` for its output. So only
+what a robot measures is an observation, only one action space is `action`, and all the rest is `annotation.*`.
+"""
 
 import numpy as np
 
 from aomgen.core.episode import Episode
-from aomgen.core.transforms import invert, quat_from_matrix, rotvec_from_matrix
+from aomgen.core.transforms import (
+    invert,
+    matrix_from_rotvec,
+    quat_from_matrix,
+    rotvec_from_matrix,
+    transform,
+)
 from aomgen.core.values import Array
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -15,34 +25,49 @@ def feature_names(episode: Episode) -> dict[str, tuple[str, ...]]:
     state = (*episode.joint_names, "gripper")
     return {
         "observation.state": state,
-        "observation.ee_pose": _POSE,
-        "observation.object_joint": ("theta",),
-        "observation.finger_contact": ("left", "right"),
         "action": state,
-        "action.ee_absolute": (*_POSE, "gripper"),
-        "action.ee_delta": (*_DELTA, "gripper"),
+        "annotation.action.ee_absolute": (*_POSE, "gripper"),
+        "annotation.action.ee_delta": (*_DELTA, "gripper"),
+        "annotation.ee_pose": _POSE,
+        "annotation.object_joint": ("theta",),
+        "annotation.finger_force": ("left", "right"),
     }
 
 
 def feature_columns(episode: Episode) -> dict[str, Array]:
-    """Values (T, D) of every low-dimensional feature; lengths in metres, angles in radians.
+    """Values (T, D) of every low-dimensional feature; metres, radians, newtons.
 
-    `action` holds absolute joint targets, `action.ee_absolute` the same target as a pose in
-    the world frame, `action.ee_delta` the motion from the observed to the target pose, in the
-    observed end effector's frame (translation, then rotation vector). The last element is the
-    gripper target, 0 open .. 1 closed. `observation.finger_contact` is each finger's contact
-    force [N].
+    The three action spaces describe one target, what is to be reached at the next frame (at the
+    last frame: where to stay). `action` holds joint values, `annotation.action.ee_absolute` the end
+    effector's pose in the world frame, `annotation.action.ee_delta` the motion to it from the
+    observed pose (`ee_deltas`). The last element of each is the gripper's target, 0 open .. 1 closed.
     """
     target = episode.action_gripper[:, None]
+    deltas = ee_deltas(episode.Ts_world_ee, episode.Ts_world_ee_action)
     return {
         "observation.state": np.column_stack([episode.joints, episode.gripper]),
-        "observation.ee_pose": _pose_vectors(episode.Ts_world_ee),
-        "observation.object_joint": episode.thetas[:, None],
-        "observation.finger_contact": _finger_forces(episode),
         "action": np.column_stack([episode.action_joints, target]),
-        "action.ee_absolute": np.column_stack([_pose_vectors(episode.Ts_world_ee_action), target]),
-        "action.ee_delta": np.column_stack([_deltas(episode), target]),
+        "annotation.action.ee_absolute": np.column_stack([_pose_vectors(episode.Ts_world_ee_action), target]),
+        "annotation.action.ee_delta": np.column_stack([deltas, target]),
+        "annotation.ee_pose": _pose_vectors(episode.Ts_world_ee),
+        "annotation.object_joint": episode.thetas[:, None],
+        "annotation.finger_force": _finger_forces(episode),
     }
+
+
+def ee_deltas(Ts_world_ee: Array, Ts_world_target: Array) -> Array:
+    """Motion from observed poses (T, 4, 4) to targets (T, 4, 4) as vectors (T, 6).
+
+    Both parts are in the axes of the observed end effector: translation x, y, z, [m], then rotation
+    vector, [rad]. The inverse is `ee_targets`.
+    """
+    Ts_ee_target = invert(Ts_world_ee) @ Ts_world_target
+    return np.column_stack([Ts_ee_target[:, :3, 3], rotvec_from_matrix(Ts_ee_target[:, :3, :3])])
+
+
+def ee_targets(Ts_world_ee: Array, deltas: Array) -> Array:
+    """Targets (T, 4, 4) that deltas (T, 6) mean at observed poses (T, 4, 4); the inverse of `ee_deltas`."""
+    return Ts_world_ee @ transform(matrix_from_rotvec(deltas[:, 3:6]), deltas[:, :3])
 
 
 def _pose_vectors(Ts: Array) -> Array:
@@ -53,11 +78,6 @@ def _pose_vectors(Ts: Array) -> Array:
     flips = np.sign(np.einsum("td,td->t", quats[1:], quats[:-1]))
     quats[1:] *= np.cumprod(np.where(flips == 0, 1, flips))[:, None]
     return np.column_stack([Ts[:, :3, 3], quats])
-
-
-def _deltas(episode: Episode) -> Array:
-    Ts_ee_target = invert(episode.Ts_world_ee) @ episode.Ts_world_ee_action
-    return np.column_stack([Ts_ee_target[:, :3, 3], rotvec_from_matrix(Ts_ee_target[:, :3, :3])])
 
 
 def _finger_forces(episode: Episode) -> Array:

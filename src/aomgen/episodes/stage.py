@@ -1,9 +1,12 @@
 """Render verified episodes and commit them, each as one folder."""
 
+import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from aomgen.core.camera import Camera
 from aomgen.core.episode import Episode
@@ -14,6 +17,7 @@ from aomgen.episodes.render import Trajectory, render_frames, static_layers
 from aomgen.io.atomic import remove_staging
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
+from aomgen.physics.assumptions import assumptions
 from aomgen.physics.robot import RobotModel
 from aomgen.twin.layers import StaticLayer
 from aomgen.twin.twin import Twin
@@ -24,6 +28,7 @@ WORKERS: Final = 2
 def run_episodes(
     verified: Sequence[VerifiedEpisode],
     twins: Mapping[str, Twin],
+    usd_files: Mapping[str, Path],
     robot: RobotModel,
     cameras: Mapping[str, Camera],
     folder: Path,
@@ -40,6 +45,7 @@ def run_episodes(
     Args:
         verified: What passed; an episode's folder is its place in this sequence.
         twins: For each asset's name, the cleared scene with that asset in it.
+        usd_files: For each asset's name, its USD file, in which others can simulate it.
         robot: The robot.
         cameras: Cameras of the pictures.
         folder: Of all episodes; committed ones are kept.
@@ -64,7 +70,8 @@ def run_episodes(
 
     def draw(index: int) -> None:
         name = verified[index].plan.fitted.asset.name
-        episode = episode_of(verified[index], index, robot, instruction, cameras)
+        usd = Path(os.path.relpath(usd_files[name], episode_folder(folder, index)))
+        episode = episode_of(verified[index], index, usd, robot, instruction, cameras)
         videos = episode_videos(episode, twins[name], robot, layers[name], T_world_plane, threads)
         commit_episode(folder, episode, videos)
 
@@ -81,9 +88,14 @@ def run_episodes(
 
 
 def episode_of(
-    verified: VerifiedEpisode, index: int, robot: RobotModel, instruction: str, cameras: Mapping[str, Camera]
+    verified: VerifiedEpisode,
+    index: int,
+    usd: Path,
+    robot: RobotModel,
+    instruction: str,
+    cameras: Mapping[str, Camera],
 ) -> Episode:
-    """The episode that a verified plan becomes."""
+    """The episode that a verified plan becomes; its actions are the plan one frame ahead."""
     plan = verified.plan
     asset = plan.fitted.asset
     return Episode(
@@ -92,14 +104,15 @@ def episode_of(
         instruction=instruction,
         robot=robot.name,
         asset=asset.name,
+        asset_usd=usd.as_posix(),
         joint_names=robot.joint_names,
         fps=round(plan.fps),
         joints=verified.joints,
         gripper=verified.gripper,
-        action_joints=plan.joints,
-        action_gripper=plan.gripper,
+        action_joints=_ahead(plan.joints),
+        action_gripper=_ahead(plan.gripper),
         Ts_world_ee=verified.Ts_world_ee,
-        Ts_world_ee_action=plan.Ts_world_ee,
+        Ts_world_ee_action=_ahead(plan.Ts_world_ee),
         thetas=verified.thetas,
         phases=plan.phases,
         contacts=verified.contacts,
@@ -107,7 +120,13 @@ def episode_of(
         T_world_object=plan.T_world_object,
         cameras=cameras,
         verdict={**verified.verdict.as_json(), "variation": plan.variation.index, "grasp": plan.grasp},
+        simulation=assumptions(asset, bolted=verified.verdict.bolted),
     )
+
+
+def _ahead(samples: Array) -> Array:
+    """What comes one sample later (T, ...); the last stays."""
+    return np.concatenate([samples[1:], samples[-1:]])
 
 
 def episode_videos(

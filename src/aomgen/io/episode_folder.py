@@ -24,7 +24,7 @@ from aomgen.io.arrays import arrays_from_bytes, npz_bytes
 from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 MAX_FRAMES_BYTES: Final = 256 << 20
 _ARRAYS: Final = (
     "joints",
@@ -153,6 +153,7 @@ def _header(episode: Episode) -> dict[str, Any]:
         "instruction": episode.instruction,
         "robot": episode.robot,
         "asset": episode.asset,
+        "asset_usd": episode.asset_usd,
         "joint_names": list(episode.joint_names),
         "fps": episode.fps,
         "frames": len(episode),
@@ -166,6 +167,7 @@ def _header(episode: Episode) -> dict[str, Any]:
         "T_world_object": episode.T_world_object,
         "cameras": {name: camera_dict(camera) for name, camera in episode.cameras.items()},
         "verdict": dict(episode.verdict),
+        "simulation": dict(episode.simulation),
     }
 
 
@@ -176,7 +178,8 @@ def camera_dict(camera: Camera) -> dict[str, Any]:
 
 
 def _episode(header: dict[str, Any], arrays: dict[str, NDArray]) -> Episode:
-    names = ("index", "seed", "instruction", "robot", "asset", "fps", "T_world_object", "verdict")
+    names = ("index", "seed", "instruction", "robot", "asset", "asset_usd", "fps", "T_world_object")
+    names += ("verdict", "simulation")
     plain: dict[str, Any] = {name: header[name] for name in names} | {name: arrays[name] for name in _ARRAYS}
     contacts: dict[str, Any] = {name: arrays[f"contact_{name}"] for name in _CONTACT_ARRAYS}
     return Episode(

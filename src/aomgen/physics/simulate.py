@@ -1,19 +1,23 @@
 """Run a commanded trajectory in MuJoCo: the object's joint is passive, only contact moves it."""
 
+import copy
+import math
 from dataclasses import dataclass
+from typing import Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import Akima1DInterpolator, PchipInterpolator
 
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
 from aomgen.physics.scene import Scene
 
-CONTROL_HZ = 125.0
-SETTLE_S = 0.2
+# Rate of a UR5e's controller, [1/s]; a frame lasts a whole number of control ticks, so the rate used is a little higher.
+CONTROL_HZ: Final = 125.0
+# The arm stands at its first configuration for this long before the episode begins.
+SETTLE_S: Final = 0.2
 DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -47,7 +51,7 @@ class SimulatedRun:
     """What happened, once a control tick (N ticks).
 
     Attributes:
-        times_s: (N,), from the start of the episode.
+        frame_ticks: Tick of each commanded sample (T,).
         joints: Reached arm joints (N, J), [rad].
         gripper: Reached gripper (N,), 0..1.
         thetas: Object joint (N,), [rad] or [m].
@@ -59,7 +63,7 @@ class SimulatedRun:
         touches: Pad contacts.
     """
 
-    times_s: Array
+    frame_ticks: NDArray[np.int64]
     joints: Array
     gripper: Array
     thetas: Array
@@ -70,24 +74,21 @@ class SimulatedRun:
     drift_m: Array
     touches: tuple[Touch, ...]
 
-    def sampled(self, times_s: Array) -> NDArray[np.int64]:
-        """Tick nearest to each time (T,)."""
-        rate = CONTROL_HZ
-        return np.clip(np.round(np.asarray(times_s) * rate).astype(np.int64), 0, len(self.times_s) - 1)
-
 
 def simulate(
     scene: Scene, joints: Array, gripper: Array, fps: float, *, initial_theta: float = 0.0
 ) -> SimulatedRun | Rejection:
-    """Track a trajectory with the arm's position controllers.
+    """Track a trajectory with the arm's position controllers, without looking ahead.
 
-    Commands are interpolated smoothly to 125 Hz and sent with velocity feed-forward,
-    `ctrl = q + kv / kp * dq`, which takes the lag out of a position actuator. The object's
-    joint is written once, at reset. Autoreset is off (see `build_scene`) and a warning of divergence ends the run.
+    From sample t on, the command moves straight from sample t to sample t + 1 at constant velocity:
+    the exported action at t, which names the target at t + 1, and the one before it are all that is used.
+    Velocity feed-forward, `ctrl = q + kv / kp * dq`, takes the lag out of a position actuator.
+    The object's joint is written once, at reset. Autoreset is off (see `build_scene`) and a
+    warning of divergence ends the run.
 
     Args:
         scene: Object placed, resistance set.
-        joints: Commanded arm joints (T, J), [rad].
+        joints: Commanded arm joints (T, J), [rad], T >= 2.
         gripper: Commanded gripper (T,), 0..1.
         fps: Samples a second of both.
         initial_theta: Object joint at reset; anything but 0 is for tests.
@@ -95,42 +96,63 @@ def simulate(
     Returns:
         The run; or a Rejection "diverged".
     """
-    model = scene.model
+    ticks_a_frame = math.ceil(CONTROL_HZ / fps)
+    steps_a_tick = math.ceil(1 / (fps * ticks_a_frame * scene.model.opt.timestep))
+    model = copy.copy(scene.model)
+    model.opt.timestep = 1 / (fps * ticks_a_frame * steps_a_tick)
     data = mujoco.MjData(model)
     data.qpos[:] = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
-    ticks, controls, commands = _controls(scene, joints, gripper, fps)
-    steps = max(round(1.0 / CONTROL_HZ / model.opt.timestep), 1)
-    data.ctrl[:] = controls[0]
+    commands, velocities, closing = straight_commands(joints, gripper, fps, ticks_a_frame)
+    data.ctrl[:] = _control(scene, joints[0], np.zeros_like(joints[0]), gripper[0])
     start_base = _base_position(scene, data)
     mujoco.mj_step(model, data, round(SETTLE_S / model.opt.timestep))
-    log = _Log(scene=scene, count=len(ticks), start_base=start_base)
-    for tick, control in enumerate(controls):
+    log = _Log(scene=scene, count=len(commands), start_base=start_base)
+    for tick, command in enumerate(commands):
         log.record(tick, data)
-        data.ctrl[:] = control
-        mujoco.mj_step(model, data, steps)
+        data.ctrl[:] = _control(scene, command, velocities[tick], closing[tick])
+        mujoco.mj_step(model, data, steps_a_tick)
         if any(data.warning[kind].number for kind in DIVERGENCE):
+            time_s = tick / (fps * ticks_a_frame)
             return Rejection(
                 reason="diverged",
-                detail=f"the simulation became unstable at {ticks[tick]:.2f} s",
-                metrics={"time_s": float(ticks[tick])},
+                detail=f"the simulation became unstable at {time_s:.2f} s",
+                metrics={"time_s": time_s},
             )
-    return log.finished(ticks, commands)
+    return log.finished(ticks_a_frame * np.arange(len(joints)), commands)
 
 
-def _controls(scene: Scene, joints: Array, gripper: Array, fps: float) -> tuple[Array, Array, Array]:
-    """Tick times (N,), actuator controls (N, nu) and commanded joints (N, J)."""
-    times = np.arange(len(joints)) / fps
-    ticks = np.arange(int(times[-1] * CONTROL_HZ) + 1) / CONTROL_HZ
-    # Akima: smooth like a cubic spline, but still where the samples are still.
-    curve = Akima1DInterpolator(times, joints)
-    commands = curve(ticks)
-    controls = np.zeros((len(ticks), scene.model.nu))
+def straight_commands(
+    joints: Array, gripper: Array, fps: float, ticks_a_frame: int
+) -> tuple[Array, Array, Array]:
+    """Command at every control tick, straight from each sample to the next.
+
+    Args:
+        joints: Samples (T, J), [rad].
+        gripper: Samples (T,), 0..1.
+        fps: Samples a second.
+        ticks_a_frame: Control ticks from one sample to the next.
+
+    Returns:
+        Joints (N, J), [rad], their velocities (N, J), [rad/s], and gripper (N,), with
+        N = (T - 1) * ticks_a_frame + 1; at the last tick the arm is told to stand.
+    """
+    samples = np.column_stack([joints, gripper])
+    steps = np.diff(samples, axis=0)
+    shares = np.arange(ticks_a_frame) / ticks_a_frame
+    moving = samples[:-1, None] + shares[:, None] * steps[:, None]
+    commands = np.concatenate([moving.reshape(-1, samples.shape[1]), samples[-1:]])
+    velocities = np.concatenate([np.repeat(fps * steps, ticks_a_frame, 0), np.zeros((1, steps.shape[1]))])
+    return commands[:, :-1], velocities[:, :-1], commands[:, -1]
+
+
+def _control(scene: Scene, command: Array, velocity: Array, closing: float) -> Array:
+    """Actuator controls (nu,) for arm joints (J,), [rad], their velocities [rad/s], and gripper 0..1."""
     arm = scene.arm
-    controls[:, arm.actuators] = commands + arm.kv / arm.kp * curve.derivative()(ticks)
-    closing = np.clip(PchipInterpolator(times, gripper)(ticks), 0, 1)
+    control = np.zeros(scene.model.nu)
+    control[arm.actuators] = command + arm.kv / arm.kp * velocity
     opened, closed = scene.gripper.control_range
-    controls[:, scene.gripper.actuator] = opened + closing * (closed - opened)
-    return ticks, controls, commands
+    control[scene.gripper.actuator] = opened + closing * (closed - opened)
+    return control
 
 
 def _base_position(scene: Scene, data: mujoco.MjData) -> Array:
@@ -192,9 +214,9 @@ class _Log:
                 )
         self.reactions[tick] = float(np.linalg.norm(total[:2]))
 
-    def finished(self, ticks: Array, commands: Array) -> SimulatedRun:
+    def finished(self, frame_ticks: NDArray[np.int64], commands: Array) -> SimulatedRun:
         return SimulatedRun(
-            times_s=ticks,
+            frame_ticks=frame_ticks,
             joints=self.joints,
             gripper=np.clip(self.gripper, 0, 1),
             thetas=self.thetas,

@@ -5,39 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aomgen.assets.resistance import GRAVITY, RESISTANCES, JointResistance
 from aomgen.core.episode import ContactLog
 from aomgen.core.plan import EpisodePlan, VerifiedEpisode
 from aomgen.core.verdict import Rejection, SettingOutcome, Verdict
 from aomgen.physics.scene import Scene
 from aomgen.physics.simulate import SimulatedRun, simulate
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
-    """Resistance of the object's joint in one run.
-
-    Attributes:
-        name: Key in the verdict.
-        damping: [N m s/rad] or [N s/m].
-        frictionloss: [N m] or [N].
-    """
-
-    name: str
-    damping: float
-    frictionloss: float
-
-
-# The first is nominal: its run gives the episode's states.
-REVOLUTE_SETTINGS = (
-    Setting(name="nominal", damping=0.3, frictionloss=0.15),
-    Setting(name="light", damping=0.05, frictionloss=0.02),
-    Setting(name="heavy", damping=1.2, frictionloss=0.8),
-)
-PRISMATIC_SETTINGS = (
-    Setting(name="nominal", damping=4.0, frictionloss=2.0),
-    Setting(name="light", damping=1.0, frictionloss=0.3),
-    Setting(name="heavy", damping=16.0, frictionloss=8.0),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,16 +37,11 @@ class PassRule:
     max_drift_m: float = 0.005
 
 
-def settings_for(joint_type: str) -> tuple[Setting, ...]:
-    """The three settings every episode of a joint type has to pass, nominal first."""
-    return REVOLUTE_SETTINGS if joint_type == "revolute" else PRISMATIC_SETTINGS
-
-
 def verify_plan(
     plan: EpisodePlan,
     scene: Scene,
     *,
-    settings: Sequence[Setting] | None = None,
+    settings: Sequence[JointResistance] | None = None,
     rule: PassRule | None = None,
 ) -> VerifiedEpisode | Rejection:
     """Simulate a plan in all settings and keep what the nominal one reached.
@@ -81,7 +49,7 @@ def verify_plan(
     Args:
         plan: Its target, the planned final joint value, is fixed before any simulation.
         scene: The plan's asset; moved to the plan's pose here.
-        settings: At least three, nominal first; None takes `settings_for` the joint.
+        settings: At least three, nominal first; None takes `RESISTANCES` of the joint's type.
         rule: Pass rule; None takes the defaults.
 
     Returns:
@@ -92,7 +60,7 @@ def verify_plan(
     """
     rule = rule or PassRule()
     joint_type = plan.fitted.asset.joint.type
-    settings = settings or settings_for(joint_type)
+    settings = settings or RESISTANCES[joint_type]
     minimum = rule.min_revolute_rad if joint_type == "revolute" else rule.min_prismatic_m
     target = plan.fitted.target_theta
     if not target >= minimum:
@@ -122,7 +90,7 @@ def verify_plan(
 
 
 def judge(
-    run: SimulatedRun, target: float, scene: Scene, setting: Setting, rule: PassRule
+    run: SimulatedRun, target: float, scene: Scene, setting: JointResistance, rule: PassRule
 ) -> SettingOutcome | Rejection:
     """Hold one run against the pass rule.
 
@@ -156,7 +124,7 @@ def judge(
         tracking_mm=_tracking_mm(scene, run, errors),
     )
     mass = scene.asset.static.mass + scene.asset.moving.mass
-    hold_n = rule.base_friction * mass * 9.81
+    hold_n = rule.base_friction * mass * GRAVITY
     tests = [
         ("pre_opened", before <= rule.max_start_share, f"the part stood at {before:.0%} before contact"),
         ("target", outcome.target_share >= rule.target_share,
@@ -188,7 +156,7 @@ def _tracking_mm(scene: Scene, run: SimulatedRun, errors: np.ndarray) -> float:
 
 
 def _episode(plan: EpisodePlan, run: SimulatedRun, verdict: Verdict) -> VerifiedEpisode:
-    ticks = run.sampled(plan.times_s)
+    ticks = run.frame_ticks
     frame_of = {int(tick): frame for frame, tick in enumerate(ticks)}
     rows = [(frame_of[touch.tick], touch) for touch in run.touches if touch.tick in frame_of]
     contacts = ContactLog(

@@ -50,6 +50,7 @@ from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import Twin, TwinState
 
 SURFELS = 30_000
+ASSET_FILE = "asset.usda"
 NEW_CAMERA = "side"
 # How far around the object the table is looked for, in which cells, and what counts as seen.
 TABLE_REACH_M = 1.0
@@ -84,7 +85,7 @@ def replacement(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         target = folder / "assets" / f"{index:02d}"
         target.mkdir(parents=True)
         save_fitted(target, fitted)
-        write_usd(fitted.asset, target / "asset.usda")
+        write_usd(fitted.asset, target / ASSET_FILE)
         save_twin(target, asset_twin(cleared.twin, fitted, light.light, run.project.seed + index))
         names.append(fitted.asset.name)
         residuals.append(fitted.residual_mm)
@@ -144,15 +145,16 @@ def episodes(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     robot = robot_of(capture)
     fitted = fitted_assets(run)
     verified = load_generalization(run.folders["plans"], fitted)
-    twins = {
-        item.asset.name: load_twin(run.folders["replacement"] / "assets" / f"{index:02d}")
+    homes = {
+        item.asset.name: run.folders["replacement"] / "assets" / f"{index:02d}"
         for index, item in enumerate(fitted)
     }
     scene = read_json(run.folders["replacement"] / "scene.json")
     cameras = stored_cameras(run)
     folders = run_episodes(
         verified,
-        twins,
+        {name: load_twin(home) for name, home in homes.items()},
+        {name: home / ASSET_FILE for name, home in homes.items()},
         robot,
         cameras,
         folder,

@@ -42,6 +42,7 @@ def make_episode(index: int, frames: int, *, cameras: tuple[str, ...] = ("front"
         instruction="open the microwave" if index != 2 else "open the drawer",
         robot="ur5e_2f85",
         asset="microwave-1",
+        asset_usd="asset.usda",
         joint_names=tuple(f"joint_{i}" for i in range(6)),
         fps=FPS,
         joints=joints,
@@ -57,6 +58,7 @@ def make_episode(index: int, frames: int, *, cameras: tuple[str, ...] = ("front"
         T_world_object=np.eye(4),
         cameras={name: camera for name in cameras},
         verdict={"passed": True},
+        simulation={"bolted": True},
     )
 
 

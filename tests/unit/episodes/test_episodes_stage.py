@@ -95,6 +95,7 @@ def run(toy_scene, twin, cameras, folder: Path, count: int = 2, workers: int = 2
     return run_episodes(
         episodes,
         {toy_scene.asset.name: twin},
+        {toy_scene.asset.name: folder / "asset.usda"},
         toy_scene.robot,
         cameras,
         folder,

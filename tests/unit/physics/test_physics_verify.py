@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from aomgen.assets.make import make_asset
+from aomgen.assets.resistance import RESISTANCES
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
@@ -16,13 +17,13 @@ from aomgen.physics.kinematic import KinematicLimits, check_kinematics, holding_
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.scene import Scene, build_scene
 from aomgen.physics.simulate import SimulatedRun, simulate
-from aomgen.physics.verify import PassRule, judge, settings_for, verify_plan
+from aomgen.physics.verify import PassRule, judge, verify_plan
 
 NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
 SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
 T_WORLD_OBJECT = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
 TRAVEL = 0.15
-NOMINAL = settings_for("prismatic")[0]
+NOMINAL = RESISTANCES["prismatic"][0]
 
 
 @pytest.fixture(scope="module")
