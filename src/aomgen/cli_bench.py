@@ -134,6 +134,20 @@ def bench_splatting(
         write_json(json_file, figures)
 
 
+@bench_app.command("replay-exported")
+def bench_replay_exported(
+    outs: Annotated[list[Path], typer.Argument(help="Folders of finished runs.")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Replay exported actions in a scene made of the exported USD alone, by category.
+
+    Also with the object 8 cm farther away, where the same actions must fail.
+    """
+    from aomgen.benchmarks.replay_exported import run_replay
+
+    _show(run_replay(outs), json_file)
+
+
 def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
     from aomgen.benchmarks.motion_accuracy import FIRST_SEED, cases, run_motion
     from aomgen.benchmarks.motion_table import (
