@@ -58,10 +58,13 @@ def main(root: Path) -> None:
     for name in ("q01", "q99", "mean", "std"):
         if name not in dataset.meta.stats["observation.state"]:
             raise SystemExit(f"statistics lack {name}")
+    features = dataset_to_policy_features(dataset.features)
+    if set(features) != {"observation.state", "action", *cameras}:
+        raise SystemExit(f"a policy would be given {sorted(features)}")
     report = {
         "episodes": dataset.num_episodes,
         "frames": dataset.num_frames,
-        "policy_features": {k: v.type.value for k, v in dataset_to_policy_features(dataset.features).items()},
+        "policy_features": {name: feature.type.value for name, feature in features.items()},
         "grey": [[float(item[camera].mean()) for camera in cameras] for item in items],
     }
     sys.stdout.write(json.dumps(report) + "\n")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -19,9 +19,9 @@ from aomgen.io.jsonfile import read_json
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_store import stored_robot
 
-Space = Literal["joint", "ee_absolute", "ee_delta"]
+
 STATE, EE_POSE, THETA = "observation.state", "annotation.ee_pose", "annotation.object_joint"
-COLUMNS: Final[dict[Space, str]] = {
+COLUMNS: Final[dict[str, str]] = {
     "joint": "action",
     "ee_absolute": "annotation.action.ee_absolute",
     "ee_delta": "annotation.action.ee_delta",
@@ -55,7 +55,7 @@ class Exported:
     usd: Path
     T_world_object: Array
     states: Array
-    actions: dict[Space, Array]
+    actions: dict[str, Array]
     ee_poses: Array
     thetas: Array
     target: float
@@ -132,7 +132,7 @@ def summed_error_m(episode: Exported) -> float:
 class Replay:
     """One episode in one foreign scene; a builder that holds what all its steps share."""
 
-    def __init__(self, scene: ForeignScene, robot: RobotModel, episode: Exported, space: Space) -> None:
+    def __init__(self, scene: ForeignScene, robot: RobotModel, episode: Exported, space: str) -> None:
         self._scene, self._robot, self._episode, self._space = scene, robot, episode, space
         self._data, self._scratch = mujoco.MjData(scene.model), mujoco.MjData(scene.model)
         self._steps = math.ceil(1 / (episode.fps * scene.model.opt.timestep))

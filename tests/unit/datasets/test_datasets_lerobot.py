@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.datasets.features import feature_columns
+from aomgen.datasets.features import ee_deltas, ee_targets, feature_columns
 from aomgen.datasets.lerobot_v3 import rolled, write_lerobot_v3
 from aomgen.datasets.statistics import color_counts, column_statistics, image_statistics
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
@@ -151,13 +151,36 @@ def test_statistics_of_columns_and_pictures():
     assert image["count"] == [4]
 
 
-def test_actions_are_the_targets_and_quaternions_do_not_jump():
+def test_only_state_and_pictures_go_in_and_only_actions_come_out():
+    names = feature_columns(make_episode(0, 9))
+    assert [name for name in names if name.startswith("observation")] == ["observation.state"]
+    assert [name for name in names if name.startswith("action")] == ["action"]
+    assert all(name.startswith("annotation.") for name in list(names)[2:])
+
+
+def test_deltas_lead_from_the_observed_pose_to_the_target_and_back():
+    episode = make_episode(0, 60)
+    columns = feature_columns(episode)
+    deltas = columns["annotation.action.ee_delta"]
+    np.testing.assert_allclose(deltas[:, :6], [[0.01, 0, 0, 0, 0, 0]] * 60, atol=1e-9)
+    targets = ee_targets(episode.Ts_world_ee, deltas)
+    np.testing.assert_allclose(targets, episode.Ts_world_ee_action, atol=1e-9)
+
+
+def test_deltas_of_an_arm_that_tracks_well_add_up_to_the_path():
+    episode = make_episode(0, 60)
+    path = episode.Ts_world_ee
+    T = path[:1]
+    for delta in ee_deltas(path[:-1], path[1:]):
+        T = ee_targets(T, delta[None])
+    np.testing.assert_allclose(T[0], path[-1], atol=1e-9)
+
+
+def test_quaternions_do_not_jump_and_forces_stand_at_their_frame():
     columns = feature_columns(make_episode(0, 60))
-    np.testing.assert_allclose(columns["action.ee_delta"][:, :3], [[0.01, 0, 0]] * 60, atol=1e-9)
-    np.testing.assert_allclose(columns["action.ee_delta"][:, 3:6], 0, atol=1e-9)
-    quats = columns["observation.ee_pose"][:, 3:]
+    quats = columns["annotation.ee_pose"][:, 3:]
     assert np.abs(np.diff(quats, axis=0)).max() < 0.1
-    assert columns["observation.finger_contact"][3].tolist() == [0, 4]
+    assert columns["annotation.finger_force"][3].tolist() == [0, 4]
 
 
 def test_files_roll_at_the_limit():
@@ -200,6 +223,12 @@ def test_the_real_library_loads_it(dataset):
     assert done.returncode == 0, done.stdout + done.stderr
     report = json.loads(done.stdout.strip().splitlines()[-1])
     assert (report["episodes"], report["frames"]) == (3, 36)
+    assert report["policy_features"] == {
+        "observation.state": "STATE",
+        "observation.images.front": "VISUAL",
+        "observation.images.side": "VISUAL",
+        "action": "ACTION",
+    }
     np.testing.assert_allclose(
         report["grey"],
         [[make_frames(e, 15)[f, 0, 0, 0] / 255] * 2 for e, f in ((0, 0), (1, 8), (2, 14))],

@@ -114,6 +114,10 @@ def test_an_episode_comes_back_as_it_was(toy_scene, committed):
     item = read_episode(committed[1])
     assert (item.episode.index, item.episode.fps, len(item.episode)) == (1, 10, FRAMES)
     np.testing.assert_array_equal(item.episode.joints, verified(toy_scene, 0.4).joints)
+    np.testing.assert_array_equal(item.episode.action_joints[:-1], verified(toy_scene, 0.4).plan.joints[1:])
+    np.testing.assert_array_equal(item.episode.action_joints[-1], verified(toy_scene, 0.4).plan.joints[-1])
+    assert item.episode.asset_usd == "../asset.usda"
+    assert [run["name"] for run in item.episode.simulation["settings"]] == ["nominal", "light", "heavy"]
     assert item.episode.joint_names == toy_scene.robot.joint_names
     assert item.episode.verdict["passed"]
     for path in item.videos.values():
