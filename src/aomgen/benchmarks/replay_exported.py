@@ -19,7 +19,6 @@ from aomgen.io.jsonfile import read_json
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_store import stored_robot
 
-
 STATE, EE_POSE, THETA = "observation.state", "annotation.ee_pose", "annotation.object_joint"
 COLUMNS: Final[dict[str, str]] = {
     "joint": "action",
