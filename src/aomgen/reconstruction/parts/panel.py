@@ -103,27 +103,38 @@ class Panel:
         body = local
         if not np.array_equal(self.T_panel_body, np.eye(4)):
             body = apply(invert(self.T_panel_body), local.reshape(-1, 3)).reshape(local.shape)
-        ours = np.all((body > self.object_low) & (body < self.object_high), axis=-1)
-        within = (local > self.low) & (local < self.high)
-        moves = np.all(within, axis=-1)
+        # Coordinate by coordinate: the search of a panel spends its time here.
+        ours = np.logical_and.reduce(_within(body, self.object_low, self.object_high))
+        along, across, deep = _within(local, self.low, self.high)
+        moves = along & across & deep
         if self.around.any():
-            wide = (local > self.low - self.around[::2]) & (local < self.high + self.around[1::2])
+            low, high = self.low - self.around[::2], self.high + self.around[1::2]
             # Past one side, not round a corner: there are other things.
-            near = np.all(wide, axis=-1) & (within.sum(-1) >= 2)
+            two_of_three = (along & across) | (along & deep) | (across & deep)
+            near = np.logical_and.reduce(_within(local, low, high)) & two_of_three
             moves |= near & ~ours & self._above_floor(body)
         if center is not None and center[2] > 0:
             z = local[..., 2]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                share = center[2] / (center[2] - z)
-                hit = center[:2] + share[..., None] * (local[..., :2] - center[:2])
-            moves |= ours & (z < 0) & np.all((hit > self.low[:2]) & (hit < self.high[:2]), axis=-1)
-        return np.where(moves, MOVING, np.where(ours, STATIC, BACKGROUND)).astype(np.uint8)
+            behind = ours & (z < 0)
+            share = center[2] / (center[2] - z[behind])
+            hit = center[:2] + share[:, None] * (local[behind, :2] - center[:2])
+            moves[behind] |= np.logical_and.reduce(_within(hit, self.low, self.high))
+        labels = np.full(ours.shape, BACKGROUND, np.uint8)
+        labels[ours] = STATIC
+        labels[moves] = MOVING
+        return labels
 
     def _above_floor(self, body: NDArray) -> NDArray[np.bool_]:
         """Which points (..., 3) of the body frame are higher than what the object stands on."""
         axis, side = lower_face(self.T_world_body)
         heights = (body[..., axis] - (self.object_low, self.object_high)[side][axis]) * (1, -1)[side]
         return heights > FLOOR_SHARE * (self.object_high[axis] - self.object_low[axis])
+
+
+def _within(points: NDArray, low: Array, high: Array) -> list[NDArray[np.bool_]]:
+    """For each coordinate of points (..., D), which of them lie between two bounds (D or more,)."""
+    planes = [points[..., axis] for axis in range(points.shape[-1])]
+    return [(x > low[axis]) & (x < high[axis]) for axis, x in enumerate(planes)]
 
 
 def lower_face(T_world_box: Array) -> tuple[int, int]:

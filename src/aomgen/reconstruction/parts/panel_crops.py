@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert
@@ -69,10 +68,13 @@ def iou(first: Mask, second: Mask) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crop:
-    """Every n-th pixel of a prompted view around its box, panel frame."""
+    """Every n-th pixel of a prompted view around its box, panel frame.
+
+    `local` (H, W, 3) lies in memory one coordinate after the other, as it is compared.
+    """
 
     part: int
-    local: NDArray[np.float32]
+    local: Array
     center: Array
     box: Array
     masks: tuple[Mask, ...]
@@ -88,10 +90,11 @@ class Crop:
         misfits = [box_misfit(mask, view.box) for mask in view.masks]
         limit = min([MAX_MASK_MISFIT, *(misfit + MASK_SPREAD for misfit in misfits)])
         T_panel_world = invert(T_world_panel)
-        points = view.points_world[window]
+        points = apply(T_panel_world, view.points_world[window].reshape(-1, 3)).T
+        planes = np.ascontiguousarray(points.astype(np.float32).astype(np.float64))
         return Crop(
             part=view.part,
-            local=apply(T_panel_world, points.reshape(-1, 3)).reshape(points.shape).astype(np.float32),
+            local=np.moveaxis(planes.reshape(3, *view.points_world[window].shape[:2]), 0, -1),
             center=apply(T_panel_world, view.camera.center[None])[0],
             box=(view.box - [x0, y0, x0, y0]) / stride,
             masks=tuple(m[window] for m, misfit in zip(view.masks, misfits, strict=True) if misfit < limit),
@@ -109,7 +112,7 @@ class Crop:
         apart = min((1 - iou(shown, mask) for mask in self.masks), default=0.0)
         return box_misfit(shown, self.box) + MASK_WEIGHT * apart
 
-    def inside(self, *, masked: bool) -> NDArray[np.float32]:
+    def inside(self, *, masked: bool) -> Array:
         """Surface points (N, 3) in the mask that agrees with the box best, else in the box."""
         if masked and self.masks:
             points = self.local[min(self.masks, key=lambda mask: box_misfit(mask, self.box))]
