@@ -141,7 +141,7 @@ def bench_replay_exported(
 ) -> None:
     """Replay exported actions in a scene made of the exported USD alone, by category.
 
-    Also with the object 8 cm farther away, where the same actions must fail.
+    Also with the object 8 cm farther along the gripper's approach, where the same actions must fail.
     """
     from aomgen.benchmarks.replay_exported import run_replay
 

@@ -19,7 +19,8 @@ from aomgen.io.jsonfile import read_json
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_store import stored_robot
 
-STATE, EE_POSE, THETA = "observation.state", "annotation.ee_pose", "annotation.object_joint"
+STATE, EE_POSE = "observation.state", "annotation.ee_pose"
+FORCE, THETA = "annotation.finger_force", "annotation.object_joint"
 COLUMNS: Final[dict[str, str]] = {
     "joint": "action",
     "ee_absolute": "annotation.action.ee_absolute",
@@ -28,7 +29,7 @@ COLUMNS: Final[dict[str, str]] = {
 # Newton steps a pose; the next one is a few centimetres away.
 IK_STEPS: Final = 6
 TWIN_FOLDER, EPISODES_FOLDER = "06_twin", "09_episodes"
-# An object that stands this much farther from the robot cannot be opened by the same actions, [m].
+# An object that stands this much farther along the gripper's approach cannot be opened by the same actions, [m].
 AWAY_M: Final = 0.08
 OPENED_SHARE: Final = 0.9
 # How long the arm stands still before the first and after the last action, [s]; a lid would fall meanwhile.
@@ -46,6 +47,7 @@ class Exported:
         states: (T, J + 1), arm joints [rad] and gripper 0..1.
         actions: By space: "joint" (T, J + 1), "ee_absolute" (T, 8), "ee_delta" (T, 7).
         ee_poses: Observed end effector (T, 7), position [m] and quaternion wxyz.
+        forces: Of the fingers on the part (T,), [N].
         thetas: Stored joint value of the object (T,), [rad] or [m].
         target: Planned final joint value.
         fps: Frames a second.
@@ -56,6 +58,7 @@ class Exported:
     states: Array
     actions: dict[str, Array]
     ee_poses: Array
+    forces: Array
     thetas: Array
     target: float
     fps: int
@@ -98,7 +101,7 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
     table = pq.read_table(out / "dataset" / "data")
     columns = {
         name: np.array(table[name].to_pylist(), np.float64)
-        for name in (*COLUMNS.values(), STATE, EE_POSE, THETA)
+        for name in (*COLUMNS.values(), STATE, EE_POSE, FORCE, THETA)
     }
     owner = np.array(table["episode_index"])
     for row in pq.read_table(meta / "episodes").to_pylist():
@@ -111,6 +114,7 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
             states=columns[STATE][mine],
             actions={space: columns[name][mine] for space, name in COLUMNS.items()},
             ee_poses=columns[EE_POSE][mine],
+            forces=columns[FORCE][mine].sum(1),
             thetas=columns[THETA][mine],
             target=described["verdict"]["target_theta"],
             fps=fps,
@@ -223,7 +227,8 @@ def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]
             "final_error": scale * abs(float(thetas[-1] - episode.thetas[-1])),
         }
     away = episode.T_world_object.copy()
-    away[:2, 3] += AWAY_M * away[:2, 3] / np.linalg.norm(away[:2, 3])
+    touching = _poses(episode.ee_poses[[np.argmax(episode.forces > 0)]])[0]
+    away[:3, 3] += AWAY_M * touching[:3, :3] @ robot.approach_ee
     missed = Replay(foreign_scene(robot, episode.usd, away), robot, episode, "joint").run()
     return scene.category, row | {"opened_when_moved": bool(missed[-1] >= enough)}
 
