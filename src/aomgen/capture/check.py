@@ -79,7 +79,8 @@ def check_capture(capture: Capture) -> CheckedCapture:
     for camera in capture.cameras:
         video = videos[camera.name]
         _check_motion(video, camera.video)
-        read_demo_masks(capture, camera, video.frames_srgb.shape[:3])
+        count, height, width = video.frames_srgb.shape[:3]
+        read_demo_masks(capture, camera, (count, height, width))
         warnings += _turned(camera.video)
     count, doubts = check_scan(capture)
     if capture.scan_video is not None:

@@ -30,9 +30,9 @@ def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """The known word that was probably meant, else all of them."""
-    known = sorted(known)
-    near = difflib.get_close_matches(word, known, 1)
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+    words = list(known)
+    near = difflib.get_close_matches(word, words, 1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(words)}"
 
 
 def _known_keys(model: type[BaseModel], place: tuple[Any, ...]) -> list[str]:
