@@ -15,8 +15,8 @@ WIDTH: Final = 320
 # The low pass averages so many neighbours, [px].
 TAPS: Final = 5
 DIRECTIONS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
-# Measured on twelve captures: 0.37 to 0.57 as they are; blurred at 640 px width 0.78 to 0.95 (Gaussian of
-# 3 to 6 px, motion of 15 px along a row, a column or a diagonal), 0.76 to 0.90 with sensor noise of 2 grey
+# Measured on twelve captures: 0.37 to 0.57 as they are; blurred at 640 px width 0.78 to 1 (Gaussian of
+# 3 to 6 px, motion of 15 px along a row, a column or a diagonal), from 0.76 with sensor noise of 2 grey
 # levels after it. A Gaussian of 1.5 px, which a reconstruction bears, gives 0.64 to 0.74.
 BLURRED: Final = 0.70
 # Differences of neighbours below this, root mean square in grey levels, are noise on an empty picture

@@ -157,7 +157,7 @@ def _stretched(project: Project, capture: Capture) -> tuple[str, ...]:
     width, height = project.image_size
     fitting = _fitting_size(capture, width)
     stretch = abs(height / fitting[1] - 1)
-    if stretch <= MAX_STRETCH:
+    if not project.assets or stretch <= MAX_STRETCH:
         return ()
     return (
         f"image_size {width} x {height} stretches the camera's picture by {stretch:.0%}: "
