@@ -9,15 +9,15 @@ from aomgen.capture.check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.recording import Capture
-from aomgen.errors import BackendError, ConfigError
+from aomgen.errors import BackendError, ConfigError, StorageError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import probe_video
 from aomgen.pipeline.asset_choice import asset_file, is_made, meant_category, open_assets
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
-from aomgen.pipeline.manifest import files_digest, text_digest
+from aomgen.pipeline.manifest import MANIFEST, files_digest, text_digest
 from aomgen.pipeline.project import Project
-from aomgen.pipeline.runner import stage_states
+from aomgen.pipeline.runner import STARTED, stage_states
 from aomgen.pipeline.stage import Stage
 
 # Beside the results: what was checked last, so that a finished run is looked through at once.
@@ -70,6 +70,8 @@ def preflight(
     Raises:
         AomgenError: The first thing that would stop the run, in one sentence.
     """
+    for stage in stages:
+        _require_own(project.out / stage.folder)
     file = project.out / CHECKED_FILE
     digest = _inputs_digest(project, capture_digest)
     known = read_json(file) if file.is_file() else {}
@@ -128,6 +130,15 @@ def new_project(capture: Capture, out: Path, assets: Sequence[str]) -> Project:
         assets=tuple(str(Path(item).resolve()) if asset_file(item) else item for item in chosen),
         image_size=_fitting_size(capture, IMAGE_WIDTH),
     )
+
+
+def _require_own(folder: Path) -> None:
+    """Refuse to replace a folder that no run has made, such as somebody's `dataset`."""
+    made = any((folder / name).is_file() for name in (MANIFEST, STARTED))
+    if folder.exists() and not made and not (folder.is_dir() and not any(folder.iterdir())):
+        raise StorageError(
+            folder, "was not made by a run, which would replace it", "move it away or choose another `out`"
+        )
 
 
 def _fitting_size(capture: Capture, width: int) -> tuple[int, int]:

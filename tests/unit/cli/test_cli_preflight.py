@@ -10,7 +10,7 @@ import pytest
 from broken_captures import CAPTURES, write_tight_usd
 
 from aomgen.cli import main
-from aomgen.errors import BackendError, ConfigError, MalformedFileError
+from aomgen.errors import BackendError, ConfigError, MalformedFileError, StorageError
 from aomgen.pipeline import preflight
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.stages import run_pipeline
@@ -70,6 +70,16 @@ def test_a_change_is_checked_again(small_copy, tmp_path, no_work):
     run_pipeline(project, Heard())
     CAPTURES["truncated image"].damage(small_copy)
     with pytest.raises(MalformedFileError):
+        run_pipeline(project, Heard())
+    assert no_work == ["stages"]
+
+
+def test_somebody_s_dataset_is_not_replaced(small_capture, tmp_path, no_work):
+    (tmp_path / "dataset").mkdir()
+    project = project_of(small_capture, tmp_path)
+    run_pipeline(project, Heard())
+    (tmp_path / "dataset" / "years_of_work.h5").write_text("")
+    with pytest.raises(StorageError, match="dataset: was not made by a run"):
         run_pipeline(project, Heard())
     assert no_work == ["stages"]
 
