@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 SAMPLE = Path(str(importlib.resources.files("aomgen.samples"))) / "microwave-a"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def sample() -> Path:
     """The bundled capture; read only."""
     return SAMPLE

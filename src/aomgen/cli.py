@@ -72,40 +72,29 @@ def check(
     path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
 ) -> None:
     """Validate a capture, a project or an asset, with reasons; changes nothing."""
-    if path.suffix == ".toml" and path.name != "capture.toml":
-        from aomgen.pipeline.project import read_project
+    if path.suffix.lower() in (".usd", ".usda", ".usdc", ".usdz"):
+        from aomgen.pipeline.asset_choice import open_asset
 
-        path = read_project(path).capture
-    if path.suffix in (".usd", ".usda", ".usdc", ".usdz"):
-        from aomgen.assets.check import check_asset
-        from aomgen.assets.usd_read import read_usd
-
-        asset = read_usd(path)
-        check_asset(asset)
-        print(
-            f"{path}: fine; {asset.joint.type} joint, range {asset.joint.lower:.3f} to {asset.joint.upper:.3f}"
-        )
+        joint = open_asset(str(path)).joint
+        print(f"{path}: fine; {joint.type} joint, range {joint.lower:.3f} to {joint.upper:.3f}")
         return
-    from aomgen.capture.check import check_robot, check_scan_video, read_demo_videos
+    from aomgen.capture.check import check_capture
     from aomgen.capture.read import read_capture
+    from aomgen.pipeline.preflight import category_warnings, check_project, machine_warnings
+    from aomgen.pipeline.project import read_project
 
-    capture = read_capture(path.parent if path.name == "capture.toml" else path)
-    videos = read_demo_videos(capture)
-    robot = check_robot(capture)
-    log = capture.joint_log
-    print(f"{capture.folder}: fine")
-    print(
-        f"  robot  {robot.name}, {len(robot.joint_names)} joints, "
-        f"{'two fingers' if robot.pads else 'no fingers: it can be followed, but not verified'}"
-    )
-    frames = check_scan_video(capture)
-    scan = f"video of {frames} frames" if frames else f"{len(capture.scan_images)} images"
-    print(f"  scan   {scan}, {capture.scan_size[0]} x {capture.scan_size[1]}")
-    for name, video in videos.items():
-        print(f"  video  {name}: {len(video.times_s)} frames, {video.times_s[-1] - video.times_s[0]:.1f} s")
-    print(
-        f"  log    {len(log.times_s)} rows, {log.times_s[-1] - log.times_s[0]:.1f} s, {len(log.joint_names)} joints"
-    )
+    if path.suffix == ".toml" and path.name != "capture.toml":
+        project = read_project(path)
+        capture = read_capture(project.capture)
+        warnings = check_project(project, capture) + machine_warnings(project.segmenter, capture)
+        print(f"{path}: fine")
+    else:
+        capture = read_capture(path.parent if path.name == "capture.toml" else path)
+        checked = check_capture(capture)
+        warnings = checked.warnings + category_warnings(capture) + machine_warnings("auto", capture)
+        print(f"{capture.folder}: fine\n{checked.summary(capture)}")
+    for sentence in warnings:
+        print(f"  warning: {sentence}")
 
 
 @app.command()
@@ -128,15 +117,19 @@ def init(
         list[str] | None, typer.Option("--asset", help="category:seed or a USD file; repeat for several.")
     ] = None,
 ) -> None:
-    """Write a project file with every choice spelled out, after checking the capture."""
+    """Write a project file with every choice spelled out, after checking capture and assets."""
     from aomgen.capture.read import read_capture
-    from aomgen.pipeline.project import Project, write_project
+    from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
+    from aomgen.pipeline.project import write_project
 
     if project.exists():
         raise ConfigError(project, "exists already", "choose another name with --project")
-    category = read_capture(capture).category
-    chosen = tuple(assets) if assets else (f"{category}:1", f"{category}:2")
-    write_project(project, Project(capture=capture.resolve(), out=out.resolve(), assets=chosen))
+    recorded = read_capture(capture)
+    choices = new_project(recorded, out, assets or [])
+    warnings = check_project(choices, recorded) + machine_warnings(choices.segmenter, recorded)
+    write_project(project, choices)
+    for sentence in warnings:
+        print(f"warning: {sentence}")
     print(f"wrote {project}; next: aomgen run {project}")
 
 

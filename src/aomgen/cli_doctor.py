@@ -1,18 +1,10 @@
 """What `aomgen doctor` looks at."""
 
 import importlib.util
-import os
-import subprocess
-import sys
 
 from aomgen.errors import AomgenError
-
-# A GL context can abort the whole process when the driver is broken, so it is tried in a child.
-GL_PROBE = (
-    "import os; os.environ.setdefault('MUJOCO_GL', 'egl'); import mujoco;"
-    "m = mujoco.MjModel.from_xml_string('<mujoco><worldbody><light/></worldbody></mujoco>');"
-    "mujoco.Renderer(m, 8, 8).close()"
-)
+from aomgen.physics.offscreen import REMEDY
+from aomgen.pipeline.environment import gl_problem
 
 
 def diagnose() -> list[tuple[str, str, str]]:
@@ -30,7 +22,10 @@ def diagnose() -> list[tuple[str, str, str]]:
         remedy = f"pip install 'aomgen[{extra}]'" if extra else "pip install aomgen"
         rows.append((module, "" if found else f"missing: {remedy}", purpose))
     rows.append(("engine", _engine_problem(), "rendering and training on the CPU"))
-    rows.append(("OpenGL", _gl_problem(), "robot silhouettes (alignment, clock offset)"))
+    problem = gl_problem()
+    rows.append(
+        ("OpenGL", f"{problem}: {REMEDY}" if problem else "", "robot silhouettes (alignment, clock offset)")
+    )
     rows.append(("weights", _weights_problem(), "part masks from prompts"))
     return rows
 
@@ -43,11 +38,6 @@ def _engine_problem() -> str:
     except AomgenError as error:
         return str(error)
     return ""
-
-
-def _gl_problem() -> str:
-    result = subprocess.run([sys.executable, "-c", GL_PROBE], capture_output=True, env=os.environ, timeout=60)
-    return "" if result.returncode == 0 else "missing: apt-get install libegl1 libgl1-mesa-dri"
 
 
 def _weights_problem() -> str:

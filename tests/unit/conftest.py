@@ -1,11 +1,14 @@
 """A small scene with everything known: robot, table, wall, and a microwave with its light."""
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from broken_captures import write_small
 
 from aomgen.assets.make import make_asset
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC, linear_from_srgb, srgb_from_linear
@@ -120,3 +123,17 @@ def toy_scene(robot: RobotModel) -> ToyScene:
         surfels=surfels,
         camera=camera,
     )
+
+
+@pytest.fixture(scope="session")
+def small_capture(sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bundled capture with fewer, smaller images and frames; read only."""
+    folder = tmp_path_factory.mktemp("small") / "capture"
+    write_small(sample, folder)
+    return folder
+
+
+@pytest.fixture
+def small_copy(small_capture: Path, tmp_path: Path) -> Path:
+    """A copy of the small capture that a test may damage."""
+    return Path(shutil.copytree(small_capture, tmp_path / "capture"))

@@ -1,18 +1,97 @@
-"""Checks that need the videos decoded or the robot loaded."""
+"""Checks that need every file decoded or the robot loaded."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from aomgen.capture.demo_masks import read_demo_masks
+from aomgen.capture.log_check import check_log
+from aomgen.capture.mask_check import check_masks
+from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.read import check_intrinsics
+from aomgen.capture.scan_check import check_scan
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
-from aomgen.errors import IncompleteCaptureError, UnitsError
+from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
+from aomgen.io.images import resize
 from aomgen.io.straighten import straightener
-from aomgen.io.video import Video, decoded_frames, read_video
+from aomgen.io.video import Video, decoded_frames, probe_video, read_video
 from aomgen.physics.robot import RobotModel, chosen_robot
 
 MIN_FRAMES = 20
 # A real joint may stand this far past the limit that its file states, [rad] or [m].
 LIMIT_SLACK = 0.05
+# A moving arm changes more of the picture at some moment; a frozen camera nothing at all.
+MIN_CHANGED_SHARE = 0.003
+# Sensor noise and compression of small pictures stay below this, [grey levels].
+CHANGED = 25
+CHANGE_LOOKS = 40
+CHANGE_SIZE = (160, 120)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedCapture:
+    """What the check of a capture found.
+
+    Attributes:
+        robot: Of the capture.
+        scan_count: Stills, or frames of the scan video.
+        videos_s: Length of every demonstration video by camera, [s].
+        frames: Their numbers of frames.
+        warnings: Sentences: what is doubtful, and what follows or what to do.
+    """
+
+    robot: RobotModel
+    scan_count: int
+    videos_s: dict[str, float]
+    frames: dict[str, int]
+    warnings: tuple[str, ...]
+
+    def summary(self, capture: Capture) -> str:
+        """Lines about robot, scan, videos and log."""
+        fingers = "two fingers" if self.robot.pads else "no fingers: it can be followed, but not verified"
+        scan = f"video of {self.scan_count} frames" if capture.scan_video else f"{self.scan_count} images"
+        log = capture.joint_log
+        lines = [
+            f"robot  {self.robot.name}, {len(self.robot.joint_names)} joints, {fingers}",
+            f"scan   {scan}, {capture.scan_size[0]} x {capture.scan_size[1]}",
+            *(
+                f"video  {name}: {self.frames[name]} frames, {length:.1f} s"
+                for name, length in self.videos_s.items()
+            ),
+            f"log    {len(log.times_s)} rows, {log.times_s[-1] - log.times_s[0]:.1f} s, "
+            f"{len(log.joint_names)} joints",
+        ]
+        return "\n".join(f"  {line}" for line in lines)
+
+
+def check_capture(capture: Capture) -> CheckedCapture:
+    """Check everything that can be known of a capture before work starts.
+
+    Raises:
+        ConfigError, InputError: The first thing that would stop a run, in one sentence.
+    """
+    videos = read_demo_videos(capture)
+    lengths = {name: float(video.times_s[-1] - video.times_s[0]) for name, video in videos.items()}
+    warnings = check_log(capture.joint_log, capture.joint_log_file, lengths, capture.clock_offset_s)
+    for camera in capture.cameras:
+        video = videos[camera.name]
+        _check_motion(video, camera.video)
+        count, height, width = video.frames_srgb.shape[:3]
+        read_demo_masks(capture, camera, (count, height, width))
+        warnings += _turned(camera.video)
+    count, doubts = check_scan(capture)
+    if capture.scan_video is not None:
+        doubts += _turned(capture.scan_video)
+    return CheckedCapture(
+        robot=check_robot(capture),
+        scan_count=count,
+        videos_s=lengths,
+        frames={name: len(video.times_s) for name, video in videos.items()},
+        warnings=(*doubts, *check_masks(capture), *prompt_warnings(capture.prompts), *warnings),
+    )
 
 
 def check_robot(capture: Capture) -> RobotModel:
@@ -49,17 +128,9 @@ def read_demo_videos(capture: Capture) -> dict[str, Video]:
     return {camera.name: _checked(capture, index) for index, camera in enumerate(capture.cameras)}
 
 
-def check_scan_video(capture: Capture) -> int:
-    """Decode a scan video from end to end; the number of its frames, 0 when the scan is stills.
-
-    Raises:
-        InputError: Missing, damaged or truncated video.
-    """
-    return 0 if capture.scan_video is None else sum(1 for _ in decoded_frames(capture.scan_video))
-
-
 def _checked(capture: Capture, index: int) -> Video:
     camera = capture.cameras[index]
+    _check_memory(camera.video)
     video = read_video(camera.video)
     count, height, width = video.frames_srgb.shape[:3]
     if camera.intrinsics:
@@ -80,6 +151,42 @@ def _checked(capture: Capture, index: int) -> Video:
             "re-export the log over the whole demonstration",
         )
     return video if camera.lens is None else _straightened(video, camera.lens)
+
+
+def _check_memory(path: Path) -> None:
+    """Refuse a video whose frames, held as a list and then as one array, are more than the machine has."""
+    info = probe_video(path)
+    needed = 2 * 3 * info.width * info.height * info.frames
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if not needed <= memory:
+        raise LimitExceededError(
+            path,
+            f"takes {needed / 1e9:.0f} GB decoded ({info.frames} frames of {info.width} x {info.height}), "
+            f"this machine has {memory / 1e9:.0f} GB",
+            "cut it, or export it smaller or with fewer frames a second",
+        )
+
+
+def _check_motion(video: Video, path: Path) -> None:
+    stride = max(1, len(video.times_s) // CHANGE_LOOKS)
+    looks = [resize(frame, *CHANGE_SIZE).astype(np.int16) for frame in video.frames_srgb[::stride]]
+    changed = max(float(np.mean(np.abs(look - looks[0]).max(2) > CHANGED)) for look in looks)
+    if not changed >= MIN_CHANGED_SHARE:
+        raise IncompleteCaptureError(
+            path,
+            f"shows nothing that moves ({changed:.2%} of the picture changes, want {MIN_CHANGED_SHARE:.1%})",
+            "check that it is the demonstration's video and that the camera did not freeze",
+        )
+
+
+def _turned(path: Path) -> list[str]:
+    _, frame = next(decoded_frames(path))
+    if not frame.rotation:
+        return []
+    return [
+        f"{path}: players turn it by {frame.rotation} degrees; here it stays as stored, {frame.width} x "
+        f"{frame.height}: prompts and intrinsics must be those of that picture"
+    ]
 
 
 def _straightened(video: Video, lens: Lens) -> Video:

@@ -49,9 +49,13 @@ def read_joint_log(path: Path, joint_names: list[str], gripper: str) -> JointLog
 
 
 def _read_rows(path: Path, wanted: list[str]) -> Array:
-    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         reader = csv.reader(file)
         header = [name.strip() for name in next(reader, [])]
+        if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+            raise MalformedFileError(
+                path, "has no commas between its columns", "export it with commas, and with points in numbers"
+            )
         missing = [name for name in wanted if name not in header]
         if missing:
             raise MalformedFileError(

@@ -1,13 +1,13 @@
 """The schema of `capture.toml`, format 1."""
 
-import difflib
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.io.schema import complaint
 
 MAX_BYTES = 1 << 20
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
@@ -86,36 +86,10 @@ def read_manifest(path: Path) -> CaptureManifest:
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
     try:
-        data = tomllib.loads(path.read_text("utf-8"))
+        data = tomllib.loads(path.read_text("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise MalformedFileError(path, f"is not valid TOML ({error})", "correct that line") from error
     try:
         return CaptureManifest.model_validate(data)
     except ValidationError as error:
-        raise MalformedFileError(path, *_first_complaint(error)) from error
-
-
-def _first_complaint(error: ValidationError) -> tuple[str, str]:
-    # An unknown key explains the missing one beside it, so it is told first.
-    first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
-    place = ".".join(str(item) for item in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = _known_keys(first["loc"])
-        near = difflib.get_close_matches(str(first["loc"][-1]), known, 1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
-        return f"key '{place}' is unknown", hint
-    return f"'{place}': {first['msg']}", "see the capture format in the README"
-
-
-def _known_keys(location: tuple[Any, ...]) -> list[str]:
-    model: Any = CaptureManifest
-    sections = {
-        "robot": RobotSection,
-        "scan": ScanSection,
-        "demo": DemoSection,
-        "cameras": CameraSection,
-        "hand": HandSection,
-    }
-    for item in location[:-1]:
-        model = sections.get(item, PromptSection if item == "prompts" else model)
-    return sorted(model.model_fields)
+        raise MalformedFileError(path, *complaint(error, CaptureManifest)) from error

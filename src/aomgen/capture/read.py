@@ -9,38 +9,39 @@ from aomgen.capture.manifest import (
     CameraSection,
     CaptureManifest,
     HandSection,
-    PromptSection,
     ScanSection,
     read_manifest,
 )
+from aomgen.capture.prompts import read_prompts
+from aomgen.capture.scan_images import common_size, find_images
 from aomgen.core.joint_log import JointLog
 from aomgen.core.lens import Lens
-from aomgen.core.recording import Capture, DemoCamera, Intrinsics, Prompt, frame_name
+from aomgen.core.recording import Capture, DemoCamera, Intrinsics, frame_name
 from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.values import Array
 from aomgen.errors import (
     CalibrationError,
     IncompleteCaptureError,
-    InputError,
     MalformedFileError,
     MissingFileError,
+    UnitsError,
 )
-from aomgen.io.images import image_size
 from aomgen.io.paths import resolve_inside
 from aomgen.io.robot_xml import read_robot_xml
 from aomgen.io.video import probe_video
 
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-MIN_SCAN_IMAGES = 12
 # Two seconds of video; a walk around the scene takes ten times as long.
 MIN_SCAN_FRAMES = 60
 # The log's first rows are averaged over this time to beat encoder noise while the arm rests.
 REST_S = 0.1
+# No camera films a table-top arm from further away; calibrations in millimetres pass it at once.
+MAX_CAMERA_DISTANCE_M = 20.0
 # A principal point further than this from the middle (share of the size) is another image's.
 MAX_PRINCIPAL_SHIFT = 0.2
 
 
 def read_capture(folder: Path) -> Capture:
-    """Read and check one capture folder; videos are named here and decoded by `check_video`.
+    """Read and check one capture folder; what has to be decoded is left to `check.check_capture`.
 
     Raises:
         InputError: Of the kind that fits, naming the file, the place and the remedy.
@@ -51,13 +52,10 @@ def read_capture(folder: Path) -> Capture:
     manifest = read_manifest(path)
     scan = resolve_inside(folder, manifest.scan.images, named_by=path)
     video = scan if scan.is_file() else None
-    images = () if video else _scan_images(scan)
-    size, names = _video_frames(video) if video else (_common_size(images), {item.name for item in images})
-    log = read_joint_log(
-        resolve_inside(folder, manifest.demo.joints, named_by=path),
-        manifest.robot.joints,
-        manifest.robot.gripper,
-    )
+    images = () if video else find_images(scan)
+    size, names = _video_frames(video) if video else (common_size(images), {item.name for item in images})
+    log_file = resolve_inside(folder, manifest.demo.joints, named_by=path)
+    log = read_joint_log(log_file, manifest.robot.joints, manifest.robot.gripper)
     scan_intrinsics = _intrinsics(manifest.scan, f"{path}: scan")
     if scan_intrinsics:
         check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
@@ -77,8 +75,9 @@ def read_capture(folder: Path) -> Capture:
         scan_intrinsics=scan_intrinsics,
         cameras=_cameras(folder, manifest, path),
         joint_log=log,
+        joint_log_file=log_file,
         clock_offset_s=manifest.demo.clock_offset_s,
-        prompts=_prompts(manifest.prompts, names, size, path, has_masks=bool(mask_folders)),
+        prompts=read_prompts(manifest.prompts, names, size, path),
         mask_folders=mask_folders,
     )
 
@@ -124,30 +123,6 @@ def check_intrinsics(intrinsics: Intrinsics, size: tuple[int, int], where: str) 
                 f"distortion {list(intrinsics.distortion)} folds the image's border back",
                 "want k1, k2, p1, p2 of OpenCV's model",
             )
-
-
-def _scan_images(scan: Path) -> tuple[Path, ...]:
-    images = tuple(sorted(item for item in scan.iterdir() if item.suffix.lower() in IMAGE_SUFFIXES))
-    if not len(images) >= MIN_SCAN_IMAGES:
-        raise IncompleteCaptureError(
-            scan,
-            f"holds {len(images)} images, at least {MIN_SCAN_IMAGES} are needed",
-            "scan from more viewpoints",
-        )
-    return images
-
-
-def _common_size(images: tuple[Path, ...]) -> tuple[int, int]:
-    first = image_size(images[0])
-    for image in images[1:]:
-        size = image_size(image)
-        if size != first:
-            raise CalibrationError(
-                image,
-                f"is {size[0]} x {size[1]}, but {images[0].name} is {first[0]} x {first[1]}",
-                "export all scan images at one size",
-            )
-    return first
 
 
 def _video_frames(scan: Path) -> tuple[tuple[int, int], set[str]]:
@@ -225,53 +200,26 @@ def _cameras(folder: Path, manifest: CaptureManifest, path: Path) -> tuple[DemoC
         )
         for section in manifest.demo.cameras
     )
+    names = [camera.name for camera in cameras]
+    if len(set(names)) != len(names):
+        raise MalformedFileError(
+            path, f"names two of demo.cameras alike ({', '.join(names)})", "give each a name of its own"
+        )
     for camera in cameras:
         if camera.T_world_cam is not None:
-            R = camera.T_world_cam[:3, :3]
-            if not (np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0):
-                raise CalibrationError(
-                    path,
-                    f"T_world_cam of '{camera.name}' is not a rotation and a translation",
-                    "export it again",
-                )
+            _check_calibration(camera.T_world_cam, f"{path}: demo.cameras.{camera.name}.T_world_cam")
     return cameras
 
 
-def _prompts(
-    sections: list[PromptSection],
-    names: set[str],
-    size: tuple[int, int],
-    path: Path,
-    *,
-    has_masks: bool,
-) -> tuple[Prompt, ...]:
-    prompts = []
-    for section in sections:
-        if section.image not in names:
-            raise MissingFileError(
-                path,
-                f"a prompt names '{section.image}', which is not a scan image",
-                f"correct the name (known: {min(names)} to {max(names)})",
-            )
-        if not section.points and section.box is None:
-            raise InputError(
-                path, f"the prompt on '{section.image}' has neither points nor a box", "click once"
-            )
-        points = np.array(section.points, np.float64).reshape(-1, 3)
-        box = np.array([] if section.box is None else section.box)
-        pixels = np.concatenate([points[:, :2], box.reshape(-1, 2)])
-        if not (np.all(pixels >= 0) and np.all(pixels <= np.array(size))):
-            raise InputError(
-                path,
-                f"a prompt on '{section.image}' lies outside {size[0]} x {size[1]}",
-                "click inside the image",
-            )
-        prompts.append(Prompt(part=section.part, image=section.image, points=points, box=box))
-    missing = {"moving", "static"} - {prompt.part for prompt in prompts}
-    if missing and not has_masks:
-        raise InputError(
-            path,
-            f"has no prompt for the {' and the '.join(sorted(missing))} part",
-            "add a [[prompts]] entry with a box or a point on one scan image",
+def _check_calibration(T_world_cam: Array, where: str) -> None:
+    R, bottom = T_world_cam[:3, :3], T_world_cam[3]
+    turns = np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0
+    if not (turns and np.allclose(bottom, [0, 0, 0, 1])):
+        raise CalibrationError(where, "is not a rotation and a translation", "export it again, by rows")
+    distance = float(np.linalg.norm(T_world_cam[:3, 3]))
+    if not distance <= MAX_CAMERA_DISTANCE_M:
+        raise UnitsError(
+            where,
+            f"puts the camera {distance:.0f} m from the robot, limit {MAX_CAMERA_DISTANCE_M:.0f} m: millimetres?",
+            "give the translation in metres",
         )
-    return tuple(prompts)

@@ -13,6 +13,8 @@ from aomgen.core.values import Array, freeze
 
 PHASES: Final = ("approach", "contact", "retreat")
 FINGERS: Final = ("left", "right")
+# Camera of an episode beside the recorded one.
+NEW_CAMERA: Final = "side"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

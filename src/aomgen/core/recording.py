@@ -87,6 +87,7 @@ class Capture:
         scan_intrinsics: Known intrinsics of the scan, or None.
         cameras: The demonstration's fixed cameras.
         joint_log: Arm and gripper over the log's clock.
+        joint_log_file: Where it was read from.
         clock_offset_s: Known offset (log time = video time + offset), or None.
         prompts: What a person clicked.
         mask_folders: Folders below `masks/`, by name.
@@ -103,6 +104,7 @@ class Capture:
     scan_intrinsics: Intrinsics | None
     cameras: tuple[DemoCamera, ...]
     joint_log: JointLog
+    joint_log_file: Path
     clock_offset_s: float | None
     prompts: tuple[Prompt, ...]
     mask_folders: dict[str, Path]

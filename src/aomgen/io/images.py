@@ -19,7 +19,7 @@ def image_size(path: Path) -> tuple[int, int]:
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
-    with _open(path) as image:
+    with open_image(path) as image:
         turned = image.getexif().get(0x0112, 1) >= 5
         return (image.height, image.width) if turned else (image.width, image.height)
 
@@ -30,7 +30,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
-    with _open(path) as image:
+    with open_image(path) as image:
         try:
             return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
         except (OSError, ValueError) as error:
@@ -38,13 +38,20 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def read_labels(path: Path) -> NDArray[np.uint8]:
-    """Label image (H, W) uint8, as stored in a one-channel or palette PNG."""
-    with _open(path) as image:
+    """Label image (H, W) uint8, as stored in a one-channel or palette PNG.
+
+    Raises:
+        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+    """
+    with open_image(path) as image:
         if image.mode not in ("L", "P", "1"):
             raise MalformedFileError(
                 path, f"has mode {image.mode}, want one 8-bit channel", "export labels as PNG"
             )
-        return np.asarray(image if image.mode != "1" else image.convert("L"), np.uint8)
+        try:
+            return np.asarray(image if image.mode != "1" else image.convert("L"), np.uint8)
+        except (OSError, ValueError, SyntaxError) as error:
+            raise MalformedFileError(path, f"cannot be decoded ({error})", "export it again") from error
 
 
 def encode_png(image: NDArray[np.uint8]) -> bytes:
@@ -71,7 +78,12 @@ def resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint
     return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
 
 
-def _open(path: Path) -> Image.Image:
+def open_image(path: Path) -> Image.Image:
+    """An image whose header has been read and checked; its pixels are not decoded yet.
+
+    Raises:
+        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
+    """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the folder")
     try:

@@ -1,19 +1,15 @@
 """Stages from the twin to the dataset: other objects, other poses, verified and drawn. [paper 4.3, 5.2]"""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_closing
 
-from aomgen.assets.check import require_usable
-from aomgen.assets.make import make_asset
-from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
-from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
+from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.light import Light
 from aomgen.core.motion import Direction
 from aomgen.core.plan import FittedAsset
@@ -24,7 +20,7 @@ from aomgen.core.verdict import Rejection
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.episodes.stage import run_episodes
 from aomgen.episodes.viewpoint import choose_viewpoint
-from aomgen.errors import ConfigError, EstimationError
+from aomgen.errors import EstimationError
 from aomgen.generalization.generate import GenerationParams
 from aomgen.generalization.planning import PlanParams
 from aomgen.generalization.stage import load_generalization, run_generalization
@@ -34,6 +30,7 @@ from aomgen.io.jsonfile import read_json
 from aomgen.motion.stage import load_motion
 from aomgen.physics.demonstration import demonstration_from
 from aomgen.physics.robot import RobotModel
+from aomgen.pipeline.asset_choice import open_asset
 from aomgen.pipeline.fitted_store import load_fitted, save_fitted
 from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, scanned_object
 from aomgen.pipeline.stage import Run
@@ -51,7 +48,6 @@ from aomgen.twin.twin import Twin, TwinState
 
 SURFELS = 30_000
 ASSET_FILE = "asset.usda"
-NEW_CAMERA = "side"
 # How far around the object the table is looked for, in which cells, and what counts as seen.
 TABLE_REACH_M = 1.0
 TABLE_CELL_M = 0.01
@@ -191,26 +187,6 @@ def episode_cameras(run: Run, robot: RobotModel, twin: Twin, demo: Demonstration
     chosen = choose_viewpoint(scan_cameras_world(run), first, twin, robot, states, key_points)
     name = capture_of(run).cameras[0].name
     return {name: first, NEW_CAMERA: chosen.camera}
-
-
-def open_asset(spec: str) -> ArticulatedAsset:
-    """The asset that a project names: `category:seed`, or a USD file.
-
-    Raises:
-        ConfigError: Neither of the two.
-        AssetError, InputError: The asset cannot be read or used.
-    """
-    category, _, seed = spec.partition(":")
-    if seed.isdigit():
-        asset = replace(make_asset(category, int(seed)), name=f"{category}-{seed}")
-    elif Path(spec).suffix in (".usd", ".usda", ".usdc", ".usdz"):
-        asset = read_usd(Path(spec))
-    else:
-        raise ConfigError(
-            "assets", f"'{spec}' is neither category:seed nor a USD file", "for example microwave:1"
-        )
-    require_usable(asset)
-    return asset
 
 
 def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:

@@ -1,5 +1,6 @@
 """The project file: every choice of a run, spelled out."""
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,26 +9,31 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.atomic import write_text
+from aomgen.io.schema import complaint
 
 TEMPLATE = """\
 # AOMGen project: what to make out of one capture. Run it with `aomgen run project.toml`.
 format = 1
-capture = {capture!r}          # folder with capture.toml
-out = {out!r}                  # where results go
+capture = {capture}          # folder with capture.toml
+out = {out}                  # where results go
 
 seed = {seed}                  # same seed, same episodes
 assets = {assets}              # category:seed of a made asset, or the path of a USD file
 poses = {poses}                # verified episodes wanted for each asset
-adapt = {adapt!r}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion
+adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion
 
 image_size = {image_size}      # width and height of the episodes' images [px]
 iterations = {iterations}      # training steps of the scene's Gaussians
 gaussians = {gaussians}        # cap on their number
-segmenter = {segmenter!r}    # "auto": the capture's masks, else MobileSAM; or the name of SAM 2 weights
-alignment_method = {alignment_method!r}    # "outlines", or "paper": rigid ICP and link boxes, to compare with
-motion_method = {motion_method!r}    # "aomotion", or "paper": its four estimators as printed, to compare with
-parts_method = {parts_method!r}    # "closed_form", or "saga" for affinity features (minutes more)
+segmenter = {segmenter}    # "auto": the capture's masks, else MobileSAM; or the name of SAM 2 weights
+alignment_method = {alignment_method}    # "outlines", or "paper": rigid ICP and link boxes, to compare with
+motion_method = {motion_method}    # "aomotion", or "paper": its four estimators as printed, to compare with
+parts_method = {parts_method}    # "closed_form", or "saga" for affinity features (minutes more)
 """
+
+
+# Videos halve the resolution of colors, so their sides are even.
+Side = Annotated[int, Field(ge=64, le=4096, multiple_of=2)]
 
 
 class Project(BaseModel):
@@ -58,10 +64,7 @@ class Project(BaseModel):
     assets: tuple[str, ...] = Field(default=(), min_length=0)
     poses: int = Field(default=6, ge=1, le=10_000)
     adapt: Literal["trajectory", "object"] = "trajectory"
-    image_size: tuple[Annotated[int, Field(ge=64, le=4096)], Annotated[int, Field(ge=64, le=4096)]] = (
-        320,
-        240,
-    )
+    image_size: tuple[Side, Side] = (320, 240)
     iterations: int = Field(default=1200, ge=10, le=200_000)
     gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)
     segmenter: str = Field(default="auto", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
@@ -80,15 +83,12 @@ def read_project(path: Path) -> Project:
     if not path.is_file():
         raise MissingFileError(path, "is missing", "write one with `aomgen init CAPTURE`")
     try:
-        data: dict[str, Any] = tomllib.loads(path.read_text("utf-8"))
+        data: dict[str, Any] = tomllib.loads(path.read_text("utf-8-sig"))
         project = Project.model_validate(data)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(path, f"is not valid TOML ({error})", "correct that line") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(item) for item in first["loc"])
-        known = ", ".join(sorted(Project.model_fields))
-        raise ConfigError(path, f"'{key}': {first['msg']}", f"known keys: {known}") from error
+        raise ConfigError(path, *complaint(error, Project)) from error
     base = path.parent.resolve()
     assets = tuple(str((base / item).resolve()) if Path(item).suffix else item for item in project.assets)
     return project.model_copy(
@@ -101,8 +101,36 @@ def read_project(path: Path) -> Project:
 
 
 def write_project(path: Path, project: Project) -> None:
-    """Write a project file with every choice and a comment beside it."""
-    values = project.model_dump()
-    values["capture"], values["out"] = str(project.capture), str(project.out)
-    values["assets"], values["image_size"] = list(project.assets), list(project.image_size)
-    write_text(path, TEMPLATE.format(**values))
+    """Write a project file with every choice and a comment beside it.
+
+    What lies below the file's folder is named relative to it, so that both can be moved together.
+
+    Raises:
+        ConfigError: A path is not Unicode text.
+        StorageError: The disk refuses.
+    """
+    base = path.parent.resolve()
+    values = project.model_dump(mode="json")
+    values["capture"], values["out"] = (_below(base, item) for item in (project.capture, project.out))
+    values["assets"] = [
+        _below(base, Path(item)) if Path(item).is_absolute() else item for item in project.assets
+    ]
+    write_text(path, TEMPLATE.format(**{name: _toml(value) for name, value in values.items()}))
+
+
+def _below(base: Path, path: Path) -> str:
+    return path.relative_to(base).as_posix() if path.is_relative_to(base) else str(path)
+
+
+def _toml(value: Any) -> str:
+    """A text, a number or a list of them in TOML, whose strings are JSON's but for the delete character.
+
+    Raises:
+        ConfigError: A text that UTF-8 cannot hold.
+    """
+    text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise ConfigError(ascii(value), "is not a Unicode name", "rename the file or folder") from error
+    return text

@@ -4,13 +4,14 @@ import importlib
 from pathlib import Path
 from typing import Any
 
-from aomgen.capture.check import check_robot, read_demo_videos
 from aomgen.capture.demo_masks import demo_mask_files
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
+from aomgen.io.schema import suggestion
 from aomgen.pipeline.manifest import files_digest
+from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project import Project, write_project
 from aomgen.pipeline.runner import Display, run_stages
 from aomgen.pipeline.stage import Run, Stage, StageFunction
@@ -140,22 +141,25 @@ STAGES: tuple[Stage, ...] = (
 
 
 def run_pipeline(project: Project, display: Display, *, until: str = "") -> list[str]:
-    """Check the capture, then bring every stage up to date; the names of those made anew.
+    """Check everything that can be known, then bring every stage up to date; the names of those made anew.
 
     Raises:
         ConfigError: `until` names no stage.
-        InputError: The capture is not usable; nothing was started.
-        AomgenError: Whatever a stage refuses.
+        AomgenError: Capture, project or machine cannot be used, and nothing was started; or whatever
+            a stage refuses.
     """
     names = [stage.name for stage in STAGES]
     if until and until not in names:
-        raise ConfigError("--until", f"'{until}' is no stage", f"stages: {', '.join(names)}")
+        raise ConfigError("--until", f"'{until}' is no stage", suggestion(until, names))
+    wanted = STAGES[: names.index(until) + 1] if until else STAGES
     capture = read_capture(project.capture)
-    read_demo_videos(capture)
-    check_robot(capture)
+    digest = capture_digest(capture)
+    for sentence in preflight(project, capture, digest, wanted):
+        # Doubts about the input are told where it is read first.
+        display.warn(STAGES[0], sentence)
     # The choices lie beside the results, so that reports can be made again and questions answered.
     write_project(project.out / PROJECT_FILE, project)
-    return run_stages(project, STAGES, display, capture_digest=capture_digest(capture), until=until)
+    return run_stages(project, STAGES, display, capture_digest=digest, until=until)
 
 
 def capture_digest(capture: Capture) -> str:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from aomgen.capture.check import check_robot, check_scan_video, read_demo_videos
+from aomgen.capture.check import check_robot, read_demo_videos
 from aomgen.capture.read import read_capture
+from aomgen.capture.scan_check import check_scan
 from aomgen.core.lens import Lens
 from aomgen.errors import (
     AomgenError,
@@ -172,7 +173,7 @@ def test_a_scan_video_is_read(capture_copy):
     assert capture.scan_images == ()
     assert capture.scan_size == (640, 480)
     assert {prompt.image for prompt in capture.prompts} >= {"scan_000013.png"}
-    assert check_scan_video(capture) == 70
+    assert check_scan(capture) == (70, [])
 
 
 def test_a_short_scan_video(capture_copy):
@@ -197,7 +198,7 @@ def test_a_truncated_scan_video(capture_copy):
     path = capture_copy / "scan.mp4"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(MalformedFileError, match=r"scan\.mp4"):
-        check_scan_video(read_capture(capture_copy))
+        check_scan(read_capture(capture_copy))
 
 
 def test_known_distortion_is_read(capture_copy):

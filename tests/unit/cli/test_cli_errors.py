@@ -68,7 +68,7 @@ def test_init_does_not_overwrite(sample, tmp_path, call: Callable[..., Completed
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("format = 1\ncaptures = 'x'", ("known keys", "capture")),
+        ("format = 1\ncaptures = 'x'", ("key 'captures' is unknown", "did you mean 'capture'")),
         ("format = ", ("not valid TOML",)),
         ("format = 1\ncapture = 'x'\nout = 'y'\nposes = 0", ("poses", "greater than or equal to 1")),
     ],

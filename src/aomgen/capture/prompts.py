@@ -1,0 +1,103 @@
+"""The prompts of a capture: boxes and points that a person drew on scan images."""
+
+from pathlib import Path
+
+import numpy as np
+
+from aomgen.capture.manifest import PromptSection
+from aomgen.core.recording import Prompt
+from aomgen.errors import InputError, MissingFileError, UnitsError
+
+PARTS = ("robot", "static", "moving")
+# Nobody draws a smaller box; boxes in shares of the image are smaller, [px].
+MIN_BOX_PX = 4.0
+
+
+def read_prompts(
+    sections: list[PromptSection], names: set[str], size: tuple[int, int], path: Path
+) -> tuple[Prompt, ...]:
+    """Check the prompts of a capture.
+
+    Args:
+        sections: As in capture.toml.
+        names: Of the scan images.
+        size: Width and height of the scan images, [px].
+        path: capture.toml.
+
+    Raises:
+        MissingFileError: A prompt names no scan image.
+        UnitsError: Coordinates that look like shares of the image.
+        InputError: A box without extent, outside the image or away from its points, a point that is
+            neither on nor off the part, or a part without a box.
+    """
+    prompts = tuple(_prompt(section, names, size, path) for section in sections)
+    boxed = {prompt.part for prompt in prompts if len(prompt.box)}
+    missing = [part for part in PARTS if part not in boxed]
+    if missing:
+        raise InputError(
+            path,
+            f"has no prompt with a box for {' and '.join(missing)}",
+            "add a [[prompts]] entry with a box around it on each of two scan images",
+        )
+    return prompts
+
+
+def prompt_warnings(prompts: tuple[Prompt, ...]) -> list[str]:
+    """Sentences about parts that only one image prompts."""
+    images = {part: {item.image for item in prompts if item.part == part and len(item.box)} for part in PARTS}
+    return [
+        f"only '{min(found)}' prompts the {part} part: without that image's camera the run stops; "
+        "draw a box on a second image"
+        for part, found in images.items()
+        if len(found) == 1
+    ]
+
+
+def _prompt(section: PromptSection, names: set[str], size: tuple[int, int], path: Path) -> Prompt:
+    where = f"{path}: the {section.part} prompt on '{section.image}'"
+    if section.image not in names:
+        raise MissingFileError(
+            path,
+            f"a prompt names '{section.image}', which is not a scan image",
+            f"correct the name (known: {min(names)} to {max(names)})",
+        )
+    if not section.points and section.box is None:
+        raise InputError(where, "has neither points nor a box", "draw a box around the part")
+    points = np.array(section.points, np.float64).reshape(-1, 3)
+    box = np.array([] if section.box is None else section.box)
+    corners = np.concatenate([points[:, :2], box.reshape(-1, 2)])
+    if not (np.all(corners >= 0) and np.all(corners <= np.array(size))):
+        raise InputError(where, f"lies outside {size[0]} x {size[1]}", "click inside the image")
+    if corners.max() <= 1.0:
+        raise UnitsError(where, f"reaches only {corners.max():g}: shares of the image?", "give pixels")
+    if not np.isin(points[:, 2], (0, 1)).all():
+        raise InputError(
+            where, "has a point whose third number is neither 1 nor 0", "want x, y, 1 on the part or 0 off it"
+        )
+    if section.box is not None:
+        _check_box(section.box, points, where)
+    return Prompt(part=section.part, image=section.image, points=points, box=box)
+
+
+def _check_box(box: list[float], points: np.ndarray, where: str) -> None:
+    x0, y0, x1, y1 = box
+    if not (x1 > x0 and y1 > y0):
+        raise InputError(
+            where, f"has the box {box}, whose second corner is not right of and below the first",
+            "want x0, y0, x1, y1: not width and height",
+        )  # fmt: skip
+    if not min(x1 - x0, y1 - y0) >= MIN_BOX_PX:
+        raise InputError(
+            where,
+            f"has a box of {x1 - x0:g} x {y1 - y0:g} px, want at least {MIN_BOX_PX:g}",
+            "draw it around the part",
+        )
+    on = points[points[:, 2] == 1, :2]
+    outside = on[~np.all((on >= (x0, y0)) & (on <= (x1, y1)), axis=1)]
+    if len(outside):
+        x, y = outside[0]
+        raise InputError(
+            where,
+            f"has a point ({x:g}, {y:g}) on the part, but outside its box {box}",
+            "points are x, y, boxes x0, y0, x1, y1",
+        )

@@ -1,0 +1,50 @@
+"""What a schema has against a file, in the words of whoever wrote the file."""
+
+import difflib
+from collections.abc import Iterable
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+# A wrong value may be a whole table; so many letters of it are shown.
+MAX_SHOWN = 60
+
+
+def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:
+    """Problem and remedy of the first thing that is wrong with a file.
+
+    Args:
+        error: What validation by `model` raised.
+        model: The schema of the whole file.
+    """
+    # An unknown key explains the missing one beside it, so it is told first.
+    first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
+    place = ".".join(str(item) for item in first["loc"])
+    known = _known_keys(model, first["loc"][:-1])
+    if first["type"] == "extra_forbidden":
+        return f"key '{place}' is unknown", suggestion(str(first["loc"][-1]), known)
+    if first["type"] == "missing":
+        return f"key '{place}' is missing", "add it"
+    return f"'{place}' is {repr(first['input'])[:MAX_SHOWN]}: {first['msg']}", "correct that value"
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """The known word that was probably meant, else all of them."""
+    words = list(known)
+    near = difflib.get_close_matches(word, words, 1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(words)}"
+
+
+def _known_keys(model: type[BaseModel], place: tuple[Any, ...]) -> list[str]:
+    """Keys of the table at a place; positions in lists are passed over."""
+    for name in place:
+        if isinstance(name, str) and name in model.model_fields:
+            model = _table(model.model_fields[name].annotation) or model
+    return list(model.model_fields)
+
+
+def _table(annotation: Any) -> type[BaseModel] | None:
+    """The schema inside an annotation such as `list[CameraSection]`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_table, get_args(annotation))), None)

@@ -1,0 +1,98 @@
+"""Whether this machine has what the stages that are still to be made will ask for."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Collection
+from pathlib import Path
+
+from aomgen.errors import BackendError, StorageError
+from aomgen.physics.offscreen import REMEDY as GL_REMEDY
+from aomgen.reconstruction.masks.sam2_weights import find_sam2
+from aomgen.reconstruction.masks.weights import find_weights
+from aomgen.splatting.native import library
+
+# What a stage imports: modules, and what to install for them.
+MODULES = {
+    "structure": (("pycolmap",), "pip install 'aomgen[reconstruct]'"),
+    "gaussians": (("torch",), "pip install 'aomgen[reconstruct]'"),
+}
+MOBILE_SAM = (("onnxruntime",), "pip install 'aomgen[reconstruct]'")
+SAM2 = (("torch", "transformers", "safetensors"), "pip install 'aomgen[sam2]'")
+# Stages that draw the robot's outlines with OpenGL.
+DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
+EVERYTHING = (*MODULES, *DRAWS_ROBOT)
+# A context can abort the whole process when the driver is broken, so it is tried in a child.
+GL_PROBE = "from aomgen.physics.offscreen import offscreen_context; offscreen_context(8, 8).free()"
+GL_TIMEOUT_S = 60.0
+# The bundled recording's run takes 180 MB; nothing of a run is small enough for less, [bytes].
+MIN_FREE = 250 << 20
+
+
+def require_environment(stages: Collection[str], segmenter: str, *, has_masks: bool) -> None:
+    """Refuse to start what this machine cannot finish.
+
+    Args:
+        stages: Names of the stages that are still to be made.
+        segmenter: Of the project.
+        has_masks: Whether the capture brings label images.
+
+    Raises:
+        BackendError: A module, weights, the engine or an OpenGL driver is missing.
+    """
+    for stage, (modules, remedy) in MODULES.items():
+        if stage in stages:
+            _require_modules(modules, remedy)
+    if stages:
+        library()
+    if "parts" in stages and not (segmenter == "auto" and has_masks):
+        if segmenter in ("auto", "mobile_sam"):
+            _require_modules(*MOBILE_SAM)
+            find_weights()
+        else:
+            find_sam2(segmenter)
+            _require_modules(*SAM2)
+    problem = gl_problem() if set(DRAWS_ROBOT) & set(stages) else ""
+    if problem:
+        raise BackendError("OpenGL", problem, GL_REMEDY)
+
+
+def require_room(out: Path) -> None:
+    """Refuse a folder of results that cannot be written.
+
+    Raises:
+        StorageError: A file stands there, it is not writable, or its disk is nearly full.
+    """
+    there = next(folder for folder in (out, *out.parents) if folder.exists())
+    if not there.is_dir():
+        raise StorageError(there, "is a file, results need a folder", "choose another `out`")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise StorageError(there, "is not writable", "choose another `out`")
+    free = shutil.disk_usage(there).free
+    if not free >= MIN_FREE:
+        raise StorageError(
+            there,
+            f"has {free >> 20} MB left on its disk, want at least {MIN_FREE >> 20}",
+            "free space or choose another `out`",
+        )
+
+
+def gl_problem() -> str:
+    """Why no OpenGL context can be had on this machine; empty when one can."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", GL_PROBE], capture_output=True, text=True, timeout=GL_TIMEOUT_S
+        )
+    except subprocess.TimeoutExpired:
+        return f"no context within {GL_TIMEOUT_S:g} s"
+    if done.returncode == 0:
+        return ""
+    return (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+
+
+def _require_modules(modules: tuple[str, ...], remedy: str) -> None:
+    for module in modules:
+        if importlib.util.find_spec(module) is None:
+            raise BackendError(module, "is not installed", remedy)

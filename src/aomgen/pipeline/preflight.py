@@ -1,0 +1,198 @@
+"""Everything about a project that can be known before work starts."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from aomgen import __version__
+from aomgen.assets.make import make_asset
+from aomgen.capture.check import check_capture
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.episode import NEW_CAMERA
+from aomgen.core.recording import Capture
+from aomgen.errors import BackendError, ConfigError, StorageError
+from aomgen.io.atomic import write_json
+from aomgen.io.jsonfile import read_json
+from aomgen.io.video import probe_video
+from aomgen.pipeline.asset_choice import asset_file, is_made, meant_category, open_assets
+from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
+from aomgen.pipeline.manifest import MANIFEST, files_digest, text_digest
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.runner import STARTED, stage_states
+from aomgen.pipeline.stage import Stage
+
+# Beside the results: what was checked last, so that a finished run is looked through at once.
+CHECKED_FILE = "checked.json"
+# Width of the images of episodes where nobody chose one, [px].
+IMAGE_WIDTH = 320
+# An image this much wider or narrower than the camera's shows round things as visibly oval.
+MAX_STRETCH = 0.05
+# The paper's alignment takes a box around the robot on so many images.
+PAPER_ROBOT_BOXES = 2
+# Made to learn how a category opens; one that opens both ways shows it within these.
+CATEGORY_SEEDS = range(4)
+OPENS = {"revolute": "turns", "prismatic": "slides"}
+
+
+def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
+    """Check a project and the capture that it names, but not the machine (see `require_environment`).
+
+    Args:
+        project: The choices of a run.
+        capture: Of the project, as read.
+
+    Returns:
+        Warnings: sentences that say what is doubtful, and what follows or what to do.
+
+    Raises:
+        AomgenError: The first thing that would stop the run, in one sentence.
+    """
+    _check_cameras(project, capture)
+    assets = open_assets(project.assets)
+    require_room(project.out)
+    warnings = check_capture(capture).warnings
+    return (*warnings, *_stretched(project, capture), *_doubtful_joints(capture.category, assets))
+
+
+def preflight(
+    project: Project, capture: Capture, capture_digest: str, stages: Sequence[Stage]
+) -> tuple[str, ...]:
+    """`check_project` and `require_environment` before a run; what was checked before is remembered.
+
+    Args:
+        project: The choices of the run.
+        capture: Of the project, as read.
+        capture_digest: Of everything that the capture refers to.
+        stages: Those that shall be up to date afterwards.
+
+    Returns:
+        Warnings, those of the first time included.
+
+    Raises:
+        AomgenError: The first thing that would stop the run, in one sentence.
+    """
+    for stage in stages:
+        _require_own(project.out / stage.folder)
+    file = project.out / CHECKED_FILE
+    digest = _inputs_digest(project, capture_digest)
+    known = read_json(file) if file.is_file() else {}
+    same = known.get("digest") == digest
+    warnings = tuple(known.get("warnings", ())) if same else check_project(project, capture)
+    done = [stage.name for stage, state in stage_states(project, tuple(stages)) if state == "done"]
+    missing = [stage.name for stage in stages if not (same and stage.name in done)]
+    if missing:
+        require_room(project.out)
+        require_environment(missing, project.segmenter, has_masks=bool(capture.mask_folders))
+    if not same:
+        write_json(file, {"digest": digest, "warnings": warnings})
+    return warnings
+
+
+def machine_warnings(segmenter: str, capture: Capture) -> tuple[str, ...]:
+    """What this machine lacks for a run; another machine may have it, so nothing is refused."""
+    try:
+        require_environment(EVERYTHING, segmenter, has_masks=bool(capture.mask_folders))
+    except BackendError as error:
+        return (f"a run on this machine would stop: {error}",)
+    return ()
+
+
+def category_warnings(capture: Capture) -> tuple[str, ...]:
+    """What a category that cannot be made means for `aomgen init`."""
+    if is_made(capture.category):
+        return ()
+    return (
+        f"{capture.folder / 'capture.toml'}: no asset of category '{capture.category}' can be made "
+        f"({meant_category(capture.category)}): correct it, or name assets with `aomgen init --asset`",
+    )
+
+
+def new_project(capture: Capture, out: Path, assets: Sequence[str]) -> Project:
+    """A project for a capture, with images shaped like its first fixed camera's.
+
+    Args:
+        capture: As read.
+        out: Folder of the results.
+        assets: As a user names them, files from here; two made ones of the capture's category when none.
+
+    Raises:
+        ConfigError: No assets are named, and none of the capture's category can be made.
+    """
+    if not assets and not is_made(capture.category):
+        raise ConfigError(
+            capture.folder / "capture.toml",
+            f"no asset of category '{capture.category}' can be made",
+            f"{meant_category(capture.category)} Correct it, or name assets with --asset",
+        )
+    chosen = list(assets) or [f"{capture.category}:{seed}" for seed in (1, 2)]
+    return Project(
+        capture=capture.folder.resolve(),
+        out=out.resolve(),
+        assets=tuple(str(Path(item).resolve()) if asset_file(item) else item for item in chosen),
+        image_size=_fitting_size(capture, IMAGE_WIDTH),
+    )
+
+
+def _require_own(folder: Path) -> None:
+    """Refuse to replace a folder that no run has made, such as somebody's `dataset`."""
+    made = any((folder / name).is_file() for name in (MANIFEST, STARTED))
+    if folder.exists() and not made and not (folder.is_dir() and not any(folder.iterdir())):
+        raise StorageError(
+            folder, "was not made by a run, which would replace it", "move it away or choose another `out`"
+        )
+
+
+def _fitting_size(capture: Capture, width: int) -> tuple[int, int]:
+    """Width and even height of an image shaped like the first fixed camera's, [px]."""
+    info = probe_video(capture.cameras[0].video)
+    return width, max(64, 2 * round(width * info.height / info.width / 2))
+
+
+def _check_cameras(project: Project, capture: Capture) -> None:
+    path = capture.folder / "capture.toml"
+    if project.assets and capture.cameras[0].name == NEW_CAMERA:
+        raise ConfigError(
+            path,
+            f"names its first camera '{NEW_CAMERA}', as the new viewpoint of the episodes is called",
+            "give it another name",
+        )
+    boxes = sum(prompt.part == "robot" and len(prompt.box) == 4 for prompt in capture.prompts)
+    if project.alignment_method == "paper" and not boxes >= PAPER_ROBOT_BOXES:
+        raise ConfigError(
+            path,
+            f"has {boxes} box around the robot, alignment_method = 'paper' takes {PAPER_ROBOT_BOXES}",
+            "add a robot prompt on another image",
+        )
+
+
+def _stretched(project: Project, capture: Capture) -> tuple[str, ...]:
+    width, height = project.image_size
+    fitting = _fitting_size(capture, width)
+    stretch = abs(height / fitting[1] - 1)
+    if not project.assets or stretch <= MAX_STRETCH:
+        return ()
+    return (
+        f"image_size {width} x {height} stretches the camera's picture by {stretch:.0%}: "
+        f"{fitting[0]} x {fitting[1]} keeps its shape",
+    )
+
+
+def _doubtful_joints(category: str, assets: list[ArticulatedAsset]) -> tuple[str, ...]:
+    """Assets that open another way than the recorded object's category always does."""
+    if not is_made(category):
+        return ()
+    types = {make_asset(category, seed).joint.type for seed in CATEGORY_SEEDS}
+    if len(types) > 1:
+        return ()
+    usual = next(iter(types))
+    return tuple(
+        f"asset {asset.name} {OPENS[asset.joint.type]}, a {category} {OPENS[usual]}: stage replacement "
+        "refuses assets that open another way than the recorded object"
+        for asset in assets
+        if asset.joint.type != usual
+    )
+
+
+def _inputs_digest(project: Project, capture_digest: str) -> str:
+    files = [file for file in map(asset_file, project.assets) if file is not None and file.is_file()]
+    choices = project.model_dump_json(exclude={"capture", "out"})
+    return text_digest("\n".join([__version__, capture_digest, choices, files_digest(files)]))
