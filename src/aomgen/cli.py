@@ -11,7 +11,7 @@ from aomgen import __version__
 from aomgen.cli_bench import bench_app
 from aomgen.cli_ending import report_bug, stop_at_signals
 from aomgen.cli_run import find_project, run_project
-from aomgen.errors import AomgenError, ConfigError
+from aomgen.errors import AomgenError, ConfigError, InputError
 
 app = typer.Typer(
     add_completion=False,
@@ -38,6 +38,9 @@ def main() -> None:
         except AomgenError as error:
             print(f"error: {error}", file=sys.stderr)
             sys.exit(error.exit_code)
+        except PermissionError as error:
+            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
+            sys.exit(InputError.exit_code)
 
 
 def _print_version(wanted: bool) -> None:
@@ -58,8 +61,10 @@ def common(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Argument(help="Where the results go.")] = Path("out"),
-    poses: Annotated[int, typer.Option(help="Verified episodes for each of the two assets.")] = 6,
-    seed: Annotated[int, typer.Option(help="Same seed, same episodes.")] = 0,
+    poses: Annotated[
+        int, typer.Option(min=1, max=10_000, help="Verified episodes for each of the two assets.")
+    ] = 6,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same episodes.")] = 0,
 ) -> None:
     """Turn the bundled recording into a verified dataset: capture -> dataset + report, on a CPU.
 
@@ -153,13 +158,13 @@ def init(
 
 @app.command()
 def run(
-    project: Annotated[Path, typer.Argument(help="A project file; see `aomgen init`.")],
+    project: Annotated[
+        Path, typer.Argument(help="A project file, see `aomgen init`; or the folder of a run.")
+    ],
     until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
 ) -> None:
     """Bring every stage of a project up to date; what is up to date is kept."""
-    from aomgen.pipeline.project import read_project
-
-    run_project(read_project(project), until=until)
+    run_project(find_project(project), until=until)
 
 
 @app.command()
@@ -237,7 +242,7 @@ def doctor() -> None:
 def assets_make(
     category: Annotated[str, typer.Argument(help="cabinet, drawer, laptop, microwave or toolbox.")],
     path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
-    seed: Annotated[int, typer.Option(help="Same seed, same asset.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same asset.")] = 0,
 ) -> None:
     """Make a textured, hollow, articulated asset with colliders and a joint, as USD."""
     from aomgen.assets.make import make_asset
@@ -253,7 +258,7 @@ def synthetic(
     category: Annotated[
         str, typer.Option(help="cabinet, drawer, laptop, microwave or toolbox.")
     ] = "microwave",
-    seed: Annotated[int, typer.Option(help="Same seed, same capture.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same capture.")] = 0,
     robot: Annotated[Path | None, typer.Option(help="URDF or MJCF of another arm with a gripper.")] = None,
     closing: Annotated[bool, typer.Option("--closing", help="The part is scanned open and closed.")] = False,
     touch: Annotated[str, typer.Option(help="How the part is moved: pinch, hook or push.")] = "pinch",

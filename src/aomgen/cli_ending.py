@@ -63,14 +63,17 @@ def stop_at_signals() -> Iterator[None]:
 
 def _end(number: int, scratch: str) -> None:
     """End the process; writes past Python's streams, which another thread may hold."""
-    shutil.rmtree(scratch, ignore_errors=True)
-    if os.isatty(2):
-        os.write(2, (LEAVE_BAR + INTERRUPTED).encode())
-    else:
-        if os.isatty(1):
-            os.write(1, LEAVE_BAR.encode())
-        os.write(2, INTERRUPTED.encode())
-    os._exit(128 + number)
+    try:
+        shutil.rmtree(scratch, ignore_errors=True)
+        if os.isatty(2):
+            os.write(2, (LEAVE_BAR + INTERRUPTED).encode())
+        else:
+            if os.isatty(1):
+                os.write(1, LEAVE_BAR.encode())
+            os.write(2, INTERRUPTED.encode())
+    finally:
+        # Also when nobody reads any more.
+        os._exit(128 + number)
 
 
 def report_bug(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
@@ -86,6 +89,6 @@ def report_bug(kind: type[BaseException], error: BaseException, trace: Traceback
     command = " ".join(sys.argv)
     lines = traceback.format_exception(kind, error, trace)
     write_text(path, f"aomgen {__version__}: {command}\n{''.join(lines)}")
-    what = traceback.format_exception_only(kind, error)[-1].strip()
+    what = traceback.format_exception_only(kind, error)[-1].splitlines()[0]
     print(f"error: this is a bug in AOMGen ({what}); please report it with {path}", file=sys.stderr)
     sys.exit(EXIT_BUG)

@@ -6,16 +6,23 @@ from datetime import datetime
 from pathlib import Path
 
 from aomgen import __version__
-from aomgen.errors import EstimationError, MissingFileError
+from aomgen.errors import ConfigError, EstimationError, MissingFileError
 
 
 def run_project(project, *, until: str = ""):
-    """Run the pipeline with a display and say where the results are."""
+    """Run the pipeline with a display and say where the results are.
+
+    Raises:
+        ConfigError: The results would go where a file is.
+        AomgenError: Whatever a stage refuses.
+    """
     from aomgen.cli_display import display
     from aomgen.pipeline.estimates import forget_refusal
     from aomgen.pipeline.run_record import RunRecord, save_record
     from aomgen.pipeline.stages import REPORT_FILE, run_pipeline
 
+    if project.out.exists() and not project.out.is_dir():
+        raise ConfigError(project.out, "is a file, and results need a folder", "choose another name")
     forget_refusal(project.out)
     try:
         with display() as shown:

@@ -16,7 +16,7 @@ from aomgen.physics.verify import PassRule, settings_for
 from aomgen.pipeline.figures import read_figure
 from aomgen.pipeline.generation import fitted_assets
 from aomgen.pipeline.stage import Run
-from aomgen.report.html import Markup, heading, link, paragraph, table, text, video, whole
+from aomgen.report.html import Markup, folded, heading, link, paragraph, table, text, video, whole
 
 # Episodes shown with videos; each adds two posters of some 15 kB to the page.
 SHOWN = 24
@@ -69,7 +69,7 @@ def episodes_section(run: Run) -> list[str]:
         f'<div class="cards">{cards}</div>',
         heading("Verdicts"),
         paragraph("The worst of the settings. " + force_limits(run, made)),
-        _verdicts(made),
+        folded(f"all {len(made)} episodes", _verdicts(made), opened=len(made) <= SHOWN),
     ]
 
 
@@ -92,7 +92,8 @@ def made_episodes(run: Run) -> list[Made]:
 
 def place_words(variation: Variation) -> str:
     """Where an object stands against the recorded one."""
-    return f"{100 * variation.x:+.0f} cm, {100 * variation.y:+.0f} cm, {np.degrees(variation.yaw):+.0f} deg"
+    x, y, yaw = (round(float(v)) for v in (100 * variation.x, 100 * variation.y, np.degrees(variation.yaw)))
+    return f"{x:+d} cm, {y:+d} cm, {yaw:+d} deg"
 
 
 def force_limits(run: Run, made: list[Made]) -> str:

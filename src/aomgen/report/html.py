@@ -28,6 +28,7 @@ pre{background:#f4f6f8;padding:8px 12px;border-radius:4px;overflow-x:auto;margin
 .head{display:flex;flex-wrap:wrap;gap:0 48px}
 .cards{display:grid;grid-template-columns:repeat(auto-fill,minmax(500px,1fr));gap:18px 20px;margin:12px 0}
 .card figcaption{font-size:13px}.card b{font-size:14px}
+summary{color:#1f6f8b;cursor:pointer}
 .views{display:grid;grid-template-columns:repeat(2,1fr);gap:4px}video{width:100%;display:block;background:#e6eaf0;border-radius:3px}
 """
 
@@ -66,6 +67,11 @@ def heading(words: str) -> str:
 def paragraph(words: str) -> str:
     """A paragraph of plain text."""
     return f"<p>{text(words)}</p>"
+
+
+def folded(title: str, content: str, *, opened: bool) -> str:
+    """What a reader can fold away, or opens when it is wanted."""
+    return f"<details{' open' if opened else ''}><summary>{text(title)}</summary>{content}</details>"
 
 
 def commands(words: str) -> str:

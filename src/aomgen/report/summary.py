@@ -5,6 +5,7 @@ import shlex
 from aomgen import __version__
 from aomgen.errors import MissingFileError
 from aomgen.io.jsonfile import read_json
+from aomgen.motion.stage import load_motion
 from aomgen.pipeline.figures import Reading, read_figures
 from aomgen.pipeline.manifest import Manifest, read_manifest
 from aomgen.pipeline.run_record import load_record
@@ -69,6 +70,7 @@ def next_steps(run: Run) -> list[str]:
     out = shlex.quote(str(run.out.resolve()))
     project = shlex.quote(_project_file(run))
     camera = next(iter(read_json(run.folders["replacement"] / "cameras.json")))
+    halfway = 0.5 * float(load_motion(run.folders["motion"]).thetas.max())
     usd = sorted((run.folders["replacement"] / "assets").glob("*/asset.usda"))
     steps = [
         heading("More episodes, other assets"),
@@ -80,7 +82,7 @@ def next_steps(run: Run) -> list[str]:
         heading("Other views of the scene"),
         commands(
             f"aomgen render {out} view.png --camera {camera}\n"
-            "echo '{\"theta\": 0.5}' > state.json\n"
+            f"echo '{{\"theta\": {halfway:.2f}}}' > state.json\n"
             f"aomgen render {out} view.png --camera {camera} --state state.json --labels parts.png"
         ),
         heading("The dataset in LeRobot"),

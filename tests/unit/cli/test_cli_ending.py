@@ -52,6 +52,15 @@ def test_on_a_terminal_the_bar_is_left_and_the_cursor_shown(tmp_path):
     os.close(master)
 
 
+def test_a_command_whose_output_nobody_reads_ends_too(tmp_path):
+    reading, writing = os.pipe()
+    process = start("native", tmp_path, writing)
+    os.close(writing)
+    os.close(reading)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=30) == 143
+
+
 def test_ctrl_c_stays_ignored_in_the_background_of_a_script(tmp_path):
     """Shells without job control start background jobs with SIGINT ignored."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -133,6 +133,32 @@ def test_a_project_beside_its_run_names_the_run(sample, tmp_path):
     assert find_project(tmp_path).out == tmp_path / "out"
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("demo", "out", "--poses", 0), "--poses"),
+        (("demo", "out", "--seed", -1), "--seed"),
+        (("assets", "make", "drawer", "a.usda", "--seed", -1), "--seed"),
+    ],
+)
+def test_numbers_out_of_range_are_told_as_such(tmp_path, words, told):
+    result = aomgen(*words, folder=tmp_path)
+    assert result.returncode == 2
+    assert f"Invalid value for '{told}'" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_do_not_go_where_a_file_is(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    one_sentence(aomgen("demo", "out", folder=tmp_path), 2, "is a file")
+
+
+def test_what_may_not_be_read_is_named(tmp_path):
+    refusal = PermissionError(13, "Permission denied", "scan/0001.jpg")
+    with patch("aomgen.cli.find_project", side_effect=refusal):
+        one_sentence(aomgen("status", "out", folder=tmp_path), 3, "scan/0001.jpg: Permission denied")
+
+
 def test_every_command_has_help_and_the_program_its_version(tmp_path):
     assert aomgen("--version", folder=tmp_path).stdout == f"{__version__}\n"
     for words in ((), ("render",), ("assets",), ("assets", "make"), ("bench", "accuracy")):
