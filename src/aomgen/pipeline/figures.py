@@ -115,7 +115,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "clock_offset_s": Figure(name="clock offset", unit="s", digits=3),
         # The stage warns below 2.
         "part_odds": Figure(
-            name="prompted part fits the video better than any other", unit="times", digits=1, above=2.0
+            name="fit of the prompted part against any other", unit="times better", digits=1, above=2.0
         ),
     },
     "twin": {
