@@ -9,46 +9,62 @@ import typer
 
 from aomgen import __version__
 from aomgen.cli_bench import bench_app
-from aomgen.cli_run import run_project
-from aomgen.errors import AomgenError, ConfigError
+from aomgen.cli_ending import report_bug, stop_at_signals
+from aomgen.cli_run import find_project, run_project
+from aomgen.errors import AomgenError, ConfigError, InputError
 
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    help="One recorded demonstration in, many photoreal and physically verified demonstrations out.",
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
 app.add_typer(assets_app, name="assets")
 app.add_typer(bench_app, name="bench")
 
 SAMPLE = "microwave-a"
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
 
 
 def main() -> None:
     """Entry point: runs a command; an `AomgenError` becomes one sentence and its exit code."""
-    try:
-        app()
-    except AomgenError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("interrupted; run the same command again to continue", file=sys.stderr)
-        sys.exit(130)
+    sys.excepthook = report_bug
+    with stop_at_signals():
+        try:
+            # Not `app()`, which sets an excepthook of its own.
+            typer.main.get_command(app)()
+        except AomgenError as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(error.exit_code)
+        except PermissionError as error:
+            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
+            sys.exit(InputError.exit_code)
 
 
-@app.command()
-def version() -> None:
-    """Print the version."""
-    print(__version__)
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """One recorded demonstration in, many photoreal and physically verified demonstrations out."""
 
 
 @app.command()
 def demo(
     out: Annotated[Path, typer.Argument(help="Where the results go.")] = Path("out"),
-    poses: Annotated[int, typer.Option(help="Verified episodes for each of the two assets.")] = 6,
-    seed: Annotated[int, typer.Option(help="Same seed, same episodes.")] = 0,
+    poses: Annotated[
+        int, typer.Option(min=1, max=10_000, help="Verified episodes for each of the two assets.")
+    ] = 6,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same episodes.")] = 0,
 ) -> None:
     """Turn the bundled recording into a verified dataset: capture -> dataset + report, on a CPU.
 
@@ -135,36 +151,41 @@ def init(
 
 @app.command()
 def run(
-    project: Annotated[Path, typer.Argument(help="A project file; see `aomgen init`.")],
+    project: Annotated[
+        Path, typer.Argument(help="A project file, see `aomgen init`; or the folder of a run.")
+    ],
     until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
 ) -> None:
     """Bring every stage of a project up to date; what is up to date is kept."""
-    from aomgen.pipeline.project import read_project
-
-    run_project(read_project(project), until=until)
+    run_project(find_project(project), until=until)
 
 
 @app.command()
-def status(project: Annotated[Path, typer.Argument(help="A project file.")]) -> None:
-    """List the stages of a project and what is done."""
+def status(out: RunFolder) -> None:
+    """List the stages of a run and what is done."""
     from aomgen.pipeline.manifest import read_manifest
-    from aomgen.pipeline.project import read_project
     from aomgen.pipeline.runner import stage_states
     from aomgen.pipeline.stages import STAGES
 
-    choices = read_project(project)
-    for stage, state in stage_states(choices, STAGES):
+    project = find_project(out)
+    for stage, state in stage_states(project, STAGES):
         print(f"{state:8} {stage.folder:18} {stage.title}")
-        manifest = read_manifest(choices.out / stage.folder)
+        manifest = read_manifest(project.out / stage.folder)
         for sentence in () if manifest is None else manifest.warnings:
             print(f"         warning: {sentence}")
 
 
 @app.command()
 def render(
-    out: Annotated[Path, typer.Argument(help="Folder of a finished run.")],
+    out: RunFolder,
     image: Annotated[Path, typer.Argument(help="PNG to write.")],
-    camera: Annotated[Path, typer.Option(help="JSON: T_world_cam, fx, fy, cx, cy, width, height.")],
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="A camera of demonstration or episodes (front, side), a scan image (0012.jpg), or a JSON "
+            "file: T_world_cam, fx, fy, cx, cy, width, height."
+        ),
+    ],
     state: Annotated[
         Path | None, typer.Option(help="JSON: joints, gripper, theta, T_world_object; each optional.")
     ] = None,
@@ -174,9 +195,14 @@ def render(
     from aomgen.io.images import write_image
     from aomgen.io.jsonfile import read_json
     from aomgen.pipeline.rendering import draw_twin, open_twin, parse_camera, parse_state
+    from aomgen.pipeline.viewpoints import find_camera
 
-    twin, robot = open_twin(out)
-    view = parse_camera(read_json(camera), camera)
+    project = find_project(out)
+    twin, robot = open_twin(project.out)
+    if camera.endswith(".json"):
+        view = parse_camera(read_json(Path(camera)), Path(camera))
+    else:
+        view = find_camera(project, camera)
     where = parse_state(read_json(state) if state else {}, twin, robot, state or Path("state"))
     picture, parts = draw_twin(twin, robot, view, where)
     write_image(image, picture)
@@ -185,11 +211,11 @@ def render(
 
 
 @app.command()
-def report(out: Annotated[Path, typer.Argument(help="Folder of a finished run.")]) -> None:
+def report(out: RunFolder) -> None:
     """Write report.html again from what a run has made."""
     from aomgen.report.page import write_report
 
-    print(write_report(out))
+    print(write_report(find_project(out).out))
 
 
 @app.command()
@@ -209,7 +235,7 @@ def doctor() -> None:
 def assets_make(
     category: Annotated[str, typer.Argument(help="cabinet, drawer, laptop, microwave or toolbox.")],
     path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
-    seed: Annotated[int, typer.Option(help="Same seed, same asset.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same asset.")] = 0,
 ) -> None:
     """Make a textured, hollow, articulated asset with colliders and a joint, as USD."""
     from aomgen.assets.make import make_asset
@@ -225,7 +251,7 @@ def synthetic(
     category: Annotated[
         str, typer.Option(help="cabinet, drawer, laptop, microwave or toolbox.")
     ] = "microwave",
-    seed: Annotated[int, typer.Option(help="Same seed, same capture.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same capture.")] = 0,
     robot: Annotated[Path | None, typer.Option(help="URDF or MJCF of another arm with a gripper.")] = None,
     closing: Annotated[bool, typer.Option("--closing", help="The part is scanned open and closed.")] = False,
     touch: Annotated[str, typer.Option(help="How the part is moved: pinch, hook or push.")] = "pinch",

@@ -16,7 +16,7 @@ LAYERS = [
     STAGES,
     {"pipeline"},
     {"report", "benchmarks"},
-    {"cli_display", "cli_doctor"},
+    {"cli_display", "cli_doctor", "cli_ending"},
     {"cli_run"},
     {"cli_bench"},
     {"cli"},

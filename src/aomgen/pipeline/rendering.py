@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
+from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_store import stored_robot
@@ -16,6 +17,12 @@ from aomgen.twin.twin import Twin, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
 LABEL_MIN_ALPHA = 0.5
+CAMERA_KEYS = ("T_world_cam", "fx", "fy", "cx", "cy", "width", "height")
+STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")
+# Larger pictures and focal lengths are typing errors, [px].
+MAX_PX = 16_384
+# Four digits written by hand still are a rotation.
+ROTATION_TOLERANCE = 1e-3
 
 
 def open_twin(out: Path) -> tuple[Twin, RobotModel]:
@@ -53,22 +60,20 @@ def parse_camera(data: Any, where: Path) -> Camera:
     """A camera from the JSON of `aomgen render`.
 
     Raises:
-        ConfigError: A key is missing or has the wrong shape.
+        ConfigError: A key is missing, or its value is no camera's.
     """
-    try:
-        return Camera(
-            fx=float(data["fx"]),
-            fy=float(data["fy"]),
-            cx=float(data["cx"]),
-            cy=float(data["cy"]),
-            width=int(data["width"]),
-            height=int(data["height"]),
-            T_world_cam=np.array(data["T_world_cam"], np.float64),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            where, f"is not a camera ({error!r})", "want T_world_cam (4x4), fx, fy, cx, cy, width, height"
-        ) from error
+    wanted = f"want {', '.join(CAMERA_KEYS)}"
+    if not isinstance(data, dict):
+        raise ConfigError(where, "is not a JSON object", wanted)
+    missing = [name for name in CAMERA_KEYS if name not in data]
+    if missing:
+        raise ConfigError(where, f"lacks {', '.join(missing)}", wanted)
+    numbers = {name: _number(data, name, where) for name in ("fx", "fy", "cx", "cy")}
+    sizes = {name: round(_number(data, name, where)) for name in ("width", "height")}
+    for name, value in (("fx", numbers["fx"]), ("fy", numbers["fy"]), *sizes.items()):
+        if not 0 < value <= MAX_PX:
+            raise ConfigError(where, f"'{name}' is {value:g} px", f"want more than 0, at most {MAX_PX}")
+    return Camera(**numbers, **sizes, T_world_cam=_pose(data, "T_world_cam", where))
 
 
 def parse_state(data: Any, twin: Twin, robot: RobotModel, where: Path) -> TwinState:
@@ -78,23 +83,53 @@ def parse_state(data: Any, twin: Twin, robot: RobotModel, where: Path) -> TwinSt
         ConfigError: An unknown key, an unknown joint or a wrong shape.
     """
     rest = twin.scan_state
-    known = ("joints", "gripper", "theta", "T_world_object")
-    unknown = set(data) - set(known)
+    known = f"known: {', '.join(STATE_KEYS)}"
+    if not isinstance(data, dict):
+        raise ConfigError(where, "is not a JSON object", known)
+    unknown = set(data) - set(STATE_KEYS)
     if unknown:
-        raise ConfigError(where, f"has an unknown key '{min(unknown)}'", f"known: {', '.join(known)}")
+        raise ConfigError(where, f"has an unknown key '{min(unknown)}'", known)
+    values = data.get("joints", {})
+    if not isinstance(values, dict):
+        raise ConfigError(
+            where,
+            "'joints' is not an object of joint values",
+            f"known joints: {', '.join(robot.joint_names)}",
+        )
     joints = np.array(rest.joints)
-    for name, value in data.get("joints", {}).items():
+    for name in values:
         if name not in robot.joint_names:
             raise ConfigError(
                 where, f"names an unknown joint '{name}'", f"known: {', '.join(robot.joint_names)}"
             )
-        joints[robot.joint_names.index(name)] = float(value)
+        joints[robot.joint_names.index(name)] = _number(values, name, where)
+    placed = "T_world_object" in data
+    return TwinState(
+        joints=joints,
+        gripper=_number(data, "gripper", where) if "gripper" in data else rest.gripper,
+        theta=_number(data, "theta", where) if "theta" in data else rest.theta,
+        T_world_object=_pose(data, "T_world_object", where) if placed else rest.T_world_object,
+    )
+
+
+def _number(data: dict[str, Any], name: str, where: Path) -> float:
+    value = data[name]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(where, f"'{name}' is not a number", "write it as a number")
+    return float(value)
+
+
+def _pose(data: dict[str, Any], name: str, where: Path) -> Array:
+    """A rigid pose (4, 4); JSON that `read_json` gives holds no NaN."""
+    remedy = "want four rows of four numbers: rotation, translation [m], and 0, 0, 0, 1 below"
     try:
-        return TwinState(
-            joints=joints,
-            gripper=float(data.get("gripper", rest.gripper)),
-            theta=float(data.get("theta", rest.theta)),
-            T_world_object=np.array(data.get("T_world_object", rest.T_world_object), np.float64),
-        )
+        T = np.array(data[name], np.float64)
     except (TypeError, ValueError) as error:
-        raise ConfigError(where, f"is not a state ({error})", "see the capture format") from error
+        raise ConfigError(where, f"'{name}' is not a matrix of numbers", remedy) from error
+    if T.shape != (4, 4):
+        raise ConfigError(where, f"'{name}' has shape {T.shape}", remedy)
+    R = T[:3, :3]
+    rigid = np.allclose(R @ R.T, np.eye(3), atol=ROTATION_TOLERANCE) and np.linalg.det(R) > 0
+    if not (rigid and np.array_equal(T[3], [0, 0, 0, 1])):
+        raise ConfigError(where, f"'{name}' is not a rotation with a translation", remedy)
+    return T

@@ -1,36 +1,67 @@
-"""Pieces of the report's HTML; one self-contained file, no script, no network."""
+"""Pieces of the report's HTML; one file without script or network, videos lie beside it."""
 
 import base64
 import html
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.io.images import encode_jpeg
+from aomgen.pipeline.figures import Reading
 
 STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#1c2430;max-width:1080px;margin:0 auto;padding:24px}
-h1{font-size:26px;margin:0 0 4px}h2{font-size:19px;margin:34px 0 6px;border-bottom:1px solid #d5dbe3;padding-bottom:3px}
-p{margin:6px 0 10px;max-width:76ch}img{max-width:100%;display:block;margin:8px 0;border-radius:3px}
-table{border-collapse:collapse;margin:8px 0;font-size:13.5px}td,th{padding:3px 10px;text-align:left;border-bottom:1px solid #e6eaf0}
-td.n{text-align:right;font-variant-numeric:tabular-nums}
+body{font:15px/1.5 system-ui,sans-serif;color:#1c2430;max-width:1120px;margin:0 auto;padding:24px}
+h1{font-size:26px;margin:0 0 8px}h2{font-size:20px;margin:40px 0 8px;border-bottom:1px solid #d5dbe3;padding-bottom:4px}
+h3{font-size:15.5px;margin:20px 0 4px}p{margin:6px 0 10px;max-width:80ch}a{color:#1f6f8b}
+img{max-width:100%;display:block;margin:8px 0;border-radius:3px}figure{margin:0}
+table{border-collapse:collapse;margin:8px 0;font-size:13.5px}
+td,th{padding:3px 12px 3px 0;text-align:left;vertical-align:top;border-bottom:1px solid #e6eaf0}
+td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}td.n,.whole{white-space:nowrap}th{vertical-align:bottom}
 svg{width:100%;max-width:760px;background:#fafbfc;border:1px solid #e6eaf0}svg text{font-size:11px;fill:#4a5568}
 .span{fill:#f5d76e;opacity:.45}.band{fill:#1f6f8b;opacity:.18}.grid{stroke:#e6eaf0}.level{stroke:#d1495b;stroke-dasharray:5 4}
-.good{color:#2c7a4b}.bad{color:#b3261e}.dim{color:#66707f}
+.wide{max-width:none}.good{color:#2c7a4b}.poor{color:#b3261e;font-weight:600}.dim{color:#66707f}
+code,pre{font:13px/1.45 ui-monospace,monospace}
+pre{background:#f4f6f8;padding:8px 12px;border-radius:4px;overflow-x:auto;margin:4px 0 12px}
+.bar{background:#1f6f8b;height:11px;margin-top:5px;border-radius:2px;min-width:1px}
+.head{display:flex;flex-wrap:wrap;gap:0 48px}
+.cards{display:grid;grid-template-columns:repeat(auto-fill,minmax(500px,1fr));gap:18px 20px;margin:12px 0}
+.card figcaption{font-size:13px}.card b{font-size:14px}
+summary{color:#1f6f8b;cursor:pointer}
+.views{display:grid;grid-template-columns:repeat(2,1fr);gap:4px}video{width:100%;display:block;background:#e6eaf0;border-radius:3px}
 """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Markup:
+    """Text that is HTML already, as a cell of a table."""
+
+    html: str
 
 
 def page(title: str, body: list[str]) -> str:
     """A whole HTML document."""
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{text(title)}</title>'
+        f'<!doctype html><html lang="en"><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width"><title>{text(title)}</title>'
         f"<style>{STYLE}</style><body>{''.join(body)}</body></html>\n"
     )
 
 
 def section(title: str, *parts: str) -> str:
     """A heading and what belongs under it."""
-    return f"<h2>{text(title)}</h2>{''.join(parts)}"
+    return f'<h2 id="{_anchor(title)}">{text(title)}</h2>{"".join(parts)}'
+
+
+def contents(titles: list[str]) -> str:
+    """Links to sections."""
+    return f'<p class="wide">{" · ".join(link("#" + _anchor(title), title) for title in titles)}</p>'
+
+
+def heading(words: str) -> str:
+    """A heading inside a section."""
+    return f"<h3>{text(words)}</h3>"
 
 
 def paragraph(words: str) -> str:
@@ -38,23 +69,65 @@ def paragraph(words: str) -> str:
     return f"<p>{text(words)}</p>"
 
 
+def folded(title: str, content: str, *, opened: bool) -> str:
+    """What a reader can fold away, or opens when it is wanted."""
+    return f"<details{' open' if opened else ''}><summary>{text(title)}</summary>{content}</details>"
+
+
+def commands(words: str) -> str:
+    """Lines to type."""
+    return f"<pre>{text(words)}</pre>"
+
+
 def picture(image_srgb: NDArray[np.uint8], caption: str) -> str:
     """An embedded picture (H, W, 3) uint8."""
-    data = base64.b64encode(encode_jpeg(image_srgb, 88)).decode()
-    return f'<figure style="margin:0"><img src="data:image/jpeg;base64,{data}" alt="{text(caption)}"><figcaption class="dim">{text(caption)}</figcaption></figure>'
+    return (
+        f'<figure><img src="{jpeg_url(image_srgb, 88)}" alt="{text(caption)}">'
+        f'<figcaption class="dim">{text(caption)}</figcaption></figure>'
+    )
 
 
-def table(header: list[str], rows: list[list[object]]) -> str:
-    """A table; numbers stand right."""
-    head = "".join(f"<th>{text(name)}</th>" for name in header)
-    lines = []
-    for row in rows:
-        cells = "".join(
-            f'<td class="n">{_number(value)}</td>' if _is_number(value) else f"<td>{text(value)}</td>"
-            for value in row
-        )
-        lines.append(f"<tr>{cells}</tr>")
-    return f"<table><tr>{head}</tr>{''.join(lines)}</table>"
+def jpeg_url(image_srgb: NDArray[np.uint8], quality: int) -> str:
+    """A picture (H, W, 3) uint8 as a URL that holds it."""
+    return f"data:image/jpeg;base64,{base64.b64encode(encode_jpeg(image_srgb, quality)).decode()}"
+
+
+def video(link: str, poster_srgb: NDArray[np.uint8], label: str) -> str:
+    """A player that loads nothing before it is started; the poster (H, W, 3) is embedded."""
+    height, width = poster_srgb.shape[:2]
+    return (
+        f'<video controls muted playsinline preload="none" width="{width}" height="{height}" '
+        f'style="aspect-ratio:{width}/{height};height:auto" '
+        f'poster="{jpeg_url(poster_srgb, 80)}" src="{text(link)}" title="{text(label)}"></video>'
+    )
+
+
+def link(target: str, words: str) -> str:
+    """A link to a file beside the page."""
+    return f'<a href="{text(target)}">{text(words)}</a>'
+
+
+def table(header: Sequence[str | Markup], rows: Sequence[Sequence[object]]) -> str:
+    """A table; numbers stand right, in the digits given by whoever wrote them, and so do their heads."""
+    numeric = [_is_number(value) for value in rows[0]] if rows else [False] * len(header)
+    head = "".join(_cell(name, "th", right) for name, right in zip(header, numeric, strict=True))
+    lines = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{lines}</table>"
+
+
+def reading(item: Reading) -> str:
+    """A figure with its name, colored where there is a limit; poor ones say so in words."""
+    return f'<span class="{item.verdict}">{text(item.sentence)}</span>'
+
+
+def bar(share: float) -> Markup:
+    """A bar as long as a share of its cell, 0..1."""
+    return Markup(html=f'<div class="bar" style="width:{100 * share:.1f}%"></div>')
+
+
+def whole(words: str) -> Markup:
+    """A cell's text that is not broken into lines."""
+    return Markup(html=f'<span class="whole">{text(words)}</span>')
 
 
 def text(value: object) -> str:
@@ -62,9 +135,19 @@ def text(value: object) -> str:
     return html.escape(str(value))
 
 
+def _anchor(title: str) -> str:
+    return text(title.lower().replace(" ", "-"))
+
+
+def _cell(value: object, tag: str = "td", right: bool = False) -> str:
+    if isinstance(value, Markup):
+        return f"<{tag}>{value.html}</{tag}>"
+    kind = ' class="n"' if right or _is_number(value) else ""
+    return f"<{tag}{kind}>{text(value)}</{tag}>"
+
+
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _number(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    """Numbers, and numbers written with their digits."""
+    if isinstance(value, str):
+        return value.replace(",", "").replace(".", "", 1).lstrip("-").isdigit()
+    return isinstance(value, int) and not isinstance(value, bool)

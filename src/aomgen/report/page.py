@@ -1,27 +1,33 @@
 """`report.html`: what a run recovered and made, in pictures and numbers."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from aomgen.errors import MissingFileError
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.io.images import write_image
-from aomgen.io.jsonfile import read_json
-from aomgen.pipeline.manifest import read_manifest
+from aomgen.pipeline.figures import FIGURES, read_figure
 from aomgen.pipeline.project import read_project
-from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
+from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
 from aomgen.report import pictures
 from aomgen.report.drawing import sheet
-from aomgen.report.html import page, paragraph, picture, section, table
+from aomgen.report.episodes import episodes_section
+from aomgen.report.html import contents, page, paragraph, picture, section, table, text
 from aomgen.report.motion import motion_section
+from aomgen.report.rejects import rejects_section
+from aomgen.report.summary import (
+    manifest_of,
+    next_steps,
+    provenance_table,
+    results_table,
+    stages_table,
+)
 
 CONTACT_SHEET = "episodes.jpg"
-SHEET_FRAMES = 5
+SHEET_FRAMES, SHEET_EPISODES = 5, 12
 
 
 def write_report(out: Path) -> Path:
@@ -35,95 +41,102 @@ def write_report(out: Path) -> Path:
     """
     project = read_project(out / PROJECT_FILE)
     run = Run(project=project, out=out, folders={stage.name: out / stage.folder for stage in STAGES})
-    if read_manifest(run.folders["dataset"]) is None:
-        raise MissingFileError(run.folders["dataset"], "is not finished", "run the project first")
+    manifest_of(run, "dataset")
     data = pictures.open_recovered(run)
-    contact_sheet = _contact_sheet(data)
-    write_image(out / CONTACT_SHEET, contact_sheet)
-    body = [
-        f"<h1>{data.capture.name}: {data.capture.instruction}</h1>",
-        _summary(run),
-        _warnings(run),
-        section(
-            "Generated episodes",
-            _episodes_text(run),
+    write_image(out / CONTACT_SHEET, contact_sheet(data))
+    sections = {
+        "Warnings": _warnings(run),
+        "Episodes": [
             picture(
-                contact_sheet,
-                "Top row: the recording. Below: one "
-                "row an episode, from the recording camera and from the new viewpoint.",
+                sheet(pictures.demo_strip(data, SHEET_FRAMES), SHEET_FRAMES), "The recorded demonstration."
             ),
-        ),
-        section("Verdicts", _verdicts(run)),
-        section(
-            "Scene",
-            paragraph("Held-out scan images (above) and the twin drawn from the same places (below)."),
-            picture(pictures.heldout_sheet(data), "held-out views"),
-            paragraph("Part labels: robot blue, static part orange, moving part pink."),
-            picture(pictures.parts_sheet(data), "parts"),
-        ),
-        section(
-            "Coverage",
-            paragraph(
-                "Where the scan looked: sides of object, robot and table from above, with the scan's cameras. Green: "
-                "enough views from different directions. Yellow: too few. Red: none; what is there is guessed."
-            ),
-            picture(pictures.coverage_map(data), "coverage"),
-            _coverage(run),
-        ),
-        section(
-            "Alignment",
-            paragraph("The robot model's outline over the video, at the estimated camera and clock offset."),
-            picture(pictures.robot_sheet(data), "robot model over the video"),
-        ),
-        section("Motion", *motion_section(data)),
-        section(
-            "Replay",
-            paragraph(
-                "The video (above) and the twin's replay of it (below). What the scan never saw stays empty."
-            ),
-            picture(pictures.replay_sheet(data), "replay"),
-        ),
-        section("Stages", _stages(run)),
+            *episodes_section(run),
+        ],
+        "Rejected poses": rejects_section(run),
+        "What next": next_steps(run),
+        **_recovered_sections(data),
+        "Time and figures of the stages": [stages_table(run)],
+    }
+    shown = {title: parts for title, parts in sections.items() if parts}
+    name = f"{data.capture.name}: {data.capture.instruction}"
+    body = [
+        f"<h1>{text(name)}</h1>",
+        contents(list(shown)),
+        f'<div class="head"><div>{results_table(run)}</div><div>{provenance_table(run)}</div></div>',
+        *(section(title, *parts) for title, parts in shown.items()),
     ]
     write_text(out / REPORT_FILE, page(f"AOMGen: {data.capture.name}", body))
     return out / REPORT_FILE
 
 
-def _summary(run: Run) -> str:
-    figures = {stage.name: _figures(run, stage.name) for stage in STAGES}
-    return table(
-        ["result", ""],
-        [
-            ["episodes, all verified", figures["episodes"]["episodes"]],
-            ["frames in the dataset", figures["dataset"]["frames"]],
-            ["held-out PSNR [dB]", figures["gaussians"]["heldout_psnr"]],
-            ["end effector, standard deviation [mm]", figures["alignment"]["end_effector_sd_mm"]],
-            ["clock offset [s]", figures["motion"]["clock_offset_s"]],
-            ["joint", figures["motion"]["joint"]],
+def _recovered_sections(data: pictures.Recovered) -> dict[str, list[str]]:
+    """What the recording became, from the scan to the replay of the video."""
+    return {
+        "Scene": [
+            paragraph("Held-out scan images (above) and the twin drawn from the same places (below)."),
+            picture(pictures.heldout_sheet(data), "held-out views"),
+            paragraph("Part labels: robot blue, static part orange, moving part pink."),
+            picture(pictures.parts_sheet(data), "parts"),
         ],
-    )
+        "Coverage": [
+            paragraph(
+                "Where the scan looked: sides of object, robot and table from above, with the scan's cameras. Green: "
+                "enough views from different directions. Yellow: too few. Red: none; what is there is guessed."
+            ),
+            picture(pictures.coverage_map(data), "coverage"),
+            _coverage(data.run),
+        ],
+        "Alignment": [
+            paragraph("The robot model's outline over the video, at the estimated camera and clock offset."),
+            picture(pictures.robot_sheet(data), "robot model over the video"),
+            _fixed_cameras(data.run),
+        ],
+        "Motion": motion_section(data),
+        "Replay": [
+            paragraph(
+                "The video (above) and the twin's replay of it (below). What the scan never saw stays empty."
+            ),
+            picture(pictures.replay_sheet(data), "replay"),
+        ],
+    }
 
 
-def _warnings(run: Run) -> str:
+def _warnings(run: Run) -> list[str]:
     """What the stages warn of, or nothing."""
-    rows: list[list[object]] = []
-    for stage in STAGES:
-        manifest = read_manifest(run.folders[stage.name])
-        for sentence in manifest.warnings if manifest else ():
-            rows.append([stage.title, sentence])
-    return section("Warnings", table(["stage", "warning"], rows)) if rows else ""
+    rows: list[list[object]] = [
+        [stage.title, sentence] for stage in STAGES for sentence in manifest_of(run, stage.name).warnings
+    ]
+    return [table(["stage", "warning"], rows)] if rows else []
 
 
 def _coverage(run: Run) -> str:
+    rows: list[list[object]] = [
+        [side, *(read_figure("coverage", name, seen[name]).number for name in FIGURES["coverage"])]
+        for side, seen in manifest_of(run, "parts").figures["coverage"].items()
+    ]
+    return table(["side", *_titles("coverage")], rows)
+
+
+def _fixed_cameras(run: Run) -> str:
     rows: list[list[object]] = []
-    for name, seen in _figures(run, "parts")["coverage"].items():
-        rows.append([name, seen["views"], seen["spread_deg"], 100 * seen["share"]])
-    return table(["side", "views (median)", "spread [deg]", "seen enough [%]"], rows)
+    for name, item in load_settled_cameras(run.folders["alignment"]).items():
+        clock = {"offset_s": item.clock.offset_s, "sd_s": item.clock.sd_s} if item.clock else {}
+        figures = clock | item.figures
+        shown = [
+            read_figure("camera", key, figures[key]).number if key in figures else "unknown"
+            for key in FIGURES["camera"]
+        ]
+        rows.append([name, *shown, item.note])
+    return table(["camera", *_titles("camera"), "pose"], rows)
 
 
-def _contact_sheet(data: pictures.Recovered) -> np.ndarray:
-    """One row for the recording, one an episode: a few frames from each camera."""
-    folders = list_committed(data.run.folders["episodes"])
+def _titles(group: str) -> list[str]:
+    return [read_figure(group, name, 0.0).title for name in FIGURES[group]]
+
+
+def contact_sheet(data: pictures.Recovered) -> np.ndarray:
+    """One row for the recording, one for each of the first episodes: a few frames from each camera."""
+    folders = list_committed(data.run.folders["episodes"])[:SHEET_EPISODES]
     names = list(read_episode(folders[0]).episode.cameras)
     size = read_episode(folders[0]).episode.cameras[names[0]]
     images = [
@@ -135,64 +148,3 @@ def _contact_sheet(data: pictures.Recovered) -> np.ndarray:
             images += pictures.episode_strip(folder, name, SHEET_FRAMES)
     small = [pictures.resize(image, size.width // 2, size.height // 2) for image in images]
     return sheet(small, SHEET_FRAMES * len(names), gap=2)
-
-
-def _episodes_text(run: Run) -> str:
-    figures = _figures(run, "plans")
-    return paragraph(
-        f"{figures['verified']} variations passed and {figures['rejected']} were rejected. An episode passes when "
-        "contact alone moves the passive joint to at least 90 % of the planned value under all settings of damping "
-        "and friction."
-    )
-
-
-def _verdicts(run: Run) -> str:
-    rows = []
-    for folder in list_committed(run.folders["episodes"]):
-        episode = read_episode(folder).episode
-        runs = episode.verdict["dynamic"]
-        rows.append(
-            [
-                folder.name,
-                episode.asset,
-                min(item["target_share"] for item in runs),
-                min(item["contact_share"] for item in runs),
-                max(item["tracking_mm"] for item in runs),
-                max(item["peak_force_n"] for item in runs),
-                episode.verdict["grasp"],
-            ]
-        )
-    header = [
-        "episode",
-        "asset",
-        "share of target",
-        "share in contact",
-        "tracking [mm]",
-        "peak force [N]",
-        "grasp",
-    ]
-    rejected = read_json(run.folders["plans"] / "rejected.json")
-    reasons = [[reason, count] for reason, count in rejected["reasons"].items()]
-    return table(header, rows) + (table(["rejected because", "variations"], reasons) if reasons else "")
-
-
-def _stages(run: Run) -> str:
-    seconds = read_json(run.out / TIMINGS)
-    rows: list[list[object]] = []
-    for stage in STAGES:
-        shown = ", ".join(
-            f"{name} {_short(value)}"
-            for name, value in _figures(run, stage.name).items()
-            if not isinstance(value, dict)
-        )
-        rows.append([stage.title, float(seconds.get(stage.name, 0.0)), shown])
-    return table(["stage", "seconds", "figures"], [*rows, ["all", float(sum(seconds.values())), ""]])
-
-
-def _figures(run: Run, name: str) -> dict[str, Any]:
-    manifest = read_manifest(run.folders[name])
-    return {} if manifest is None else manifest.figures
-
-
-def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -11,9 +11,13 @@ from unittest.mock import patch
 
 import pytest
 
+from aomgen import __version__
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.cli import main
+from aomgen.cli_run import find_project
+from aomgen.pipeline.project import Project, write_project
+from aomgen.pipeline.stages import PROJECT_FILE
 
 
 def started(*arguments: object, folder: Path) -> CompletedProcess:
@@ -84,11 +88,83 @@ def test_an_unknown_stage_lists_the_known(sample, tmp_path):
     one_sentence(result, 2, "dreaming", "structure, gaussians")
 
 
-def test_an_unfinished_run_cannot_be_drawn(tmp_path):
-    (tmp_path / "camera.json").write_text("{}")
-    result = aomgen("render", tmp_path, "x.png", "--camera", "camera.json", folder=tmp_path)
-    one_sentence(result, 3, "06_twin", "finish the run first")
-    assert not (tmp_path / "x.png").exists()
+@pytest.fixture
+def unfinished(sample, tmp_path) -> Path:
+    """Folder of a run in which no stage has finished."""
+    out = tmp_path / "out"
+    write_project(out / PROJECT_FILE, Project(capture=sample, out=out))
+    return out
+
+
+def test_an_unfinished_run_cannot_be_drawn(unfinished):
+    one_sentence(
+        aomgen("render", unfinished, "x.png", "--camera", "side", folder=unfinished),
+        3,
+        "06_twin",
+        "finish the run first",
+    )
+    assert not (unfinished / "x.png").exists()
+
+
+@pytest.mark.parametrize("command", ["status", "report", "render"])
+def test_a_run_is_named_by_its_folder_or_its_project_file(unfinished, tmp_path, command):
+    more = ("x.png", "--camera", "side") if command == "render" else ()
+    by_folder, by_file = (
+        aomgen(command, path, *more, folder=tmp_path) for path in (unfinished, unfinished / PROJECT_FILE)
+    )
+    assert (by_folder.returncode, by_folder.stdout, by_folder.stderr) == (
+        by_file.returncode,
+        by_file.stdout,
+        by_file.stderr,
+    )
+    for path, words in ((tmp_path / "nothing", "is missing"), (tmp_path, "holds no project.toml")):
+        one_sentence(aomgen(command, path, *more, folder=tmp_path), 3, path.name, words)
+
+
+def test_a_moved_run_is_found_where_it_is(unfinished, tmp_path):
+    (unfinished / "01_structure").mkdir()
+    moved = unfinished.rename(tmp_path / "moved")
+    assert find_project(moved).out == moved
+    assert "partial  01_structure" in aomgen("status", moved, folder=tmp_path).stdout
+
+
+def test_a_project_beside_its_run_names_the_run(sample, tmp_path):
+    aomgen("init", sample, folder=tmp_path)
+    assert find_project(tmp_path).out == tmp_path / "out"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("demo", "out", "--poses", 0), "--poses"),
+        (("demo", "out", "--seed", -1), "--seed"),
+        (("assets", "make", "drawer", "a.usda", "--seed", -1), "--seed"),
+    ],
+)
+def test_numbers_out_of_range_are_told_as_such(tmp_path, words, told):
+    result = aomgen(*words, folder=tmp_path)
+    assert result.returncode == 2
+    assert f"Invalid value for '{told}'" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_do_not_go_where_a_file_is(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    one_sentence(aomgen("demo", "out", folder=tmp_path), 2, "is a file")
+
+
+def test_what_may_not_be_read_is_named(tmp_path):
+    refusal = PermissionError(13, "Permission denied", "scan/0001.jpg")
+    with patch("aomgen.cli.find_project", side_effect=refusal):
+        one_sentence(aomgen("status", "out", folder=tmp_path), 3, "scan/0001.jpg: Permission denied")
+
+
+def test_every_command_has_help_and_the_program_its_version(tmp_path):
+    assert aomgen("--version", folder=tmp_path).stdout == f"{__version__}\n"
+    for words in ((), ("render",), ("assets",), ("assets", "make"), ("bench", "accuracy")):
+        result = aomgen(*words, "-h", folder=tmp_path)
+        assert result.returncode == 0
+        assert result.stdout.startswith("Usage: ")
 
 
 def test_assets_are_made_and_checked(tmp_path):

@@ -1,0 +1,236 @@
+"""How the figures of a stage are read: their names, units, digits, and what is good."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+Verdict = Literal["good", "poor", ""]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """How one figure of a stage is shown.
+
+    Attributes:
+        name: What it is, in words.
+        unit: Behind the number; a number without a unit is a count.
+        digits: After the point.
+        factor, offset: The shown number is the stage's times `factor`, plus `offset`.
+        above, below: It is good above, or below, this shown number; None where nothing is better.
+        of: Name of the figure that this one is a part of; the limit is then a share of that.
+        zero_is_unknown: Some methods do not estimate it and return 0; it is left out then.
+    """
+
+    name: str
+    unit: str = ""
+    digits: int = 0
+    factor: float = 1.0
+    offset: float = 0.0
+    above: float | None = None
+    below: float | None = None
+    of: str = ""
+    zero_is_unknown: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """One figure, ready to be shown.
+
+    Attributes:
+        name: What it is.
+        number: Without its unit; or words.
+        unit: "" for counts and words.
+        verdict: "good", "poor", or "" where there is no limit.
+        limit: For example "good below 1"; "" where there is none.
+        counted: The value stands before the name: "64 of 64 images registered".
+    """
+
+    name: str
+    number: str
+    unit: str = ""
+    verdict: Verdict = ""
+    limit: str = ""
+    counted: bool = False
+
+    @property
+    def value(self) -> str:
+        """Number and unit."""
+        return f"{self.number} {self.unit}".strip()
+
+    @property
+    def title(self) -> str:
+        """Name and unit, for the head of a column."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def sentence(self) -> str:
+        """Value, name and limit in reading order; says in words when the value is poor."""
+        words = f"{self.value} {self.name}" if self.counted else f"{self.name} {self.value}"
+        if not self.limit:
+            return words
+        return f"{words} ({'poor, ' if self.verdict == 'poor' else ''}{self.limit})"
+
+
+# Limits: what the gates of the stages ask for is passed by every finished stage, so "good" is stricter.
+# The README's table of measured figures gives what is wanted, and where it does, that is the limit.
+FIGURES: Final[dict[str, dict[str, Figure]]] = {
+    "structure": {
+        # Every image that is left out leaves a gap in the scan; the gate is 0.8.
+        "registered": Figure(name="images registered", of="of", above=0.95),
+        # SIFT finds corners to about half a pixel; the gate is 1.5.
+        "reprojection_error_px": Figure(name="reprojection error", unit="px", digits=2, below=1.0),
+        "points": Figure(name="points"),
+    },
+    "gaussians": {
+        "gaussians": Figure(name="Gaussians"),
+        # The bundled capture and five synthetic ones all reach 28.5 dB.
+        "heldout_psnr": Figure(name="held-out views", unit="dB", digits=1, above=28.0),
+    },
+    "alignment": {
+        "residual_px": Figure(name="outline error", unit="px", digits=2, below=1.0),
+        "end_effector_sd_mm": Figure(name="end effector, standard deviation", unit="mm", digits=2, below=3.0),
+    },
+    "parts": {
+        "robot": Figure(name="Gaussians of the robot"),
+        "static": Figure(name="of the static part"),
+        "moving": Figure(name="of the moving part"),
+        "confidence": Figure(name="agreement of the views", unit="%", digits=1, factor=100.0, above=90.0),
+        # The mean of a box's four sides; the stage warns above 5 %.
+        "box_misfit": Figure(
+            name="edges off the prompted boxes", unit="% of a box", digits=1, factor=25.0, below=5.0
+        ),
+    },
+    "motion": {
+        "direction": Figure(name="direction"),
+        "joint": Figure(name="joint"),
+        # What verification in physics asks of an episode.
+        "moved_deg": Figure(name="moved by", unit="deg", digits=1, above=30.0),
+        "moved_mm": Figure(name="moved by", unit="mm", above=100.0),
+        "start_s": Figure(name="from", unit="s", digits=2),
+        "end_s": Figure(name="to", unit="s", digits=2),
+        "axis_ci95_deg": Figure(name="axis known to", unit="deg", digits=1, below=2.0, zero_is_unknown=True),
+        "origin_ci95_mm": Figure(
+            name="origin known to", unit="mm", digits=1, below=10.0, zero_is_unknown=True
+        ),
+        "clock_offset_s": Figure(name="clock offset", unit="s", digits=3),
+        # The stage warns below 2.
+        "part_odds": Figure(
+            name="fit of the prompted part against any other", unit="times better", digits=1, above=2.0
+        ),
+    },
+    "twin": {
+        "gaussians": Figure(name="Gaussians"),
+        "moving": Figure(name="of them moving"),
+    },
+    "replacement": {
+        "assets": Figure(name="assets"),
+        "removed": Figure(name="Gaussians removed"),
+        "filled": Figure(name="filled in"),
+    },
+    "plans": {
+        "verified": Figure(name="episodes verified"),
+        "rejected": Figure(name="rejected"),
+        # The pass rule: 90 % of the planned opening under every setting of damping and friction.
+        "smallest_margin": Figure(
+            name="least opening", unit="% of the plan", digits=1, factor=100.0, offset=90.0, above=90.0
+        ),
+    },
+    "episodes": {"episodes": Figure(name="episodes"), "cameras": Figure(name="cameras")},
+    "dataset": {"episodes": Figure(name="episodes"), "frames": Figure(name="frames")},
+    # Not of stages: verdicts of episodes over their settings, sides in the coverage, fixed cameras.
+    "verdict": {
+        "target_share": Figure(
+            name="least opening", unit="% of the plan", digits=1, factor=100.0, above=90.0
+        ),
+        "contact_share": Figure(name="moved in contact", unit="%", digits=1, factor=100.0, above=80.0),
+        "tracking_mm": Figure(name="arm off its command", unit="mm", digits=1),
+        "peak_force_n": Figure(name="peak grip force", unit="N"),
+        "peak_reaction_n": Figure(name="peak force on the object", unit="N"),
+    },
+    "coverage": {
+        "views": Figure(name="views (median)"),
+        "spread_deg": Figure(name="spread of directions", unit="deg"),
+        "share": Figure(name="seen enough", unit="%", factor=100.0),
+    },
+    "camera": {
+        "offset_s": Figure(name="clock offset", unit="s", digits=3),
+        "sd_s": Figure(name="standard deviation", unit="s", digits=3),
+        "moved_mm": Figure(name="moved from where the scan saw it", unit="mm", digits=1),
+        "moved_deg": Figure(name="turned", unit="deg", digits=2),
+    },
+}
+
+# Figures that stay in the manifests alone, and why.
+NOT_SHOWN: Final[dict[str, dict[str, str]]] = {
+    "structure": {"of": "shown with the registered images"},
+    "gaussians": {"heldout_ssim": "says what the PSNR says"},
+    "alignment": {
+        "support": "means something only beside what chance confirms; the standard deviation follows from it",
+        "runner_up_support": "0 where no other place of the robot was found, which is no measurement",
+        "fixed_cameras": "a table of its own in the report",
+    },
+    "parts": {"method": "a choice of the program", "coverage": "a table of its own in the report"},
+    "twin": {"tray": "0 for most objects"},
+    "replacement": {
+        "light": "a choice of the program",
+        "fit_residual_mm": "an asset that keeps its own size is not meant to follow the recorded path",
+    },
+}
+
+
+def read_figure(group: str, name: str, value: float) -> Reading:
+    """One figure of the table by its group and name."""
+    return _read(FIGURES[group][name], value, {})
+
+
+def read_figures(stage: str, figures: Mapping[str, Any]) -> list[Reading]:
+    """The figures of a stage that mean something to a reader, in the table's order.
+
+    Args:
+        stage: Name of the stage.
+        figures: As the stage returned them.
+    """
+    known = FIGURES.get(stage, {})
+    return [
+        _read(figure, figures[name], figures)
+        for name, figure in known.items()
+        if name in figures and not (figure.zero_is_unknown and figures[name] == 0)
+    ]
+
+
+def _read(figure: Figure, value: Any, figures: Mapping[str, Any]) -> Reading:
+    if isinstance(value, str):
+        return Reading(name=figure.name, number=value)
+    number = figure.factor * value + figure.offset
+    shown = f"{number:,.{figure.digits}f}"
+    if figure.of:
+        total = figures[figure.of]
+        share = value / max(total, 1)
+        return Reading(
+            name=figure.name,
+            number=f"{shown} of {total:,}",
+            verdict=_verdict(figure, share),
+            limit=f"good above {100 * figure.above:g} %" if figure.above is not None else "",
+            counted=True,
+        )
+    limits = [
+        f"good {side} {limit:g}"
+        for side, limit in (("above", figure.above), ("below", figure.below))
+        if limit is not None
+    ]
+    return Reading(
+        name=figure.name,
+        number=shown,
+        unit=figure.unit,
+        verdict=_verdict(figure, number),
+        limit=" and ".join(limits),
+        counted=not figure.unit,
+    )
+
+
+def _verdict(figure: Figure, number: float) -> Verdict:
+    if figure.above is None and figure.below is None:
+        return ""
+    high_enough = figure.above is None or number >= figure.above
+    low_enough = figure.below is None or number <= figure.below
+    return "good" if high_enough and low_enough else "poor"

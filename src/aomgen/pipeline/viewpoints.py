@@ -1,0 +1,39 @@
+"""The cameras of a run by their names: of the demonstration, of the episodes, of the scan."""
+
+from aomgen.core.camera import Camera
+from aomgen.errors import ConfigError
+from aomgen.pipeline.generation import stored_cameras
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.recovery import scan_cameras_world
+from aomgen.pipeline.stage import Run
+from aomgen.pipeline.stages import STAGES
+from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
+
+
+def find_camera(project: Project, name: str) -> Camera:
+    """A camera of a run, world frame.
+
+    Args:
+        project: Of a run that has its twin.
+        name: Of a fixed camera of the demonstration, of a camera of the episodes, or of a scan image. A
+            name that demonstration and episodes share means the demonstration's, at the video's size.
+
+    Raises:
+        ConfigError: No such camera; lists the known ones.
+    """
+    run = Run(
+        project=project, out=project.out, folders={stage.name: project.out / stage.folder for stage in STAGES}
+    )
+    scan = scan_cameras_world(run)
+    settled = load_settled_cameras(run.folders["alignment"])
+    made = stored_cameras(run) if run.folders["replacement"].is_dir() else {}
+    fixed = made | {key: item.camera for key, item in settled.items()}
+    known = scan | fixed
+    if name not in known:
+        images = sorted(scan)
+        raise ConfigError(
+            "--camera",
+            f"'{name}' is no camera of this run",
+            f"known: {', '.join(fixed)}, and scan images from {images[0]} to {images[-1]}; or give a .json file",
+        )
+    return known[name]

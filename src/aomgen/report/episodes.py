@@ -1,0 +1,159 @@
+"""The report's section on the generated episodes: videos of the first ones, verdicts of all."""
+
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.episode import Episode
+from aomgen.core.plan import Variation
+from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
+from aomgen.io.jsonfile import read_json
+from aomgen.io.video import decoded_frames
+from aomgen.physics.verify import PassRule, settings_for
+from aomgen.pipeline.figures import read_figure
+from aomgen.pipeline.generation import fitted_assets
+from aomgen.pipeline.stage import Run
+from aomgen.report.html import Markup, folded, heading, link, paragraph, table, text, video, whole
+
+# Episodes shown with videos; each adds two posters of some 15 kB to the page.
+SHOWN = 24
+GRAVITY = 9.81
+# Figures of a verdict, and which of its settings is the worst.
+WORST = {
+    "target_share": min,
+    "contact_share": min,
+    "tracking_mm": max,
+    "peak_force_n": max,
+    "peak_reaction_n": max,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Made:
+    """An episode, where its object stands, and where the page finds it.
+
+    Attributes:
+        name: Of its folder, for example "000007".
+        link: Its folder, relative to the page.
+        stored: As committed.
+        place: Against the recorded object, in words.
+    """
+
+    name: str
+    link: str
+    stored: CommittedEpisode
+    place: str
+
+    @property
+    def episode(self) -> Episode:
+        """Its content."""
+        return self.stored.episode
+
+
+def episodes_section(run: Run) -> list[str]:
+    """Cards with videos of the first episodes, a table of all, and what its figures are held against."""
+    made = made_episodes(run)
+    rule = PassRule()
+    names = [setting.name for setting in settings_for(made[0].episode.joint.type)]
+    cards = "".join(_card(item) for item in made[:SHOWN])
+    more = f" The first {SHOWN} of {len(made)} are shown; the table has all." if len(made) > SHOWN else ""
+    return [
+        paragraph(
+            f"{len(made)} episodes, each verified in physics before it was drawn: contact alone moves the passive "
+            f"joint, to at least {rule.target_share:.0%} of the planned opening and for {rule.contact_share:.0%} "
+            f"of the way in contact, under all settings of damping and friction ({', '.join(names)}).{more}"
+        ),
+        f'<div class="cards">{cards}</div>',
+        heading("Verdicts"),
+        paragraph("The worst of the settings. " + force_limits(run, made)),
+        folded(f"all {len(made)} episodes", _verdicts(made), opened=len(made) <= SHOWN),
+    ]
+
+
+def made_episodes(run: Run) -> list[Made]:
+    """All committed episodes of a run."""
+    root = run.folders["episodes"]
+    plans = read_json(run.folders["plans"] / "episodes.json")["episodes"]
+    places = [place_words(Variation(**item["variation"])) for item in plans]
+    folders = list_committed(root)
+    return [
+        Made(
+            name=folder.name,
+            link=f"{root.name}/{folder.name}",
+            stored=read_episode(folder),
+            place=places[int(folder.name)],
+        )
+        for folder in folders
+    ]
+
+
+def place_words(variation: Variation) -> str:
+    """Where an object stands against the recorded one."""
+    x, y, yaw = (round(float(v)) for v in (100 * variation.x, 100 * variation.y, np.degrees(variation.yaw)))
+    return f"{x:+d} cm, {y:+d} cm, {yaw:+d} deg"
+
+
+def force_limits(run: Run, made: list[Made]) -> str:
+    """What the forces of the verdicts are held against, and that nothing is where nothing is."""
+    words = "No limit is set on the grip force: it tells how hard the simulated gripper squeezes."
+    if not all(item.episode.verdict["bolted"] for item in made):
+        slide_mm = 1000 * PassRule().max_drift_m
+        return f"{words} The force on the object is limited by its base, which may slide {slide_mm:g} mm."
+    friction = PassRule().base_friction
+    holds = [
+        f"{fitted.asset.name} from {friction * GRAVITY * (fitted.asset.static.mass + fitted.asset.moving.mass):.0f} N"
+        for fitted in fitted_assets(run)
+    ]
+    return (
+        f"{words} None is set on the force on the object either, because it is simulated as fixed to the table; "
+        f"standing there by friction alone ({friction:g}) it would slide: {', '.join(holds)}."
+    )
+
+
+def poster(path: Path, frame: int) -> NDArray[np.uint8]:
+    """One frame (H, W, 3) of a video; decodes no farther."""
+    _, picture = next(islice(decoded_frames(path), frame, None))
+    return np.asarray(picture.to_ndarray(format="rgb24"), np.uint8)
+
+
+def _card(item: Made) -> str:
+    episode = item.episode
+    widest = int(np.argmax(episode.thetas))
+    players = "".join(
+        video(f"{item.link}/{path.name}", poster(path, widest), f"{item.name}, camera {name}")
+        for name, path in item.stored.videos.items()
+    )
+    reached = float(episode.thetas[widest])
+    opened = (
+        f"{np.degrees(reached):.0f} deg" if episode.joint.type == "revolute" else f"{1000 * reached:.0f} mm"
+    )
+    return (
+        f'<figure class="card"><div class="views">{players}</div><figcaption><b>{item.name}</b> '
+        f'{text(episode.asset)}, opened {opened} <span class="dim">moved {text(item.place)}; '
+        f"{text(' and '.join(item.stored.videos))}, {len(episode.thetas) / episode.fps:.1f} s</span>"
+        "</figcaption></figure>"
+    )
+
+
+def _verdicts(made: list[Made]) -> str:
+    rows: list[list[object]] = []
+    for item in made:
+        runs = item.episode.verdict["dynamic"]
+        figures = [
+            read_figure("verdict", name, worst(run[name] for run in runs)).number
+            for name, worst in WORST.items()
+        ]
+        videos = " ".join(link(f"{item.link}/{path.name}", name) for name, path in item.stored.videos.items())
+        rows.append(
+            [
+                Markup(html=f'<span class="whole">{item.name} {videos}</span>'),
+                whole(item.episode.asset),
+                whole(item.place),
+                *figures,
+            ]
+        )
+    titles = [read_figure("verdict", name, 0.0).title for name in WORST]
+    return table(["episode", "asset", "moved: x, y, turn", *titles], rows)

@@ -1,0 +1,163 @@
+"""The report's lists of episodes and rejects: short, linked, with what each figure is held against."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.episode import Episode, no_contacts
+from aomgen.core.joint import Joint
+from aomgen.io.episode_folder import commit_episode
+from aomgen.io.video import encode_video
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.stage import Run
+from aomgen.pipeline.stages import STAGES
+from aomgen.report import episodes
+from aomgen.report.episodes import episodes_section, poster
+from aomgen.report.rejects import reasons, rejects_section
+from aomgen.report.summary import provenance_table
+
+FRAMES, SIZE = 6, (64, 48)
+OUTCOME = {
+    "name": "nominal", "damping": 4.0, "frictionloss": 2.0, "final_theta": 0.2, "target_share": 0.99,
+    "contact_share": 0.95, "peak_force_n": 101.6, "peak_reaction_n": 12.2, "tracking_mm": 1.25,
+}  # fmt: skip
+VARIATION = {"seed": 0, "index": 1, "x": 0.021, "y": -0.001, "yaw": 0.35}
+
+
+@pytest.fixture(scope="module")
+def video() -> bytes:
+    """Frames that become brighter, so that a poster tells which it is."""
+    frames = [np.full((SIZE[1], SIZE[0], 3), 40 * number, np.uint8) for number in range(FRAMES)]
+    return encode_video(frames, 10)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    (tmp_path / "07_replacement" / "assets").mkdir(parents=True)
+    folders = {stage.name: tmp_path / stage.folder for stage in STAGES}
+    return Run(project=Project(capture=tmp_path, out=tmp_path, seed=5), out=tmp_path, folders=folders)
+
+
+def commit(run: Run, count: int, video: bytes) -> None:
+    """Episodes that are fully open in their fourth frame."""
+    camera = Camera(
+        fx=90, fy=90, cx=32, cy=24, width=SIZE[0], height=SIZE[1], T_world_cam=look_at((1, 1, 1), (0, 0, 0))
+    )
+    joints = np.zeros((FRAMES, 6))
+    for index in range(count):
+        episode = Episode(
+            index=index,
+            seed=0,
+            instruction="open the drawer",
+            robot="ur5e_2f85",
+            asset="drawer-1",
+            joint_names=tuple("abcdef"),
+            fps=10,
+            joints=joints,
+            gripper=np.zeros(FRAMES),
+            action_joints=joints,
+            action_gripper=np.zeros(FRAMES),
+            Ts_world_ee=np.tile(np.eye(4), (FRAMES, 1, 1)),
+            Ts_world_ee_action=np.tile(np.eye(4), (FRAMES, 1, 1)),
+            thetas=np.array([0, 0.1, 0.15, 0.2, 0.19, 0.19]),
+            phases=np.zeros(FRAMES, np.int64),
+            contacts=no_contacts(),
+            joint=Joint(type="prismatic", axis=(0, -1, 0), origin=(0, 0, 0), lower=0, upper=0.3),
+            T_world_object=np.eye(4),
+            cameras={"front": camera, "side": camera},
+            verdict={
+                "bolted": True,
+                "grasp": "tilt +0",
+                "dynamic": [OUTCOME, {**OUTCOME, "tracking_mm": 2.0}],
+            },
+        )
+        commit_episode(run.folders["episodes"], episode, {"front": video, "side": video})
+    run.folders["plans"].mkdir()
+    plans = {"episodes": [{"variation": VARIATION}] * count}
+    (run.folders["plans"] / "episodes.json").write_text(json.dumps(plans))
+
+
+def test_a_poster_is_the_frame_asked_for(tmp_path: Path, video: bytes) -> None:
+    (tmp_path / "front.mp4").write_bytes(video)
+    assert poster(tmp_path / "front.mp4", 3).mean() == pytest.approx(120, abs=4)
+
+
+def test_both_cameras_play_side_by_side_and_load_nothing_before(run: Run, video: bytes) -> None:
+    commit(run, 1, video)
+    page = "".join(episodes_section(run))
+    (card,) = re.findall(r"<figure class=.card.>.*?</figure>", page)
+    assert re.findall(r' src="([^"]+)"', card) == [
+        "09_episodes/000000/front.mp4",
+        "09_episodes/000000/side.mp4",
+    ]
+    assert card.count('preload="none"') == 2
+    assert card.count('poster="data:image/jpeg;base64,') == 2
+    assert "opened 200 mm" in card
+    assert "+2 cm, +0 cm, +20 deg" in card
+
+
+def test_the_verdicts_show_the_worst_setting_and_the_limits(run: Run, video: bytes) -> None:
+    commit(run, 1, video)
+    page = "".join(episodes_section(run))
+    row = re.findall(r'<td class="n">([^<]+)</td>', page)
+    assert row == ["99.0", "95.0", "2.0", "102", "12"]
+    assert "at least 90% of the planned opening" in page
+    assert "No limit is set on the grip force" in page
+    assert "because it is simulated as fixed to the table" in page
+
+
+def test_many_episodes_are_listed_and_only_the_first_decoded(
+    run: Run, video: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commit(run, 30, video)
+    decoded = []
+    monkeypatch.setattr(
+        episodes, "poster", lambda path, frame: decoded.append(path) or np.zeros((48, 64, 3), np.uint8)
+    )
+    page = "".join(episodes_section(run))
+    assert len(decoded) == 48
+    assert page.count("<video") == 48
+    assert page.count('href="09_episodes/') == 60
+    assert "The first 24 of 30 are shown" in page
+    assert "<details><summary>all 30 episodes" in page
+
+
+def test_rejects_are_grouped_by_reason_with_pair_and_limit(run: Run) -> None:
+    detail = "penetration_mm is 52.0, limit 1.0 (gripper_base and object_moving_door)"
+    collision = {"asset": "drawer-1", "reason": "collision", "detail": detail, "variation": VARIATION}
+    missed = {**collision, "reason": "unreachable", "detail": "7.8 mm and 0.8 deg from the asked pose"}
+    run.folders["plans"].mkdir()
+    content = {"reasons": {"unreachable": 1, "collision": 25}, "rejected": [missed, *([collision] * 25)]}
+    (run.folders["plans"] / "rejected.json").write_text(json.dumps(content))
+    page = "".join(rejects_section(run))
+    assert re.findall(r"<h3>([^<]+)</h3>", page) == [
+        "25 collision: robot and scene overlap by more than 1 mm",
+        "1 unreachable: the arm misses an asked pose by more than 1 mm or 0.5 deg",
+    ]
+    assert page.count(detail) == 20
+    assert "5 more in 08_plans/rejected.json" in page
+
+
+def test_every_reason_of_planning_is_explained() -> None:
+    from aomgen.generalization.planning import REASONS
+
+    assert set(REASONS) <= set(reasons())
+
+
+def test_the_head_says_what_made_the_run_or_that_nobody_knows(run: Run) -> None:
+    assert provenance_table(run).count("not recorded") == 2
+    record = {"command": "aomgen demo 'my out'", "version": "9.9", "finished": "2030-01-02T03:04:05+01:00"}
+    (run.out / "run.json").write_text(json.dumps(record))
+    table = provenance_table(run)
+    for words in (
+        "9.9",
+        "2030-01-02 03:04:05+01:00",
+        "aomgen demo &#x27;my out&#x27;",
+        ">5<",
+        "project.toml",
+    ):
+        assert words in table
