@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.assets.resistance import GRAVITY
 from aomgen.core.episode import Episode
 from aomgen.core.plan import Variation
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import decoded_frames
-from aomgen.physics.verify import PassRule, settings_for
+from aomgen.physics.verify import PassRule
 from aomgen.pipeline.figures import read_figure
 from aomgen.pipeline.generation import fitted_assets
 from aomgen.pipeline.stage import Run
@@ -20,7 +21,6 @@ from aomgen.report.html import Markup, folded, heading, link, paragraph, table, 
 
 # Episodes shown with videos; each adds two posters of some 15 kB to the page.
 SHOWN = 24
-GRAVITY = 9.81
 # Figures of a verdict, and which of its settings is the worst.
 WORST = {
     "target_share": min,
@@ -57,7 +57,7 @@ def episodes_section(run: Run) -> list[str]:
     """Cards with videos of the first episodes, a table of all, and what its figures are held against."""
     made = made_episodes(run)
     rule = PassRule()
-    names = [setting.name for setting in settings_for(made[0].episode.joint.type)]
+    names = [run["name"] for run in made[0].episode.verdict["dynamic"]]
     cards = "".join(_card(item) for item in made[:SHOWN])
     more = f" The first {SHOWN} of {len(made)} are shown; the table has all." if len(made) > SHOWN else ""
     return [

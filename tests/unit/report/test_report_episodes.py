@@ -55,6 +55,7 @@ def commit(run: Run, count: int, video: bytes) -> None:
             instruction="open the drawer",
             robot="ur5e_2f85",
             asset="drawer-1",
+            asset_usd="asset.usda",
             joint_names=tuple("abcdef"),
             fps=10,
             joints=joints,
@@ -74,6 +75,7 @@ def commit(run: Run, count: int, video: bytes) -> None:
                 "grasp": "tilt +0",
                 "dynamic": [OUTCOME, {**OUTCOME, "tracking_mm": 2.0}],
             },
+            simulation={},
         )
         commit_episode(run.folders["episodes"], episode, {"front": video, "side": video})
     run.folders["plans"].mkdir()
