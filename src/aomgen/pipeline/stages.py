@@ -111,9 +111,11 @@ STAGES: tuple[Stage, ...] = (
         title="new poses, verified in physics",
         needs=("capture", "motion", "twin", "replacement"),
         settings=("seed", "poses"),
-        version=1,
+        version=2,
         weight=30,
         function=lazily("generation", "plans"),
+        incremental=True,
+        amount=("poses",),
     ),
     Stage(
         name="episodes",
