@@ -93,6 +93,12 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
         yield staging
 
 
+def remove_folder(path: Path) -> None:
+    """Delete a folder; whoever looks finds all of it or nothing."""
+    with scratch_folder(path.parent) as discarded:
+        path.replace(discarded / path.name)
+
+
 def remove_staging(folder: Path) -> None:
     """Delete what dead processes left half-written directly below `folder`.
 
@@ -103,17 +109,22 @@ def remove_staging(folder: Path) -> None:
     """
     for path in folder.glob(f"{STAGING_PREFIX}*"):
         try:
-            handle = os.open(path, os.O_RDONLY)
-        except FileNotFoundError:
-            continue
-        try:
-            # By now its writer may have put it in its place, and it is a result.
-            if _lock(handle, wait=False) and _is_at(handle, path):
-                _delete(path)
+            _remove_if_dead(path)
         except OSError as error:
             raise StorageError(path, f"cannot be deleted ({error.strerror})", "delete it by hand") from error
-        finally:
-            os.close(handle)
+
+
+def _remove_if_dead(path: Path) -> None:
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return
+    try:
+        # By now its writer may have put it in its place, and it is a result.
+        if _lock(handle, wait=False) and _is_at(handle, path):
+            _delete(path)
+    finally:
+        os.close(handle)
 
 
 @contextmanager
