@@ -1,6 +1,12 @@
-"""A short run that a test kills: commits small episodes, then builds their dataset."""
+"""A small run that a test kills: plans a drawer in physics, commits small episodes, builds their dataset.
 
+Started without arguments it serves: for each line "folder capture-digest" it forks a child that runs the
+stages there, so that a child starts in no time, and says what it does, one line each.
+"""
+
+import os
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +17,51 @@ from aomgen.core.episode import Episode, no_contacts
 from aomgen.core.joint import Joint
 from aomgen.core.progress import Progress
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
+from aomgen.generalization.generate import GenerationParams
+from aomgen.generalization.ik import IkLimits, ik_solver
+from aomgen.generalization.planning import PlanParams
+from aomgen.generalization.stage import run_generalization
+from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
+from aomgen.physics.robot import load_robot
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages
 from aomgen.pipeline.stage import Run, Stage
 
+sys.path.append(str(Path(__file__).parents[1]))
+from toy_drawer import SUPPORT, fitted_drawer, opening
+
 EPISODES, FRAMES, SIZE = 10, 30, (128, 96)
+# An arm so slow that, of this sequence, the first and the fourth attempt pass.
+PARAMS = GenerationParams(
+    count=2,
+    seed=5,
+    ranges=PoseRanges(x_m=(-0.02, 0.05), yaw_deg=(-15, 15)),
+    plan=PlanParams(ik=IkLimits(speed=0.5), max_slow_down=1.0),
+)
 
 
-class Quiet:
-    """A display that says one word when everything is ready, so that the test can time its kills."""
+class Told:
+    """A display that says which stage begins, so that the test can time its kills."""
 
     def begin(self, stage: Stage, *, fresh: bool) -> None:
-        sys.stdout.write("begin\n")
-        sys.stdout.flush()
+        if not fresh:
+            say(f"begin {stage.name}")
 
     def progress(self, share: float, text: str) -> None:
         pass
 
     def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None:
-        pass
+        say(f"end {stage.name}")
 
     def warn(self, stage: Stage, sentence: str) -> None:
         pass
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
 
 
 def episode(index: int) -> Episode:
@@ -85,22 +112,49 @@ def build(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     return {"episodes": write_lerobot_v3(list_committed(run.folders["episodes"]), folder).episodes}
 
 
-def main(out: Path) -> None:
-    """Run both stages in a folder."""
+@cache
+def drawer() -> tuple[Any, ...]:
+    """Assets, demonstration, robot."""
+    robot, fitted = load_robot("ur5e_2f85"), fitted_drawer()
+    return [fitted], opening(ik_solver(robot), fitted), robot
+
+
+def plan(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Real attempts, each kept as it is made."""
+    made = run_generalization(*drawer(), SUPPORT, PARAMS, folder, progress)
+    return {"verified": len(made.episodes), "rejected": len(made.rejected)}
+
+
+def main(out: Path, digest: str) -> None:
+    """Run the stages in a folder."""
     common = {"settings": (), "version": 1, "weight": 1.0, "title": ""}
     stages = (
+        Stage(name="plans", folder="plans", needs=("capture",), function=plan, incremental=True, **common),
         Stage(
             name="episodes",
             folder="episodes",
-            needs=("capture",),
+            needs=("plans",),
             function=commit_all,
             incremental=True,
             **common,
         ),
         Stage(name="dataset", folder="dataset", needs=("episodes",), function=build, **common),
     )
-    run_stages(Project(capture=out, out=out), stages, Quiet(), capture_digest="same")
+    run_stages(Project(capture=out, out=out), stages, Told(), capture_digest=digest)
+
+
+def serve() -> None:
+    """Fork a child for every line of the input, and say its process id and in the end how it ended."""
+    drawer()
+    for line in sys.stdin:
+        child = os.fork()
+        if child == 0:
+            say(f"child {os.getpid()}")
+            out, digest = line.split()
+            main(Path(out), digest)
+            os._exit(0)
+        say(f"ended {os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    serve()

@@ -1,8 +1,9 @@
 """Make as many verified episodes as asked for, trying variation after variation."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, SupportPlane
@@ -10,7 +11,7 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisod
 from aomgen.core.progress import Progress
 from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
-from aomgen.generalization.ik import ik_solver
+from aomgen.generalization.ik import IkSolver, ik_solver
 from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.variations import PoseRanges, in_view, longest_reach, variations, worth_trying
 from aomgen.physics.kinematic import table_overlap_m
@@ -86,6 +87,16 @@ class Generated:
         return dict(Counter(item.rejection.reason for item in self.rejected).most_common())
 
 
+Outcome = VerifiedEpisode | Rejection
+# Gives the outcome of a variation of an asset: read back, or made by the function.
+Recall = Callable[[FittedAsset, Variation, Callable[[], Outcome]], Outcome]
+
+
+def make_anew(fitted: FittedAsset, variation: Variation, make: Callable[[], Outcome]) -> Outcome:
+    """A `Recall` that remembers nothing."""
+    return make()
+
+
 def generate_episodes(
     assets: Sequence[FittedAsset],
     demo: Demonstration,
@@ -93,10 +104,12 @@ def generate_episodes(
     support: SupportPlane,
     params: GenerationParams,
     progress: Progress,
+    recall: Recall = make_anew,
 ) -> Generated:
     """Plan and verify episodes of every asset until each has enough.
 
-    The result depends on the arguments alone: variations come from seed and index.
+    The result depends on the arguments alone: variations come from seed and index, and an attempt
+    does not depend on those before it.
 
     Args:
         assets: From the fit.
@@ -105,6 +118,7 @@ def generate_episodes(
         support: What the objects stand on.
         params: How many, and how.
         progress: Told after every attempt.
+        recall: Where outcomes of earlier runs are found.
 
     Raises:
         NotEnoughEpisodesError: An asset has too few after five attempts for each; says why.
@@ -115,12 +129,7 @@ def generate_episodes(
     rejected: list[Rejected] = []
     skipped = 0
     for number, fitted in enumerate(assets):
-        scene = _scene(robot, fitted, demo, support, params.bolted)
-
-        def attempt(variation: Variation, fitted: FittedAsset = fitted, scene=scene):
-            plan = plan_episode(fitted, demo, variation, scene, solver, params.plan)
-            return verify_plan(plan, scene, rule=params.rule) if isinstance(plan, EpisodePlan) else plan
-
+        attempt = _Attempts(fitted, demo, robot, support, params, solver)
         tried, good, passed_over = 0, 0, 0
         for variation in variations(params.seed + number, params.ranges):
             if good >= params.count:
@@ -133,7 +142,7 @@ def generate_episodes(
             if passed_over >= params.max_skipped or tried >= params.count * params.attempts_per_episode:
                 raise _too_few(fitted.asset.name, good, tried, passed_over, params, rejected)
             tried += 1
-            result = attempt(variation)
+            result = recall(fitted, variation, partial(attempt.make, variation))
             if isinstance(result, Rejection):
                 rejected.append(Rejected(asset=fitted.asset.name, variation=variation, rejection=result))
             else:
@@ -143,6 +152,27 @@ def generate_episodes(
             progress(share, f"{fitted.asset.name}: {good} of {params.count} verified, {tried} tried")
         skipped += passed_over
     return Generated(episodes=tuple(episodes), rejected=tuple(rejected), skipped=skipped)
+
+
+class _Attempts:
+    """Plans and verifies variations of one asset; its scene is compiled when the first is made."""
+
+    def __init__(
+        self,
+        fitted: FittedAsset,
+        demo: Demonstration,
+        robot: RobotModel,
+        support: SupportPlane,
+        params: GenerationParams,
+        solver: IkSolver,
+    ) -> None:
+        self._fitted, self._demo, self._params, self._solver = fitted, demo, params, solver
+        self._scene = cache(partial(_scene, robot, fitted, demo, support, params.bolted))
+
+    def make(self, variation: Variation) -> Outcome:
+        scene, params = self._scene(), self._params
+        plan = plan_episode(self._fitted, self._demo, variation, scene, self._solver, params.plan)
+        return verify_plan(plan, scene, rule=params.rule) if isinstance(plan, EpisodePlan) else plan
 
 
 def _scene(
@@ -169,5 +199,5 @@ def _too_few(
         asset,
         f"{good} of {params.count} episodes verified in {tried} attempts, {skipped} poses out of reach, off the "
         f"table or out of view ({reasons})",
-        "narrow the pose ranges, choose another asset or ask for fewer episodes",
+        "ask for fewer episodes (those that are verified are kept) or choose another asset",
     )

@@ -1,28 +1,22 @@
-"""Generate verified episodes and keep them: one file each, rejections beside them."""
+"""Generate verified episodes and keep them: attempts one by one, then what came of them."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
-
 from aomgen.core.demonstration import Demonstration, SupportPlane
-from aomgen.core.episode import ContactLog
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
+from aomgen.core.plan import FittedAsset, VerifiedEpisode
 from aomgen.core.progress import Progress
-from aomgen.core.verdict import SettingOutcome, Verdict
+from aomgen.core.verdict import Rejection
 from aomgen.errors import MalformedFileError
+from aomgen.generalization.attempts import AttemptStore, read_attempt, record_of
 from aomgen.generalization.generate import Generated, GenerationParams, generate_episodes
-from aomgen.io.arrays import npz_bytes, read_npz
-from aomgen.io.atomic import write_bytes, write_json
+from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.physics.robot import RobotModel
 
 INDEX_FILE = "episodes.json"
 REJECTED_FILE = "rejected.json"
-PLAN_ARRAYS = ("T_world_object", "joints", "gripper", "thetas", "phases", "Ts_world_ee")
-RUN_ARRAYS = ("joints", "gripper", "thetas", "Ts_world_ee")
-CONTACT_ARRAYS = ("frames", "fingers", "points_world", "normals_world", "forces")
 
 
 def run_generalization(
@@ -36,28 +30,17 @@ def run_generalization(
 ) -> Generated:
     """Generate episodes (see `generate_episodes`) and write them into `folder`.
 
+    Attempts that are there from an earlier run are not made again, see `AttemptStore`.
+
     Raises:
-        NotEnoughEpisodesError: Too few variations pass.
+        NotEnoughEpisodesError: Too few variations pass; the attempts stay.
         StorageError: The disk refuses.
     """
-    generated = generate_episodes(assets, demo, robot, support, params, progress)
-    rows = []
-    for number, episode in enumerate(generated.episodes):
-        name = f"{number:05d}.npz"
-        write_bytes(folder / name, npz_bytes(_arrays(episode)))
-        plan = episode.plan
-        rows.append(
-            {
-                "file": name,
-                "asset": plan.fitted.asset.name,
-                "variation": asdict(plan.variation),
-                "fps": plan.fps,
-                "grasp": plan.grasp,
-                "metrics": dict(plan.metrics),
-                "verdict": episode.verdict.as_json(),
-            }
-        )
-    write_json(folder / INDEX_FILE, {"episodes": rows, "skipped": generated.skipped})
+    store = AttemptStore(folder)
+    generated = generate_episodes(assets, demo, robot, support, params, progress, store)
+    store.forget_others()
+    names = [record_of(episode.plan.variation) for episode in generated.episodes]
+    write_json(folder / INDEX_FILE, {"episodes": names, "skipped": generated.skipped})
     rejected = [
         {"asset": r.asset, "variation": asdict(r.variation), **asdict(r.rejection)}
         for r in generated.rejected
@@ -75,48 +58,15 @@ def load_generalization(folder: Path, assets: Sequence[FittedAsset]) -> list[Ver
 
     Raises:
         MissingFileError: A file is missing.
-        MalformedFileError: An episode names an asset that is not among `assets`.
+        MalformedFileError: An episode names an asset that is not among `assets`, or was rejected.
     """
     fits = {fit.asset.name: fit for fit in assets}
     episodes = []
-    for row in read_json(folder / INDEX_FILE)["episodes"]:
-        if row["asset"] not in fits:
-            known = ", ".join(sorted(fits))
+    for name in read_json(folder / INDEX_FILE)["episodes"]:
+        outcome = read_attempt(folder / name, fits)
+        if isinstance(outcome, Rejection):
             raise MalformedFileError(
-                folder / INDEX_FILE, f"asset '{row['asset']}' is unknown", f"known assets: {known}"
+                folder / name, "is no verified episode", "delete the folder and run again"
             )
-        episodes.append(_episode(row, read_npz(folder / row["file"]), fits[row["asset"]]))
+        episodes.append(outcome)
     return episodes
-
-
-def _arrays(episode: VerifiedEpisode) -> dict[str, np.ndarray]:
-    return {
-        **{f"plan_{name}": getattr(episode.plan, name) for name in PLAN_ARRAYS},
-        **{f"run_{name}": getattr(episode, name) for name in RUN_ARRAYS},
-        **{f"contact_{name}": getattr(episode.contacts, name) for name in CONTACT_ARRAYS},
-    }
-
-
-def _episode(row: dict, arrays: dict[str, np.ndarray], fitted: FittedAsset) -> VerifiedEpisode:
-    stored = row["verdict"]
-    verdict = Verdict(
-        target_theta=stored["target_theta"],
-        outcomes=tuple(SettingOutcome(**outcome) for outcome in stored["dynamic"]),
-        kinematic=stored["kinematic"],
-        bolted=stored["bolted"],
-    )
-    plan = EpisodePlan(
-        variation=Variation(**row["variation"]),
-        fitted=fitted,
-        fps=row["fps"],
-        grasp=row["grasp"],
-        metrics=row["metrics"],
-        **{name: arrays[f"plan_{name}"] for name in PLAN_ARRAYS},
-    )
-    contacts = ContactLog(**{name: arrays[f"contact_{name}"] for name in CONTACT_ARRAYS})
-    return VerifiedEpisode(
-        plan=plan,
-        contacts=contacts,
-        verdict=verdict,
-        **{name: arrays[f"run_{name}"] for name in RUN_ARRAYS},
-    )

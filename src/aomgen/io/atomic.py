@@ -1,19 +1,34 @@
-"""The one way files are created: staged beside their place, synced, renamed."""
+"""The one way files are created: staged beside their place, synced, renamed.
 
+What is being written is called staging and lies under a name that begins with `STAGING_PREFIX`. Its
+writer holds a lock on it (flock), which the kernel releases when the writer dies; `remove_staging`
+deletes only what it can lock. Programs that are started do not inherit the lock. A forked child does,
+so what a dead parent was writing may stay until its forked children have ended.
+"""
+
+import ctypes
+import errno
+import fcntl
 import json
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from aomgen.errors import StorageError
 
-STAGING_PREFIX = ".staging-"
+STAGING_PREFIX: Final = ".staging-"
+# What file systems without locks (some NFS) answer to flock, and those without exchange to renameat2.
+NO_LOCKS: Final = (errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
+NO_EXCHANGE: Final = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
+# From <fcntl.h> and <linux/fs.h>.
+AT_FDCWD: Final = -100
+RENAME_EXCHANGE: Final = 2
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -22,21 +37,16 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         StorageError: The disk refuses (full, read-only, no permission).
     """
-    staging = path.parent / f"{STAGING_PREFIX}{uuid.uuid4().hex}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with staging.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        staging.replace(path)
-        _sync_folder(path.parent)
+        with _staging(path.parent, _new_file) as (staging, handle):
+            with open(handle, "wb", closefd=False) as file:
+                file.write(data)
+            os.fsync(handle)
+            staging.replace(path)
+            _sync_folder(path.parent)
     except OSError as error:
-        if staging.exists():
-            staging.unlink()
-        raise StorageError(
-            path, f"cannot be written ({error.strerror})", "free space or choose another folder"
-        ) from error
+        raise _cannot_be_written(path, error) from error
 
 
 def write_text(path: Path, text: str) -> None:
@@ -55,43 +65,160 @@ def staged_folder(path: Path) -> Iterator[Path]:
     """A folder that appears at `path` complete, or not at all.
 
     Yields an empty folder beside `path`; when the block ends without an error its files are
-    synced and it replaces whatever stood at `path`.
+    synced and it replaces whatever stood at `path`. On Linux old and new change places in one step.
+    Where the file system cannot do that (NFS), the old one is renamed first: a process that dies
+    before the second rename leaves nothing at `path`.
 
     Raises:
         StorageError: The disk refuses.
     """
-    staging = path.parent / f"{STAGING_PREFIX}{uuid.uuid4().hex}"
     try:
-        staging.mkdir(parents=True)
-        yield staging
-        for file in sorted(staging.rglob("*")):
-            if file.is_file():
-                with file.open("rb") as handle:
-                    os.fsync(handle.fileno())
-        _sync_folder(staging)
-        if path.exists():
-            discarded = path.parent / f"{STAGING_PREFIX}{uuid.uuid4().hex}"
-            path.replace(discarded)
-            staging.replace(path)
-            shutil.rmtree(discarded)
-        else:
-            staging.replace(path)
-        _sync_folder(path.parent)
+        with scratch_folder(path.parent) as staging:
+            yield staging
+            for file in sorted(staging.rglob("*")):
+                if file.is_file():
+                    with file.open("rb") as handle:
+                        os.fsync(handle.fileno())
+            _sync_folder(staging)
+            _put_in_place(staging, path)
     except OSError as error:
-        raise StorageError(
-            path, f"cannot be written ({error.strerror})", "free space or choose another folder"
-        ) from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        raise _cannot_be_written(path, error) from error
+
+
+@contextmanager
+def scratch_folder(parent: Path) -> Iterator[Path]:
+    """An empty folder below `parent` that is deleted when the block ends."""
+    parent.mkdir(parents=True, exist_ok=True)
+    with _staging(parent, _new_folder) as (staging, _):
+        yield staging
+
+
+def remove_folder(path: Path) -> None:
+    """Delete a folder; whoever looks finds all of it or nothing."""
+    with scratch_folder(path.parent) as discarded:
+        path.replace(discarded / path.name)
 
 
 def remove_staging(folder: Path) -> None:
-    """Delete what a killed run left half-written directly below `folder`."""
+    """Delete what dead processes left half-written directly below `folder`.
+
+    What a living process writes stays, and so does everything where the file system has no locks.
+
+    Raises:
+        StorageError: The disk refuses.
+    """
     for path in folder.glob(f"{STAGING_PREFIX}*"):
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
+        try:
+            _remove_if_dead(path)
+        except OSError as error:
+            raise StorageError(path, f"cannot be deleted ({error.strerror})", "delete it by hand") from error
+
+
+def _remove_if_dead(path: Path) -> None:
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return
+    try:
+        # By now its writer may have put it in its place, and it is a result.
+        if _lock(handle, wait=False) and _is_at(handle, path):
+            _delete(path)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _staging(parent: Path, create: Callable[[Path], int]) -> Iterator[tuple[Path, int]]:
+    """A new file or folder, locked, and its descriptor; what then stands there is deleted in the end."""
+    while True:
+        path = parent / f"{STAGING_PREFIX}{uuid.uuid4().hex}"
+        handle = create(path)
+        try:
+            _lock(handle, wait=True)
+            if not _is_at(handle, path):
+                continue  # somebody removed it before it was locked
+            try:
+                yield path, handle
+            finally:
+                _delete(path)
+            return
+        finally:
+            os.close(handle)
+
+
+def _new_file(path: Path) -> int:
+    return os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
+
+
+def _new_folder(path: Path) -> int:
+    while True:
+        path.mkdir()
+        try:
+            return os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+        except FileNotFoundError:  # somebody removed it before it was opened
+            continue
+
+
+def _lock(handle: int, *, wait: bool) -> bool:
+    """Whether the lock was got; not where there are no locks."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+        return False
+    return True
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), path.lstat())
+    except FileNotFoundError:
+        return False
+
+
+def _put_in_place(staging: Path, path: Path) -> None:
+    """Move a folder to `path`; what stood there is left at `staging`, or deleted."""
+    if not path.exists():
+        staging.replace(path)
+    elif not _exchange(staging, path):
+        with scratch_folder(path.parent) as discarded:
+            old = path.replace(discarded / path.name)
+            try:
+                staging.replace(path)
+            except OSError:
+                old.replace(path)
+                raise
+    _sync_folder(path.parent)
+
+
+def _exchange(first: Path, second: Path) -> bool:
+    """Let two paths change places in one step; False where that is not possible."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(libc, "renameat2"):
+        return False
+    names = (os.fsencode(first), os.fsencode(second))
+    if libc.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], ctypes.c_uint(RENAME_EXCHANGE)) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in NO_EXCHANGE:
+        return False
+    raise OSError(code, os.strerror(code), str(second))
+
+
+def _delete(path: Path) -> None:
+    """Delete a file or folder; what is gone already, or goes at the same time, is not missed."""
+
+    def unless_gone(function: Any, name: str, info: Any) -> None:
+        if not isinstance(info[1], FileNotFoundError):
+            raise info[1]
+
+    if path.is_dir():
+        shutil.rmtree(path, onerror=unless_gone)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:
@@ -100,6 +227,10 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def _cannot_be_written(path: Path, error: OSError) -> StorageError:
+    return StorageError(path, f"cannot be written ({error.strerror})", "free space or choose another folder")
 
 
 def _plain(value: Any) -> Any:

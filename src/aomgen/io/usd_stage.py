@@ -1,11 +1,10 @@
 """What every USD writer does in the same way."""
 
-import uuid
 from pathlib import Path
 from typing import Any, Final
 
 from aomgen.errors import ConfigError, StorageError
-from aomgen.io.atomic import STAGING_PREFIX, write_bytes
+from aomgen.io.atomic import scratch_folder, write_bytes
 
 SUFFIXES: Final = (".usda", ".usdc")
 
@@ -37,16 +36,12 @@ def export_stage(stage: Any, path: Path) -> None:
     """
     from pxr import Tf
 
-    staging = path.with_name(f"{STAGING_PREFIX}{uuid.uuid4().hex}{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        stage.GetRootLayer().Export(str(staging))
-        content = staging.read_bytes()
+        with scratch_folder(path.parent) as folder:
+            stage.GetRootLayer().Export(str(folder / path.name))
+            content = (folder / path.name).read_bytes()
     except (OSError, Tf.ErrorException) as error:
         raise StorageError(
             path, f"cannot be written ({error})", "free space or choose another folder"
         ) from error
-    finally:
-        if staging.exists():
-            staging.unlink()
     write_bytes(path, content)

@@ -1,7 +1,6 @@
 """Runs the list of stages: what is up to date is kept, what is not is made anew."""
 
 import fcntl
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,9 +10,10 @@ from typing import Any, Protocol
 from aomgen import __version__
 from aomgen.core.progress import Progress
 from aomgen.errors import LockedError, StorageError
-from aomgen.io.atomic import remove_staging, staged_folder, write_json, write_text
+from aomgen.io.atomic import remove_folder, remove_staging, staged_folder, write_json, write_text
 from aomgen.io.jsonfile import read_json
 from aomgen.pipeline.manifest import (
+    MANIFEST,
     Manifest,
     describe,
     files_present,
@@ -154,12 +154,15 @@ def _finish(folder: Path, stage: Stage, wanted: Identity, figures: dict[str, Any
 def _work_in_place(run: Run, stage: Stage, wanted: Identity, progress: Progress) -> dict[str, Any]:
     """Continue an incremental stage when it was started for the same inputs, else start it over."""
     folder = run.folders[stage.name]
-    identity = text_digest(repr((__version__, wanted)))
+    version, inputs, parameters = wanted
+    deciding = {name: value for name, value in parameters.items() if name not in stage.amount}
+    identity = text_digest(repr((__version__, (version, inputs, deciding))))
     started_file = folder / STARTED
     if folder.exists() and not (started_file.is_file() and read_json(started_file) == {"identity": identity}):
-        shutil.rmtree(folder)
+        remove_folder(folder)
     _make_folder(folder)
     remove_staging(folder)
+    (folder / MANIFEST).unlink(missing_ok=True)  # until the stage is finished again
     write_json(started_file, {"identity": identity})
     return stage.function(run, folder, progress)
 

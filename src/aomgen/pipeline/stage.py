@@ -46,6 +46,8 @@ class Stage:
         function: Does the work.
         incremental: Works in its final folder, committing item by item or leaving checkpoints,
             and continues there after a kill.
+        amount: Those of the settings that say how much is made, and change no item of an incremental
+            stage: items that are there stay.
     """
 
     name: str
@@ -57,3 +59,4 @@ class Stage:
     weight: float
     function: StageFunction
     incremental: bool = False
+    amount: tuple[str, ...] = ()

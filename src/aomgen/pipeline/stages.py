@@ -115,6 +115,8 @@ STAGES: tuple[Stage, ...] = (
         version=2,
         weight=30,
         function=lazily("generation", "plans"),
+        incremental=True,
+        amount=("poses",),
     ),
     Stage(
         name="episodes",

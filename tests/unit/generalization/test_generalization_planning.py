@@ -6,11 +6,10 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from aomgen.assets.make import make_asset
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
-from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.generate import GenerationParams, generate_episodes
@@ -22,9 +21,7 @@ from aomgen.generalization.stage import load_generalization, run_generalization
 from aomgen.generalization.variations import PoseRanges, in_view, variations, worth_trying
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.scene import build_scene
-
-NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
-SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
+from toy_drawer import SUPPORT, fitted_drawer, opening
 
 PINCH = HandConventions(approach=np.array([0.0, 0.0, 1.0]), closing=np.array([0.0, 1.0, 0.0]))
 
@@ -36,56 +33,12 @@ def solver(robot: RobotModel) -> IkSolver:
 
 @pytest.fixture(scope="module")
 def fitted() -> FittedAsset:
-    """A drawer before the robot, its handle about 0.68 m ahead."""
-    asset = make_asset("drawer", 1)
-    T = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
-    return FittedAsset(
-        asset=asset,
-        T_world_asset=T,
-        contact_asset=asset.handle_point,
-        shares=np.linspace(0, 1, 20),
-        thetas=0.15 * np.linspace(0, 1, 20) ** 2 * (3 - 2 * np.linspace(0, 1, 20)),
-        scale=1.0,
-        mirrored=False,
-        mode="trajectory",
-        residual_mm=0.0,
-    )
+    return fitted_drawer()
 
 
 @pytest.fixture(scope="module")
 def demo(robot: RobotModel, solver: IkSolver, fitted: FittedAsset) -> Demonstration:
-    """A hand that opens that drawer: approach, close, pull, open, leave."""
-    held = apply(fitted.T_world_asset, fitted.contact_asset)
-    # Out of the palm along +x of the world, fingers close up and down.
-    R = np.stack([np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])], 1)
-    hold = transform(R, held)
-    back = transform(R, held - [0.15, 0, 0])
-    pulled = transform(R, held - [0.15, 0, 0])
-    gone = transform(R, held - [0.27, 0, 0])
-    still = np.zeros(8)
-    ease = np.linspace(0, 1, 26) ** 2 * (3 - 2 * np.linspace(0, 1, 26))
-    pieces = [(back, hold, ease), (hold, hold, still), (hold, pulled, ease), (pulled, pulled, still)]
-    poses = np.concatenate([interpolate(a, b, s) for a, b, s in [*pieces, (pulled, gone, ease)]])
-    first = solve_path(solver, back[None], NEAR, IkLimits(iterations=60))
-    assert isinstance(first, IkPath)
-    path = solve_path(solver, poses, first.joints[-1], IkLimits())
-    assert isinstance(path, IkPath)
-    times = np.arange(len(poses)) / 10
-    close, pull, release, leave = 2.6, 3.4, 6.0, 6.8
-    gripper = np.interp(times, [close, pull - 0.2, release, leave - 0.2], [0, 0.72, 0.72, 0])
-    thetas = np.concatenate([np.zeros(34), 0.15 * ease, np.full(34, 0.15)])
-    return Demonstration(
-        times_s=times,
-        joints=path.joints,
-        gripper=gripper,
-        Ts_world_ee=poses,
-        thetas=thetas,
-        start_s=pull,
-        end_s=release - 0.1,
-        joint=fitted.asset.joint.moved(fitted.T_world_asset),
-        grasp_ee=np.zeros(3),
-        ee_turn_ratio=0.0,
-    )
+    return opening(solver, fitted)
 
 
 def grasp_of(demo: Demonstration, fitted: FittedAsset) -> Grasp:

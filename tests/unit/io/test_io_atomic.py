@@ -105,3 +105,18 @@ def test_video_round_trip_keeps_count_times_and_colors(tmp_path):
     (tmp_path / "b.mp4").write_bytes(data[: len(data) // 2])
     with pytest.raises(MalformedFileError):
         read_video(tmp_path / "b.mp4")
+
+
+@pytest.mark.parametrize("seed", range(3, 8))
+def test_videos_do_not_depend_on_what_memory_held_before(seed):
+    rng = np.random.default_rng(seed)
+    ramp = 3 * np.add.outer(np.arange(48), np.arange(48))[..., None] + 40 * np.arange(3)
+    noise = [rng.integers(0, 10, (48, 48, 3), np.uint8) for _ in range(8)]
+    frames = [((ramp + 9 * t) % 256 // 2 + noise[t]).astype(np.uint8) for t in range(8)]
+    made = set()
+    for _ in range(30):
+        garbage = [np.full(size, rng.integers(256), np.uint8) for size in rng.integers(64, 100_000, 100)]
+        while garbage:
+            garbage.pop(int(rng.integers(len(garbage))))
+        made.add(encode_video(frames, 10))
+    assert len(made) == 1

@@ -8,7 +8,7 @@ import pytest
 
 from aomgen.errors import AomgenError, CorruptArtifactError, InputError, LockedError
 from aomgen.io.atomic import write_bytes, write_text
-from aomgen.pipeline.manifest import read_manifest, verify
+from aomgen.pipeline.manifest import MANIFEST, read_manifest, verify
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages, stage_states
 from aomgen.pipeline.stage import WARNINGS, Run, Stage
@@ -178,3 +178,29 @@ def test_warnings_are_told_kept_and_told_again(tmp_path):
     manifest = read_manifest(project.out / "01_a")
     assert manifest is not None
     assert (manifest.figures, manifest.warnings) == ({"size": 1}, ("the far side was not seen",))
+
+
+def test_items_stay_when_only_their_number_changes(tmp_path):
+    made = []
+
+    def items(run: Run, folder: Path, progress) -> dict:
+        assert not (folder / MANIFEST).exists(), "it says complete while the stage works"
+        for number in range(run.project.poses):
+            if not (folder / f"{number}.txt").is_file():
+                made.append(number)
+                write_text(folder / f"{number}.txt", f"{run.project.seed}")
+        return {}
+
+    (stage,) = stages(b=items, incremental=True)[1:]
+    counted = replace(stage, needs=("capture",), settings=("seed", "poses"), amount=("poses",))
+
+    def make(poses: int, seed: int = 0) -> list[int]:
+        made.clear()
+        project = Project(capture=tmp_path, out=tmp_path / "out", seed=seed, poses=poses)
+        run_stages(project, (counted,), Heard(), capture_digest="x")
+        return list(made)
+
+    assert make(2) == [0, 1]
+    assert make(4) == [2, 3]
+    assert make(4) == []
+    assert make(4, seed=1) == [0, 1, 2, 3]
