@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
@@ -119,7 +120,7 @@ def episode_of(
         joint=asset.joint.moved(plan.T_world_object),
         T_world_object=plan.T_world_object,
         cameras=cameras,
-        verdict={**verified.verdict.as_json(), "variation": plan.variation.index, "grasp": plan.grasp},
+        verdict={**verified.verdict.as_json(), "variation": asdict(plan.variation), "grasp": plan.grasp},
         simulation=assumptions(asset, bolted=verified.verdict.bolted),
     )
 

@@ -42,7 +42,7 @@ class Stage:
         needs: Names of the stages it reads, and "capture" when it reads the capture.
         settings: Names of the project's fields that change its result.
         version: Raised when the same inputs may give other bytes.
-        weight: Expected share of the total time, for the remaining time shown.
+        weight: Seconds that it takes of the bundled recording on two cores, for the remaining time shown.
         function: Does the work.
         incremental: Works in its final folder, committing item by item or leaving checkpoints,
             and continues there after a kill.

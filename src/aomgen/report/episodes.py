@@ -11,7 +11,6 @@ from aomgen.assets.resistance import GRAVITY
 from aomgen.core.episode import Episode
 from aomgen.core.plan import Variation
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
-from aomgen.io.jsonfile import read_json
 from aomgen.io.video import decoded_frames
 from aomgen.physics.verify import PassRule
 from aomgen.pipeline.figures import read_figure
@@ -33,24 +32,27 @@ WORST = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Made:
-    """An episode, where its object stands, and where the page finds it.
+    """An episode and where the page finds it.
 
     Attributes:
         name: Of its folder, for example "000007".
         link: Its folder, relative to the page.
         stored: As committed.
-        place: Against the recorded object, in words.
     """
 
     name: str
     link: str
     stored: CommittedEpisode
-    place: str
 
     @property
     def episode(self) -> Episode:
         """Its content."""
         return self.stored.episode
+
+    @property
+    def place(self) -> str:
+        """Where the object stands against the recorded one, in words."""
+        return place_words(Variation(**self.episode.verdict["variation"]))
 
 
 def episodes_section(run: Run) -> list[str]:
@@ -76,17 +78,9 @@ def episodes_section(run: Run) -> list[str]:
 def made_episodes(run: Run) -> list[Made]:
     """All committed episodes of a run."""
     root = run.folders["episodes"]
-    plans = read_json(run.folders["plans"] / "episodes.json")["episodes"]
-    places = [place_words(Variation(**item["variation"])) for item in plans]
-    folders = list_committed(root)
     return [
-        Made(
-            name=folder.name,
-            link=f"{root.name}/{folder.name}",
-            stored=read_episode(folder),
-            place=places[int(folder.name)],
-        )
-        for folder in folders
+        Made(name=folder.name, link=f"{root.name}/{folder.name}", stored=read_episode(folder))
+        for folder in list_committed(root)
     ]
 
 

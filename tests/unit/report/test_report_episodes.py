@@ -73,14 +73,12 @@ def commit(run: Run, count: int, video: bytes) -> None:
             verdict={
                 "bolted": True,
                 "grasp": "tilt +0",
+                "variation": VARIATION,
                 "dynamic": [OUTCOME, {**OUTCOME, "tracking_mm": 2.0}],
             },
             simulation={},
         )
         commit_episode(run.folders["episodes"], episode, {"front": video, "side": video})
-    run.folders["plans"].mkdir()
-    plans = {"episodes": [{"variation": VARIATION}] * count}
-    (run.folders["plans"] / "episodes.json").write_text(json.dumps(plans))
 
 
 def test_a_poster_is_the_frame_asked_for(tmp_path: Path, video: bytes) -> None:
