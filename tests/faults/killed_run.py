@@ -140,7 +140,7 @@ def main(out: Path, digest: str) -> None:
         ),
         Stage(name="dataset", folder="dataset", needs=("episodes",), function=build, **common),
     )
-    run_stages(Project(capture=out, out=out), stages, Told(), capture_digest=digest)
+    run_stages(Project(capture=out, out=out), stages, Told(), inputs={"capture": digest})
 
 
 def serve() -> None:

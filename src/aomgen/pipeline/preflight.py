@@ -1,6 +1,6 @@
 """Everything about a project that can be known before work starts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from aomgen import __version__
@@ -15,7 +15,7 @@ from aomgen.io.jsonfile import read_json
 from aomgen.io.video import probe_video
 from aomgen.pipeline.asset_choice import asset_file, is_made, meant_category, open_assets
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
-from aomgen.pipeline.manifest import MANIFEST, files_digest, text_digest
+from aomgen.pipeline.manifest import MANIFEST, text_digest
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import STARTED, stage_states
 from aomgen.pipeline.stage import Stage
@@ -54,14 +54,14 @@ def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
 
 
 def preflight(
-    project: Project, capture: Capture, capture_digest: str, stages: Sequence[Stage]
+    project: Project, capture: Capture, inputs: Mapping[str, str], stages: Sequence[Stage]
 ) -> tuple[str, ...]:
     """`check_project` and `require_environment` before a run; what was checked before is remembered.
 
     Args:
         project: The choices of the run.
         capture: Of the project, as read.
-        capture_digest: Of everything that the capture refers to.
+        inputs: Digests of the capture and of the asset files.
         stages: Those that shall be up to date afterwards.
 
     Returns:
@@ -73,7 +73,8 @@ def preflight(
     for stage in stages:
         _require_own(project.out / stage.folder)
     file = project.out / CHECKED_FILE
-    digest = _inputs_digest(project, capture_digest)
+    choices = project.model_dump_json(exclude={"capture", "out"})
+    digest = text_digest("\n".join([__version__, choices, *inputs.values()]))
     known = read_json(file) if file.is_file() else {}
     same = known.get("digest") == digest
     warnings = tuple(known.get("warnings", ())) if same else check_project(project, capture)
@@ -190,9 +191,3 @@ def _doubtful_joints(category: str, assets: list[ArticulatedAsset]) -> tuple[str
         for asset in assets
         if asset.joint.type != usual
     )
-
-
-def _inputs_digest(project: Project, capture_digest: str) -> str:
-    files = [file for file in map(asset_file, project.assets) if file is not None and file.is_file()]
-    choices = project.model_dump_json(exclude={"capture", "out"})
-    return text_digest("\n".join([__version__, capture_digest, choices, files_digest(files)]))

@@ -2,7 +2,7 @@
 
 import fcntl
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -44,7 +44,12 @@ class Display(Protocol):
 
 
 def run_stages(
-    project: Project, stages: tuple[Stage, ...], display: Display, *, capture_digest: str, until: str = ""
+    project: Project,
+    stages: tuple[Stage, ...],
+    display: Display,
+    *,
+    inputs: Mapping[str, str],
+    until: str = "",
 ) -> list[str]:
     """Bring every stage up to date, in order.
 
@@ -52,7 +57,7 @@ def run_stages(
         project: The choices of this run.
         stages: The pipeline, in an order in which every stage comes after what it needs.
         display: Hears what happens.
-        capture_digest: Digest of everything the capture refers to.
+        inputs: Digests of what no stage makes, by the names under which stages need it.
         until: Stop after this stage; all of them when empty.
 
     Returns:
@@ -68,7 +73,7 @@ def run_stages(
     _make_folder(project.out)
     with _locked(project.out):
         remove_staging(project.out)
-        digests = {"capture": capture_digest}
+        digests = dict(inputs)
         made: list[str] = []
         for stage in stages:
             kept = _kept(run, stage, digests)

@@ -10,6 +10,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
 from aomgen.io.schema import suggestion
+from aomgen.pipeline.asset_choice import assets_digest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project import Project, write_project
@@ -100,7 +101,7 @@ STAGES: tuple[Stage, ...] = (
         name="replacement",
         folder="07_replacement",
         title="removing the object, fitting assets",
-        needs=("capture", "structure", "alignment", "motion", "twin"),
+        needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "seed", "image_size"),
         version=5,
         weight=10,
@@ -155,13 +156,13 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
         raise ConfigError("--until", f"'{until}' is no stage", suggestion(until, names))
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
     capture = read_capture(project.capture)
-    digest = capture_digest(capture)
-    for sentence in preflight(project, capture, digest, wanted):
+    inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}
+    for sentence in preflight(project, capture, inputs, wanted):
         # Doubts about the input are told where it is read first.
         display.warn(STAGES[0], sentence)
     # The choices lie beside the results, so that reports can be made again and questions answered.
     write_project(project.out / PROJECT_FILE, project)
-    return run_stages(project, STAGES, display, capture_digest=digest, until=until)
+    return run_stages(project, STAGES, display, inputs=inputs, until=until)
 
 
 def capture_digest(capture: Capture) -> str:

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import pytest
 from broken_captures import CAPTURES, TOML, edit, write_tight_usd
 
+from aomgen.assets.make import make_asset
+from aomgen.assets.usd_write import write_usd
 from aomgen.capture import check
 from aomgen.capture.read import read_capture
 from aomgen.errors import (
@@ -18,6 +20,7 @@ from aomgen.errors import (
 )
 from aomgen.io.video import VideoInfo
 from aomgen.pipeline import environment, preflight
+from aomgen.pipeline.asset_choice import assets_digest
 from aomgen.pipeline.project import Project
 
 SHARED = Path(__file__).parents[4] / "shared" / "captures"
@@ -138,3 +141,12 @@ def test_raw_pictures_beside_their_copies_and_hidden_files(small_copy):
     (small_copy / "scan" / "0003.DNG").write_bytes(b"raw")
     (small_copy / "scan" / "._0003.jpg").write_bytes(b"what an archiver of another system leaves")
     assert checked(small_copy) == ()
+
+
+def test_an_edited_asset_file_is_another_input(tmp_path: Path) -> None:
+    path = tmp_path / "drawer.usda"
+    write_usd(make_asset("drawer", 1), path)
+    before = assets_digest(["drawer:1", str(path)])
+    path.write_text(path.read_text().replace("handle_axis = (1", "handle_axis = (0.999"))
+    assert assets_digest(["drawer:1", str(path)]) != before
+    assert assets_digest(["drawer:2"]) == assets_digest([])

@@ -86,7 +86,7 @@ def test_refusals(tmp_path):
 
 
 def test_stages_come_after_what_they_need():
-    known = {"capture"}
+    known = {"capture", "assets"}
     for stage in STAGES:
         assert set(stage.needs) <= known, stage.name
         assert set(stage.settings) <= set(Project.model_fields)

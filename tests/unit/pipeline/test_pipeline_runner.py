@@ -71,7 +71,7 @@ def stages(b=copy_a, version=1, incremental=False):
 def go(tmp_path, *, seed=0, digest="x", **changes):
     heard = Heard()
     project = Project(capture=tmp_path, out=tmp_path / "out", seed=seed)
-    run_stages(project, stages(**changes), heard, capture_digest=digest)
+    run_stages(project, stages(**changes), heard, inputs={"capture": digest})
     return heard
 
 
@@ -171,8 +171,8 @@ def test_warnings_are_told_kept_and_told_again(tmp_path):
     project = Project(capture=tmp_path, out=tmp_path / "out")
     first, second = Heard(), Heard()
     listed = (replace(stages()[0], function=warns),)
-    run_stages(project, listed, first, capture_digest="c")
-    run_stages(project, listed, second, capture_digest="c")
+    run_stages(project, listed, first, inputs={"capture": "c"})
+    run_stages(project, listed, second, inputs={"capture": "c"})
     assert second.kept == ["a"]
     assert first.warned == second.warned == [("a", "the far side was not seen")]
     manifest = read_manifest(project.out / "01_a")
@@ -197,7 +197,7 @@ def test_items_stay_when_only_their_number_changes(tmp_path):
     def make(poses: int, seed: int = 0) -> list[int]:
         made.clear()
         project = Project(capture=tmp_path, out=tmp_path / "out", seed=seed, poses=poses)
-        run_stages(project, (counted,), Heard(), capture_digest="x")
+        run_stages(project, (counted,), Heard(), inputs={"capture": "x"})
         return list(made)
 
     assert make(2) == [0, 1]

@@ -138,7 +138,7 @@ def test_the_runner_keeps_what_a_killed_stage_left(
         stage = replace(listed, needs=("capture",), settings=("seed",), function=work)
         display = Display(stop)
         project = Project(capture=tmp_path, out=tmp_path / out, seed=seed)
-        run_stages(project, (stage,), display, capture_digest="c")
+        run_stages(project, (stage,), display, inputs={"capture": "c"})
         return display.losses
 
     with pytest.raises(StoppedError):
