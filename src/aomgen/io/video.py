@@ -2,9 +2,10 @@
 
 import fractions
 import io
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import av
@@ -126,6 +127,21 @@ def read_video(path: Path) -> Video:
     if not rate > 0:
         raise MalformedFileError(path, "has no frame rate", "export it with a constant rate")
     return Video(times_s=np.array(times), frames_srgb=np.stack(frames), fps=rate)
+
+
+def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
+    """Some frames (H, W, 3) of a video, in the order asked for; decodes no farther than the last.
+
+    Raises:
+        MissingFileError, MalformedFileError: See `decoded_frames`; or there are fewer frames.
+    """
+    found: dict[int, NDArray[np.uint8]] = {}
+    for number, (_, frame) in enumerate(islice(decoded_frames(path), max(numbers) + 1)):
+        if number in numbers:
+            found[number] = np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
+    if len(found) < len(set(numbers)):
+        raise MalformedFileError(path, f"has no frame {max(numbers)}", "make the video again")
+    return [found[number] for number in numbers]
 
 
 @contextmanager

@@ -1,17 +1,14 @@
 """The report's section on the generated episodes: videos of the first ones, verdicts of all."""
 
 from dataclasses import dataclass
-from itertools import islice
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.assets.resistance import GRAVITY
 from aomgen.core.episode import Episode
 from aomgen.core.plan import Variation
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
-from aomgen.io.video import decoded_frames
+from aomgen.io.video import read_frames
 from aomgen.physics.verify import PassRule
 from aomgen.pipeline.figures import read_figure
 from aomgen.pipeline.generation import fitted_assets
@@ -107,17 +104,11 @@ def force_limits(run: Run, made: list[Made]) -> str:
     )
 
 
-def poster(path: Path, frame: int) -> NDArray[np.uint8]:
-    """One frame (H, W, 3) of a video; decodes no farther."""
-    _, picture = next(islice(decoded_frames(path), frame, None))
-    return np.asarray(picture.to_ndarray(format="rgb24"), np.uint8)
-
-
 def _card(item: Made) -> str:
     episode = item.episode
     widest = int(np.argmax(episode.thetas))
     players = "".join(
-        video(f"{item.link}/{path.name}", poster(path, widest), f"{item.name}, camera {name}")
+        video(f"{item.link}/{path.name}", read_frames(path, [widest])[0], f"{item.name}, camera {name}")
         for name, path in item.stored.videos.items()
     )
     reached = float(episode.thetas[widest])

@@ -11,7 +11,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import Capture
 from aomgen.io.images import read_image, resize
-from aomgen.io.video import Video, read_video
+from aomgen.io.video import Video, probe_video, read_frames
 from aomgen.motion.stage import load_motion
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
@@ -140,8 +140,8 @@ def demo_strip(data: Recovered, count: int = 6) -> list[Image8]:
 
 def episode_strip(folder: Path, camera: str, count: int) -> list[Image8]:
     """Frames of one committed episode from one camera."""
-    frames = read_video(folder / f"{camera}.mp4").frames_srgb
-    return [frames[int(i)] for i in np.linspace(0, len(frames) - 1, count)]
+    path = folder / f"{camera}.mp4"
+    return read_frames(path, [int(i) for i in np.linspace(0, probe_video(path).frames - 1, count)])
 
 
 def _small(image: Image8, width: int = 320) -> Image8:

@@ -10,13 +10,14 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.episode import Episode, no_contacts
 from aomgen.core.joint import Joint
+from aomgen.errors import MalformedFileError
 from aomgen.io.episode_folder import commit_episode
-from aomgen.io.video import encode_video
+from aomgen.io.video import encode_video, read_frames
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import STAGES
 from aomgen.report import episodes
-from aomgen.report.episodes import episodes_section, poster
+from aomgen.report.episodes import episodes_section
 from aomgen.report.rejects import reasons, rejects_section
 from aomgen.report.summary import provenance_table
 
@@ -81,9 +82,13 @@ def commit(run: Run, count: int, video: bytes) -> None:
         commit_episode(run.folders["episodes"], episode, {"front": video, "side": video})
 
 
-def test_a_poster_is_the_frame_asked_for(tmp_path: Path, video: bytes) -> None:
-    (tmp_path / "front.mp4").write_bytes(video)
-    assert poster(tmp_path / "front.mp4", 3).mean() == pytest.approx(120, abs=4)
+def test_the_frames_asked_for_are_read(tmp_path: Path, video: bytes) -> None:
+    path = tmp_path / "front.mp4"
+    path.write_bytes(video)
+    third, first = read_frames(path, [3, 1])
+    assert (third.mean(), first.mean()) == (pytest.approx(120, abs=4), pytest.approx(40, abs=4))
+    with pytest.raises(MalformedFileError, match="no frame 99"):
+        read_frames(path, [99])
 
 
 def test_both_cameras_play_side_by_side_and_load_nothing_before(run: Run, video: bytes) -> None:
@@ -116,7 +121,7 @@ def test_many_episodes_are_listed_and_only_the_first_decoded(
     commit(run, 30, video)
     decoded = []
     monkeypatch.setattr(
-        episodes, "poster", lambda path, frame: decoded.append(path) or np.zeros((48, 64, 3), np.uint8)
+        episodes, "read_frames", lambda path, _: decoded.append(path) or [np.zeros((48, 64, 3), np.uint8)]
     )
     page = "".join(episodes_section(run))
     assert len(decoded) == 48
