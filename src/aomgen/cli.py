@@ -195,7 +195,7 @@ def render(
     from aomgen.io.images import write_image
     from aomgen.io.jsonfile import read_json
     from aomgen.pipeline.rendering import draw_twin, open_twin, parse_camera, parse_state
-    from aomgen.pipeline.viewpoints import find_camera
+    from aomgen.pipeline.run_cameras import find_camera
 
     project = find_project(out)
     twin, robot = open_twin(project.out)

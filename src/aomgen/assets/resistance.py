@@ -9,6 +9,7 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply
 
+# Standard gravity as MuJoCo's default has it, [m/s^2].
 GRAVITY: Final = 9.81
 # Keeps light doors stable in the solver, [kg m^2] or [kg].
 ARMATURE: Final = 0.005

@@ -31,10 +31,10 @@ IK_STEPS: Final = 6
 TWIN_FOLDER, EPISODES_FOLDER = "06_twin", "09_episodes"
 # An object that stands this much farther along the gripper's approach cannot be opened by the same actions, [m].
 AWAY_M: Final = 0.08
+# Share of the planned opening that counts as opened, as in `physics.verify.PassRule`.
 OPENED_SHARE: Final = 0.9
 # How long the arm stands still before the first and after the last action, [s]; a lid would fall meanwhile.
-BEFORE_S: Final = 0.2
-AFTER_S: Final = 1.0
+BEFORE_S, AFTER_S = 0.2, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,8 +27,9 @@ LIMIT_SLACK = 0.05
 MIN_CHANGED_SHARE = 0.003
 # Sensor noise and compression of small pictures stay below this, [grey levels].
 CHANGED = 25
-CHANGE_LOOKS = 40
-CHANGE_SIZE = (160, 120)
+# Frames that are compared, and their size [px]: enough to see an arm move in a quarter of a second.
+CHANGE_FRAMES = 40
+CHANGE_SIZE = (160, 120)  # a gripper is still some ten pixels wide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,9 +169,9 @@ def _check_memory(path: Path) -> None:
 
 
 def _check_motion(video: Video, path: Path) -> None:
-    stride = max(1, len(video.times_s) // CHANGE_LOOKS)
-    looks = [resize(frame, *CHANGE_SIZE).astype(np.int16) for frame in video.frames_srgb[::stride]]
-    changed = max(float(np.mean(np.abs(look - looks[0]).max(2) > CHANGED)) for look in looks)
+    stride = max(1, len(video.times_s) // CHANGE_FRAMES)
+    frames = [resize(frame, *CHANGE_SIZE).astype(np.int16) for frame in video.frames_srgb[::stride]]
+    changed = max(float(np.mean(np.abs(frame - frames[0]).max(2) > CHANGED)) for frame in frames)
     if not changed >= MIN_CHANGED_SHARE:
         raise IncompleteCaptureError(
             path,

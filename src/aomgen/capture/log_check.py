@@ -15,6 +15,7 @@ WANTED_RATE_HZ = 29.0
 MIN_TRAVEL = 0.03
 # While the arm rests its encoders show 0.003 rad of noise over the first tenth of a second.
 REST_S = 0.1
+# More than that noise, less than any motion, [rad].
 MAX_REST_TRAVEL = 0.02
 # How a log's clock may count, in ticks a second.
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}

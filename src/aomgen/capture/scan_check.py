@@ -12,6 +12,7 @@ from aomgen.io.video import decoded_frames, probe_video
 MAX_BLURRED_SHARE = 0.8
 # A scan video is hand-held: its frames are looked at so many times, and only sharp ones are used later.
 VIDEO_LOOKS = 60
+# Names in one sentence; the rest is counted.
 SHOWN_NAMES = 5
 
 

@@ -11,6 +11,7 @@ FOREIGN_SUFFIXES = (
     ".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2",
     ".tif", ".tiff", ".bmp", ".jxl", ".exr",
 )  # fmt: skip
+# Fewer than this leave sides of the object that no three views see.
 MIN_SCAN_IMAGES = 12
 
 

@@ -27,8 +27,7 @@ STAGING_PREFIX: Final = ".staging-"
 NO_LOCKS: Final = (errno.EBADF, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 NO_EXCHANGE: Final = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
 # From <fcntl.h> and <linux/fs.h>.
-AT_FDCWD: Final = -100
-RENAME_EXCHANGE: Final = 2
+AT_FDCWD, RENAME_EXCHANGE = -100, 2
 
 
 def write_bytes(path: Path, data: bytes) -> None:

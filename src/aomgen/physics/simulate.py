@@ -102,7 +102,7 @@ def simulate(
     model.opt.timestep = 1 / (fps * ticks_a_frame * steps_a_tick)
     data = mujoco.MjData(model)
     data.qpos[:] = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
-    commands, velocities, closing = straight_commands(joints, gripper, fps, ticks_a_frame)
+    commands, velocities, closing = linear_commands(joints, gripper, fps, ticks_a_frame)
     data.ctrl[:] = _control(scene, joints[0], np.zeros_like(joints[0]), gripper[0])
     start_base = _base_position(scene, data)
     mujoco.mj_step(model, data, round(SETTLE_S / model.opt.timestep))
@@ -121,7 +121,7 @@ def simulate(
     return log.finished(ticks_a_frame * np.arange(len(joints)), commands)
 
 
-def straight_commands(
+def linear_commands(
     joints: Array, gripper: Array, fps: float, ticks_a_frame: int
 ) -> tuple[Array, Array, Array]:
     """Command at every control tick, straight from each sample to the next.

@@ -26,6 +26,7 @@ DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
 EVERYTHING = (*MODULES, *DRAWS_ROBOT)
 # A context can abort the whole process when the driver is broken, so it is tried in a child.
 GL_PROBE = "from aomgen.physics.offscreen import offscreen_context; offscreen_context(8, 8).free()"
+# A driver takes about a second; one that hangs never ends, [s].
 GL_TIMEOUT_S = 60.0
 # The bundled recording's run takes 180 MB; nothing of a run is small enough for less, [bytes].
 MIN_FREE = 250 << 20

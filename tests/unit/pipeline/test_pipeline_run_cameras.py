@@ -8,7 +8,7 @@ import pytest
 
 from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError
-from aomgen.pipeline import viewpoints
+from aomgen.pipeline import run_cameras
 from aomgen.pipeline.project import Project
 from aomgen.reconstruction.alignment.settled_cameras import SettledCamera
 
@@ -20,27 +20,27 @@ SCAN = replace(VIDEO, fx=500)
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     (tmp_path / "07_replacement").mkdir()
-    monkeypatch.setattr(viewpoints, "scan_cameras_world", lambda run: {"0001.jpg": SCAN, "0000.jpg": SCAN})
-    monkeypatch.setattr(viewpoints, "stored_cameras", lambda run: {"front": EPISODES, "side": EPISODES})
+    monkeypatch.setattr(run_cameras, "scan_cameras_world", lambda run: {"0001.jpg": SCAN, "0000.jpg": SCAN})
+    monkeypatch.setattr(run_cameras, "stored_cameras", lambda run: {"front": EPISODES, "side": EPISODES})
     settled = {"front": SettledCamera(camera=VIDEO, clock=None)}
-    monkeypatch.setattr(viewpoints, "load_settled_cameras", lambda folder: settled)
+    monkeypatch.setattr(run_cameras, "load_settled_cameras", lambda folder: settled)
     return Project(capture=tmp_path, out=tmp_path)
 
 
 def test_cameras_of_video_episodes_and_scan_have_names(project: Project) -> None:
-    assert viewpoints.find_camera(project, "front") is VIDEO
-    assert viewpoints.find_camera(project, "side") is EPISODES
-    assert viewpoints.find_camera(project, "0001.jpg") is SCAN
+    assert run_cameras.find_camera(project, "front") is VIDEO
+    assert run_cameras.find_camera(project, "side") is EPISODES
+    assert run_cameras.find_camera(project, "0001.jpg") is SCAN
 
 
 def test_an_unknown_camera_lists_the_known_ones(project: Project) -> None:
     with pytest.raises(
         ConfigError, match=r"'back' .*known: front, side, and scan images from 0000.jpg to 0001.jpg"
     ):
-        viewpoints.find_camera(project, "back")
+        run_cameras.find_camera(project, "back")
 
 
 def test_before_the_replacement_there_are_the_recording_s_cameras(project: Project) -> None:
     (project.out / "07_replacement").rmdir()
     with pytest.raises(ConfigError, match="known: front, and scan images"):
-        viewpoints.find_camera(project, "side")
+        run_cameras.find_camera(project, "side")
