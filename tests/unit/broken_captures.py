@@ -170,6 +170,10 @@ def blurred(image: Image.Image) -> Image.Image:
     return image.filter(ImageFilter.GaussianBlur(2))
 
 
+def soft(image: Image.Image) -> Image.Image:
+    return image.filter(ImageFilter.GaussianBlur(1))
+
+
 def calibrated(rows: str) -> Damage:
     return edit("capture.toml", "\n\n[demo]", f"\nT_world_cam = [{rows}]\n\n[demo]")
 
@@ -182,6 +186,7 @@ CAPTURES = {
     "images without light": Case(
         each_image(lambda image: image.point(lambda v: v // 40)), IncompleteCaptureError, ("13 of 13", "light")
     ),
+    "all images soft": Case(each_image(soft), None, ("13 of 13", "blurred")),
     "some images blurred": Case(each_image(blurred, first=2), None, ("2 of 13", "0003.jpg, 0010.jpg")),
     "phone pictures": Case(
         lambda folder: (folder / "scan" / "IMG_1.HEIC").write_bytes(b"ftypheic"),

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from aomgen.capture.sharpness import BLURRED, blur, read_grey, shrink
+from aomgen.capture.sharpness import BLURRED, HOPELESS, blur, read_grey, shrink
 from aomgen.core.recording import Capture, frame_name
 from aomgen.errors import IncompleteCaptureError
 from aomgen.io.video import decoded_frames, probe_video
 
-# With a larger share of blurred pictures than this, too few sharp ones are left anywhere.
-MAX_BLURRED_SHARE = 0.8
+# With a larger share of hopeless pictures than this, too few others are left anywhere.
+MAX_HOPELESS_SHARE = 0.8
 # A scan video is hand-held: its frames are looked at so many times, and only sharp ones are used later.
 VIDEO_LOOKS = 60
 # Names in one sentence; the rest is counted.
@@ -24,15 +24,15 @@ def check_scan(capture: Capture) -> tuple[int, list[str]]:
 
     Raises:
         MalformedFileError: A picture or the video is damaged or truncated.
-        IncompleteCaptureError: Nearly all pictures are blurred.
+        IncompleteCaptureError: Nearly all pictures are hopelessly blurred.
     """
     if capture.scan_video is not None:
         count, blurs = _video_blurs(capture.scan_video)
-        _refuse_blurred(capture.scan_video, blurs)
+        _refuse_hopeless(capture.scan_video, blurs)
         return count, []
     blurs = {path.name: blur(read_grey(path)) for path in capture.scan_images}
-    _refuse_blurred(capture.scan_images[0].parent, blurs)
-    blurred = [name for name, value in blurs.items() if value > BLURRED]
+    _refuse_hopeless(capture.scan_images[0].parent, blurs)
+    blurred = _beyond(BLURRED, blurs)
     if not blurred:
         return len(blurs), []
     sentence = f"{len(blurred)} of {len(blurs)} scan images are blurred ({_some(blurred)}): take them out, or scan again"
@@ -49,14 +49,18 @@ def _video_blurs(path: Path) -> tuple[int, dict[str, float]]:
     return count, blurs
 
 
-def _refuse_blurred(where: Path, blurs: dict[str, float]) -> None:
-    blurred = [name for name, value in blurs.items() if value > BLURRED]
-    if not len(blurred) <= MAX_BLURRED_SHARE * len(blurs):
+def _refuse_hopeless(where: Path, blurs: dict[str, float]) -> None:
+    blurred = _beyond(HOPELESS, blurs)
+    if not len(blurred) <= MAX_HOPELESS_SHARE * len(blurs):
         raise IncompleteCaptureError(
             where,
             f"{len(blurred)} of {len(blurs)} images looked at are blurred ({_some(blurred)})",
             "scan again with focus and more light, and hold still for each image",
         )
+
+
+def _beyond(limit: float, blurs: dict[str, float]) -> list[str]:
+    return [name for name, value in blurs.items() if value > limit]
 
 
 def _some(names: Sequence[str]) -> str:

@@ -20,6 +20,8 @@ DIRECTIONS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
 # 3 to 6 px, motion of 15 px along a row, a column or a diagonal), from 0.76 with sensor noise of 2 grey
 # levels after it. A Gaussian of 1.5 px, which a reconstruction bears, gives 0.64 to 0.74.
 BLURRED: Final = 0.70
+# From a Gaussian of 3 px on: features are gone that a reconstruction needs.
+HOPELESS: Final = 0.80
 # Differences of neighbours below this, root mean square in grey levels, are noise on an empty picture
 # (a covered lens); the twelve captures have 7 and more.
 MIN_DETAIL: Final = 2.5
