@@ -7,8 +7,9 @@ import numpy as np
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import IncompleteCaptureError, UnitsError
 
-# Between rows the arm is interpolated; further apart than this it may have stopped and turned back, [s].
-MAX_STEP_S = 0.1
+# Between rows the arm is interpolated; further apart than this it may have stopped and turned back, [s]. Two
+# rows that a log of 15 Hz lost are bridged.
+MAX_STEP_S = 0.25
 # What docs/capture.md asks for, with room for 29.97 Hz, [1/s].
 WANTED_RATE_HZ = 29.0
 # Opening anything by 5 cm turns some joint of a table-top arm by more, [rad] or [m].
