@@ -11,6 +11,8 @@ from aomgen.errors import InputError, MissingFileError, UnitsError
 PARTS = ("robot", "static", "moving")
 # Nobody draws a smaller box; boxes in shares of the image are smaller, [px].
 MIN_BOX_PX = 4.0
+# A click on a part may miss its box by this share of the box, as hands shake.
+POINT_SLACK = 0.1
 
 
 def read_prompts(
@@ -93,7 +95,8 @@ def _check_box(box: list[float], points: np.ndarray, where: str) -> None:
             "draw it around the part",
         )
     on = points[points[:, 2] == 1, :2]
-    outside = on[~np.all((on >= (x0, y0)) & (on <= (x1, y1)), axis=1)]
+    slack = POINT_SLACK * np.array([x1 - x0, y1 - y0])
+    outside = on[~np.all((on >= (x0, y0) - slack) & (on <= (x1, y1) + slack), axis=1)]
     if len(outside):
         x, y = outside[0]
         raise InputError(

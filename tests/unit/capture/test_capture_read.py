@@ -256,3 +256,18 @@ def test_a_log_in_degrees_is_another_robot_s(capture_copy):
     )
     with pytest.raises(UnitsError):
         check_robot(read_capture(capture_copy))
+
+
+def test_a_click_may_miss_its_box_by_a_few_pixels(capture_copy):
+    path = capture_copy / "capture.toml"
+    text = path.read_text()
+    box = re.search(r"points = \[\[[^\]]*\]\]\nbox = \[([^\]]*)\]", text)
+    assert box is not None
+    x0, y0, x1, y1 = (float(value) for value in box[1].split(","))
+    near = text.replace(box[0], f"points = [[{x0 - 3}, {y0 + 5}, 1]]\nbox = [{box[1]}]")
+    path.write_text(near)
+    read_capture(capture_copy)
+    far = text.replace(box[0], f"points = [[{x0 - 0.5 * (x1 - x0)}, {(y0 + y1) / 2}, 1]]\nbox = [{box[1]}]")
+    path.write_text(far)
+    with pytest.raises(InputError, match="outside its box"):
+        read_capture(capture_copy)
