@@ -1,7 +1,6 @@
 """Stages, progress and remaining time: bars on a terminal, plain lines when there is none."""
 
 import threading
-import time
 from types import TracebackType
 from typing import Any
 
@@ -19,7 +18,10 @@ COLORS = {"good": "green", "poor": "yellow", "": ""}
 
 
 class Pace:
-    """The remaining time of a run, from the stages' weights and what was done so far."""
+    """The remaining time of a run, from the stages' weights and the seconds of those that are finished.
+
+    The running stage says how far it is, but not evenly: its seconds do not count before it is finished.
+    """
 
     def __init__(self) -> None:
         self._total = sum(stage.weight for stage in STAGES)
@@ -27,7 +29,6 @@ class Pace:
         self._spent = 0.0
         self._spent_weight = 0.0
         self._weight = 0.0
-        self._started = 0.0
 
     def keep(self, stage: Stage) -> None:
         """A stage needs no time."""
@@ -36,7 +37,6 @@ class Pace:
     def begin(self, stage: Stage) -> None:
         """A stage starts."""
         self._weight = stage.weight
-        self._started = time.monotonic()
 
     def end(self, stage: Stage, seconds: float) -> None:
         """The stage took so long."""
@@ -46,9 +46,7 @@ class Pace:
 
     def remaining(self, share: float) -> str:
         """In words, when the running stage is this far."""
-        spent = self._spent + time.monotonic() - self._started
-        weight = self._spent_weight + share * self._weight
-        pace = spent / weight if weight >= 0.02 * self._total else 1.0
+        pace = self._spent / self._spent_weight if self._spent_weight else 1.0
         left = pace * max(0.0, self._total - self._done - share * self._weight)
         return f"about {left / 60:.0f} min left" if left >= 90 else f"about {left:.0f} s left"
 

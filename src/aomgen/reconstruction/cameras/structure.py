@@ -141,7 +141,7 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         _require_images(len(names), len(same), params)
         work.leave_out("scan", set(same))
         vetted, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
-        progress(0.92, "placing the fixed cameras")
+        progress(0.99, "placing the fixed cameras")
         placed = {
             name: place_fixed_camera(work, vetted.mapped, name, view)
             for name, view in photographs.demo.items()
@@ -181,16 +181,16 @@ def _solve(
     Raises:
         ReconstructionError: Neither passes the gates.
     """
-    progress(0.6, "mapping")
+    progress(0.75, "mapping")
     attempts: dict[str, tuple[Vetted, Figures]] = {}
     for mapper, run in (("incremental", work.map), ("global", work.map_globally)):
         mapped, lens_figures = _map(work, run, intrinsics)
         if mapped is not None:
-            progress(0.85, "checking every image")
+            progress(0.97, "checking every image")
             attempts[mapper] = vet(work, mapped), lens_figures
             if attempts[mapper][0].count >= params.retry_below * count:
                 break
-        progress(0.85, "mapping in another way")
+        progress(0.97, "mapping in another way")
     if not attempts:
         raise ReconstructionError(
             "scan", "no two images could be related", "record with more overlap and texture"
