@@ -19,6 +19,9 @@ def bench_accuracy(
     synthetic_motion: Annotated[
         int, typer.Option(help="Instead: so many cheap worlds for AOMotion alone.")
     ] = 0,
+    harsh: Annotated[
+        bool, typer.Option("--harsh", help="Make synthetic captures worse, as phones and labs do.")
+    ] = False,
     seed: Annotated[int | None, typer.Option(help="First seed: 1000, of motion worlds 2000.")] = None,
     saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
     paper: Annotated[bool, typer.Option("--paper", help="Also score the paper's own methods.")] = False,
@@ -48,7 +51,9 @@ def bench_accuracy(
     if (capture is None) == (synthetic == 0):
         raise ConfigError("bench accuracy", "wants a capture or --synthetic N", "give one of the two")
     if capture is None:
-        results = run_synthetic(synthetic, out, run_project, FIRST_SEED if seed is None else seed)
+        results = run_synthetic(
+            synthetic, out, run_project, FIRST_SEED if seed is None else seed, harsh=harsh
+        )
         table = synthetic_table(results)
     else:
         results = run_accuracy(capture, out, run_project, saga=saga, paper=paper)

@@ -11,6 +11,7 @@ import numpy as np
 from aomgen.assets.make import MAKERS
 from aomgen.benchmarks.bars import BARS
 from aomgen.benchmarks.command import run_accuracy
+from aomgen.benchmarks.harsh_capture import degrade_capture
 from aomgen.benchmarks.table import as_table
 from aomgen.errors import EstimationError
 from aomgen.io.atomic import write_json
@@ -25,7 +26,12 @@ REFUSED = "refused_because"
 
 
 def run_synthetic(
-    count: int, out: Path | None, run_project: Callable[..., None], first_seed: int = FIRST_SEED
+    count: int,
+    out: Path | None,
+    run_project: Callable[..., None],
+    first_seed: int = FIRST_SEED,
+    *,
+    harsh: bool = False,
 ) -> dict[str, Any]:
     """Make captures of different objects, rooms, cameras and noise; run and score each.
 
@@ -34,6 +40,7 @@ def run_synthetic(
         out: Keeps captures, runs and figures, and is continued when it exists; temporary when None.
         run_project: Runs a project up to a stage.
         first_seed: Seed of the first capture, the others follow.
+        harsh: Make each worse, as phones and labs do (see `harsh_capture`).
 
     Returns:
         `captures` (figures by capture), and `median`, `worst` and `refusals` by figure. A capture
@@ -45,19 +52,24 @@ def run_synthetic(
         categories = sorted(MAKERS)
         for number in range(count):
             category, seed = categories[number % len(categories)], first_seed + number
-            captures[f"{category}-{seed}"] = _one(root / f"{category}-{seed}", category, seed, run_project)
+            name = f"{category}-{seed}{'-harsh' if harsh else ''}"
+            captures[name] = _one(root / name, category, seed, run_project, harsh=harsh)
     return {"captures": captures} | summary(captures)
 
 
-def _one(folder: Path, category: str, seed: int, run_project: Callable[..., None]) -> dict[str, Any]:
+def _one(
+    folder: Path, category: str, seed: int, run_project: Callable[..., None], *, harsh: bool
+) -> dict[str, Any]:
     result = folder / RESULT
     if result.is_file():
         return read_json(result)
     capture = folder / "capture"
+    clean = folder / "clean" if harsh else capture
+    if not clean.is_dir():
+        conditions = draw_conditions(np.random.default_rng(seed))
+        make_capture(clean, category=category, seed=seed, conditions=conditions)
     if not capture.is_dir():
-        make_capture(
-            capture, category=category, seed=seed, conditions=draw_conditions(np.random.default_rng(seed))
-        )
+        degrade_capture(clean, capture, np.random.default_rng([seed, 1]))
     try:
         figures = run_accuracy(capture, folder / "run", run_project)
     except EstimationError as error:

@@ -9,22 +9,27 @@ from scipy.sparse import csr_array
 from aomgen.core.lens import Lens
 from aomgen.core.values import Array
 
-Straighten = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+Resample = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 
-def straightener(lens: Lens) -> Straighten:
-    """A function that straightens images (H, W, 3) uint8 of one lens; the weights are made once.
+def straightener(lens: Lens) -> Resample:
+    """A function that straightens images (H, W, 3) uint8 of one lens; the weights are made once."""
+    return resampler(lens.source_pixels())
+
+
+def resampler(source_pixels: Array) -> Resample:
+    """A function that takes each pixel of an image (H, W, 3) uint8 from a point (H, W, 2), [px], of it.
 
     Source: R. Keys, Cubic convolution interpolation (1981), a = -0.5.
     """
-    size = (lens.height, lens.width)
-    weights = _cubic(lens.source_pixels().reshape(-1, 2), size)
+    height, width = source_pixels.shape[:2]
+    weights = _cubic(source_pixels.reshape(-1, 2), (height, width))
 
-    def straighten(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def resample(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         values = weights @ image.reshape(-1, image.shape[-1]).astype(np.float32)
         return np.clip(values + 0.5, 0, 255).astype(np.uint8).reshape(image.shape)
 
-    return straighten
+    return resample
 
 
 def straighten_labels(labels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:

@@ -46,7 +46,7 @@ def write_recording(folder: Path, recording: Recording, robot: str, hand: HandCh
         folder / "demo" / f"{CAMERA}.mp4",
         encode_video(recording.film.frames, recording.conditions.fps, crf=17),
     )
-    write_text(folder / "demo" / "joints.csv", _joints_csv(recording.film.take.log))
+    write_text(folder / "demo" / "joints.csv", joints_csv(recording.film.take.log))
     write_text(folder / "capture.toml", _capture_toml(recording, robot, hand))
 
 
@@ -109,7 +109,8 @@ def moved_range(theta: Array, joint: Joint) -> tuple[int | None, int | None]:
     return int(away_from_start[0]), int(away_from_end[-1])
 
 
-def _joints_csv(log: JointLog) -> str:
+def joints_csv(log: JointLog) -> str:
+    """Content of a joint log's file."""
     rows = [",".join(["time_s", *log.joint_names, "gripper"])]
     for time, joints, gripper in zip(log.times_s, log.joints, log.gripper, strict=True):
         rows.append(",".join([f"{time:.4f}", *(f"{q:.6f}" for q in joints), f"{gripper:.4f}"]))
