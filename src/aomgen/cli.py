@@ -88,9 +88,9 @@ def check(
     path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
 ) -> None:
     """Validate a capture, a project or an asset, with reasons; changes nothing."""
-    if path.suffix.lower() in (".usd", ".usda", ".usdc", ".usdz"):
-        from aomgen.pipeline.asset_choice import open_asset
+    from aomgen.pipeline.asset_choice import asset_file, open_asset
 
+    if asset_file(str(path)) is not None:
         joint = open_asset(str(path)).joint
         print(f"{path}: fine; {joint.type} joint, range {joint.lower:.3f} to {joint.upper:.3f}")
         return

@@ -16,7 +16,7 @@ from aomgen.core.recording import Capture
 from aomgen.core.values import Array
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
-from aomgen.io.straighten import resampler
+from aomgen.io.straighten import resample_labels, resampler
 from aomgen.io.video import encode_video, read_video
 from aomgen.synthetic.write import joints_csv
 
@@ -54,8 +54,8 @@ def degrade_capture(source: Path, target: Path, rng: np.random.Generator) -> Non
         StorageError: The disk refuses.
     """
     capture = read_capture(source)
-    lens = _lens(capture)
-    bend = resampler(_source_pixels(lens))
+    source_pixels = _source_pixels(_lens(capture))
+    bend = resampler(source_pixels)
     with staged_folder(target) as folder:
         for path in capture.scan_images:
             image = bend(_moved(read_image(path), rng))
@@ -69,7 +69,7 @@ def degrade_capture(source: Path, target: Path, rng: np.random.Generator) -> Non
         text = (source / "capture.toml").read_text("utf-8")
         write_text(folder / "capture.toml", _worse_toml(text, capture.scan_size, rng))
         if (source / "truth").is_dir():
-            _copy_truth(source / "truth", folder / "truth", lens)
+            _copy_truth(source / "truth", folder / "truth", source_pixels)
 
 
 def _lens(capture: Capture) -> Lens:
@@ -147,10 +147,7 @@ def _worse_toml(text: str, size: tuple[int, int], rng: np.random.Generator) -> s
     return re.sub(r"points = \[\[([^\]]*)\]\]", click, text)
 
 
-def _copy_truth(source: Path, target: Path, lens: Lens) -> None:
+def _copy_truth(source: Path, target: Path, source_pixels: Array) -> None:
     shutil.copytree(source, target)
-    at = np.floor(_source_pixels(lens)).astype(np.int64)
-    columns = np.clip(at[..., 0], 0, lens.width - 1)
-    rows = np.clip(at[..., 1], 0, lens.height - 1)
     for path in sorted((target / "masks").glob("*/*.png")):
-        write_bytes(path, encode_png(read_labels(path)[rows, columns]))
+        write_bytes(path, encode_png(resample_labels(read_labels(path), source_pixels)))

@@ -34,10 +34,14 @@ def resampler(source_pixels: Array) -> Resample:
 
 def straighten_labels(labels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
     """A label image (H, W) straightened: every pixel takes the label of the nearest one."""
-    at = np.floor(lens.source_pixels()).astype(np.int64)
-    columns = np.clip(at[..., 0], 0, lens.width - 1)
-    rows = np.clip(at[..., 1], 0, lens.height - 1)
-    return labels[rows, columns]
+    return resample_labels(labels, lens.source_pixels())
+
+
+def resample_labels(labels: NDArray[np.uint8], source_pixels: Array) -> NDArray[np.uint8]:
+    """A label image (H, W) each of whose pixels is taken from the one at a point (H, W, 2), [px], of it."""
+    height, width = labels.shape
+    at = np.floor(source_pixels).astype(np.int64)
+    return labels[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]
 
 
 def _cubic(pixels: Array, size: tuple[int, int]) -> csr_array:

@@ -137,8 +137,9 @@ def _titles(group: str) -> list[str]:
 def contact_sheet(data: pictures.Recovered) -> np.ndarray:
     """One row for the recording, one for each of the first episodes: a few frames from each camera."""
     folders = list_committed(data.run.folders["episodes"])[:SHEET_EPISODES]
-    names = list(read_episode(folders[0]).episode.cameras)
-    size = read_episode(folders[0]).episode.cameras[names[0]]
+    cameras = read_episode(folders[0]).episode.cameras
+    names = list(cameras)
+    size = cameras[names[0]]
     images = [
         pictures.resize(image, size.width, size.height)
         for image in pictures.demo_strip(data, SHEET_FRAMES * len(names))
