@@ -64,11 +64,7 @@ def paper_motion_figures(out: Path, capture: Path, truth: Truth, masks: TrueMask
         truth: Of the capture.
         masks: True masks of the first camera's video.
     """
-    run = Run(
-        project=Project(capture=capture, out=out),
-        out=out,
-        folders={stage.name: out / stage.folder for stage in STAGES},
-    )
+    run = Run.of(Project(capture=capture, out=out), out, STAGES)
     demonstration = motion_input(run)
     times_s = demonstration.video.times_s
     labels = np.stack([masks.read(f"{k:04d}") for k in range(len(times_s))])

@@ -21,9 +21,7 @@ def find_camera(project: Project, name: str) -> Camera:
     Raises:
         ConfigError: No such camera; lists the known ones.
     """
-    run = Run(
-        project=project, out=project.out, folders={stage.name: project.out / stage.folder for stage in STAGES}
-    )
+    run = Run.of(project, project.out, STAGES)
     scan = scan_cameras_world(run)
     settled = load_settled_cameras(run.folders["alignment"])
     made = stored_cameras(run) if run.folders["replacement"].is_dir() else {}

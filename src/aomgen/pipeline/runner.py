@@ -67,9 +67,7 @@ def run_stages(
         LockedError: Another process works in the same folder.
         AomgenError: Whatever a stage refuses; nothing half-written stays.
     """
-    run = Run(
-        project=project, out=project.out, folders={stage.name: project.out / stage.folder for stage in stages}
-    )
+    run = Run.of(project, project.out, stages)
     _make_folder(project.out)
     with _locked(project.out):
         remove_staging(project.out)

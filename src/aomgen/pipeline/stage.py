@@ -1,6 +1,6 @@
 """What a stage is, and what it gets to work with."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,11 @@ class Run:
     project: Project
     out: Path
     folders: dict[str, Path]
+
+    @classmethod
+    def of(cls, project: Project, out: Path, stages: Sequence["Stage"]) -> "Run":
+        """The run of a project whose results lie, or shall lie, in a folder."""
+        return cls(project=project, out=out, folders={stage.name: out / stage.folder for stage in stages})
 
 
 # Figures under this name are sentences that the user should read: what may go wrong with this input.

@@ -40,7 +40,7 @@ def write_report(out: Path) -> Path:
         MissingFileError: The run is not finished.
     """
     project = read_project(out / PROJECT_FILE)
-    run = Run(project=project, out=out, folders={stage.name: out / stage.folder for stage in STAGES})
+    run = Run.of(project, out, STAGES)
     manifest_of(run, "dataset")
     data = pictures.open_recovered(run)
     write_image(out / CONTACT_SHEET, contact_sheet(data))
