@@ -25,7 +25,7 @@ def check_asset(asset: ArticulatedAsset) -> list[str]:
 
     Checks sizes and units, support plane, joint range, masses, colliders (unique, moving and
     static apart along the whole range) and the handle (bar fits a gripper, a 12 mm ball behind
-    it). Not checked: that the colliders follow the visible meshes.
+    it; on both sides of a rim). Not checked: that the colliders follow the visible meshes.
     """
     problems = _check_sizes(asset) + _check_joint(asset) + _check_links(asset)
     if problems:
@@ -75,6 +75,15 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
     alignments[-1] = np.sign(alignments[-1]) * np.cos(np.deg2rad(30))
     best = int(np.argmax(np.abs(alignments)))
     return np.asarray(axes[best] * np.sign(alignments[best]), np.float64)
+
+
+def held_at_rim(asset: ArticulatedAsset) -> bool:
+    """Whether the handle is a rim of the part itself, as a laptop's lid has one, and no bar that stands off."""
+    bar = asset.handle_bar
+    body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
+    if bar is None or not body:
+        return False
+    return bool(boxes_overlap(bar.T_asset_box, bar.half_extents, *stacked(body), margin=TOUCH).any())
 
 
 def stacked(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
@@ -166,13 +175,16 @@ def _check_handle(asset: ArticulatedAsset) -> list[str]:
         problems.append(
             f"handle is {1000 * thickness:.0f} mm thick, limit {1000 * MAX_HANDLE_THICKNESS:.0f} mm"
         )
-    ball = point - outward * (depth / 2 + FINGER_BALL / 2 + 5e-4)
+    rim = held_at_rim(asset)
+    sides = np.stack([across, -across]) if rim else -outward[None]
+    balls = point + sides * ((thickness if rim else depth) / 2 + FINGER_BALL / 2 + 5e-4)
     others = _without(asset.moving, bar)
     poses_o, half_o = stacked([*asset.static.colliders, *others])
-    gap = distance_to_boxes(ball[None], poses_o, half_o).min() if len(half_o) else np.inf
+    gap = distance_to_boxes(balls, poses_o, half_o).min() if len(half_o) else np.inf
     if not gap >= FINGER_BALL / 2:
+        where = "on both sides of" if rim else "behind"
         problems.append(
-            f"no {1000 * FINGER_BALL:.0f} mm ball fits behind the handle (free radius {1000 * gap:.1f} mm)"
+            f"no {1000 * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {1000 * gap:.1f} mm)"
         )
     return problems
 

@@ -1,33 +1,42 @@
-"""A parametric laptop on a riser: base with a keyboard, lid with a screen, a small bar to lift it by."""
+"""A parametric laptop that lies flat: thin base with a notch in front, thin lid held by its front edge."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from aomgen.assets import printed, textures
-from aomgen.assets.handle import BarHandle
 from aomgen.assets.lid import SEAL, back_hinge
 from aomgen.assets.shapes import Surface, box, boxes_mesh, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.core.mesh import Mesh
 
 PRINT = 0.0006
 CASES = ((0.66, 0.67, 0.69), (0.20, 0.21, 0.23), (0.34, 0.40, 0.48), (0.72, 0.62, 0.54))
-STANDS = ((0.60, 0.60, 0.62), (0.15, 0.15, 0.16), (0.76, 0.62, 0.44))
+# Height of the rubber strips below the base, [m].
+FEET = 0.002
+# Depth of the lid's rim that a gripper holds, and how far inside of the edge it is held, [m].
+RIM, HELD = 0.016, 0.004
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaptopShape:
-    """Sizes of one laptop and its riser, [m], [rad], [kg]."""
+    """Sizes of one laptop, [m], [rad], [kg].
+
+    Attributes:
+        width, depth: Of base and lid.
+        base, lid: Thickness.
+        notch: Width and depth of the recess in the base's front, in which the lid stands out.
+        bezel: Width of the frame around the screen.
+        opening: Largest turn of the lid.
+        base_mass, lid_mass: As they say.
+    """
 
     width: float
     depth: float
-    stand: float
     base: float
     lid: float
+    notch: tuple[float, float]
     bezel: float
-    handle_length: float
-    handle_thickness: float
-    handle_clearance: float
     opening: float
     base_mass: float
     lid_mass: float
@@ -35,120 +44,104 @@ class LaptopShape:
     @property
     def seam(self) -> float:
         """Height of the base's upper side."""
-        return self.stand + self.base
+        return FEET + self.base
 
 
 def draw_shape(rng: np.random.Generator) -> LaptopShape:
-    """Random but realistic sizes; the riser leaves room for fingers below the bar."""
-    width = rng.uniform(0.32, 0.38)
+    """Random but realistic sizes."""
+    width = rng.uniform(0.28, 0.38)
     return LaptopShape(
         width=width,
         depth=width * rng.uniform(0.66, 0.72),
-        stand=rng.uniform(0.10, 0.14),
-        base=rng.uniform(0.017, 0.023),
-        lid=rng.uniform(0.009, 0.013),
-        bezel=rng.uniform(0.010, 0.016),
-        handle_length=rng.uniform(0.09, 0.12),
-        handle_thickness=rng.uniform(0.009, 0.012),
-        handle_clearance=rng.uniform(0.028, 0.034),
-        opening=np.deg2rad(rng.uniform(105, 125)),
-        base_mass=rng.uniform(2.5, 3.5),
-        lid_mass=rng.uniform(0.5, 0.8),
+        base=rng.uniform(0.012, 0.020),
+        lid=rng.uniform(0.005, 0.009),
+        notch=(rng.uniform(0.066, 0.080), rng.uniform(0.012, 0.015)),
+        bezel=rng.uniform(0.006, 0.012),
+        opening=np.deg2rad(rng.uniform(115, 135)),
+        base_mass=rng.uniform(1.2, 2.2),
+        lid_mass=rng.uniform(0.4, 0.7),
     )
 
 
 def make_laptop(name: str, rng: np.random.Generator) -> ArticulatedAsset:
-    """One closed laptop on its riser; every size, color and print comes from `rng`."""
+    """One closed laptop; every size, color and print comes from `rng`."""
     shape = draw_shape(rng)
     color = CASES[rng.integers(len(CASES))]
-    handle = BarHandle(
-        foot=np.array([0.0, -shape.depth / 2, shape.seam + SEAL + shape.lid / 2]),
-        axis=np.array([1.0, 0.0, 0.0]),
-        length=shape.handle_length,
-        thickness=shape.handle_thickness,
-        clearance=shape.handle_clearance,
-    )
     return ArticulatedAsset(
         name=name,
         category="laptop",
         static=_base(shape, color, rng),
-        moving=_lid(shape, color, handle, rng),
+        moving=_lid(shape, color, rng),
         joint=back_hinge(shape.depth, shape.seam, shape.opening),
-        handle_point=handle.middle,
-        handle_axis=handle.axis,
+        handle_point=np.array([0.0, HELD - shape.depth / 2, shape.seam + SEAL + shape.lid / 2]),
+        handle_axis=np.array([1.0, 0.0, 0.0]),
     )
 
 
 def _base(shape: LaptopShape, color: tuple[float, float, float], rng: np.random.Generator) -> AssetLink:
     w, d, top = shape.width / 2, shape.depth / 2, shape.seam
-    slab = box(-w, w, -d, d, shape.stand, top)
-    x, front, back, sheet = 0.80 * w, -0.62 * d, 0.86 * d, 0.006
-    riser = {
-        "foot": box(-x, x, front, back, 0.0, sheet),
-        "left": box(-x, -x + 0.010, front, back, sheet, shape.stand - sheet, "zZ"),
-        "right": box(x - 0.010, x, front, back, sheet, shape.stand - sheet, "zZ"),
-        "shelf": box(-0.94 * w, 0.94 * w, front, back, shape.stand - sheet, shape.stand),
+    half, inner = shape.notch[0] / 2, shape.notch[1] - d
+    slabs = {
+        "base": box(-w, w, inner, d, FEET, top),
+        "front_left": box(-w, -half, -d, inner, FEET, top, "Y"),
+        "front_right": box(half, w, -d, inner, FEET, top, "Y"),
+    }
+    feet = {
+        f"foot_{name}": box(-0.8 * w, 0.8 * w, y - 0.004, y + 0.004, 0.0, FEET, "Z")
+        for name, y in (("front", 0.03 - d), ("back", d - 0.02))
     }
     case = Surface(texture_srgb=textures.brushed_metal(rng, color, 512), roughness=0.4, metallic=0.4)
-    stand_color = STANDS[rng.integers(len(STANDS))]
-    wooden = stand_color[0] > stand_color[2] + 0.1
-    stand = (textures.wood if wooden else textures.speckled)(rng, stand_color)
     keys = Surface(texture_srgb=printed.keyboard(rng, color), roughness=0.6)
-    sticker = Surface(texture_srgb=textures.label(rng), roughness=0.6)
     black = Surface(color_srgb=(0.06, 0.06, 0.07))
-    size = (2 * w - 0.012, 2 * d - 0.012)
-    z = 0.5 * shape.stand - 0.02
+    front = inner + 0.003
     hinge = (d, top + SEAL / 2)
     meshes = (
-        boxes_mesh("base", [slab], case),
-        boxes_mesh("riser", list(riser.values()), Surface(texture_srgb=stand, tile_m=0.4, roughness=0.5)),
-        panel("keys", (-w + 0.006, -d + 0.006, top + PRINT), (size[0], 0, 0), (0, size[1], 0), keys),
-        panel("label_left", (-x - PRINT, 0.035, z), (0, -0.07, 0), (0, 0, 0.044), sticker),
-        panel("label_right", (x + PRINT, -0.035, z), (0, 0.07, 0), (0, 0, 0.044), sticker),
+        boxes_mesh("base", list(slabs.values()), case),
+        boxes_mesh("feet", list(feet.values()), black),
+        panel("keys", (-w + 0.006, front, top + PRINT), (2 * w - 0.012, 0, 0), (0, d - 0.006 - front, 0), keys),
         *(
             rod(
                 f"hinge_{side}",
                 (0.66 * sign * w - 0.03, *hinge),
                 (0.66 * sign * w + 0.03, *hinge),
-                0.005,
+                0.003,
                 black,
             )
             for side, sign in (("left", -1.0), ("right", 1.0))
         ),
     )
-    solids = {"base": slab, **riser}
-    colliders = tuple(solid.collider(key) for key, solid in solids.items())
+    colliders = tuple(solid.collider(key) for key, solid in {**slabs, **feet}.items())
     return AssetLink(name="base", meshes=meshes, colliders=colliders, mass=shape.base_mass)
 
 
-def _lid(
-    shape: LaptopShape, color: tuple[float, float, float], handle: BarHandle, rng: np.random.Generator
-) -> AssetLink:
+def _lid(shape: LaptopShape, color: tuple[float, float, float], rng: np.random.Generator) -> AssetLink:
     w, d, low = shape.width / 2, shape.depth / 2, shape.seam + SEAL
     top = low + shape.lid
-    slab = box(-w, w, -d, d, low, top)
+    slab = box(-w, w, RIM - d, d, low, top, "y")
+    rim = box(-w, w, -d, RIM - d, low, top, "Y")
     case = Surface(texture_srgb=textures.brushed_metal(rng, color, 512), roughness=0.4, metallic=0.4)
-    stickers = Surface(texture_srgb=printed.stickers(rng, color), roughness=0.5)
     display = Surface(texture_srgb=printed.screen(rng), roughness=0.2)
-    rim = Surface(color_srgb=(0.05, 0.05, 0.06))
-    bar = Surface(texture_srgb=textures.plastic(rng, (0.12, 0.12, 0.13), 128), roughness=0.5)
-    edge, frame = 0.012, shape.bezel
-    below = low - PRINT
-    size = (2 * (w - frame), 2 * d - 2 * frame)
+    frame = Surface(color_srgb=(0.05, 0.05, 0.06))
+    bezel, below = shape.bezel, low - PRINT
+    size = (2 * (w - bezel), 2 * d - 2 * bezel)
     meshes = (
-        boxes_mesh("lid", [slab], case),
-        panel(
-            "stickers",
-            (-w + edge, -d + edge, top + PRINT),
-            (2 * (w - edge), 0, 0),
-            (0, 2 * (d - edge), 0),
-            stickers,
-        ),
+        boxes_mesh("lid", [slab, rim], case),
+        _print(shape, color, top + PRINT, rng),
         # Upright for the user once the lid is open: its top is the free edge.
-        panel("bezel", (-w, d, low - PRINT / 2), (2 * w, 0, 0), (0, -2 * d, 0), rim),
-        panel("screen", (-w + frame, d - frame, below), (size[0], 0, 0), (0, -size[1], 0), display),
-        handle.mesh(bar),
+        panel("bezel", (-w, d, low - PRINT / 2), (2 * w, 0, 0), (0, -2 * d, 0), frame),
+        panel("screen", (-w + bezel, d - bezel, below), (size[0], 0, 0), (0, -size[1], 0), display),
     )
-    return AssetLink(
-        name="lid", meshes=meshes, colliders=(slab.collider("lid"), *handle.colliders()), mass=shape.lid_mass
-    )
+    colliders = (slab.collider("lid"), rim.collider("handle_rim"))
+    return AssetLink(name="lid", meshes=meshes, colliders=colliders, mass=shape.lid_mass)
+
+
+def _print(
+    shape: LaptopShape, color: tuple[float, float, float], height: float, rng: np.random.Generator
+) -> Mesh:
+    """On the lid: the maker's name alone, or stickers all over it."""
+    if rng.random() < 0.5:
+        name = Surface(texture_srgb=textures.nameplate(rng, color, 256, 64), roughness=0.4)
+        return panel("name", (0.04, -0.01, height), (-0.08, 0, 0), (0, -0.02, 0), name)
+    w, d = shape.width / 2 - 0.012, shape.depth / 2 - 0.012
+    art = Surface(texture_srgb=printed.stickers(rng, color, count=int(rng.integers(2, 8))), roughness=0.5)
+    return panel("stickers", (-w, -d, height), (2 * w, 0, 0), (0, 2 * d, 0), art)

@@ -7,10 +7,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.assets.check import outward_normal
+from aomgen.assets.check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
+from aomgen.physics.kinematic import holding_gripper
 from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.hold import BAR_BEHIND_TIP_M, Hold, Style, closed_tips, draw_style, hand_axes
 from aomgen.synthetic.manner import Direction, Manner, Touch
@@ -23,6 +24,16 @@ HOOK_ROOM_M: Final = 0.002
 PUSH_LIMIT: Final = 0.5
 # Share of a lid's turn by which the hand begins flatter: an arm looks down easily, hardly up.
 NOD_SHARE: Final = 0.25
+# A lid that is held at its rim is found closed in this share of the cases, else open so far, [rad].
+CLOSED_SHARE: Final = 0.4
+AJAR_RAD: Final = (np.deg2rad(3.0), np.deg2rad(12.0))
+# Hold of a rim: how far the finger tips reach beyond the held point, [m]; the hand's downward tilt, at
+# which its knuckles stay above the table, and the share of the style's tilt that is added to it; the free
+# way of each finger before it closes, [m].
+RIM_BEYOND_M: Final = 0.004
+RIM_TILT_RAD: Final = np.deg2rad(30.0)
+RIM_TILT_SHARE: Final = 0.5
+RIM_FREE_M: Final = 0.004
 
 
 def usual(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Manner, Style]:
@@ -34,7 +45,10 @@ def usual(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Manner, St
         travel = min(rng.uniform(0.15, 0.22), 0.9 * upper)
     manner = Manner(travel=float(travel))
     style = draw_style(rng, manner)
-    return replace(manner, follow=rng.uniform(0.6, 1.0)), style
+    manner = replace(manner, follow=rng.uniform(0.6, 1.0))
+    if held_at_rim(asset) and rng.random() > CLOSED_SHARE:
+        manner = replace(manner, start=float(rng.uniform(*AJAR_RAD)))
+    return manner, style
 
 
 def pinch(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Manner) -> Hold:
@@ -53,7 +67,29 @@ def pinch(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Mann
             NOD_SHARE * manner.follow * max(manner.start, manner.goal) * float(asset.joint.axis @ sideways)
         )
     R = matrix_from_rotvec(-tilt * sideways) @ R @ hand_axes(robot).T
-    return Hold(T_asset_ee=transform(R, asset.handle_point), slack=np.zeros(3), gripper=(0.0, 1.0))
+    point = asset.handle_point
+    return Hold(T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0))
+
+
+def pinch_rim(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) -> Hold:
+    """The fingers, hardly open, reach over and under the rim of the part from a little above, and close."""
+    outward, along = outward_normal(asset), asset.handle_axis
+    across = np.cross(outward, along)
+    tilt = RIM_TILT_RAD + RIM_TILT_SHARE * style.tilt_rad
+    approach = matrix_from_rotvec(-tilt * np.cross(-outward, [0.0, 0.0, 1.0])) @ -outward
+    width = along * (-1.0 if style.flip else 1.0)
+    R = np.stack([width, np.cross(approach, width), approach], 1) @ hand_axes(robot).T
+    point = asset.handle_point - (tips[1, 2] - RIM_BEYOND_M) * approach
+    # Across tilted fingers the rim is thicker.
+    bar = asset.handle_bar
+    thickness = 0.0 if bar is None else 2 * _support(bar, across)
+    opening = thickness * np.cos(tilt) + 2 * RIM_BEYOND_M * np.sin(tilt) + 2 * RIM_FREE_M
+    return Hold(
+        T_asset_ee=transform(R, point),
+        pivot=asset.handle_point,
+        slack=np.zeros(3),
+        gripper=(holding_gripper(robot, opening, 0.0), 1.0),
+    )
 
 
 def possible_touches(asset: ArticulatedAsset, direction: Direction) -> tuple[Touch, ...]:
@@ -74,9 +110,11 @@ def take_hold(
         model: Any compiled model that holds the robot.
         manner: Of a touch that is possible.
     """
-    if manner.touch == "pinch":
+    if manner.touch == "pinch" and not held_at_rim(asset):
         return pinch(robot, asset, style, manner)
     tips = closed_tips(robot, model)
+    if manner.touch == "pinch":
+        return pinch_rim(robot, asset, style, tips)
     if manner.touch == "hook":
         return hook(robot, asset, style, tips)
     if _facing(asset, manner.direction) < -PUSH_LIMIT:
@@ -108,7 +146,8 @@ def hook(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) 
     if room < HOOK_ROOM_M:
         return None
     R = np.stack([width, closing, approach], 1) @ hand_axes(robot).T
-    return Hold(T_asset_ee=transform(R, point), slack=-min(room / 2, 0.004) * normal, gripper=(1.0, 1.0))
+    slack = -min(room / 2, 0.004) * normal
+    return Hold(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
 
 
 def push_bar(
@@ -127,7 +166,8 @@ def push_bar(
     point = asset.handle_point - (_support(bar, along) + half) * along
     point = point - (tips[1, 2] - BAR_BEHIND_TIP_M) * approach
     R = np.stack([np.cross(closing, approach), closing, approach], 1) @ hand_axes(robot).T
-    return Hold(T_asset_ee=transform(R, point), slack=-PUSH_SLACK_M * along, gripper=(1.0, 1.0))
+    slack = -PUSH_SLACK_M * along
+    return Hold(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
 
 
 def push_front(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) -> Hold | None:
@@ -150,7 +190,8 @@ def push_front(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: A
     closing = along * (-1.0 if style.flip else 1.0)
     R = np.stack([np.cross(closing, -normal), closing, -normal], 1) @ hand_axes(robot).T
     place = point + tips[1, 2] * normal
-    return Hold(T_asset_ee=transform(R, place), slack=PUSH_SLACK_M * normal, gripper=(1.0, 1.0))
+    slack = PUSH_SLACK_M * normal
+    return Hold(T_asset_ee=transform(R, place), pivot=place, slack=slack, gripper=(1.0, 1.0))
 
 
 def handle_foot(asset: ArticulatedAsset) -> Array | None:
@@ -160,7 +201,7 @@ def handle_foot(asset: ArticulatedAsset) -> Array | None:
         if not box.name.startswith("handle"):
             local = apply(invert(box.T_asset_box), asset.handle_point)
             feet.append(apply(box.T_asset_box, np.clip(local, -box.half_extents, box.half_extents)))
-    if asset.handle_bar is None or not feet:
+    if asset.handle_bar is None or not feet or held_at_rim(asset):
         return None
     distances = np.linalg.norm(np.array(feet) - asset.handle_point, axis=1)
     nearest = int(np.argmin(distances))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.manner import Manner
@@ -43,16 +43,19 @@ class Hold:
 
     Attributes:
         T_asset_ee: Pose (4, 4) of the end effector in touch with the part.
+        pivot: Point (3,) about which the hand turns when it turns less than the part, [m].
         slack: Way (3,) back to where it does not touch yet, [m]; zero for fingers that close.
         gripper: Closing before and while it holds, 0..1.
     """
 
     T_asset_ee: Array
+    pivot: Array
     slack: Array
     gripper: tuple[float, float]
 
     def __post_init__(self) -> None:
         freeze(self, "T_asset_ee", self.T_asset_ee, (4, 4))
+        freeze(self, "pivot", self.pivot, (3,))
         freeze(self, "slack", self.slack, (3,))
 
 
@@ -108,12 +111,15 @@ def hold_poses(asset: ArticulatedAsset, hold: Hold, manner: Manner, progress: Ar
     poses = []
     for share in progress:
         moved = manner.sign * share * manner.travel
+        slip = manner.slip_m * (share - 0.5) * asset.handle_axis
         T_asset_ee = hold.T_asset_ee.copy()
-        T_asset_ee[:3, 3] += manner.slip_m * (share - 0.5) * asset.handle_axis
-        T_held = asset.joint.motion(manner.start + moved) @ T_asset_ee
+        T_asset_ee[:3, 3] += slip
+        T_moved = asset.joint.motion(manner.start + moved)
+        T_held = T_moved @ T_asset_ee
         if asset.joint.type == "revolute":
             lag = matrix_from_rotvec(-(1.0 - manner.follow) * moved * asset.joint.axis)
-            T_held = transform(lag @ T_held[:3, :3], T_held[:3, 3])
+            pivot = apply(T_moved, hold.pivot + slip)
+            T_held = transform(lag @ T_held[:3, :3], pivot + lag @ (T_held[:3, 3] - pivot))
         poses.append(T_held)
     return np.array(poses)
 

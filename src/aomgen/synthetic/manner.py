@@ -40,7 +40,7 @@ class Manner:
 
     Attributes:
         travel: How far the part is moved, [rad] or [m], > 0.
-        direction: Opening starts from the closed part, closing from the part open by `start`.
+        direction: Of the motion; opening mostly starts from the closed part, closing from an open one.
         start: Joint value of the scanned state, [rad] or [m].
         touch: Pinched between the fingers, pulled by closed fingers behind the bar, or pushed by them.
         outcome: What comes of it; see `Outcome`.

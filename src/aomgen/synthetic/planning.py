@@ -134,7 +134,7 @@ def _is_free(robot: RobotModel, world: World, way: Way, manner: Manner) -> bool:
     holding = _Free(
         robot,
         world,
-        gripper=PINCHING if pinching else way.gripper[1],
+        gripper=max(PINCHING, way.gripper[0]) if pinching else way.gripper[1],
         deepest=np.inf if pinching else PRESS_M,
     )
     return (
