@@ -8,6 +8,7 @@ from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
 from aomgen.assets.shapes import Surface, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
@@ -187,12 +188,7 @@ def _drawer(
     low, top, thin = shape.shelf, shape.height - shape.board, 0.010
     face = box(-w + 0.002, w - 0.002, shape.face, start, low - 0.004, top + 0.008)
     inner, floor, rim = w - shape.board - GAP, low + GAP, top - 0.025
-    tray = {
-        "tray_bottom": box(-inner, inner, start, end, floor, floor + thin, "y"),
-        "tray_left": box(-inner, -inner + thin, start, end, floor + thin, rim, "yz"),
-        "tray_right": box(inner - thin, inner, start, end, floor + thin, rim, "yz"),
-        "tray_back": box(-inner + thin, inner - thin, end - thin, end, floor + thin, rim, "xXz"),
-    }
+    tray = tray_boxes((-inner, inner), (start, end), (floor, rim), thin)
     handle = _bar(shape, 0.0, (low + top) / 2, (1.0, 0.0, 0.0))
     ply = Surface(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
     sheet = Surface(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.5)

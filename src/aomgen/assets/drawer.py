@@ -8,6 +8,7 @@ from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
 from aomgen.assets.shapes import Surface, box, boxes_mesh, panel
+from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 
@@ -135,12 +136,7 @@ def _drawer(shape: DrawerShape, front: Surface, handle: BarHandle, rng: np.rando
     floor, rim = low + GAP, top - 0.03
     end, side = y1 - shape.board - 0.01, shape.side
     start = y0 - GAP
-    tray = {
-        "tray_bottom": box(-inner, inner, start, end, floor, floor + side, "y"),
-        "tray_left": box(-inner, -inner + side, start, end, floor + side, rim, "yz"),
-        "tray_right": box(inner - side, inner, start, end, floor + side, rim, "yz"),
-        "tray_back": box(-inner + side, inner - side, end - side, end, floor + side, rim, "xXz"),
-    }
+    tray = tray_boxes((-inner, inner), (start, end), (floor, rim), side)
     ply = Surface(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
     metal = METALS[rng.integers(len(METALS))]
     bar = Surface(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)

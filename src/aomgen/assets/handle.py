@@ -46,15 +46,15 @@ class BarHandle:
             rods.append(rod("post", self.foot + offset, self.middle + offset, 0.8 * radius, surface, 10))
         return merged("handle", rods)
 
-    def colliders(self) -> tuple[BoxCollider, ...]:
-        """Boxes of bar and posts; all names start with "handle"."""
+    def colliders(self, prefix: str = "") -> tuple[BoxCollider, ...]:
+        """Boxes of bar and posts; all names start with "handle", after a prefix for what does not move."""
         radius = self.thickness / 2
         along = np.abs(self.axis)
         bar = np.where(along > 0.5, self.length / 2, radius)
-        boxes = [_collider("handle_bar", self.middle, bar)]
+        boxes = [_collider(f"{prefix}handle_bar", self.middle, bar)]
         for name, side in (("handle_post_low", -1.0), ("handle_post_high", 1.0)):
             centre = self.foot + OUTWARD * self.clearance / 2 + side * self._post_offset()
-            boxes.append(_collider(name, centre, np.array([0.8 * radius, self.clearance / 2, 0.8 * radius])))
+            boxes.append(_collider(prefix + name, centre, np.array([0.8 * radius, self.clearance / 2, 0.8 * radius])))
         return tuple(boxes)
 
     def _post_offset(self) -> Array:

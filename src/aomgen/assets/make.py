@@ -8,6 +8,7 @@ import numpy as np
 from aomgen.assets.cabinet import make_cabinet
 from aomgen.assets.cupboard import make_cupboard
 from aomgen.assets.drawer import make_drawer
+from aomgen.assets.dresser import make_dresser
 from aomgen.assets.laptop import make_laptop
 from aomgen.assets.microwave import make_microwave
 from aomgen.assets.oven import make_oven
@@ -25,7 +26,11 @@ MAKERS: Final[dict[str, Maker]] = {
     "toolbox": make_toolbox,
 }
 # Made by name as well, to see whether methods hold beyond those five.
-OTHER_MAKERS: Final[dict[str, Maker]] = {"cupboard": make_cupboard, "oven": make_oven}
+OTHER_MAKERS: Final[dict[str, Maker]] = {
+    "cupboard": make_cupboard,
+    "dresser": make_dresser,
+    "oven": make_oven,
+}
 
 
 def make_asset(category: str, seed: int) -> ArticulatedAsset:
