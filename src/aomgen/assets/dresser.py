@@ -101,7 +101,11 @@ def make_dresser(name: str, rng: np.random.Generator) -> ArticulatedAsset:
         static=_body(shape, fixed, (body, front, bar)),
         moving=_drawer(shape, moving, (front, bar), rng),
         joint=Joint(
-            type="prismatic", axis=np.array([0.0, -1.0, 0.0]), origin=handle.foot, lower=0.0, upper=shape.travel
+            type="prismatic",
+            axis=np.array([0.0, -1.0, 0.0]),
+            origin=handle.foot,
+            lower=0.0,
+            upper=shape.travel,
         ),
         handle_point=handle.middle,
         handle_axis=handle.axis,
@@ -125,9 +129,7 @@ def _front(shape: DresserShape, cell: tuple[int, int]) -> Box:
     (width, height), back = shape.pitch, -shape.depth / 2 - GAP
     x, z = cell[0] * width - shape.width / 2, shape.feet + cell[1] * height
     margin = GAP / 2
-    return box(
-        x + margin, x + width - margin, back - shape.board, back, z + margin, z + height - margin
-    )
+    return box(x + margin, x + width - margin, back - shape.board, back, z + margin, z + height - margin)
 
 
 def _handle(shape: DresserShape, cell: tuple[int, int]) -> BarHandle:
@@ -157,7 +159,9 @@ def _body(
     }
     for row in range(1, shape.rows):
         z = z0 + row * shape.pitch[1]
-        boards[f"shelf_{row}"] = box(-w + board, w - board, y0, y1 - board, z - SHELF / 2, z + SHELF / 2, "xXY")
+        boards[f"shelf_{row}"] = box(
+            -w + board, w - board, y0, y1 - board, z - SHELF / 2, z + SHELF / 2, "xXY"
+        )
     if shape.columns == 2:
         boards["upright"] = box(-SHELF / 2, SHELF / 2, y0, y1 - board, *inside, "zZY")
     feet = {

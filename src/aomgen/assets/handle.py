@@ -54,7 +54,9 @@ class BarHandle:
         boxes = [_collider(f"{prefix}handle_bar", self.middle, bar)]
         for name, side in (("handle_post_low", -1.0), ("handle_post_high", 1.0)):
             centre = self.foot + OUTWARD * self.clearance / 2 + side * self._post_offset()
-            boxes.append(_collider(prefix + name, centre, np.array([0.8 * radius, self.clearance / 2, 0.8 * radius])))
+            boxes.append(
+                _collider(prefix + name, centre, np.array([0.8 * radius, self.clearance / 2, 0.8 * radius]))
+            )
         return tuple(boxes)
 
     def _post_offset(self) -> Array:

@@ -98,7 +98,9 @@ def _base(shape: LaptopShape, color: tuple[float, float, float], rng: np.random.
     meshes = (
         boxes_mesh("base", list(slabs.values()), case),
         boxes_mesh("feet", list(feet.values()), black),
-        panel("keys", (-w + 0.006, front, top + PRINT), (2 * w - 0.012, 0, 0), (0, d - 0.006 - front, 0), keys),
+        panel(
+            "keys", (-w + 0.006, front, top + PRINT), (2 * w - 0.012, 0, 0), (0, d - 0.006 - front, 0), keys
+        ),
         *(
             rod(
                 f"hinge_{side}",

@@ -117,6 +117,28 @@ def rod(
     return _triangles_mesh(name, np.array(triangles), np.array(uvs), surface)
 
 
+def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Surface, sides: int = 20) -> Mesh:
+    """Upper half of an ellipsoid on a plane z, texture seen from above.
+
+    Args:
+        center: Of its flat side (3,), [m].
+        radii: Along x, y and z (3,), [m].
+    """
+    around = np.arange(sides + 1) * 2 * np.pi / sides
+    up = np.linspace(0.0, np.pi / 2, sides // 4 + 1)
+    unit = np.stack(
+        [
+            np.cos(up)[:, None] * np.cos(around),
+            np.cos(up)[:, None] * np.sin(around),
+            np.broadcast_to(np.sin(up)[:, None], (len(up), len(around))),
+        ],
+        -1,
+    )
+    quads = np.stack([unit[:-1, :-1], unit[:-1, 1:], unit[1:, 1:], unit[1:, :-1]], 2).reshape(-1, 4, 3)
+    uvs = 0.5 + 0.5 * quads[..., :2]
+    return _quads_mesh(name, np.asarray(center) + quads * np.asarray(radii), uvs, surface)
+
+
 def merged(name: str, meshes: Sequence[Mesh]) -> Mesh:
     """One mesh of several that share the first one's surface."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])

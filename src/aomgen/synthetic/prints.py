@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from aomgen.assets.palette import WOODS
 from aomgen.assets.textures import WORDS, Texture, noise, tinted, wood
 
 
@@ -83,6 +84,34 @@ def table_top(rng: np.random.Generator, size: int = 1024) -> Texture:
     fine = noise(rng, size, 1.2)
     image *= 1.0 - 0.25 * (fine > 2.1)[..., None]
     return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def striped(rng: np.random.Generator, size: int = 768) -> Texture:
+    """A woven mat: stripes of several widths in three colors, again and again."""
+    colors = rng.uniform(0.15, 0.9, (3, 3))
+    widths = rng.integers(8, 34, 6)
+    repeat = np.repeat(np.arange(6) % 3, widths)
+    row = colors[np.resize(repeat, size)]
+    weave = 0.05 * noise(rng, size, (0.6, 2.5)) + 0.04 * noise(rng, size, 40)
+    image = np.broadcast_to(row[:, None] if rng.random() < 0.5 else row[None], (size, size, 3))
+    return np.round(255 * np.clip(image * (1.0 + weave[..., None]), 0, 1)).astype(np.uint8)
+
+
+def checked(rng: np.random.Generator, size: int = 768) -> Texture:
+    """A checked cloth: bands of one color across bands of another on a light ground."""
+    ground, one, other = rng.uniform(0.75, 0.95), rng.uniform(0.1, 0.6, 3), rng.uniform(0.1, 0.6, 3)
+    pitch = int(rng.integers(24, 56))
+    band = (np.arange(size) // pitch % 2).astype(float)[:, None, None]
+    image = ground * (1 - 0.5 * band) + 0.5 * band * one
+    across = band.transpose(1, 0, 2)
+    image = image * (1 - 0.5 * across) + 0.5 * across * other
+    weave = 0.04 * noise(rng, size, 0.8) + 0.05 * noise(rng, size, 40)
+    return np.round(255 * np.clip(image * (1.0 + weave[..., None]), 0, 1)).astype(np.uint8)
+
+
+def planks(rng: np.random.Generator, size: int = 768) -> Texture:
+    """A wooden board of another shade than the table's."""
+    return wood(rng, WOODS[rng.integers(len(WOODS))], size)
 
 
 def tiles(rng: np.random.Generator, size: int = 1024, count: int = 6) -> Texture:

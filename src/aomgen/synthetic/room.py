@@ -1,20 +1,28 @@
 """The room of a synthetic capture: floor, wall with posters, table with clutter, pedestal."""
 
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Final
 
 import mujoco
 import numpy as np
 
 from aomgen.assets.mjcf import add_visual_mesh
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, panel
+from aomgen.assets.shapes import Surface, box, boxes_mesh, panel
 from aomgen.assets.textures import brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
 from aomgen.synthetic import prints
+from aomgen.synthetic.things import Thing, draw_thing, mat_mesh, thing_meshes
 
 TABLE_GEOM = "table"
+# Room for the gripper before an object, [m]; part of what is kept free.
+FRONT_M: Final = 0.25
+# Things beside an object lie within this distance of what is kept free, a mat reaches at most so far beyond.
+BESIDE_M: Final = 0.21
+MAT_BEYOND_M: Final = 0.15
+# Of the tables with a low object, so many have a mat; others are bare.
+MAT_SHARE: Final = 0.75
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +33,9 @@ class Room:
         T_world_room: Pose (4, 4); a turn about z.
         table_z: Height of the table top, [m].
         table: (x0, x1, y0, y1) of the table top, [m].
-        keep_free: (x0, x1, y0, y1) of the table that stays without clutter, [m].
+        keep_free: (x0, x1, y0, y1) of the table that stays without clutter, [m]; the first FRONT_M of y
+            are the gripper's.
+        desk: Whether the object lies on a mat or on the bare table with small things beside it.
         wall_y: Plane of the wall, [m].
         floor_z: Height of the floor, [m].
     """
@@ -34,6 +44,7 @@ class Room:
     table_z: float
     table: tuple[float, float, float, float]
     keep_free: tuple[float, float, float, float]
+    desk: bool
     wall_y: float
     floor_z: float
 
@@ -42,7 +53,7 @@ class Room:
 
 
 def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visual: bool) -> None:
-    """Add the room to a model: the table top as a collider, everything else only when `visual`."""
+    """Add the room to a model: table top and things beside the object as colliders, else only when `visual`."""
     T = room.T_world_room
     body = spec.worldbody.add_body(name="room", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
     x0, x1, y0, y1 = room.table
@@ -53,9 +64,19 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
         size=[(x1 - x0) / 2, (y1 - y0) / 2, 0.02],
         group=3,
     )
+    things = _beside(room, rng) if room.desk else []
+    for number, thing in enumerate(things):
+        low, high = np.array(thing.solid.lower), np.array(thing.solid.upper)
+        body.add_geom(
+            name=f"{thing.kind}_{number}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=(low + high) / 2,
+            size=(high - low) / 2,
+            group=3,
+        )
     if not visual:
         return
-    for mesh in room_meshes(room, rng):
+    for mesh in room_meshes(room, things, rng):
         add_visual_mesh(spec, body, mesh, f"room_{mesh.name}")
     # A steep lamp casts the shadows; the others only shade, so that every picture sees one light.
     lights = {
@@ -76,8 +97,8 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
         )
 
 
-def room_meshes(room: Room, rng: np.random.Generator) -> list[Mesh]:
-    """All visible meshes, room frame."""
+def room_meshes(room: Room, things: list[Thing], rng: np.random.Generator) -> list[Mesh]:
+    """All visible meshes, room frame, with the things beside the object."""
     floor = Surface(texture_srgb=prints.tiles(rng), tile_m=3.0)
     wall = Surface(texture_srgb=prints.plaster(rng), tile_m=3.0)
     top = Surface(texture_srgb=prints.table_top(rng), tile_m=1.5, roughness=0.5)
@@ -101,7 +122,14 @@ def room_meshes(room: Room, rng: np.random.Generator) -> list[Mesh]:
         boxes_mesh("pedestal", [box(-0.13, 0.13, -0.13, 0.13, down, -0.022)], dark),
         boxes_mesh("plate", [box(-0.16, 0.16, -0.16, 0.16, -0.022, -0.002)], steel),
     ]
-    return [*meshes, *_posters(room, rng), *_clutter(room, rng)]
+    taken = [room.keep_free]
+    if room.desk:
+        taken += [thing.area for thing in things]
+        for number, thing in enumerate(things):
+            meshes += thing_meshes(f"beside_{number}", thing, rng)
+        if rng.random() < MAT_SHARE:
+            meshes.append(mat_mesh(_mat_area(room, rng), room.table_z, rng))
+    return [*meshes, *_posters(room, rng), *_clutter(room, taken, rng)]
 
 
 def _posters(room: Room, rng: np.random.Generator) -> list[Mesh]:
@@ -127,52 +155,49 @@ def _posters(room: Room, rng: np.random.Generator) -> list[Mesh]:
     return meshes
 
 
-def _clutter(room: Room, rng: np.random.Generator) -> list[Mesh]:
+def _clutter(
+    room: Room, taken: list[tuple[float, float, float, float]], rng: np.random.Generator
+) -> list[Mesh]:
     """Cartons behind, books and magazines wherever the table is not kept free."""
     x0, x1, y0, y1 = room.table
     meshes: list[Mesh] = []
-    taken = [room.keep_free]
-    wanted = [*["carton"] * 3, *["book"] * 3, *["magazine"] * 6]
-    for kind in wanted:
-        for _ in range(60):
-            a, b, c = _size(kind, rng)
-            # Cartons stand at the back, where they hide little.
-            front = y0 + (0.55 * (y1 - y0) if kind == "carton" else 0.02)
-            x, y = rng.uniform(x0 + 0.02, x1 - a - 0.02), rng.uniform(front, y1 - b - 0.02)
-            area = (x, x + a, y, y + b)
-            if not any(_meet(area, other) for other in taken):
-                taken.append(area)
-                z = room.table_z + 0.0005
-                meshes += printed_box(f"{kind}_{len(taken)}", box(x, x + a, y, y + b, z, z + c), kind, rng)
-                break
+    taken = list(taken)
+    for kind in [*["carton"] * 3, *["book"] * 3, *["magazine"] * 6]:
+        # Cartons stand at the back, where they hide little.
+        front = y0 + (0.55 * (y1 - y0) if kind == "carton" else 0.02)
+        spans = ((x0 + 0.02, x1 - 0.02), (front, y1 - 0.02))
+        thing = draw_thing(kind, spans, room.table_z, taken, rng)
+        if thing is not None:
+            taken.append(thing.area)
+            meshes += thing_meshes(f"{kind}_{len(taken)}", thing, rng)
     return meshes
 
 
-def _size(kind: str, rng: np.random.Generator) -> tuple[float, float, float]:
-    if kind == "carton":
-        a, b, c = rng.uniform((0.14, 0.12, 0.10), (0.24, 0.20, 0.20))
-    elif kind == "book":
-        a, b, c = rng.uniform((0.13, 0.16, 0.015), (0.19, 0.23, 0.04))
-    else:
-        a, b, c = rng.uniform((0.15, 0.18, 0.003), (0.22, 0.26, 0.006))
-    return float(a), float(b), float(c)
+def _beside(room: Room, rng: np.random.Generator) -> list[Thing]:
+    """A mug, a mouse, a power adapter and a book close to what stands on the mat."""
+    x0, x1, y0, y1 = room.keep_free
+    table = room.table
+    ring = (
+        (max(x0 - BESIDE_M, table[0]), min(x1 + BESIDE_M, table[1])),
+        (max(y0 + FRONT_M, table[2]), min(y1 + BESIDE_M, table[3])),
+    )
+    things: list[Thing] = []
+    for kind in rng.permutation(["mug", "mouse", "adapter", "book"]):
+        taken = [room.keep_free, *(thing.area for thing in things)]
+        thing = draw_thing(str(kind), ring, room.table_z, taken, rng)
+        if thing is not None:
+            things.append(thing)
+    return things
 
 
-def _meet(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    gap = 0.02
-    return a[0] < b[1] + gap and b[0] < a[1] + gap and a[2] < b[3] + gap and b[2] < a[3] + gap
-
-
-def printed_box(name: str, solid: Box, kind: str, rng: np.random.Generator) -> list[Mesh]:
-    """A box with another print on every visible face, so that no two faces can be confused."""
-    (x0, y0, z0), (x1, y1, z1) = solid.lower, solid.upper
-    draw = prints.carton if kind == "carton" else prints.poster
-    top = Surface(texture_srgb=draw(rng), roughness=0.8)
-    meshes = [panel(f"{name}_top", (x0, y0, z1), (x1 - x0, 0, 0), (0, y1 - y0, 0), top)]
-    ring = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
-    plain = Surface(color_srgb=(0.88, 0.86, 0.82))
-    for number, ((ax, ay), (bx, by)) in enumerate(pairwise(ring)):
-        side = Surface(texture_srgb=prints.carton(rng), roughness=0.8) if kind == "carton" else plain
-        edge = (bx - ax, by - ay, 0)
-        meshes.append(panel(f"{name}_{number}", (ax, ay, z0), edge, (0, 0, z1 - z0), side))
-    return meshes
+def _mat_area(room: Room, rng: np.random.Generator) -> tuple[float, float, float, float]:
+    """What a mat covers of the table: all that the object needs, and some more, up to the table's edge."""
+    x0, x1, y0, y1 = room.keep_free
+    left, right, front, back = rng.uniform(0.0, MAT_BEYOND_M, 4)
+    table = room.table
+    return (
+        max(float(x0 - left), table[0] + 0.01),
+        min(float(x1 + right), table[1] - 0.01),
+        max(float(y0 + FRONT_M - front), table[2] + 0.01),
+        min(float(y1 + back), table[3] - 0.01),
+    )

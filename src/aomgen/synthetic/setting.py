@@ -13,7 +13,7 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.physics.robot import RobotModel
 from aomgen.physics.robot_looks import add_robot_looks
-from aomgen.synthetic.room import Room, add_room
+from aomgen.synthetic.room import FRONT_M, Room, add_room
 
 # How finely the robot is drawn, [m]: less than a pixel in these pictures.
 ROBOT_CELL_M = 0.0025
@@ -27,6 +27,8 @@ FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
 # three laptops).
 BEFORE = ((-18.0, 18.0), (0.56, 0.70))
 LIFTED = ((-8.0, 52.0), (0.38, 0.52))
+# An object this low lies where people work, [m]: on a mat, with things beside it.
+LOW_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +74,7 @@ def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
         table_z=table_z,
         table=(-0.85, 0.85, 0.24, 1.32),
         keep_free=_footprint(asset, T_room_object),
+        desk=bool(max(asset.static.bounds[1][2], asset.moving.bounds[1][2]) < LOW_M),
         wall_y=1.42,
         floor_z=table_z - 0.74,
     )
@@ -106,7 +109,7 @@ def _footprint(asset: ArticulatedAsset, T_room_object: Array) -> tuple[float, fl
     placed = np.concatenate(points) @ T_room_object[:3, :3].T + T_room_object[:3, 3]
     low, high = placed.min(0) - 0.04, placed.max(0) + 0.04
     # Before the front the gripper needs room as well.
-    return float(low[0]), float(high[0]), float(low[1]) - 0.25, float(high[1])
+    return float(low[0]), float(high[0]), float(low[1]) - FRONT_M, float(high[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

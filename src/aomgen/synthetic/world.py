@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.make import make_asset
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress, silent
 from aomgen.core.robot_choice import HandChoice
@@ -28,6 +29,8 @@ from aomgen.synthetic.write import write_recording, write_truth
 DEFAULT_ROBOT = "ur5e_2f85"
 # A robot file may name meshes in folders beside its own, as packages do.
 PACKAGE_DEPTH = 3
+# What a capture of a category shows, where it is not the asset of that name.
+SHOWN = {"drawer": "dresser"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +93,7 @@ def make_capture(
     if robot_file is not None:
         root = robot_file.resolve().parents[min(PACKAGE_DEPTH, len(robot_file.resolve().parents)) - 1]
         robot = load_robot(robot_file.resolve(), hand=hand, root=root)
-    performance = perform(robot, make_asset(category, seed), rng, manner)
+    performance = perform(robot, draw_object(category, seed), rng, manner)
     progress(0.05, "demonstration simulated")
     recording = record(robot, performance, conditions or Conditions(), rng, progress=progress)
     with staged_folder(folder) as staging:
@@ -103,6 +106,15 @@ def make_capture(
         write_truth(staging / "truth", recording)
 
 
+def draw_object(category: str, seed: int) -> ArticulatedAsset:
+    """The object of a capture.
+
+    Raises:
+        ConfigError: Unknown category.
+    """
+    return make_asset(SHOWN.get(category, category), seed)
+
+
 def draw_capture_manner(category: str, seed: int, direction: Direction, touch: str) -> Manner | None:
     """The manner of a capture that closes, hooks or pushes; None for the usual pinch that opens.
 
@@ -113,7 +125,7 @@ def draw_capture_manner(category: str, seed: int, direction: Direction, touch: s
     """
     if direction == "opening" and touch == "pinch":
         return None
-    asset = make_asset(category, seed)
+    asset = draw_object(category, seed)
     known = possible_touches(asset, direction)
     allowed: dict[str, Touch] = {name: name for name in known}
     chosen = allowed.get(touch)
