@@ -19,6 +19,10 @@ def bench_accuracy(
     synthetic_motion: Annotated[
         int, typer.Option(help="Instead: so many cheap worlds for AOMotion alone.")
     ] = 0,
+    category: Annotated[
+        str | None,
+        typer.Option(help="Only such synthetic captures: cabinet, drawer, laptop, microwave or toolbox."),
+    ] = None,
     harsh: Annotated[
         bool, typer.Option("--harsh", help="Make synthetic captures worse, as phones and labs do.")
     ] = False,
@@ -35,6 +39,8 @@ def bench_accuracy(
     With --synthetic-motion N, N demonstrations are simulated and filmed, upstream results perturbed
     by measured errors, and the motion alone recovered (half a minute each; --out keeps the worlds).
     """
+    if category is not None and synthetic == 0:
+        raise ConfigError("--category", "holds for --synthetic N alone", "add --synthetic or leave it out")
     if synthetic_motion:
         _bench_motion(synthetic_motion, seed, out, json_file)
         return
@@ -52,7 +58,12 @@ def bench_accuracy(
         raise ConfigError("bench accuracy", "wants a capture or --synthetic N", "give one of the two")
     if capture is None:
         results = run_synthetic(
-            synthetic, out, run_project, FIRST_SEED if seed is None else seed, harsh=harsh
+            synthetic,
+            out,
+            run_project,
+            FIRST_SEED if seed is None else seed,
+            category=category,
+            harsh=harsh,
         )
         table = synthetic_table(results)
     else:

@@ -13,7 +13,7 @@ from aomgen.benchmarks.bars import BARS
 from aomgen.benchmarks.command import run_accuracy
 from aomgen.benchmarks.harsh_capture import degrade_capture
 from aomgen.benchmarks.table import as_table
-from aomgen.errors import EstimationError
+from aomgen.errors import ConfigError, EstimationError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.synthetic.conditions import draw_conditions
@@ -31,29 +31,36 @@ def run_synthetic(
     run_project: Callable[..., None],
     first_seed: int = FIRST_SEED,
     *,
+    category: str | None = None,
     harsh: bool = False,
 ) -> dict[str, Any]:
     """Make captures of different objects, rooms, cameras and noise; run and score each.
 
     Args:
-        count: How many; categories take turns.
+        count: How many.
         out: Keeps captures, runs and figures, and is continued when it exists; temporary when None.
         run_project: Runs a project up to a stage.
         first_seed: Seed of the first capture, the others follow.
+        category: Of all of them; None: categories take turns.
         harsh: Make each worse, as phones and labs do (see `harsh_capture`).
 
     Returns:
         `captures` (figures by capture), and `median`, `worst` and `refusals` by figure. A capture
         that a stage refused has no figures and counts as refused in every one.
+
+    Raises:
+        ConfigError: The category is unknown.
     """
+    categories = sorted(MAKERS) if category is None else [category]
+    if category is not None and category not in MAKERS:
+        raise ConfigError("--category", f"{category!r} is unknown", f"choose one of {', '.join(MAKERS)}")
     with tempfile.TemporaryDirectory() as scratch:
         root = (out or Path(scratch)).resolve()
         captures = {}
-        categories = sorted(MAKERS)
         for number in range(count):
-            category, seed = categories[number % len(categories)], first_seed + number
-            name = f"{category}-{seed}{'-harsh' if harsh else ''}"
-            captures[name] = _one(root / name, category, seed, run_project, harsh=harsh)
+            kind, seed = categories[number % len(categories)], first_seed + number
+            name = f"{kind}-{seed}{'-harsh' if harsh else ''}"
+            captures[name] = _one(root / name, kind, seed, run_project, harsh=harsh)
     return {"captures": captures} | summary(captures)
 
 

@@ -19,10 +19,10 @@ TABLE_GEOM = "table"
 # Room for the gripper before an object, [m]; part of what is kept free.
 FRONT_M: Final = 0.25
 # Things beside an object lie within this distance of what is kept free, a mat reaches at most so far beyond.
-BESIDE_M: Final = 0.21
+BESIDE_M: Final = 0.17
 MAT_BEYOND_M: Final = 0.15
 # Of the tables with a low object, so many have a mat; others are bare.
-MAT_SHARE: Final = 0.75
+MAT_SHARE: Final = 0.85
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
