@@ -88,7 +88,8 @@ def table_top(rng: np.random.Generator, size: int = 1024) -> Texture:
 
 def striped(rng: np.random.Generator, size: int = 768) -> Texture:
     """A woven mat: stripes of several widths in three colors, again and again."""
-    colors = rng.uniform(0.15, 0.9, (3, 3))
+    # Dyed wool is duller than paint.
+    colors = rng.uniform(0.2, 0.85, (3, 1)) + rng.uniform(-0.15, 0.15, (3, 3))
     widths = rng.integers(8, 34, 6)
     repeat = np.repeat(np.arange(6) % 3, widths)
     row = colors[np.resize(repeat, size)]

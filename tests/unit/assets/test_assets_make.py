@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aomgen.assets.check import check_asset, outward_normal, require_usable
+from aomgen.assets.check import check_asset, held_at_rim, outward_normal, require_usable
 from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
 from aomgen.assets.mjcf import add_asset
 from aomgen.assets.resistance import HOLDS, holding_friction
@@ -27,7 +27,7 @@ ALL = [(category, seed) for category in sorted(MAKERS | OTHER_MAKERS) for seed i
 def test_made_asset_has_no_problems(made: Made, category: str, seed: int) -> None:
     asset = made(category, seed)
     assert check_asset(asset) == []
-    assert asset.category == category
+    assert asset.category == {"dresser": "drawer"}.get(category, category)
     assert outward_normal(asset) @ [0, -1, 0] > 0.99
 
 
@@ -37,6 +37,7 @@ OPENS = {
     "cabinet": [("prismatic", RIGHT, RIGHT), ("prismatic", LEFT, LEFT)],
     "cupboard": [("prismatic", OUT, OUT), ("revolute", UP, OUT)],
     "drawer": [("prismatic", OUT, OUT)],
+    "dresser": [("prismatic", OUT, OUT)],
     "laptop": [("revolute", LEFT, UP)],
     "microwave": [("revolute", UP, OUT)],
     "oven": [("revolute", RIGHT, OUT)],
@@ -80,7 +81,46 @@ def test_lid_hinges_at_the_back_and_clears_what_is_below(made: Made, category: s
     opened = np.concatenate(
         [apply(asset.joint.motion(asset.joint.upper), box.corners) for box in asset.moving.colliders]
     )
-    assert opened[:, 2].min() > 0.05
+    assert opened[:, 2].min() > 0.005
+
+
+def test_laptop_lies_flat_and_its_lid_stands_out_over_a_notch(made: Made) -> None:
+    for seed in range(6):
+        asset = made("laptop", seed)
+        assert held_at_rim(asset)
+        assert asset.static.bounds[0][2] == pytest.approx(0.0)
+        base = next(box for box in asset.static.colliders if box.name == "base")
+        assert 0.012 <= 2 * base.half_extents[2] <= 0.020
+        assert 0.005 <= 2 * asset.handle_bar.half_extents[2] <= 0.009  # type: ignore[union-attr]
+        # A finger 22 mm wide fits between the base's front corners.
+        left, right = (
+            next(box for box in asset.static.colliders if box.name == f"front_{side}")
+            for side in ("left", "right")
+        )
+        assert right.corners[:, 0].min() - left.corners[:, 0].max() > 0.06
+        assert base.corners[:, 1].min() - asset.moving.bounds[0][1] > 0.010
+
+
+def test_fronts_and_bars_of_a_dresser_are_alike(made: Made) -> None:
+    for seed in range(6):
+        asset = made("dresser", seed)
+        bar = asset.handle_bar
+        assert bar is not None
+        assert 0.006 <= 2 * bar.half_extents.min() <= 0.010
+        front = next(box for box in asset.moving.colliders if box.name == "front")
+        others = [box for box in asset.static.colliders if box.name.startswith("front_")]
+        bars = [box.half_extents for box in others if box.name.endswith("handle_bar")]
+        fronts = [box.half_extents for box in others if "handle" not in box.name]
+        assert 1 <= len(bars) == len(fronts) <= 3
+        assert np.array(bars) == pytest.approx(np.tile(bar.half_extents, (len(bars), 1)))
+        assert np.array(fronts) == pytest.approx(np.tile(front.half_extents, (len(fronts), 1)))
+        textures = {
+            mesh.texture_srgb.tobytes()
+            for link in (asset.static, asset.moving)
+            for mesh in link.meshes
+            if mesh.name.startswith("front")
+        }
+        assert len(textures) == 1
 
 
 def test_microwave_and_drawer_of_a_seed_stay_what_they_are(made: Made) -> None:
@@ -104,7 +144,9 @@ def test_microwaves_come_with_both_hinge_sides(made: Made) -> None:
 
 
 def test_unknown_category_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="cabinet, drawer, laptop, microwave, toolbox, cupboard, oven"):
+    with pytest.raises(
+        ConfigError, match="cabinet, drawer, laptop, microwave, toolbox, cupboard, dresser, oven"
+    ):
         make_asset("toaster", 0)
 
 
@@ -116,7 +158,8 @@ def test_meshes_face_outwards_and_textures_do_not_repeat(made: Made, category: s
             if len(mesh.uvs):
                 assert mesh.uvs.min() >= -1e-9
                 assert mesh.uvs.max() <= 1 + 1e-9
-    handle = next(mesh for mesh in asset.moving.meshes if mesh.name == "handle")
+    name = "lid" if category == "laptop" else "handle"
+    handle = next(mesh for mesh in asset.moving.meshes if mesh.name == name)
     a, b, c = (handle.vertices[handle.faces[:, i]] for i in range(3))
     volume = np.einsum("ni,ni->", a, np.cross(b, c)) / 6
     assert volume > 1e-6
@@ -213,6 +256,17 @@ def test_check_wants_room_for_a_finger_behind_the_handle(made: Made) -> None:
     problems = check_asset(_with_collider(asset, filler))
     assert len(problems) == 1
     assert "12 mm ball" in problems[0]
+
+
+def test_check_wants_room_for_a_finger_on_both_sides_of_a_rim(made: Made) -> None:
+    asset = made("laptop", 0)
+    below = asset.handle_point - [0, 0, 0.012]
+    filler = BoxCollider(
+        name="filler", T_asset_box=transform(np.eye(3), below), half_extents=[0.03, 0.005, 0.002]
+    )
+    problems = check_asset(_with_collider(asset, filler))
+    assert len(problems) == 1
+    assert "both sides" in problems[0]
 
 
 def test_check_refuses_wrong_units(made: Made) -> None:

@@ -11,7 +11,8 @@ from aomgen.benchmarks.synthetic_captures import (
     summary,
     synthetic_table,
 )
-from aomgen.errors import AlignmentError
+from aomgen.cli_bench import bench_accuracy
+from aomgen.errors import AlignmentError, ConfigError
 
 EE, PSNR = "alignment.end_effector_mm", "images.heldout_psnr"
 
@@ -71,6 +72,20 @@ def test_refused_capture_is_kept_and_not_run_again(tmp_path, monkeypatch):
     assert first == again
     assert all("two places" in figures[REFUSED] for figures in first["captures"].values())
     assert first["refusals"][EE] == 2
+
+
+def test_captures_of_one_category(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(synthetic_captures, "make_capture", lambda folder, **_: folder.mkdir(parents=True))
+    monkeypatch.setattr(synthetic_captures, "run_accuracy", lambda *_: {})
+    result = run_synthetic(3, tmp_path, lambda *_: None, 6000, category="laptop")
+    assert list(result["captures"]) == ["laptop-6000", "laptop-6001", "laptop-6002"]
+    with pytest.raises(
+        ConfigError, match=r"'toaster' is unknown.*cabinet, drawer, laptop, microwave, toolbox"
+    ):
+        run_synthetic(1, tmp_path, lambda *_: None, category="toaster")
+    with pytest.raises(ConfigError, match="--synthetic"):
+        bench_accuracy(capture=tmp_path, category="laptop")
 
 
 def test_errors_of_the_machine_are_not_refusals(tmp_path, monkeypatch):

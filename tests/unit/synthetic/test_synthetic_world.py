@@ -23,8 +23,10 @@ from aomgen.io.video import read_video
 from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration import simulate
+from aomgen.synthetic.grasp import usual
 from aomgen.synthetic.performance import Performance, perform
-from aomgen.synthetic.setting import build_world
+from aomgen.synthetic.setting import build_world, draw_setting
+from aomgen.synthetic.things import SIZES
 from aomgen.synthetic.world import make_capture
 from aomgen.synthetic.write import moved_range, prompt_of
 
@@ -47,16 +49,16 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_object_moves_only_while_the_fingers_hold_it(performance: Performance) -> None:
     shown = performance.demonstration
-    goal = performance.script.theta_goal
+    start, goal = performance.script.theta_start, performance.script.theta_goal
     touched = np.array([len(touches) > 0 for touches in shown.contacts])
     first = int(np.argmax(touched))
     assert 1000 < first < 3000
-    assert np.abs(shown.theta[:first]).max() < 1e-3 * goal
+    assert np.abs(shown.theta[:first] - start).max() < 1e-3 * goal
     assert shown.theta[-1] == pytest.approx(goal, rel=0.1)
     held = {c.finger for step in range(2500, 3800) for c in shown.contacts[step] if c.force > 1.0}
     assert {"left", "right"} <= held
-    steps = np.diff(shown.theta, prepend=0.0)
-    assert steps[touched].sum() > 0.85 * goal
+    steps = np.diff(shown.theta, prepend=start)
+    assert steps[touched].sum() > 0.85 * (goal - start)
     assert not shown.foreign
     assert not shown.diverged
 
@@ -82,7 +84,8 @@ def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performan
         world.model.geom(name).contype = 0
         world.model.geom(name).conaffinity = 0
     shown = simulate(robot, world, open_hand)
-    assert abs(shown.theta[-1]) < 0.05 * performance.script.theta_goal
+    start, goal = performance.script.theta_start, performance.script.theta_goal
+    assert abs(shown.theta[-1] - start) < 0.05 * goal
 
 
 def test_the_part_stays_where_it_is_left(performance: Performance) -> None:
@@ -231,3 +234,40 @@ def test_unknown_category_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="toaster"):
         make_capture(tmp_path / "x", category="toaster", seed=0)
     assert not (tmp_path / "x").exists()
+
+
+def test_laptops_are_found_closed_or_ajar(robot: RobotModel) -> None:
+    rng = np.random.default_rng(0)
+    starts = np.rad2deg([usual(make_asset("laptop", 0), rng)[0].start for _ in range(40)])
+    ajar = starts[starts > 0]
+    assert 0.3 < len(ajar) / len(starts) < 0.9
+    assert 3 <= ajar.min() <= ajar.max() <= 12
+    assert {usual(make_asset("dresser", 0), rng)[0].start for _ in range(10)} == {0.0}
+
+
+def test_things_beside_a_laptop_are_in_the_way_and_hide_none_of_it(robot: RobotModel) -> None:
+    kinds = set()
+    for seed in range(4):
+        setting = draw_setting(make_asset("laptop", seed), np.random.default_rng(seed))
+        names = [
+            [model.geom(number).name for number in range(model.ngeom)]
+            for model in (build_world(robot, setting, visual=shown).model for shown in (False, True))
+        ]
+        solids = [[name for name in each if name.rstrip("0123456789_") in SIZES] for each in names]
+        assert solids[0] == solids[1]
+        kinds |= {name.rstrip("0123456789_") for name in solids[0]}
+        model = build_world(robot, setting, visual=False).model
+        x0, x1, y0, y1 = setting.room.keep_free
+        for name in solids[0]:
+            (x, y, _), (a, b, _) = model.geom(name).pos, model.geom(name).size
+            assert x + a < x0 or x - a > x1 or y + b < y0 or y - b > y1
+    assert kinds == {"mug", "mouse", "adapter", "book"}
+    dresser = draw_setting(make_asset("dresser", 0), np.random.default_rng(0))
+    assert not dresser.room.desk
+
+
+def test_a_capture_of_a_drawer_shows_a_dresser(capture: Path) -> None:
+    stated = tomllib.loads((capture / "capture.toml").read_text("utf-8"))
+    assert stated["category"] == "drawer"
+    asset = load_asset(capture / "truth" / "asset.npz")
+    assert sum(box.name.endswith("handle_bar") for box in asset.static.colliders) >= 1
