@@ -75,7 +75,6 @@ def test_refused_capture_is_kept_and_not_run_again(tmp_path, monkeypatch):
 
 
 def test_captures_of_one_category(tmp_path, monkeypatch):
-    made = []
     monkeypatch.setattr(synthetic_captures, "make_capture", lambda folder, **_: folder.mkdir(parents=True))
     monkeypatch.setattr(synthetic_captures, "run_accuracy", lambda *_: {})
     result = run_synthetic(3, tmp_path, lambda *_: None, 6000, category="laptop")
