@@ -193,7 +193,8 @@ def _collision_free(task: _Task, motion: HandMotion, path: IkPath) -> dict[str, 
     # While the fingers close or open about the handle, how far they are is left to the simulation.
     between = (motion.phases == CONTACT) & ~holding
     gripper = np.minimum(motion.gripper, held_at)
-    gripper = np.where(between, np.minimum(gripper, 0.5 * held_at), gripper)
+    widest = max(0.5 * held_at, float(gripper.min()))
+    gripper = np.where(between, np.minimum(gripper, widest), gripper)
     return check_kinematics(placed, path.joints, gripper, motion.thetas, holding, task.params.kinematic)
 
 

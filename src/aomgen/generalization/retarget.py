@@ -37,8 +37,10 @@ Style = Literal["demonstrated", "straight"]
 RIGID_STRETCH_M = 0.10
 # A turn of one radian counts as this much way, [m].
 TURN_WEIGHT_M = 0.15
-# Smallest change of the gripper that is a grasp.
-MIN_GRASP = 0.15
+# Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
+MIN_GRASP = 0.05
+# A gripper that measures less than this counts as open.
+OPEN = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,25 +101,34 @@ def gripper_command(demo: Demonstration) -> Array:
     """What the gripper was told (T,), 0..1, from what was measured.
 
     A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
-    1. A demonstration that closes nothing keeps what was measured.
+    1; the level it comes with stays. A demonstration that closes nothing keeps what was measured.
+    """
+    opened, share = _closing(demo)
+    return share if opened is None else opened + (1.0 - opened) * share
+
+
+def _closing(demo: Demonstration) -> tuple[float | None, Array]:
+    """Level at which the gripper comes, and how far it is from there to its hold (T,), 0..1.
+
+    None, and what was measured, where nothing is closed.
     """
     contact = demo.contact_frames
     hold, opened = float(np.median(demo.gripper[contact])), float(np.min(demo.gripper[: contact[0] + 1]))
     if not hold - opened >= MIN_GRASP:
-        return demo.gripper
-    command = (demo.gripper - opened) / (0.95 * (hold - opened))
-    return np.where(command < 0.03, 0.0, np.clip(command, 0.0, 1.0))
+        return None, demo.gripper
+    share = (demo.gripper - opened) / (0.95 * (hold - opened))
+    return opened if opened > OPEN else 0.0, np.where(share < 0.03, 0.0, np.clip(share, 0.0, 1.0))
 
 
 def timing(demo: Demonstration) -> Timing:
     """When the hand closes, pulls, opens and leaves."""
     times = demo.times_s - demo.times_s[0]
-    command = gripper_command(demo)
+    _, share = _closing(demo)
     start, end = demo.start_s - demo.times_s[0], demo.end_s - demo.times_s[0]
     close, free = start, end
-    if command.max() > 0.5 and command.min() < 0.05:
-        open_before = np.flatnonzero((times <= start) & (command < 0.05))
-        open_after = np.flatnonzero((times >= end) & (command < 0.15))
+    if share.max() > 0.5 and share.min() < 0.05:
+        open_before = np.flatnonzero((times <= start) & (share < 0.05))
+        open_after = np.flatnonzero((times >= end) & (share < 0.15))
         close = float(times[open_before[-1]]) if len(open_before) else 0.0
         free = float(times[open_after[0]]) if len(open_after) else float(times[-1])
     return Timing(close=close, start=start, end=end, free=free, last=float(times[-1]))
