@@ -35,7 +35,8 @@ def bench_accuracy(
     """Run a capture up to its twin and score estimates and renders against its ground truth.
 
     With --synthetic N, N captures of different objects, rooms, cameras and noise are made, run and
-    scored one after the other (about four minutes each): median and worst of every figure.
+    scored one after the other (about four minutes each): median and worst of every figure; categories
+    take turns unless --category names one.
     With --synthetic-motion N, N demonstrations are simulated and filmed, upstream results perturbed
     by measured errors, and the motion alone recovered (half a minute each; --out keeps the worlds).
     """
