@@ -71,11 +71,14 @@ def pinch(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Mann
     return Hold(T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0))
 
 
-def pinch_rim(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) -> Hold:
+def pinch_rim(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Manner, tips: Array) -> Hold:
     """The fingers, hardly open, reach over and under the rim of the part from a little above, and close."""
     outward, along = outward_normal(asset), asset.handle_axis
     across = np.cross(outward, along)
     tilt = RIM_TILT_RAD + RIM_TILT_SHARE * style.tilt_rad
+    if manner.direction == "closing":
+        # The hand turns less than the lid, and must be as steep once it is closed.
+        tilt -= (1.0 - manner.follow) * manner.travel
     approach = matrix_from_rotvec(-tilt * np.cross(-outward, [0.0, 0.0, 1.0])) @ -outward
     width = along * (-1.0 if style.flip else 1.0)
     R = np.stack([width, np.cross(approach, width), approach], 1) @ hand_axes(robot).T
@@ -83,7 +86,7 @@ def pinch_rim(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Ar
     # Across tilted fingers the rim is thicker.
     bar = asset.handle_bar
     thickness = 0.0 if bar is None else 2 * _support(bar, across)
-    opening = thickness * np.cos(tilt) + 2 * RIM_BEYOND_M * np.sin(tilt) + 2 * RIM_FREE_M
+    opening = thickness * np.cos(tilt) + 2 * RIM_BEYOND_M * abs(np.sin(tilt)) + 2 * RIM_FREE_M
     return Hold(
         T_asset_ee=transform(R, point),
         pivot=asset.handle_point,
@@ -114,7 +117,7 @@ def take_hold(
         return pinch(robot, asset, style, manner)
     tips = closed_tips(robot, model)
     if manner.touch == "pinch":
-        return pinch_rim(robot, asset, style, tips)
+        return pinch_rim(robot, asset, style, manner, tips)
     if manner.touch == "hook":
         return hook(robot, asset, style, tips)
     if _facing(asset, manner.direction) < -PUSH_LIMIT:

@@ -24,6 +24,7 @@ from aomgen.physics.robot import RobotModel
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration import simulate
 from aomgen.synthetic.grasp import usual
+from aomgen.synthetic.manner import draw_manner
 from aomgen.synthetic.performance import Performance, perform
 from aomgen.synthetic.setting import build_world, draw_setting
 from aomgen.synthetic.things import SIZES
@@ -271,3 +272,10 @@ def test_a_capture_of_a_drawer_shows_a_dresser(capture: Path) -> None:
     assert stated["category"] == "drawer"
     asset = load_asset(capture / "truth" / "asset.npz")
     assert sum(box.name.endswith("handle_bar") for box in asset.static.colliders) >= 1
+
+
+def test_a_lid_is_closed_by_its_rim(robot: RobotModel) -> None:
+    asset, rng = make_asset("laptop", 6000), np.random.default_rng(6000)
+    manner = draw_manner(asset, rng, direction="closing")
+    shown = perform(robot, asset, rng, manner)
+    assert shown.theta[-1] == pytest.approx(manner.travel, rel=0.1)
