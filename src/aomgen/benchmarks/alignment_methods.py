@@ -16,7 +16,7 @@ from aomgen.pipeline.stages import STAGES
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world
 from aomgen.reconstruction.cameras.stage import load_structure
 from aomgen.reconstruction.masks.segmenter import choose_segmenter
-from aomgen.reconstruction.parts.lifting import PartsParams, find_parts
+from aomgen.reconstruction.parts.lifting import PartsParams, find_parts, prompted_scan
 from aomgen.reconstruction.parts.stage import scan_views
 from aomgen.reconstruction.surfaces.stage import load_gaussians
 from aomgen.twin.twin import Twin
@@ -51,7 +51,8 @@ def paper_twin(out: Path, capture: Capture, estimates: dict[str, Any]) -> tuple[
     world = gaussians_recon.transformed(S_world_recon)
     views = scan_views(structure, S_world_recon, images, posture)
     segmenter = choose_segmenter(capture.mask_folders)
-    parts = find_parts(world, views, capture.prompts, segmenter, posture, silent, PartsParams(robot="boxes"))
+    params = PartsParams(robot="boxes")
+    parts = find_parts(prompted_scan(world, views, capture.prompts, segmenter, posture, silent, params))
     joint = load_motion(folders["motion"]).joint
     return (
         scanned_twin(world, parts, joint, posture),

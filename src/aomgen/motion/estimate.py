@@ -74,6 +74,22 @@ def estimate_motion(
     return replace(answer.refined, type_margin=abs(found.margin + film))
 
 
+def first_motion(demo: Demonstration, params: MotionParams | None = None) -> MotionEstimate:
+    """The motion by the hand's path alone, not refined on the film, and nothing of it judged.
+
+    It tells which Gaussians move, also where labels are too poor for `estimate_motion`.
+
+    Raises: as `estimate_motion`.
+    """
+    params = params or MotionParams()
+    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
+        view = KeyframeView.of(demo, masks_at, params)
+        seen, interval = view.interval(params.keyframes)
+        first = touched(demo, view, seen, interval, params)
+    joint_type = "revolute" if first.found.margin > 0 else "prismatic"
+    return assemble(demo, view.curve(seen, interval), recover(first, joint_type, params), odds=1.0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
     """The answer if the joint is of a type: by the hand's path, the film as read for it, and refined on it."""

@@ -94,7 +94,9 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "robot": Figure(name="Gaussians of the robot"),
         "static": Figure(name="of the static part"),
         "moving": Figure(name="of the moving part"),
-        "confidence": Figure(name="agreement of the views", unit="%", digits=1, factor=100.0, above=90.0),
+        # The stage warns below 80 %.
+        "static_iou": Figure(name="expected overlap, static", unit="%", factor=100.0, above=80.0),
+        "moving_iou": Figure(name="expected overlap, moving", unit="%", factor=100.0, above=80.0),
         # The mean of a box's four sides; the stage warns above 5 %.
         "box_misfit": Figure(
             name="edges off the prompted boxes", unit="% of a box", digits=1, factor=25.0, below=5.0

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
-from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
+from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint import Joint
@@ -28,6 +29,7 @@ from aomgen.physics.robot import RobotModel, chosen_robot
 from aomgen.physics.robot_store import save_robot
 from aomgen.pipeline.estimates import REFUSED_MOTION, estimates_of
 from aomgen.pipeline.films import demo_film, scan_films, with_looks
+from aomgen.pipeline.moving_parts import find_moving_parts
 from aomgen.pipeline.part_masks import part_masks
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
@@ -41,8 +43,9 @@ from aomgen.reconstruction.cameras.stage import load_structure, run_structure
 from aomgen.reconstruction.cameras.structure import Photographs
 from aomgen.reconstruction.looks.tray import with_tray
 from aomgen.reconstruction.masks.segmenter import choose_segmenter
-from aomgen.reconstruction.parts.lifting import Parts, PartsParams
-from aomgen.reconstruction.parts.stage import load_parts, run_parts
+from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams
+from aomgen.reconstruction.parts.lifting import Parts, PartsParams, prompted_scan
+from aomgen.reconstruction.parts.stage import MASKS_FOLDER, load_parts, save_parts, scan_views
 from aomgen.reconstruction.surfaces.gaussians import GaussiansParams
 from aomgen.reconstruction.surfaces.stage import load_gaussians, run_gaussians
 from aomgen.reconstruction.surfaces.survey_stage import run_survey
@@ -124,26 +127,32 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     gaussians_recon = load_gaussians(run.folders["gaussians"]).gaussians_recon
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     posture = posture_of(capture)
-    robot = "boxes" if run.project.alignment_method == "paper" else "links"
-    result = run_parts(
-        scene,
-        gaussians_recon,
-        S_world_recon,
-        {path.name: path for path in capture.scan_images},
+    images = {path.name: path for path in capture.scan_images}
+    views = scan_views(scene, S_world_recon, images, posture)
+    progress(0.1, "robot drawn into the scan")
+    scan = prompted_scan(
+        gaussians_recon.transformed(S_world_recon),
+        views,
         capture.prompts,
         choose_segmenter(capture.mask_folders, run.project.segmenter),
         posture,
-        folder,
-        progress,
-        PartsParams(method=run.project.parts_method, robot=robot),
+        part(progress, 0.1, 0.5),
+        PartsParams(
+            method=run.project.parts_method,
+            affinity=AffinityPartsParams(masks_folder=folder / MASKS_FOLDER),
+            robot="boxes" if run.project.alignment_method == "paper" else "links",
+        ),
     )
+    result = find_moving_parts(scan, lambda labels: motion_input(run, labels), part(progress, 0.5, 1.0))
+    save_parts(result, folder)
     found = run_survey(scene, gaussians_recon, S_world_recon, result, posture, folder)
     counts = np.bincount(result.labels, minlength=4)
     return {
         "robot": int(counts[ROBOT]),
         "static": int(counts[STATIC]),
         "moving": int(counts[MOVING]),
-        "confidence": float(np.median(result.confidence[result.labels != BACKGROUND])),
+        "static_iou": result.static_iou,
+        "moving_iou": result.moving_iou,
         "method": result.method,
         "box_misfit": result.box_misfit,
         "coverage": found.figures(),
@@ -191,7 +200,8 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstimate:
-    demonstration, refused = motion_input(run), run.out / REFUSED_MOTION
+    demonstration = motion_input(run, load_parts(run.folders["parts"]).labels)
+    refused = run.out / REFUSED_MOTION
     if run.project.motion_method == "paper":
         capture = capture_of(run)
         masks = part_masks(capture, capture.cameras[0], demonstration)
@@ -199,8 +209,12 @@ def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstim
     return run_motion(demonstration, folder, progress, refused=refused)
 
 
-def motion_input(run: Run) -> MotionInput:
+def motion_input(run: Run, labels: NDArray[np.uint8]) -> MotionInput:
     """What AOMotion looks at: the first fixed camera's film, the log, and the scan in its parts.
+
+    Args:
+        run: Finished up to its alignment.
+        labels: Part label of every Gaussian.
 
     Raises:
         SyncError: The clock offset is unknown.
@@ -215,7 +229,7 @@ def motion_input(run: Run) -> MotionInput:
         log=capture.joint_log,
         robot=robot_of(capture),
         scene=scanned_world(run.folders),
-        labels=load_parts(run.folders["parts"]).labels,
+        labels=labels,
         clock_offset_s=clock.offset_s,
         clock_sd_s=clock.sd_s,
     )

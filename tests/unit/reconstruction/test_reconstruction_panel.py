@@ -7,26 +7,21 @@ import pytest
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import gaussians_of
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.parts.panel import Panel
 from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou
-from aomgen.reconstruction.parts.panel_fit import fit_panel
+from aomgen.reconstruction.parts.panel_fit import Shapes, fit_panel
 from aomgen.reconstruction.parts.panel_front import panel_frame
+from aomgen.reconstruction.parts.tracked_points import TrackedPoints
 
 # Cabinet frame: x along the front, y into the room, z up; the front is at y = 0, the body behind it.
 BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.3]])
 DOOR = np.array([[0.03, -0.02, 0.04], [0.36, 0.0, 0.27]])
 HANDLE = np.array([[0.31, -0.05, 0.1], [0.33, -0.02, 0.2]])
 CABINET = ((BODY, STATIC), (DOOR, MOVING), (HANDLE, MOVING))
-# A lid on a lower body: its handle is a bar that stands out past the front edge, between the corners,
-# above a book that lies before the body.
-LID = np.array([[0.0, 0.0, 0.1], [0.5, 0.35, 0.13]])
-BOOK = np.array([[0.05, -0.2, 0.0], [0.45, -0.01, 0.05]])
-BAR = np.array([[0.15, -0.05, 0.11], [0.35, -0.03, 0.12]])
 CHEST_BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.1]])
-CHEST = ((CHEST_BODY, STATIC), (LID, MOVING), (BAR, MOVING), (BOOK, BACKGROUND))
-CHEST_EYES = ([-0.3, -1.0, 0.4], [-0.7, -0.7, 0.8], [0.8, -1.0, 0.4], [1.1, -0.8, 0.8])
 # The same cabinet with its door open by a quarter turn, its handle on what was the front; a drawer pulled out
 # of another one, seen from aside as well; a box whose lid stands upright.
 OPEN_DOOR = np.array([[0.01, -0.35, 0.04], [0.03, -0.02, 0.27]])
@@ -144,9 +139,8 @@ def test_the_seam_behind_the_panel_is_found_from_wherever_it_is_looked_at(eyes):
 def test_parts_that_were_scanned_open_have_their_own_box(boxes, yaw):
     views = prompted(yaw=yaw, masks="right", eyes=OPEN_EYES, boxes=boxes)
     fit = fit_panel(views, np.random.default_rng(0))
-    assert np.mean(fit.misfits) < 0.06
-    # A drawer may still be explained as a thick front: less of it is right then.
-    assert min(agreement(fit.panel, yaw=yaw, boxes=boxes).values()) > 0.84
+    assert np.mean(fit.misfits) < 0.08
+    assert min(agreement(fit.panel, yaw=yaw, boxes=boxes).values()) > 0.9
 
 
 def test_the_table_before_an_open_door_stays_table():
@@ -201,35 +195,20 @@ def test_a_box_that_shows_no_surface_is_refused():
         fit_panel([views[0], hidden, views[3]], np.random.default_rng(0))
 
 
-def test_a_bar_past_the_edge_that_no_box_shows_is_found_by_the_masks():
-    views = []
-    for eye, part in zip(CHEST_EYES, (STATIC, MOVING, STATIC, MOVING), strict=True):
-        camera, points, labels = seen_by(eye, boxes=CHEST)
-        mask = labels == part
-        views.append(
-            PromptedView(part=part, camera=camera, points_world=points, box=drawn_box(mask), masks=(mask,))
-        )
-    panel = fit_panel(views, np.random.default_rng(0)).panel
-    bar = apply(turned(0.0), np.random.default_rng(0).uniform(*BAR, (200, 3)))
-    book = apply(turned(0.0), np.random.default_rng(0).uniform(*BOOK, (200, 3)))
-    assert np.mean(panel.labels(bar) == MOVING) > 0.95
-    assert not (panel.labels(book) == MOVING).any()
-
-
-def test_bars_past_the_edge_end_where_the_object_begins():
-    panel = Panel.of_shape(
-        np.eye(4), np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0.3, 0, 0, -0.8, 0, 0.2, 0.5, 0, 0]), margin_m=0.01
+def boxes_of(T_world_panel: np.ndarray) -> Panel:
+    """A panel of 1 m before a body that stands out to the right and above."""
+    return Panel(
+        T_world_panel=T_world_panel,
+        low=np.array([0.0, 0.0, -0.05]),
+        high=np.array([1.0, 1.0, 0.1]),
+        T_panel_body=transform(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3)),
+        body_low=np.array([-0.2, 0.0, 0.0]),
+        body_high=np.array([1.2, 0.8, 1.2]),
     )
-    points = [[-0.1, 0.5, -0.02], [-0.005, 0.5, -0.02], [-0.1, 0.5, -0.1], [-0.3, 0.5, 0], [0.5, -0.1, 0]]
-    assert panel.labels(points).tolist() == [MOVING, STATIC, BACKGROUND, BACKGROUND, BACKGROUND]
-    points = [[1.2, 0.5, -0.02], [1.2, 0.5, 0.05], [1.4, 0.5, -0.02], [1.6, 0.5, 0.05]]
-    assert panel.labels(points).tolist() == [STATIC, MOVING, MOVING, BACKGROUND]
 
 
 def test_what_shows_through_a_front_is_the_front():
-    panel = Panel.of_shape(
-        np.eye(4), np.array([0, 1, 0, 1, -0.05, 0.1, 0.2, 0.2, 0.0, 0.2, -0.8, *[0.0] * 5]), margin_m=0.0
-    )
+    panel = boxes_of(np.eye(4))
     inside = np.array([[[0.5, 0.5, -0.4]], [[1.1, 0.5, -0.4]], [[0.5, 0.5, -2.0]]])
     assert panel.labels(inside.reshape(-1, 3)).tolist() == [STATIC, STATIC, BACKGROUND]
     front = panel.labels_seen(inside, np.array([0.5, 0.5, 3.0]))
@@ -240,35 +219,46 @@ def test_what_shows_through_a_front_is_the_front():
     assert unseen.item() == BACKGROUND
 
 
-@pytest.mark.parametrize("up", [0, 1, 2])
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_outer_faces_have_some_thickness_but_not_the_one_that_lies_on_a_table(up, sign):
-    """The world stands on each face of the object in turn."""
-    rows = np.roll(np.eye(3), 2 - up, axis=0)
-    rows[2] *= sign
-    rows[1] *= sign
-    panel = Panel.of_shape(
-        transform(rows, np.zeros(3)), np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 0, -0.8, *[0] * 5]), 0.01
-    )
-    low, high = np.array([0, 0, -0.8]), np.array([1, 1, 0])
-    thickness = np.concatenate([low - panel.object_low, panel.object_high - high])
-    down = up if sign > 0 else up + 3
-    assert thickness == pytest.approx(np.where(np.arange(6) == down, 0.0, 0.01))
-    # Before the front there may be handles, which are no outer face.
-    outside = [[-0.005, 0.5, -0.4], [0.5, -0.005, -0.4], [0.5, 0.5, -0.805]]
-    outside += [[1.005, 0.5, -0.4], [0.5, 1.005, -0.4]]
-    found = panel.labels_local(np.array(outside))
-    assert (found == np.where(np.arange(5) == down, BACKGROUND, STATIC)).all()
+def test_the_body_has_some_thickness_but_not_below():
+    shapes = Shapes(T_world_panel=np.eye(4), T_panel_body=np.eye(4), size=1.0)
+    shape = np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 1, 1, 1, 0.0])
+    panel = shapes.panel(shape, 0.02)
+    assert np.allclose(panel.body_low, [-0.02, -0.02, 0])
+    assert np.allclose(panel.body_high, 1.02)
+
+
+def test_points_that_were_seen_to_move_make_the_panel_reach_them():
+    """No box shows how far the handle stands out; the gripper held its end."""
+    views = [view for view in prompted(masks="none", eyes=[[0.2, -1.5, 0.15]] * 4)]
+    rng = np.random.default_rng(0)
+    held = rng.uniform([0.1, -0.12, 0.1], [0.3, -0.02, 0.2], (300, 3))
+    stands = rng.uniform([0.4, -0.12, 0.05], [0.5, 0.3, 0.3], (300, 3))
+    points = apply(turned(0.0), np.concatenate([held, stands]))
+    tracked = TrackedPoints(points=points, moves=np.arange(600) < 300, weights=np.ones(600))
+    with_them = fit_panel(views, np.random.default_rng(0), tracked).panel
+    assert np.mean(with_them.labels(points[:300]) == MOVING) > 0.95
+    assert np.mean(with_them.labels(points[300:]) == MOVING) < 0.02
+
+
+def test_few_or_doubtful_odds_are_no_points():
+    count = 40
+    gaussians = gaussians_of(
+        means=np.zeros((count, 3)), quats=np.tile([1.0, 0, 0, 0], (count, 1)), scales=np.full((count, 3), 0.01),
+        opacities=np.ones(count), sh=np.zeros((count, 1, 3)),
+    )  # fmt: skip
+    odds = np.linspace(-2, 2, count)
+    tracked = TrackedPoints.of(gaussians, odds)
+    assert len(tracked.points) == np.sum(np.abs(odds) >= 1)
+    assert tracked.moves.tolist() == (odds[np.abs(odds) >= 1] > 0).tolist()
+    assert TrackedPoints.of(gaussians, np.zeros(count)).loss(boxes_of(np.eye(4))) == 0.0
 
 
 def test_labels_move_with_the_panel():
-    rng = np.random.default_rng(5)
-    shape = np.array([0, 1, 0, 1, -0.05, 0.1, 0.2, 0.1, 0.3, 0.2, -0.8, 0, 0.1, 0, 0, 0.2])
-    points = rng.uniform(-1, 1.5, (4000, 3))
-    there = Panel.of_shape(np.eye(4), shape, 0.01).labels(points)
+    points = np.random.default_rng(5).uniform(-1, 1.5, (4000, 3))
+    there = boxes_of(np.eye(4)).labels(points)
     assert set(there.tolist()) == {BACKGROUND, STATIC, MOVING}
     T = turned(1.1)
-    assert np.array_equal(Panel.of_shape(T, shape, 0.01).labels(apply(T, points)), there)
+    assert np.array_equal(boxes_of(T).labels(apply(T, points)), there)
 
 
 def test_misfit_is_zero_for_a_mask_that_fills_its_box_and_grows_with_what_is_wrong():

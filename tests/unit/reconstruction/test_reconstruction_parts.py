@@ -20,7 +20,7 @@ from aomgen.reconstruction.alignment.outline_fit import RobotPosture
 from aomgen.reconstruction.masks.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter, clean
 from aomgen.reconstruction.masks.weights import find_weights
 from aomgen.reconstruction.parts.binding import nearest_links
-from aomgen.reconstruction.parts.lifting import Parts, find_parts
+from aomgen.reconstruction.parts.lifting import Parts, find_parts, prompted_scan
 from aomgen.reconstruction.parts.part_masks import ScanView
 from aomgen.reconstruction.parts.stage import load_parts, save_parts
 from aomgen.splatting.rasterizer import render
@@ -121,7 +121,7 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     views = toy_views(gaussians, labels, posture, tmp_path)
     prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    parts = find_parts(gaussians, views, prompts, segmenter, posture, silent)
+    parts = find_parts(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
     votes = np.zeros(len(gaussians))
     for view in views:
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
@@ -130,9 +130,6 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
-    assert len(parts.views) >= 4
-    # Nobody drew these boxes around a part: what they hold is asked for in more views.
-    assert parts.method == "vote"
     save_parts(parts, tmp_path)
     assert np.array_equal(load_parts(tmp_path).labels, parts.labels)
 
@@ -141,8 +138,9 @@ def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
     gaussians, labels = toy_scene(posture)
     views = toy_views(gaussians, labels, posture, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    parts = find_parts(gaussians, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), posture, silent)
-    assert parts.method == "panel"
+    segmenter = MasksOnDisk(folders={"hand": tmp_path})
+    parts = find_parts(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
+    assert parts.method == "boxes"
     assert parts.box_misfit < 0.1
     drawn = render(gaussians, views[3].camera, with_ids=True)
     ids = np.unique(np.asarray(drawn.max_id)[drawn.alpha > 0.5])
@@ -170,15 +168,16 @@ def test_parts_of_different_objects_are_refused(posture, tmp_path):
     shown = [k for k in range(8) if (read_labels(tmp_path / f"{k}.png") == STATIC).sum() > 500][:2]
     prompts = tuple(tight_prompt("static", k, tmp_path) for k in shown)
     prompts += tuple(tight_prompt("moving", k, tmp_path) for k in (2, 4))
+    segmenter = MasksOnDisk(folders={"hand": tmp_path})
     with pytest.raises(WrongPromptError, match=r"away from the moving part.*another object.*around the body"):
-        find_parts(both, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), posture, silent)
+        find_parts(prompted_scan(both, views, prompts, segmenter, posture, silent))
 
 
 def test_parts_that_miss_their_boxes_are_warned_about():
     labels = np.zeros(3, np.uint8)
     found = Parts(
-        labels=labels, confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32), views=(),
-        method="vote", box_misfit=0.4,
+        labels=labels, confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32),
+        method="boxes", box_misfit=0.4, static_iou=0.9, moving_iou=0.9,
     )  # fmt: skip
     assert found.warnings() == [
         "the parts found end 10 % of a box away from the prompts' boxes, want 5 %; draw boxes that touch each "
@@ -187,12 +186,21 @@ def test_parts_that_miss_their_boxes_are_warned_about():
     assert replace(found, box_misfit=0.1).warnings() == []
 
 
+def test_doubtful_labels_are_warned_about():
+    found = Parts(
+        labels=np.zeros(3, np.uint8), confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32),
+        method="boxes", box_misfit=0.1, static_iou=0.9, moving_iou=0.55,
+    )  # fmt: skip
+    (sentence,) = found.warnings()
+    assert "labels of the moving part are doubtful (overlap of 55 % expected, want 80 %)" in sentence
+
+
 def test_a_part_without_a_prompt_is_refused(posture, tmp_path):
     gaussians, labels = toy_scene(posture)
     views = toy_views(gaussians, labels, posture, tmp_path)[:3]
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
     with pytest.raises(ReconstructionError, match="no box prompts the moving part"):
-        find_parts(gaussians, views, (prompt("static", "2.jpg"),), segmenter, posture, silent)
+        prompted_scan(gaussians, views, (prompt("static", "2.jpg"),), segmenter, posture, silent)
 
 
 def test_stored_parts_that_are_damaged_are_refused(tmp_path):

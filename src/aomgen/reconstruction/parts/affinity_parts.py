@@ -22,9 +22,12 @@ from aomgen.reconstruction.masks.segmenter import Segmenter
 from aomgen.reconstruction.parts.affinity import Affinity, SizedMasks, sized_masks, surface_depth
 from aomgen.reconstruction.parts.affinity_query import Query, QueryAnswer, answer_query
 from aomgen.reconstruction.parts.affinity_training import AffinityParams, train_affinity
+from aomgen.reconstruction.parts.evidence import PartEvidence
 from aomgen.reconstruction.parts.part_masks import ScanView
-from aomgen.reconstruction.parts.pieces import settled
-from aomgen.reconstruction.parts.prompted import ObjectLabels, PromptedImage
+from aomgen.reconstruction.parts.prompted import PromptedImage
+
+# No feature is surer than this.
+LEAST_VOTE = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,21 +196,19 @@ def spread_views(views: Sequence[ScanView], first: Sequence[str], count: int) ->
     return chosen
 
 
-def affinity_labels(
+def affinity_evidence(
     gaussians: Gaussians,
     scan: MaskedScan,
     prompted: list[PromptedImage],
-    bodies: NDArray[np.int32],
     progress: Progress,
     params: AffinityPartsParams,
-) -> ObjectLabels:
-    """Train and query: labels of the object's parts.
+) -> PartEvidence:
+    """Train and query: log-likelihoods of the object's parts.
 
     Args:
         gaussians: The scene, world frame.
         scan: Its masks.
         prompted: Answers to the prompts.
-        bodies: (N,) robot bodies, -1 where a Gaussian is not of the robot.
         progress: Told now and then.
         params: Effort.
 
@@ -215,9 +216,6 @@ def affinity_labels(
         ReconstructionError: There are no masks, or the prompts show nothing.
     """
     affinity = affinity_of(gaussians, scan, part(progress, 0.0, 0.95), params)
-    answers = query_parts(gaussians, affinity, prompted, params)
-    votes = affinity_votes(answers, params)
-    labels, confidence = settled(gaussians.means, votes, bodies < 0)
+    votes = affinity_votes(query_parts(gaussians, affinity, prompted, params), params)
     progress(1.0, "parts queried")
-    names = tuple(sorted(view.name for view in scan.views))
-    return ObjectLabels.judged(gaussians, prompted, labels, confidence, names, "saga")
+    return PartEvidence(log_likelihoods=np.log(np.maximum(votes, LEAST_VOTE)), method="saga")

@@ -1,10 +1,9 @@
 """Which part every Gaussian belongs to: robot, static part, moving part or background.
 
 Source: AOMGen, sec. 4.1. The robot needs no segmenter: its masks are drawn from the aligned model. The
-object's parts are found by one of two methods. "closed_form": a Gaussian takes the label whose masks it
-paints most, over the views that were asked (as in FlashSplat, Shen et al., 2024); the masks are drawn
-from the panel that explains the prompts, and where none does, the segmenter is asked in more views.
-"saga", the paper's: affinity features trained from automatic masks (see `affinity_parts`).
+object's parts come from one labelling of all evidence (`evidence`, `labelling`): boxes fitted to prompts
+and masks, the masks themselves, and what the demonstration shows of each Gaussian. Method "saga", the
+paper's, takes affinity features trained from automatic masks instead (see `affinity_parts`).
 """
 
 from dataclasses import dataclass, field
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
-from aomgen.core.gaussians import Gaussians
+from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
@@ -24,27 +23,25 @@ from aomgen.errors import ReconstructionError, WrongPromptError
 from aomgen.reconstruction.alignment.link_boxes import bodies_in_boxes
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture
 from aomgen.reconstruction.masks.segmenter import Segmenter
-from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams, affinity_labels, masked_scan
-from aomgen.reconstruction.parts.binding import MAX_DISTANCE_M, nearest_links
-from aomgen.reconstruction.parts.enclosed import with_enclosed
-from aomgen.reconstruction.parts.foot import with_foot
-from aomgen.reconstruction.parts.panel_fit import fit_panel
-from aomgen.reconstruction.parts.part_masks import ScanView, lift
-from aomgen.reconstruction.parts.part_votes import vote_parts
-from aomgen.reconstruction.parts.pieces import MIN_WEIGHT
-from aomgen.reconstruction.parts.prompted import (
-    MAX_MISFIT,
-    ObjectLabels,
-    PromptedImage,
-    ask_prompts,
-    surface_seen,
-)
+from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams, affinity_evidence, masked_scan
+from aomgen.reconstruction.parts.evidence import PartEvidence, SurfaceView, prompted_evidence, surface_views
+from aomgen.reconstruction.parts.labelling import expected_iou, smooth_posterior
+from aomgen.reconstruction.parts.part_masks import ScanView, spread
+from aomgen.reconstruction.parts.prompted import PromptedImage, ask_prompts, drawn_misfit
+from aomgen.reconstruction.parts.robot_labels import robot_bodies
 
 STAGE = "parts"
 PartsMethod = Literal["closed_form", "saga"]
-LOOSE_DISTANCE_M = 0.06
+# Columns of log-likelihoods and posteriors.
+LABELS = np.array([BACKGROUND, STATIC, MOVING], np.uint8)
+# Views in which the boxes are drawn to label what they show.
+DRAWN_VIEWS = 20
+# Fewest Gaussians of a usable part.
+MIN_GAUSSIANS = 50
 # Boxes explained worse than this (5 % of the box a side) are worth a warning.
 DOUBTED_MISFIT = 0.2
+# Labels that are expected to overlap with the true part less than this are worth a warning.
+DOUBTED_IOU = 0.8
 # Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
 # captures with right prompts, 0.6 and more with boxes around a neighbor).
 MAX_APART_SHARE = 0.2
@@ -52,24 +49,18 @@ MAX_APART_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartsParams:
-    """Effort and limits.
+    """Choices.
 
     Attributes:
         method: "closed_form" or "saga".
         affinity: Effort of "saga".
         robot: What labels the robot: "links", drawn masks and distance, or "boxes", the paper's way.
-        robot_views: Views whose drawn robot masks vote.
-        cut_views: Views whose pixels are cut into parts and vote.
-        min_gaussians: Fewest Gaussians of a usable part.
-        seed: Of the samples on the robot's surface.
+        seed: Of the samples on the robot's surface and of the panel's search.
     """
 
     method: PartsMethod = "closed_form"
     affinity: AffinityPartsParams = field(default_factory=AffinityPartsParams)
     robot: Literal["links", "boxes"] = "links"
-    robot_views: int = 20
-    cut_views: int = 20
-    min_gaussians: int = 50
     seed: int = 0
 
 
@@ -79,28 +70,20 @@ class Parts:
 
     Attributes:
         labels: (N,), see `conventions.PART_LABELS`.
-        confidence: (N,), share of the painted weight that agrees, 0 for unseen ones.
+        confidence: (N,), probability of the label.
         robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
-        views: Names of the scan images whose part masks were used.
-        method: "panel" (a panel explains the prompts), "vote" (masks of more views) or "saga".
+        method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or "saga".
         box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
+        static_iou, moving_iou: Expected overlap with the true parts, 0..1.
     """
 
     labels: NDArray[np.uint8]
     confidence: NDArray[np.float32]
     robot_bodies: NDArray[np.int32]
-    views: tuple[str, ...]
     method: str
     box_misfit: float
-
-    def warnings(self) -> list[str]:
-        """Sentences about prompts that the found parts do not fit."""
-        if self.box_misfit <= DOUBTED_MISFIT:
-            return []
-        return [
-            f"the parts found end {100 * self.box_misfit / 4:.0f} % of a box away from the prompts' boxes, want "
-            f"{100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on all four sides"
-        ]
+    static_iou: float
+    moving_iou: float
 
     def __post_init__(self) -> None:
         count = len(self.labels)
@@ -108,8 +91,48 @@ class Parts:
         freeze(self, "confidence", self.confidence, (count,), np.float32)
         freeze(self, "robot_bodies", self.robot_bodies, (count,), np.int32)
 
+    def warnings(self) -> list[str]:
+        """Sentences about parts that may be wrong."""
+        sentences = []
+        if not self.box_misfit <= DOUBTED_MISFIT:
+            sentences.append(
+                f"the parts found end {100 * self.box_misfit / 4:.0f} % of a box away from the prompts' boxes, "
+                f"want {100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on all four sides"
+            )
+        for name, iou in (("static", self.static_iou), ("moving", self.moving_iou)):
+            if not iou >= DOUBTED_IOU:
+                sentences.append(
+                    f"labels of the {name} part are doubtful (overlap of {100 * iou:.0f} % expected, want "
+                    f"{100 * DOUBTED_IOU:.0f} %): its masks, its boxes and the video disagree; add prompts of "
+                    f"'{name}' on images that show it from other sides"
+                )
+        return sentences
 
-def find_parts(
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptedScan:
+    """Everything about a scan's parts that is asked once, whatever the demonstration shows later.
+
+    Attributes:
+        gaussians: World frame.
+        bodies: (N,) robot bodies, -1 where a Gaussian is not of the robot.
+        robot_share: (N,) share of the painted weight inside the robot's masks.
+        prompted: Answers to the prompts.
+        surfaces: Views in which boxes are drawn.
+        given: Log-likelihoods by method "saga", None for boxes.
+        seed: Of the panel's search.
+    """
+
+    gaussians: Gaussians
+    bodies: NDArray[np.int32]
+    robot_share: Array
+    prompted: list[PromptedImage]
+    surfaces: list[SurfaceView]
+    given: PartEvidence | None
+    seed: int
+
+
+def prompted_scan(
     gaussians: Gaussians,
     views: list[ScanView],
     prompts: tuple[Prompt, ...],
@@ -117,8 +140,8 @@ def find_parts(
     posture: RobotPosture,
     progress: Progress,
     params: PartsParams | None = None,
-) -> Parts:
-    """Label all Gaussians.
+) -> PromptedScan:
+    """Find the robot and ask the prompts.
 
     Args:
         gaussians: The scan, world frame.
@@ -126,53 +149,85 @@ def find_parts(
         prompts: Of the capture; boxes of "moving" and "static" are used.
         segmenter: Turns boxes into masks.
         posture: Robot as scanned.
-        progress: Told about each view.
+        progress: Told about each step.
         params: See `PartsParams`.
 
     Raises:
-        ReconstructionError: A part has no usable prompt, or almost nothing was found of it.
-        WrongPromptError: The prompts show parts of different objects.
+        ReconstructionError: A part has no usable prompt.
     """
     params = params or PartsParams()
-    rng = np.random.default_rng(params.seed)
-    bodies, robot_share = _robot(gaussians, views, posture, params, rng)
-    progress(0.25, "robot labelled")
-    prompted = ask_prompts(views, prompts, segmenter)
-    progress(0.45, "prompts answered")
-    if params.method == "saga":
-        scan = masked_scan(gaussians, views, prompted, segmenter, part(progress, 0.45, 0.7), params.affinity)
-        found = affinity_labels(gaussians, scan, prompted, bodies, part(progress, 0.7, 1.0), params.affinity)
+    if params.robot == "boxes":
+        bodies = bodies_in_boxes(np.asarray(gaussians.means, np.float64), posture)
+        share = (bodies >= 0).astype(np.float64)
     else:
-        found = _by_panel(gaussians, views, prompted, part(progress, 0.45, 0.75), params)
-        if found is None or not found.misfit <= MAX_MISFIT:
-            voted = vote_parts(gaussians, views, prompted, segmenter, bodies, part(progress, 0.75, 1.0))
-            found = voted if found is None else min(found, voted, key=lambda item: item.disagreement)
-    labels, confidence = found.labels.copy(), found.confidence.copy()
-    robot = bodies >= 0
-    labels[robot], confidence[robot] = ROBOT, robot_share[robot]
-    _check_touching(gaussians, labels)
-    labels = with_enclosed(gaussians.means, gaussians.opacities, labels)
-    for name, value in (("static", STATIC), ("moving", MOVING)):
-        count = int((labels == value).sum())
-        if not count >= params.min_gaussians:
-            raise ReconstructionError(
-                STAGE,
-                f"the {name} part has {count} Gaussians, want {params.min_gaussians}",
-                "check its prompts",
-            )
-    progress(1.0, f"{len(found.views)} views voted")
-    return Parts(
-        labels=labels,
-        confidence=confidence,
-        robot_bodies=np.where(labels == ROBOT, bodies, -1),
-        views=found.views,
-        method=found.method,
-        box_misfit=found.misfit,
+        bodies, share = robot_bodies(gaussians, views, posture, np.random.default_rng(params.seed))
+    progress(0.3, "robot labelled")
+    prompted = ask_prompts(views, prompts, segmenter)
+    progress(0.7, "prompts answered")
+    given, surfaces = None, []
+    if params.method == "saga":
+        scan = masked_scan(gaussians, views, prompted, segmenter, part(progress, 0.7, 0.85), params.affinity)
+        given = affinity_evidence(gaussians, scan, prompted, part(progress, 0.85, 1.0), params.affinity)
+    else:
+        surfaces = surface_views(gaussians, spread(views, DRAWN_VIEWS))
+    return PromptedScan(
+        gaussians=gaussians,
+        bodies=bodies,
+        robot_share=share,
+        prompted=prompted,
+        surfaces=surfaces,
+        given=given,
+        seed=params.seed,
     )
 
 
-def _check_touching(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:
-    """Refuse a static part that is nowhere near the moving one."""
+def find_parts(scan: PromptedScan, motion_log_odds: Array | None = None) -> Parts:
+    """Label all Gaussians.
+
+    Args:
+        scan: See `prompted_scan`.
+        motion_log_odds: Natural logarithm of how much more likely the demonstration is if a Gaussian (N,)
+            moves than if it stands still; None before the demonstration was looked at.
+
+    Raises:
+        ReconstructionError: Almost nothing was found of a part.
+        WrongPromptError: The prompts show parts of different objects.
+    """
+    gaussians, robot = scan.gaussians, scan.bodies >= 0
+    evidence = scan.given or prompted_evidence(
+        gaussians, scan.prompted, scan.surfaces, np.random.default_rng(scan.seed), motion_log_odds
+    )
+    log_likelihoods = evidence.log_likelihoods[~robot].copy()
+    if motion_log_odds is not None:
+        log_likelihoods[:, 2] += motion_log_odds[~robot]
+    colors = np.clip(0.5 + SH_C0 * gaussians.sh[~robot, 0], 0, 1)
+    posterior = smooth_posterior(gaussians.means[~robot], colors, log_likelihoods)
+    labels, confidence = np.full(len(robot), ROBOT, np.uint8), scan.robot_share.copy()
+    labels[~robot], confidence[~robot] = LABELS[np.argmax(posterior, 1)], posterior.max(1)
+    _check(gaussians, labels)
+    static_iou, moving_iou = (
+        expected_iou(posterior, labels[~robot] == value, column, gaussians.opacities[~robot])
+        for value, column in ((STATIC, 1), (MOVING, 2))
+    )
+    return Parts(
+        labels=labels,
+        confidence=confidence.astype(np.float32),
+        robot_bodies=np.where(robot, scan.bodies, -1),
+        method=evidence.method,
+        box_misfit=drawn_misfit(gaussians, labels, scan.prompted),
+        static_iou=static_iou,
+        moving_iou=moving_iou,
+    )
+
+
+def _check(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:
+    """Refuse parts of which almost nothing was found, and a static part nowhere near the moving one."""
+    for name, value in (("static", STATIC), ("moving", MOVING)):
+        count = int((labels == value).sum())
+        if not count >= MIN_GAUSSIANS:
+            raise ReconstructionError(
+                STAGE, f"the {name} part has {count} Gaussians, want {MIN_GAUSSIANS}", "check its prompts"
+            )
     solid = gaussians.opacities > SOLID_OPACITY
     moving, static = (gaussians.means[solid & (labels == value)] for value in (MOVING, STATIC))
     if not (len(moving) and len(static)):
@@ -187,64 +242,3 @@ def _check_touching(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:
             f"{1e3 * MAX_APART_SHARE * size:.0f} mm), so it is another object",
             "in capture.toml, draw 'static' around the body that the moving part hangs on",
         )
-
-
-def _by_panel(
-    gaussians: Gaussians,
-    views: list[ScanView],
-    prompted: list[PromptedImage],
-    progress: Progress,
-    params: PartsParams,
-) -> ObjectLabels | None:
-    """Labels that the panel's masks of many views paint; None when the moving part has no front."""
-    try:
-        rng = np.random.default_rng(params.seed)
-        fit = fit_panel([item.on_surface(gaussians) for item in prompted], rng)
-    except ReconstructionError:
-        return None
-    votes = np.zeros((len(gaussians), 3))
-    chosen = views[:: max(1, len(views) // params.cut_views)]
-    for index, view in enumerate(chosen):
-        seen = fit.panel.labels_seen(surface_seen(gaussians, view.camera, view.robot), view.camera.center)
-        rest = (seen == BACKGROUND) & ~view.robot
-        votes += lift(gaussians, view, [rest, seen == STATIC, seen == MOVING])
-        progress((index + 1) / len(chosen), f"view {index + 1} of {len(chosen)}")
-    total = votes.sum(1)
-    painted = np.array([BACKGROUND, STATIC, MOVING], np.uint8)[np.argmax(votes, 1)]
-    known = total > MIN_WEIGHT
-    labels = np.where(known, painted, fit.panel.labels(gaussians.means)).astype(np.uint8)
-    labels = with_foot(gaussians, labels, fit.panel, prompted)
-    confidence = np.where(known, votes.max(1) / np.maximum(total, 1e-9), 0.0)
-    names = tuple(view.name for view in chosen)
-    return ObjectLabels.judged(gaussians, prompted, labels, confidence, names, "panel")
-
-
-def _robot(
-    gaussians: Gaussians,
-    views: list[ScanView],
-    posture: RobotPosture,
-    params: PartsParams,
-    rng: np.random.Generator,
-) -> tuple[NDArray[np.int32], Array]:
-    """Bodies (N,) of the robot's Gaussians and the share of their weight inside drawn masks."""
-    means = np.asarray(gaussians.means, np.float64)
-    if params.robot == "boxes":
-        bodies = bodies_in_boxes(means, posture)
-        return bodies, (bodies >= 0).astype(np.float64)
-    near, distances = nearest_links(means, posture, rng, LOOSE_DISTANCE_M)
-    inside, seen = np.zeros(len(gaussians)), np.zeros(len(gaussians))
-    for view in views[:: max(1, len(views) // params.robot_views)]:
-        weights = lift(gaussians, view, [view.robot, ~view.robot])
-        inside += weights[:, 0]
-        seen += weights.sum(1)
-    share = inside / np.maximum(seen, 1e-9)
-    close = (share > 0.5) & (distances < MAX_DISTANCE_M)
-    # A Gaussian on a thin finger paints well beyond the finger's outline.
-    close |= (share > 0.25) & (distances < 0.5 * MAX_DISTANCE_M)
-    # Rims that peep past the outline, and small Gaussians that nearly touch the model, are robot too.
-    close |= (distances < 0.3 * MAX_DISTANCE_M) & (gaussians.scales.max(1) < MAX_DISTANCE_M)
-    # Mirroring metal is reconstructed behind its surface: what all views see inside the robot is robot.
-    behind = (share > 0.85) & (distances < LOOSE_DISTANCE_M)
-    # What no view shows lies inside the robot when it is close to its surface.
-    robot = (near >= 0) & np.where(seen > 0.05, close | behind, distances < 0.01)
-    return np.where(robot, near, -1).astype(np.int32), share

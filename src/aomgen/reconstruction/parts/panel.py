@@ -1,12 +1,11 @@
-"""A moving part as a panel in the front of a box: doors, drawers, flaps and lids.
+"""An object as two boxes: the moving part, a panel, and the body.
 
-Masks of such parts are ragged or stop at a window; the panel's rectangle and the object's box are
-what makes the borders straight. Frame "panel": x along the panel, y up (or across, for a lid),
-z out of the front, origin on the front face.
+Masks of doors, drawers and lids are ragged or stop at a window; the boxes make the borders straight.
+Panel frame: x level along the panel, y up (across, for a lid), z out of the front, origin on the front face.
+Body frame: z up.
 """
 
-from dataclasses import dataclass, field
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,71 +13,32 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.reconstruction.parts.enclosed import FLOOR_SHARE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """Where the moving part and the object's box are.
+    """Where the two boxes are; what lies in both belongs to the moving part.
 
     Attributes:
         T_world_panel: Panel frame (4, 4).
         low, high: Corners (3,) of the moving part, panel frame, [m]. `low[2]` is the seam behind
             the panel; `high[2]` is how far handles reach.
-        object_low, object_high: Corners (3,) of the object without handles, the moving part included
-            when it is closed, body frame, [m].
-        around: How far handles stand out past the panel's left, right, lower and upper edge, behind its
-            seam and before its reach (6,), where the object is not, [m].
-        T_panel_body: Body frame (4, 4): the panel's own for a closed object; upright for an open one,
-            whose panel leans or stands away from it.
+        T_panel_body: Body frame (4, 4), panel frame.
+        body_low, body_high: Corners (3,) of the object's body, body frame, [m].
     """
 
     T_world_panel: Array
     low: Array
     high: Array
-    object_low: Array
-    object_high: Array
-    around: Array = field(default_factory=lambda: np.zeros(6))
-    T_panel_body: Array = field(default_factory=lambda: np.eye(4))
+    T_panel_body: Array
+    body_low: Array
+    body_high: Array
 
     def __post_init__(self) -> None:
         freeze(self, "T_world_panel", self.T_world_panel, (4, 4))
-        for name in ("low", "high", "object_low", "object_high"):
-            freeze(self, name, getattr(self, name), (3,))
-        freeze(self, "around", self.around, (6,))
         freeze(self, "T_panel_body", self.T_panel_body, (4, 4))
-
-    @property
-    def T_world_body(self) -> Array:
-        """Body frame (4, 4), world frame."""
-        return self.T_world_panel @ self.T_panel_body
-
-    @classmethod
-    def of_shape(cls, T_world_panel: Array, shape: Array, margin_m: float) -> Self:
-        """A panel from the sixteen numbers that `panel_fit` searches.
-
-        Args:
-            T_world_panel: Panel frame (4, 4).
-            shape: (16,): left, right, lower and upper edge of the panel, its seam, reach of its
-                handles; how far the object goes beyond the panel to the left, right, below and
-                above (>= 0); the object's back; how far it stands out beside the panel (>= 0);
-                the first four of `around` (>= 0). [m]
-            margin_m: Thickness given to the object's outer faces, not to the one that looks down, which
-                lies on other things.
-        """
-        left, right, lower, upper, seam, reach = shape[:6]
-        beyond = shape[6:10]
-        margins = np.full((2, 3), margin_m)
-        axis, side = lower_face(T_world_panel)
-        margins[side, axis] = 0.0
-        return cls(
-            T_world_panel=T_world_panel,
-            low=np.array([left, lower, seam]),
-            high=np.array([right, upper, reach]),
-            object_low=np.array([left - beyond[0], lower - beyond[2], shape[10]]) - margins[0],
-            object_high=np.array([right + beyond[1], upper + beyond[3], shape[11]]) + margins[1],
-            around=np.array([*shape[12:16], 0.0, 0.0]),
-        )
+        for name in ("low", "high", "body_low", "body_high"):
+            freeze(self, name, getattr(self, name), (3,))
 
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
         """Part labels (N,) of points (N, 3) by where they are, world frame."""
@@ -94,51 +54,36 @@ class Panel:
         A panel is opaque: what appears behind its face, mirrored or seen through glass, is it.
         """
         T_panel_world = invert(self.T_world_panel)
-        height, width = points_world.shape[:2]
-        local = apply(T_panel_world, points_world.reshape(-1, 3)).reshape(height, width, 3)
+        local = apply(T_panel_world, points_world.reshape(-1, 3)).reshape(points_world.shape)
         return self.labels_local(local, apply(T_panel_world, center_world[None])[0])
 
     def labels_local(self, local: NDArray, center: Array | None = None) -> NDArray[np.uint8]:
-        """As `labels` and, with a camera centre (3,), `labels_seen`, for points in the panel frame."""
-        body = local
-        if not np.array_equal(self.T_panel_body, np.eye(4)):
-            body = apply(invert(self.T_panel_body), local.reshape(-1, 3)).reshape(local.shape)
+        """As `labels` and, with a camera centre (3,), `labels_seen`, for points (..., 3) in the panel frame."""
+        T_body_panel = invert(self.T_panel_body)
         # Coordinate by coordinate: the search of a panel spends its time here.
-        ours = np.logical_and.reduce(_within(body, self.object_low, self.object_high))
-        along, across, deep = _within(local, self.low, self.high)
-        moves = along & across & deep
-        if self.around.any():
-            low, high = self.low - self.around[::2], self.high + self.around[1::2]
-            # Past one side, not round a corner: there are other things.
-            two_of_three = (along & across) | (along & deep) | (across & deep)
-            near = np.logical_and.reduce(_within(local, low, high)) & two_of_three
-            moves |= near & ~ours & self._above_floor(body)
+        x, y, z = (local[..., axis] for axis in range(3))
+        body = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in T_body_panel[:3]]
+        ours = np.logical_and.reduce(_within(body, self.body_low, self.body_high))
+        moves = np.logical_and.reduce(_within([x, y, z], self.low, self.high))
         if center is not None and center[2] > 0:
-            z = local[..., 2]
             behind = ours & (z < 0)
             share = center[2] / (center[2] - z[behind])
-            hit = center[:2] + share[:, None] * (local[behind, :2] - center[:2])
+            hit = [center[k] + share * (plane[behind] - center[k]) for k, plane in enumerate((x, y))]
             moves[behind] |= np.logical_and.reduce(_within(hit, self.low, self.high))
         labels = np.full(ours.shape, BACKGROUND, np.uint8)
         labels[ours] = STATIC
         labels[moves] = MOVING
         return labels
 
-    def _above_floor(self, body: NDArray) -> NDArray[np.bool_]:
-        """Which points (..., 3) of the body frame are higher than what the object stands on."""
-        axis, side = lower_face(self.T_world_body)
-        heights = (body[..., axis] - (self.object_low, self.object_high)[side][axis]) * (1, -1)[side]
-        return heights > FLOOR_SHARE * (self.object_high[axis] - self.object_low[axis])
+    @property
+    def uncovered_m(self) -> float:
+        """How far the panel's corners stand out past the body's footprint, mean over the corners, [m]."""
+        corners = [[x, y, 0.0] for x in (self.low[0], self.high[0]) for y in (self.low[1], self.high[1])]
+        body = apply(invert(self.T_panel_body), np.array(corners))
+        beyond = np.maximum(np.maximum(self.body_low - body, body - self.body_high), 0)
+        return float(beyond[:, :2].sum(1).mean())
 
 
-def _within(points: NDArray, low: Array, high: Array) -> list[NDArray[np.bool_]]:
-    """For each coordinate of points (..., D), which of them lie between two bounds (D or more,)."""
-    planes = [points[..., axis] for axis in range(points.shape[-1])]
-    return [(x > low[axis]) & (x < high[axis]) for axis, x in enumerate(planes)]
-
-
-def lower_face(T_world_box: Array) -> tuple[int, int]:
-    """Axis of a box's frame across the face of a box that looks down most, and its end: 0 low, 1 high."""
-    up = T_world_box[2, :3]
-    axis = int(np.argmax(np.abs(up)))
-    return axis, 0 if up[axis] > 0 else 1
+def _within(planes: list[NDArray], low: Array, high: Array) -> list[NDArray[np.bool_]]:
+    """For each coordinate, which of its values lie between two bounds (D or more,)."""
+    return [(values > low[axis]) & (values < high[axis]) for axis, values in enumerate(planes)]

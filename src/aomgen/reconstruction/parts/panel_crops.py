@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aomgen.conventions import BACKGROUND, MOVING
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
@@ -108,8 +109,11 @@ class Crop:
 
     def loss(self, panel: Panel) -> float:
         """Misfit of the box, and distance to the mask that agrees best."""
-        shown = self.shown(panel)
-        apart = min((1 - iou(shown, mask) for mask in self.masks), default=0.0)
+        labels = panel.labels_local(self.local, self.center)
+        shown = labels == self.part
+        # Segmenters find whole objects best, also where a person boxed the body of one.
+        wanted = (shown,) if self.part == MOVING else (shown, labels != BACKGROUND)
+        apart = min((1 - iou(item, mask) for mask in self.masks for item in wanted), default=0.0)
         return box_misfit(shown, self.box) + MASK_WEIGHT * apart
 
     def inside(self, *, masked: bool) -> Array:

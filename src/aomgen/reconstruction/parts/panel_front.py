@@ -2,14 +2,15 @@
 
 import numpy as np
 
+from aomgen.core.boxes import upright_box_axes
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
-from aomgen.reconstruction.parts.enclosed import upright_box_axes
 
 STAGE = "parts"
-# Fronts this close to level or upright are so: objects stand on something.
-SNAP_DEG = 10.0
+# Fronts this close to level or upright are so: objects stand on something, and planes are found to a degree
+# or two. Lids that stand ajar lean more.
+SNAP_DEG = 4.0
 # Reconstructed surfaces scatter about their plane by this share of the part's diagonal.
 SCATTER_SHARE = 0.015
 TRIALS = 1000

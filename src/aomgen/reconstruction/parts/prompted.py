@@ -1,7 +1,6 @@
 """What the prompted images show: surface points, and the segmenter's answers to each box."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import BackendError, ReconstructionError
 from aomgen.reconstruction.masks.segmenter import Mask, PreparedImage, Segmenter
-from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou, share_inside
+from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, share_inside
 from aomgen.reconstruction.parts.part_masks import ScanView, drawn_parts
 from aomgen.splatting.rasterizer import render
 
@@ -59,51 +58,12 @@ class PromptedImage:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObjectLabels:
-    """Labels of the object's parts by one method, and how well they explain the prompts.
-
-    Attributes:
-        labels: (N,) `STATIC`, `MOVING`, else `BACKGROUND`.
-        confidence: (N,) share of the painted weight that agrees, 0 for unseen ones.
-        views: Names of the images that voted.
-        method: "panel" or "vote".
-        misfit: `box_misfit` of the drawn labels, mean over the prompts.
-        disagreement: `misfit`, and the distance to the mask that agrees best.
-    """
-
-    labels: NDArray[np.uint8]
-    confidence: NDArray[np.float32]
-    views: tuple[str, ...]
-    method: str
-    misfit: float
-    disagreement: float
-
-    @classmethod
-    def judged(
-        cls,
-        gaussians: Gaussians,
-        prompted: list[PromptedImage],
-        labels: NDArray[np.uint8],
-        confidence: NDArray[np.floating],
-        views: tuple[str, ...],
-        method: str,
-    ) -> Self:
-        """Draw labels into the prompted images and compare them with boxes and masks there."""
-        misfits, distances = [], []
-        for item in prompted:
-            drawn = drawn_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
-            misfits.append(box_misfit(drawn, item.box))
-            distances.append(min((1 - iou(drawn, mask) for mask in item.masks), default=1.0))
-        misfit = float(np.mean(misfits))
-        return cls(
-            labels=labels,
-            confidence=confidence.astype(np.float32),
-            views=views,
-            method=method,
-            misfit=misfit,
-            disagreement=misfit + float(np.mean(distances)),
-        )
+def drawn_misfit(gaussians: Gaussians, labels: NDArray[np.uint8], prompted: list[PromptedImage]) -> float:
+    """How far the extents of labels (N,), drawn into the prompted images, are from the boxes; mean `box_misfit`."""
+    drawn = (
+        drawn_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot for item in prompted
+    )
+    return float(np.mean([box_misfit(mask, item.box) for mask, item in zip(drawn, prompted, strict=True)]))
 
 
 def ask_prompts(

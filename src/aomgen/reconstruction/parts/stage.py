@@ -3,14 +3,10 @@
 import io
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from aomgen.core.gaussians import Gaussians
-from aomgen.core.progress import Progress, part
-from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
@@ -18,52 +14,12 @@ from aomgen.io.images import read_image
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
 from aomgen.reconstruction.cameras.structure import Structure
-from aomgen.reconstruction.masks.segmenter import Segmenter
-from aomgen.reconstruction.parts.lifting import Parts, PartsParams, find_parts
+from aomgen.reconstruction.parts.lifting import Parts
 from aomgen.reconstruction.parts.part_masks import ScanView
 from aomgen.reconstruction.surfaces.gaussians import held_out
 
 PARTS_FILE = "parts.npz"
 MASKS_FOLDER = "automatic_masks"
-
-
-def run_parts(
-    structure: Structure,
-    gaussians_recon: Gaussians,
-    S_world_recon: Array,
-    images: Mapping[str, Path],
-    prompts: tuple[Prompt, ...],
-    segmenter: Segmenter,
-    posture: RobotPosture,
-    folder: Path,
-    progress: Progress,
-    params: PartsParams | None = None,
-) -> Parts:
-    """Label the Gaussians (see `find_parts`) and write `parts.npz`.
-
-    Args:
-        structure: Cameras, recon frame.
-        gaussians_recon: The trained scene, recon frame.
-        S_world_recon: The alignment.
-        images: All scan images by file name; held-out ones are not looked at.
-        prompts: Of the capture.
-        segmenter: See `segmenter.choose_segmenter`.
-        posture: Robot as scanned.
-        folder: Receives the result.
-        progress: Told about each step.
-        params: Effort and limits.
-
-    Raises:
-        ReconstructionError: See `find_parts`.
-    """
-    views = scan_views(structure, S_world_recon, images, posture)
-    progress(0.05, "robot drawn into the scan")
-    gaussians = gaussians_recon.transformed(S_world_recon)
-    params = params or PartsParams()
-    params = replace(params, affinity=replace(params.affinity, masks_folder=folder / MASKS_FOLDER))
-    result = find_parts(gaussians, views, prompts, segmenter, posture, part(progress, 0.05, 1.0), params)
-    save_parts(result, folder)
-    return result
 
 
 def scan_views(
@@ -99,9 +55,10 @@ def save_parts(parts: Parts, folder: Path) -> None:
         labels=parts.labels,
         confidence=parts.confidence,
         robot_bodies=parts.robot_bodies,
-        views=np.array(parts.views, dtype=np.str_),
         method=np.str_(parts.method),
         box_misfit=np.float64(parts.box_misfit),
+        static_iou=np.float64(parts.static_iou),
+        moving_iou=np.float64(parts.moving_iou),
     )
     write_bytes(folder / PARTS_FILE, buffer.getvalue())
 
@@ -121,9 +78,10 @@ def load_parts(folder: Path) -> Parts:
                 labels=arrays["labels"],
                 confidence=arrays["confidence"],
                 robot_bodies=arrays["robot_bodies"],
-                views=tuple(str(name) for name in arrays["views"]),
                 method=str(arrays["method"]),
                 box_misfit=float(arrays["box_misfit"]),
+                static_iou=float(arrays["static_iou"]),
+                moving_iou=float(arrays["moving_iou"]),
             )
     except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
         raise MalformedFileError(

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, STATIC
+from aomgen.core.boxes import QUANTILES, upright_box_axes
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture
-from aomgen.reconstruction.parts.enclosed import QUANTILES, upright_box_axes
 from aomgen.reconstruction.surfaces.coverage import MIN_VIEWS, Coverage, coverage_of
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 

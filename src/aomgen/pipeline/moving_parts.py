@@ -1,0 +1,63 @@
+"""Parts and motion in turn: labels give a motion, and the motion tells which Gaussians move."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import MOVING
+from aomgen.core.progress import Progress
+from aomgen.errors import EstimationError
+from aomgen.motion.demonstration import Demonstration
+from aomgen.motion.estimate import first_motion
+from aomgen.motion.part_tracking import motion_log_odds
+from aomgen.reconstruction.parts.lifting import Parts, PromptedScan, find_parts
+
+# Most rounds, and overlap of the moving part (IoU) from which another round would not change it.
+MAX_ROUNDS, SETTLED_IOU = 2, 0.95
+# A demonstration that takes more than this share away from the prompted part contradicts the prompts: that is
+# for the motion stage to say, with labels as the prompts have them.
+MIN_KEPT = 0.5
+
+
+def find_moving_parts(
+    scan: PromptedScan, demonstration: Callable[[NDArray[np.uint8]], Demonstration], progress: Progress
+) -> Parts:
+    """Label all Gaussians by the prompts and by the demonstration.
+
+    Args:
+        scan: Prompts, masks and surfaces.
+        demonstration: What motion looks at, given labels.
+        progress: Told about each round.
+
+    Raises:
+        ReconstructionError, WrongPromptError: See `find_parts`.
+    """
+    first = current = find_parts(scan)
+    progress(0.3, "boxes fitted to the prompts")
+    for round_ in range(MAX_ROUNDS):
+        demo = demonstration(current.labels)
+        try:
+            log_odds = motion_log_odds(demo, first_motion(demo))
+        except EstimationError:
+            # The motion stage meets the same demonstration with these labels, and says what is wrong.
+            return current
+        found = find_parts(scan, log_odds)
+        if not _kept(first.labels, found.labels) >= MIN_KEPT:
+            return first
+        before, current = current, found
+        progress(0.3 + 0.7 * (round_ + 1) / MAX_ROUNDS, f"demonstration looked at, round {round_ + 1}")
+        if _iou(before.labels, current.labels) >= SETTLED_IOU:
+            break
+    return current
+
+
+def _iou(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float:
+    """Overlap of the moving parts of two labellings (N,)."""
+    either = np.sum((first == MOVING) | (second == MOVING))
+    return float(np.sum((first == MOVING) & (second == MOVING)) / max(1, either))
+
+
+def _kept(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float:
+    """Share of the first labelling's moving part that moves in the second one too."""
+    return float(np.mean(second[first == MOVING] == MOVING))
