@@ -1,4 +1,8 @@
-"""Patches of a part that is between the pads of a gripper."""
+"""Patches of a part that is between the pads of a gripper.
+
+What is held is a piece with straight sides: a bar, a rim, a knob. The pads are nearly parallel planes, so each
+touches it at the point that is nearest to it, which is decided by how the held face is turned against the pad.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,27 +13,23 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.bar import Ways, swept_bar
 from aomgen.physics.robot_parts import FingerPad
 
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
 SURFACE_SD_M = 0.002
-# Pads give way by 0.1 mm where they press: 40 N on 3 cm^2 of a rubber of 5 MPa, 4 mm thick. Under load they
-# stand about half as slanted as the gripper's table says, so that in its terms they give half of that, [m].
-SOFT_M = 5e-5
+# A held face may be turned against a pad by this much more than known, [rad]: about the piece's length by the fit of
+# the object's box, along it by what the pads give way until they lie on it.
+_ROLL_SD_RAD, _LEAN_SD_RAD = np.radians([1.0, 0.3])
+_TURNS = np.random.default_rng(0).normal(size=(300, 2))
 # What is between the pads may look thinner than their opening by this much on each side, [m].
 _THINNER_M = 0.01
 _GRID = 61
-# The sides of a bar are known to this angle: the object's yaw to 2.5 degrees, the pads' slant to 1.5, [rad].
-_ROLL_SD_RAD = float(np.radians(3.0))
-# A bar lies in the pads' plane to 30 degrees, or it would turn the hand.
-_IN_PLANE = float(np.cos(np.radians(30.0)))
-# A bar is followed this far beside the pads, [m].
-_BESIDE_M = 0.05
-# Places with less than this share of the most matter hold strays of the surface behind.
-_INSIDE = 0.3
-# Of what is between the pads, this much is in front of its surface by chance, [%].
-_NEAR_PERCENT = 10.0
+# A piece is followed this far beside the pads' width, [m].
+_BESIDE_M = 0.01
+# Sides of the held piece are sought in this many directions: over a pad's width, half a step is 1 mm.
+_FAN = 24
+# Points beyond these percentiles are strays.
+_STRAYS = (5, 95)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,15 +66,11 @@ def held_patches(
 ) -> tuple[Patch, ...]:
     """One patch on each pad of a gripper that holds the part; none if the part is not between its pads.
 
-    The pads of a closing gripper are not quite parallel, so they press where the part reaches into the
-    narrowest of the space between them, as far as they give way. Where the part is comes from its
-    points; how thick it is there does not, as thin things are reconstructed too thin.
-
     Args:
         pads: Of the hand; fewer than two hold nothing.
         Ts_ee_body: Poses (B, 4, 4) of all bodies, end-effector frame.
         points_ee: Dense points of the part (N, 3), same frame, [m].
-        axes_ee: Unit axes (3, 3) in rows of the object's box, same frame: sides of a bar are across them.
+        axes_ee: Unit axes (3, 3) in rows of the object's box, same frame: held faces are across one of them.
 
     Not checked: a part whose thickness varies within the pads more than their opening does.
     """
@@ -82,26 +78,26 @@ def held_patches(
         return ()
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
     closing = faces[0].normal - faces[1].normal
-    flatness = _flatness(closing / np.linalg.norm(closing), axes_ee)
+    axis = axes_ee[np.argmax(np.abs(axes_ee @ closing))]
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
-        openings = face.openings(face.grid, other)
-        matter = face.matter(points_ee, other, axes_ee, flatness)
-        if not (len(matter) and openings.min() > 0):
+        between, openings = face.between(points_ee, other), face.openings(face.grid, other)
+        if not (len(between) and openings.min() > 0):
             return ()
-        covered = face.covered(matter)
-        inside = covered > _INSIDE
-        if not (openings[inside].min() <= _thickness(matter) + 2 * _THINNER_M):
+        strip = _Strip.around(between[:, :2], float(np.median(openings)))
+        held = strip.holds(apply(face.T_face_ee, face.grid)[:, :2])
+        low, high = np.percentile(between[:, 2], _STRAYS)
+        if not (held.any() and openings[held].min() <= high - low + 2 * _THINNER_M):
             return ()
-        patches.append(_pressed(face, openings, covered, inside, points_ee))
+        slopes = strip.slopes(face.slope(axis), face.slope(closing))
+        patches.append(_touched(face, face.grid[held], slopes, points_ee))
     return tuple(patches)
 
 
 def unseen_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
     """One patch all over each pad, for a gripper that holds what the scan hardly saw; see `held_patches`."""
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
-    even = np.ones(_GRID**2)
-    return tuple(_pressed(face, even, even, even > 0, points_ee) for face in faces)
+    return tuple(_patch(face, face.middle, face.grid, points_ee) for face in faces)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,64 +133,70 @@ class _Face:
         """Of the face (3,), [m]."""
         return invert(self.T_face_ee)[:3, 3]
 
+    def slope(self, axis_ee: Array) -> Array:
+        """How fast (2,) a plane across an axis (3,) comes nearer along this face, [m/m]."""
+        local = self.T_face_ee[:3, :3] @ axis_ee
+        return local[:2] / local[2]
+
     def openings(self, points_ee: Array, other: "_Face") -> Array:
         """Distance (N,) between both faces where points (N, 3) project on this one, [m]."""
         heights = apply(self.T_face_ee, points_ee)[:, 2]
         on_face = points_ee - heights[:, None] * self.normal
         return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
 
-    def matter(self, points_ee: Array, other: "_Face", axes_ee: Array, flatness: float) -> Array:
-        """What of points (N, 3) is between both faces (K, 3), in this one's frame; a bar as `swept_bar`."""
+    def between(self, points_ee: Array, other: "_Face") -> Array:
+        """What of points (N, 3) is between both faces (K, 3), in this one's frame, and a little beside their width."""
         local = apply(self.T_face_ee, points_ee)
         margin = 2 * SURFACE_SD_M
-        between = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
-        near = local[between & np.all(np.abs(local[:, :2]) < self.half + _BESIDE_M, axis=1)]
-        opening = float(np.median(self.openings(self.grid, other)))
-        bars = (
-            swept_bar(near, self.half, ways, opening, flatness) for ways in (self.ways(axes_ee), Ways.any())
-        )
-        bar = next((bar for bar in bars if bar is not None), None)
-        matter = near if bar is None else bar
-        return matter[np.all(np.abs(matter[:, :2]) < self.half + margin, axis=1)]
-
-    def ways(self, axes_ee: Array) -> Ways:
-        """Directions in the face's plane of those unit axes (A, 3) that lie nearly in it."""
-        flat = axes_ee @ self.T_face_ee[:2, :3].T
-        lengths = np.linalg.norm(flat, axis=1)
-        in_plane = lengths > _IN_PLANE
-        return Ways(directions=flat[in_plane] / lengths[in_plane, None], sd_rad=_ROLL_SD_RAD)
-
-    def covered(self, matter: Array) -> Array:
-        """How much of the near side of matter (K, 3) is in front of the grid (G,), as a share of the most, 0..1."""
-        behind = np.maximum(matter[:, 2] - np.percentile(matter[:, 2], _NEAR_PERCENT), 0)
-        # The grid is the product of two rows of steps, and so are the weights over it.
-        places = np.linspace(-1, 1, _GRID)[:, None] * self.half[:, None, None]
-        u, v = np.exp(-0.5 * ((places - matter.T[:2, None]) / SURFACE_SD_M) ** 2)
-        density = (v * np.exp(-0.5 * (behind / SURFACE_SD_M) ** 2) @ u.T).ravel()
-        return density / max(float(density.max()), 1e-12)
+        within = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
+        reach = self.half + np.where(self.half < self.half.max(), _BESIDE_M, margin)
+        return local[within & np.all(np.abs(local[:, :2]) < reach, axis=1)]
 
 
-def _flatness(normal: Array, axes: Array) -> float:
-    """How likely a side of a bar with the part's axes (3, 3) lies flat against a face, 0..1."""
-    roll = np.arccos(min(float(np.abs(axes @ normal).max()), 1.0))
-    return float(np.exp(-0.5 * (roll / _ROLL_SD_RAD) ** 2))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Strip:
+    """The straight piece between the pads as it lies on a face: unit way (2,), middle across it and half width, [m]."""
+
+    way: Array
+    middle: float
+    half: float
+
+    @staticmethod
+    def around(flat: Array, depth_m: float) -> "_Strip":
+        """The narrowest strip around points (N, 2): at least as deep as the pads are open, however little was seen."""
+        angles = np.pi / _FAN * np.arange(_FAN)
+        ways = np.stack([np.cos(angles), np.sin(angles)], 1)
+        low, high = np.percentile(flat @ _across(ways).T, _STRAYS, axis=0)
+        best = int(np.argmin(high - low))
+        width = max(float(high[best] - low[best]), depth_m)
+        return _Strip(way=ways[best], middle=float(high[best] + low[best]) / 2, half=width / 2)
+
+    def holds(self, flat: Array) -> NDArray[np.bool_]:
+        """Which points (N, 2) are in front of it."""
+        return np.abs(flat @ _across(self.way) - self.middle) <= self.half
+
+    def slopes(self, side: Array, closing: Array) -> Array:
+        """How its face may be turned against the pad (K, 2): about its length as the object's side (2,), else as the
+        pads close (2,), [m/m]."""
+        across = _across(self.way)
+        about = side @ across + _ROLL_SD_RAD * _TURNS[:, 0]
+        along = closing @ self.way + _LEAN_SD_RAD * _TURNS[:, 1]
+        return np.outer(about, across) + np.outer(along, self.way)
 
 
-def _thickness(matter: Array) -> float:
-    low, high = np.percentile(matter[:, 2], [5, 95])
-    return float(high - low)
+def _across(ways: Array) -> Array:
+    return np.stack([-ways[..., 1], ways[..., 0]], -1)
 
 
-def _pressed(
-    face: _Face, openings: Array, covered: Array, inside: NDArray[np.bool_], points_ee: Array
-) -> Patch:
-    """The patch where the part is (covered) and the pads are close, as far as both give way."""
-    slack = openings - openings[inside].min()
-    weights = covered * np.clip(1 - slack / (2 * SOFT_M), 0, 1)
-    weights /= weights.sum()
-    point = weights @ face.grid
-    # The pads may give way more than assumed: the middle of all that is covered is as possible.
-    spread = face.grid - point
-    covariance = (spread * (covered / covered.sum())[:, None]).T @ spread + SURFACE_SD_M**2 * np.eye(3)
-    gap = float(cKDTree(points_ee).query(face.grid[inside])[0].min())
+def _touched(face: _Face, held: Array, slopes: Array, points_ee: Array) -> Patch:
+    """The patch where what is held (H, 3) comes nearest, on average over its slopes (K, 2)."""
+    first = np.argmax(held @ face.T_face_ee[:2, :3].T @ slopes.T, axis=0)
+    return _patch(face, held[first].mean(0), held, points_ee)
+
+
+def _patch(face: _Face, point: Array, held: Array, points_ee: Array) -> Patch:
+    """A patch at a point, which may be anywhere on what is held (H, 3)."""
+    spread = held - point
+    covariance = spread.T @ spread / len(held) + SURFACE_SD_M**2 * np.eye(3)
+    gap = float(cKDTree(points_ee).query(held)[0].min())
     return Patch(finger=face.finger, point=point, normal=face.normal, covariance=covariance, gap_m=gap)
