@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.core.transforms import apply, invert
@@ -18,16 +17,17 @@ from aomgen.physics.robot_parts import FingerPad
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
 SURFACE_SD_M = 0.002
 # A held face may be turned against a pad by this much more than known, [rad]: about the piece's length by the fit of
-# the object's box, along it by what the pads give way until they lie on it.
-_ROLL_SD_RAD, _LEAN_SD_RAD = np.radians([1.0, 0.3])
-_TURNS = np.random.default_rng(0).normal(size=(300, 2))
+# the object's box, along it by what the pads give way until they lie on it, and on the face by the strip's points.
+_ROLL_SD_RAD, _LEAN_SD_RAD, _WAY_SD_RAD = np.radians([1.0, 0.3, 5.0])
+_TURNS = np.random.default_rng(0).normal(size=(3, 300))
 # What is between the pads may look thinner than their opening by this much on each side, [m].
 _THINNER_M = 0.01
-_GRID = 61
+# Corners of a square.
+_SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+# Lengths below this are none, [m].
+_LEAST_M = 1e-9
 # A piece is followed this far beside the pads' width, [m].
 _BESIDE_M = 0.01
-# Sides of the held piece are sought in this many directions: over a pad's width, half a step is 1 mm.
-_FAN = 24
 # Points beyond these percentiles are strays.
 _STRAYS = (5, 95)
 
@@ -81,47 +81,41 @@ def held_patches(
     axis = axes_ee[np.argmax(np.abs(axes_ee @ closing))]
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
-        between, openings = face.between(points_ee, other), face.openings(face.grid, other)
-        if not (len(between) and openings.min() > 0):
+        between = face.between(points_ee, other)
+        if not len(between):
             return ()
-        strip = _Strip.around(between[:, :2], float(np.median(openings)))
-        held = strip.holds(apply(face.T_face_ee, face.grid)[:, :2])
+        strip = _Strip.around(between[:, :2], float(face.openings(face.middle, other)))
+        corners = strip.corners(face.half)
         low, high = np.percentile(between[:, 2], _STRAYS)
-        if not (held.any() and openings[held].min() <= high - low + 2 * _THINNER_M):
+        closest = face.openings(face.placed(corners), other).min(initial=np.inf)
+        if not 0 < closest <= high - low + 2 * _THINNER_M:
             return ()
         slopes = strip.slopes(face.slope(axis), face.slope(closing))
-        patches.append(_touched(face, face.grid[held], slopes, points_ee))
+        # Of a plane, a corner is nearest to the pad.
+        touched = corners[np.argmax(corners @ slopes.T, axis=0)].mean(0)
+        patches.append(face.patch(touched, corners, points_ee))
     return tuple(patches)
 
 
 def unseen_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
     """One patch all over each pad, for a gripper that holds what the scan hardly saw; see `held_patches`."""
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
-    return tuple(_patch(face, face.middle, face.grid, points_ee) for face in faces)
+    return tuple(face.patch(np.zeros(2), _SQUARE * face.half, points_ee) for face in faces)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Face:
-    """The inner face of a pad in the end-effector frame, and a grid (G, 3) over it."""
+    """The inner face of a pad in the end-effector frame, and its half extents (2,), [m]."""
 
     finger: str
     T_face_ee: Array
     half: Array
-    grid: Array
 
     @staticmethod
     def of(pad: FingerPad, T_ee_body: Array) -> "_Face":
         T_ee_face = T_ee_body @ pad.T_body_pad
         T_ee_face[:3, 3] = apply(T_ee_body, pad.face_body)
-        steps = np.linspace(-1, 1, _GRID)
-        u, v = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
-        flat = np.stack([u * pad.half_extents[0], v * pad.half_extents[1], np.zeros(len(u))], 1)
-        return _Face(
-            finger=pad.finger,
-            T_face_ee=invert(T_ee_face),
-            half=pad.half_extents[:2],
-            grid=apply(T_ee_face, flat),
-        )
+        return _Face(finger=pad.finger, T_face_ee=invert(T_ee_face), half=pad.half_extents[:2])
 
     @property
     def normal(self) -> Array:
@@ -133,15 +127,33 @@ class _Face:
         """Of the face (3,), [m]."""
         return invert(self.T_face_ee)[:3, 3]
 
+    def placed(self, flat: Array) -> Array:
+        """Points (..., 2) of the face in the end-effector frame (..., 3)."""
+        return self.middle + flat @ self.T_face_ee[:2, :3]
+
+    def patch(self, touched: Array, corners: Array, points_ee: Array) -> Patch:
+        """A patch at a point (2,) which may be anywhere between corners (C, 2), on a part of points (N, 3)."""
+        spread = self.placed(corners) - self.placed(touched)
+        # Even over an area, a third of what its corners say.
+        covariance = spread.T @ spread / (3 * len(spread)) + SURFACE_SD_M**2 * np.eye(3)
+        gaps = cKDTree(points_ee).query(self.placed(np.vstack([corners, touched])))[0]
+        return Patch(
+            finger=self.finger,
+            point=self.placed(touched),
+            normal=self.normal,
+            covariance=covariance,
+            gap_m=float(gaps.min()),
+        )
+
     def slope(self, axis_ee: Array) -> Array:
         """How fast (2,) a plane across an axis (3,) comes nearer along this face, [m/m]."""
         local = self.T_face_ee[:3, :3] @ axis_ee
         return local[:2] / local[2]
 
     def openings(self, points_ee: Array, other: "_Face") -> Array:
-        """Distance (N,) between both faces where points (N, 3) project on this one, [m]."""
-        heights = apply(self.T_face_ee, points_ee)[:, 2]
-        on_face = points_ee - heights[:, None] * self.normal
+        """Distance (...) between both faces where points (..., 3) project on this one, [m]."""
+        heights = apply(self.T_face_ee, points_ee)[..., 2]
+        on_face = points_ee - heights[..., None] * self.normal
         return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
 
     def between(self, points_ee: Array, other: "_Face") -> Array:
@@ -163,40 +175,32 @@ class _Strip:
 
     @staticmethod
     def around(flat: Array, depth_m: float) -> "_Strip":
-        """The narrowest strip around points (N, 2): at least as deep as the pads are open, however little was seen."""
-        angles = np.pi / _FAN * np.arange(_FAN)
-        ways = np.stack([np.cos(angles), np.sin(angles)], 1)
-        low, high = np.percentile(flat @ _across(ways).T, _STRAYS, axis=0)
-        best = int(np.argmin(high - low))
-        width = max(float(high[best] - low[best]), depth_m)
-        return _Strip(way=ways[best], middle=float(high[best] + low[best]) / 2, half=width / 2)
+        """The strip along points (N, 2): at least as deep as the pads are open, however little of its depth was seen."""
+        centered = flat - flat.mean(0)
+        way = np.linalg.eigh(centered.T @ centered)[1][:, 1]
+        low, high = np.percentile(flat @ _across(way), _STRAYS)
+        width = max(float(high - low), depth_m)
+        return _Strip(way=way, middle=float(high + low) / 2, half=width / 2)
 
-    def holds(self, flat: Array) -> NDArray[np.bool_]:
-        """Which points (N, 2) are in front of it."""
-        return np.abs(flat @ _across(self.way) - self.middle) <= self.half
+    def corners(self, half: Array) -> Array:
+        """Corners (C, 2) of what is in front of it of a face of half extents (2,); none if nothing is, [m]."""
+        square, across = _SQUARE * half, _across(self.way)
+        starts = square @ across - self.middle
+        ways = np.roll(starts, -1) - starts
+        ways[np.abs(ways) < _LEAST_M] = _LEAST_M
+        shares = np.clip((np.array([[-self.half], [self.half]]) - starts) / ways, 0, 1)
+        found = (square + shares[..., None] * (np.roll(square, -1, axis=0) - square)).reshape(-1, 2)
+        return found[np.abs(found @ across - self.middle) <= self.half + _LEAST_M]
 
     def slopes(self, side: Array, closing: Array) -> Array:
         """How its face may be turned against the pad (K, 2): about its length as the object's side (2,), else as the
         pads close (2,), [m/m]."""
         across = _across(self.way)
-        about = side @ across + _ROLL_SD_RAD * _TURNS[:, 0]
-        along = closing @ self.way + _LEAN_SD_RAD * _TURNS[:, 1]
+        rolls, leans, ways = _TURNS
+        about = side @ across + _ROLL_SD_RAD * rolls
+        along = closing @ self.way + _LEAN_SD_RAD * leans + about * _WAY_SD_RAD * ways
         return np.outer(about, across) + np.outer(along, self.way)
 
 
-def _across(ways: Array) -> Array:
-    return np.stack([-ways[..., 1], ways[..., 0]], -1)
-
-
-def _touched(face: _Face, held: Array, slopes: Array, points_ee: Array) -> Patch:
-    """The patch where what is held (H, 3) comes nearest, on average over its slopes (K, 2)."""
-    first = np.argmax(held @ face.T_face_ee[:2, :3].T @ slopes.T, axis=0)
-    return _patch(face, held[first].mean(0), held, points_ee)
-
-
-def _patch(face: _Face, point: Array, held: Array, points_ee: Array) -> Patch:
-    """A patch at a point, which may be anywhere on what is held (H, 3)."""
-    spread = held - point
-    covariance = spread.T @ spread / len(held) + SURFACE_SD_M**2 * np.eye(3)
-    gap = float(cKDTree(points_ee).query(held)[0].min())
-    return Patch(finger=face.finger, point=point, normal=face.normal, covariance=covariance, gap_m=gap)
+def _across(way: Array) -> Array:
+    return np.array([-way[1], way[0]])
