@@ -5,7 +5,7 @@ touches it at the point that is nearest to it, which is decided by how the held 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,18 +16,16 @@ from aomgen.physics.robot_parts import FingerPad
 
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
 SURFACE_SD_M = 0.002
-# A held face may be turned against a pad by this much more than known, [rad]: about the piece's length by the fit of
-# the object's box, along it by what the pads give way until they lie on it, and on the face by the strip's points.
+# What is held may be turned against a pad by this much more than known, [rad]: about its length by the fit of the
+# object's box, along it by what the pads give way until they lie on it, and on the face by the few points seen of it.
 _ROLL_SD_RAD, _LEAN_SD_RAD, _WAY_SD_RAD = np.radians([1.0, 0.3, 5.0])
-_TURNS = np.random.default_rng(0).normal(size=(3, 300))
+_TURNS = np.random.default_rng(0).normal(size=(100, 3)) * [_ROLL_SD_RAD, _LEAN_SD_RAD, _WAY_SD_RAD]
 # What is between the pads may look thinner than their opening by this much on each side, [m].
 _THINNER_M = 0.01
 # Corners of a square.
 _SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 # Lengths below this are none, [m].
 _LEAST_M = 1e-9
-# A piece is followed this far beside the pads' width, [m].
-_BESIDE_M = 0.01
 # Points beyond these percentiles are strays.
 _STRAYS = (5, 95)
 
@@ -90,10 +88,9 @@ def held_patches(
         closest = face.openings(face.placed(corners), other).min(initial=np.inf)
         if not 0 < closest <= high - low + 2 * _THINNER_M:
             return ()
-        slopes = strip.slopes(face.slope(axis), face.slope(closing))
-        # Of a plane, a corner is nearest to the pad.
-        touched = corners[np.argmax(corners @ slopes.T, axis=0)].mean(0)
-        patches.append(face.patch(touched, corners, points_ee))
+        slopes = face.slope(axis), face.slope(closing)
+        touches = [strip.touched(face.half, *slopes, turn) for turn in _TURNS]
+        patches.append(face.patch(np.mean(touches, axis=0), corners, points_ee))
     return tuple(patches)
 
 
@@ -133,9 +130,13 @@ class _Face:
 
     def patch(self, touched: Array, corners: Array, points_ee: Array) -> Patch:
         """A patch at a point (2,) which may be anywhere between corners (C, 2), on a part of points (N, 3)."""
-        spread = self.placed(corners) - self.placed(touched)
-        # Even over an area, a third of what its corners say.
-        covariance = spread.T @ spread / (3 * len(spread)) + SURFACE_SD_M**2 * np.eye(3)
+        # Even over the area about its middle, which is a third of what its corners say, and off that middle.
+        middle = corners.mean(0)
+        flat = (corners - middle).T @ (corners - middle) / (3 * len(corners)) + np.outer(
+            middle - touched, middle - touched
+        )
+        rows = self.T_face_ee[:2, :3]
+        covariance = rows.T @ flat @ rows + SURFACE_SD_M**2 * np.eye(3)
         gaps = cKDTree(points_ee).query(self.placed(np.vstack([corners, touched])))[0]
         return Patch(
             finger=self.finger,
@@ -157,50 +158,64 @@ class _Face:
         return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
 
     def between(self, points_ee: Array, other: "_Face") -> Array:
-        """What of points (N, 3) is between both faces (K, 3), in this one's frame, and a little beside their width."""
+        """What of points (N, 3) is between both faces (K, 3), in this one's frame, as far beside as they are long."""
         local = apply(self.T_face_ee, points_ee)
         margin = 2 * SURFACE_SD_M
         within = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
-        reach = self.half + np.where(self.half < self.half.max(), _BESIDE_M, margin)
-        return local[within & np.all(np.abs(local[:, :2]) < reach, axis=1)]
+        return local[within & np.all(np.abs(local[:, :2]) < self.half.max() + margin, axis=1)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Strip:
-    """The straight piece between the pads as it lies on a face: unit way (2,), middle across it and half width, [m]."""
+    """The straight piece between the pads as it lies on a face.
 
-    way: Array
-    middle: float
+    Attributes:
+        middle: Of what was seen of it (2,), [m].
+        angle: Its way on the face, [rad].
+        half: Half its width, [m].
+    """
+
+    middle: Array
+    angle: float
     half: float
 
     @staticmethod
     def around(flat: Array, depth_m: float) -> "_Strip":
         """The strip along points (N, 2): at least as deep as the pads are open, however little of its depth was seen."""
-        centered = flat - flat.mean(0)
-        way = np.linalg.eigh(centered.T @ centered)[1][:, 1]
-        low, high = np.percentile(flat @ _across(way), _STRAYS)
+        center = flat.mean(0)
+        way = np.linalg.eigh((flat - center).T @ (flat - center))[1][:, 1]
+        angle = float(np.arctan2(way[1], way[0]))
+        across = _frame(angle)[1]
+        low, high = np.percentile((flat - center) @ across, _STRAYS)
         width = max(float(high - low), depth_m)
-        return _Strip(way=way, middle=float(high + low) / 2, half=width / 2)
+        return _Strip(middle=center + (high + low) / 2 * across, angle=angle, half=width / 2)
 
     def corners(self, half: Array) -> Array:
         """Corners (C, 2) of what is in front of it of a face of half extents (2,); none if nothing is, [m]."""
-        square, across = _SQUARE * half, _across(self.way)
-        starts = square @ across - self.middle
-        ways = np.roll(starts, -1) - starts
-        ways[np.abs(ways) < _LEAST_M] = _LEAST_M
-        shares = np.clip((np.array([[-self.half], [self.half]]) - starts) / ways, 0, 1)
+        square, across = _SQUARE * half, _frame(self.angle)[1]
+        starts = (square - self.middle) @ across
+        rises = np.roll(starts, -1) - starts
+        rises[np.abs(rises) < _LEAST_M] = _LEAST_M
+        shares = np.clip((np.array([[-self.half], [self.half]]) - starts) / rises, 0, 1)
         found = (square + shares[..., None] * (np.roll(square, -1, axis=0) - square)).reshape(-1, 2)
-        return found[np.abs(found @ across - self.middle) <= self.half + _LEAST_M]
+        return found[np.abs((found - self.middle) @ across) <= self.half + _LEAST_M]
 
-    def slopes(self, side: Array, closing: Array) -> Array:
-        """How its face may be turned against the pad (K, 2): about its length as the object's side (2,), else as the
-        pads close (2,), [m/m]."""
-        across = _across(self.way)
-        rolls, leans, ways = _TURNS
-        about = side @ across + _ROLL_SD_RAD * rolls
-        along = closing @ self.way + _LEAN_SD_RAD * leans + about * _WAY_SD_RAD * ways
-        return np.outer(about, across) + np.outer(along, self.way)
+    def touched(self, half: Array, side: Array, closing: Array, turn: Array) -> Array:
+        """Where (2,) it touches a face of half extents (2,): of a plane, a corner is nearest.
+
+        Args:
+            half: Half extents of the face (2,), [m].
+            side: Slope (2,) of the object's side, by which it is turned about its length.
+            closing: Slope (2,) of what lies square in the closing hand, as it does along its length.
+            turn: About its length, along it and on the face (3,), beyond what is known, [rad].
+        """
+        turned = replace(self, angle=self.angle + turn[2])
+        way, across = _frame(turned.angle)
+        slope = (side @ across + turn[0]) * across + (closing @ way + turn[1]) * way
+        corners = turned.corners(half)
+        return corners[np.argmax(corners @ slope)]
 
 
-def _across(way: Array) -> Array:
-    return np.array([-way[1], way[0]])
+def _frame(angle: float) -> Array:
+    """Unit directions along and across a way (2, 2) in rows."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
