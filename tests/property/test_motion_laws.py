@@ -32,8 +32,10 @@ from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.film_fit import Band
 from aomgen.motion.joint import JointParams
+from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
+from aomgen.motion.recovery import first_frame, poses_at, recover, touched
 from aomgen.physics.robot import RobotModel, load_robot
 from aomgen.physics.robot_masks import robot_masks
 from aomgen.splatting.rasterizer import Parts
@@ -249,6 +251,23 @@ def test_the_joint_is_found(kind: str) -> None:
     assert angle_between(found.joint.axis, joint.axis) < np.radians(0.5)
     assert line_gap_m(joint, found.joint) < 0.004
     assert found.thetas == pytest.approx(thetas_at(joint, FRAMES_S), abs=7 * UNIT[kind])
+
+
+def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> None:
+    """The first round may read the hand's way about a poor joint, and find another beginning."""
+    demo, params = world("drawer"), QUICK.contact
+    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
+        view = KeyframeView.of(demo, masks_at, QUICK)
+        departures, interval = view.interval(QUICK.keyframes)
+    first = touched(demo, view, departures, interval, QUICK)
+    guess = first.found.prismatic
+    axis = matrix_from_rotvec([0, 0, np.radians(80)]) @ guess.joint.axis
+    poor = replace(first.found, prismatic=replace(guess, joint=replace(guess.joint, axis=axis)))
+    found = recover(replace(first, found=poor), "prismatic", QUICK)
+    moments = first_frame(FRAMES_S, found.course.interval[0]) + np.linspace(0, params.window_s, params.steps)
+    hand = poses_at(demo, moments + demo.clock_offset_s)
+    touch = np.mean([patch.point for patch in found.contacts.patches], axis=0)
+    assert touch == pytest.approx(apply(hand, found.contacts.grasp_ee).mean(0), abs=1e-4)
 
 
 @both

@@ -1,35 +1,33 @@
-"""Patches of a part that is between the pads of a gripper."""
+"""Patches of a part that is between the pads of a gripper.
+
+What is held is a piece with straight sides: a bar, a rim, a knob. The pads are nearly parallel planes, so each
+touches it at the point that is nearest to it, which is decided by how the held face is turned against the pad.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.bar import Ways, swept_bar
 from aomgen.physics.robot_parts import FingerPad
 
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
 SURFACE_SD_M = 0.002
-# Pads give way by 0.1 mm where they press: 40 N on 3 cm^2 of a rubber of 5 MPa, 4 mm thick. Under load they
-# stand about half as slanted as the gripper's table says, so that in its terms they give half of that, [m].
-SOFT_M = 5e-5
+# What is held may be turned against a pad by this much more than known, [rad]: about its length by the fit of the
+# object's box, along it by what the pads give way until they lie on it, and on the face by the few points seen of it.
+_ROLL_SD_RAD, _LEAN_SD_RAD, _WAY_SD_RAD = np.radians([1.0, 0.3, 5.0])
+_TURNS = np.random.default_rng(0).normal(size=(100, 3)) * [_ROLL_SD_RAD, _LEAN_SD_RAD, _WAY_SD_RAD]
 # What is between the pads may look thinner than their opening by this much on each side, [m].
 _THINNER_M = 0.01
-_GRID = 61
-# The sides of a bar are known to this angle: the object's yaw to 2.5 degrees, the pads' slant to 1.5, [rad].
-_ROLL_SD_RAD = float(np.radians(3.0))
-# A bar lies in the pads' plane to 30 degrees, or it would turn the hand.
-_IN_PLANE = float(np.cos(np.radians(30.0)))
-# A bar is followed this far beside the pads, [m].
-_BESIDE_M = 0.05
-# Places with less than this share of the most matter hold strays of the surface behind.
-_INSIDE = 0.3
-# Of what is between the pads, this much is in front of its surface by chance, [%].
-_NEAR_PERCENT = 10.0
+# Corners of a square.
+_SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+# Lengths below this are none, [m].
+_LEAST_M = 1e-9
+# Points beyond these percentiles are strays.
+_STRAYS = (5, 95)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,15 +64,11 @@ def held_patches(
 ) -> tuple[Patch, ...]:
     """One patch on each pad of a gripper that holds the part; none if the part is not between its pads.
 
-    The pads of a closing gripper are not quite parallel, so they press where the part reaches into the
-    narrowest of the space between them, as far as they give way. Where the part is comes from its
-    points; how thick it is there does not, as thin things are reconstructed too thin.
-
     Args:
         pads: Of the hand; fewer than two hold nothing.
         Ts_ee_body: Poses (B, 4, 4) of all bodies, end-effector frame.
         points_ee: Dense points of the part (N, 3), same frame, [m].
-        axes_ee: Unit axes (3, 3) in rows of the object's box, same frame: sides of a bar are across them.
+        axes_ee: Unit axes (3, 3) in rows of the object's box, same frame: held faces are across one of them.
 
     Not checked: a part whose thickness varies within the pads more than their opening does.
     """
@@ -82,50 +76,43 @@ def held_patches(
         return ()
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
     closing = faces[0].normal - faces[1].normal
-    flatness = _flatness(closing / np.linalg.norm(closing), axes_ee)
+    axis = axes_ee[np.argmax(np.abs(axes_ee @ closing))]
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
-        openings = face.openings(face.grid, other)
-        matter = face.matter(points_ee, other, axes_ee, flatness)
-        if not (len(matter) and openings.min() > 0):
+        between = face.between(points_ee, other)
+        if not len(between):
             return ()
-        covered = face.covered(matter)
-        inside = covered > _INSIDE
-        if not (openings[inside].min() <= _thickness(matter) + 2 * _THINNER_M):
+        strip = _Strip.around(between[:, :2], float(face.openings(face.middle, other)))
+        corners = strip.corners(face.half)
+        low, high = np.percentile(between[:, 2], _STRAYS)
+        closest = face.openings(face.placed(corners), other).min(initial=np.inf)
+        if not 0 < closest <= high - low + 2 * _THINNER_M:
             return ()
-        patches.append(_pressed(face, openings, covered, inside, points_ee))
+        slopes = face.slope(axis), face.slope(closing)
+        touches = [strip.touched(face.half, *slopes, turn) for turn in _TURNS]
+        patches.append(face.patch(np.mean(touches, axis=0), corners, points_ee))
     return tuple(patches)
 
 
 def unseen_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
     """One patch all over each pad, for a gripper that holds what the scan hardly saw; see `held_patches`."""
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
-    even = np.ones(_GRID**2)
-    return tuple(_pressed(face, even, even, even > 0, points_ee) for face in faces)
+    return tuple(face.patch(np.zeros(2), _SQUARE * face.half, points_ee) for face in faces)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Face:
-    """The inner face of a pad in the end-effector frame, and a grid (G, 3) over it."""
+    """The inner face of a pad in the end-effector frame, and its half extents (2,), [m]."""
 
     finger: str
     T_face_ee: Array
     half: Array
-    grid: Array
 
     @staticmethod
     def of(pad: FingerPad, T_ee_body: Array) -> "_Face":
         T_ee_face = T_ee_body @ pad.T_body_pad
         T_ee_face[:3, 3] = apply(T_ee_body, pad.face_body)
-        steps = np.linspace(-1, 1, _GRID)
-        u, v = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
-        flat = np.stack([u * pad.half_extents[0], v * pad.half_extents[1], np.zeros(len(u))], 1)
-        return _Face(
-            finger=pad.finger,
-            T_face_ee=invert(T_ee_face),
-            half=pad.half_extents[:2],
-            grid=apply(T_ee_face, flat),
-        )
+        return _Face(finger=pad.finger, T_face_ee=invert(T_ee_face), half=pad.half_extents[:2])
 
     @property
     def normal(self) -> Array:
@@ -137,64 +124,98 @@ class _Face:
         """Of the face (3,), [m]."""
         return invert(self.T_face_ee)[:3, 3]
 
+    def placed(self, flat: Array) -> Array:
+        """Points (..., 2) of the face in the end-effector frame (..., 3)."""
+        return self.middle + flat @ self.T_face_ee[:2, :3]
+
+    def patch(self, touched: Array, corners: Array, points_ee: Array) -> Patch:
+        """A patch at a point (2,) which may be anywhere between corners (C, 2), on a part of points (N, 3)."""
+        # Even over the area about its middle, which is a third of what its corners say, and off that middle.
+        middle = corners.mean(0)
+        flat = (corners - middle).T @ (corners - middle) / (3 * len(corners)) + np.outer(
+            middle - touched, middle - touched
+        )
+        rows = self.T_face_ee[:2, :3]
+        covariance = rows.T @ flat @ rows + SURFACE_SD_M**2 * np.eye(3)
+        gaps = cKDTree(points_ee).query(self.placed(np.vstack([corners, touched])))[0]
+        return Patch(
+            finger=self.finger,
+            point=self.placed(touched),
+            normal=self.normal,
+            covariance=covariance,
+            gap_m=float(gaps.min()),
+        )
+
+    def slope(self, axis_ee: Array) -> Array:
+        """How fast (2,) a plane across an axis (3,) comes nearer along this face, [m/m]."""
+        local = self.T_face_ee[:3, :3] @ axis_ee
+        return local[:2] / local[2]
+
     def openings(self, points_ee: Array, other: "_Face") -> Array:
-        """Distance (N,) between both faces where points (N, 3) project on this one, [m]."""
-        heights = apply(self.T_face_ee, points_ee)[:, 2]
-        on_face = points_ee - heights[:, None] * self.normal
+        """Distance (...) between both faces where points (..., 3) project on this one, [m]."""
+        heights = apply(self.T_face_ee, points_ee)[..., 2]
+        on_face = points_ee - heights[..., None] * self.normal
         return (other.middle - on_face) @ other.normal / float(self.normal @ other.normal)
 
-    def matter(self, points_ee: Array, other: "_Face", axes_ee: Array, flatness: float) -> Array:
-        """What of points (N, 3) is between both faces (K, 3), in this one's frame; a bar as `swept_bar`."""
+    def between(self, points_ee: Array, other: "_Face") -> Array:
+        """What of points (N, 3) is between both faces (K, 3), in this one's frame, as far beside as they are long."""
         local = apply(self.T_face_ee, points_ee)
         margin = 2 * SURFACE_SD_M
-        between = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
-        near = local[between & np.all(np.abs(local[:, :2]) < self.half + _BESIDE_M, axis=1)]
-        opening = float(np.median(self.openings(self.grid, other)))
-        bars = (
-            swept_bar(near, self.half, ways, opening, flatness) for ways in (self.ways(axes_ee), Ways.any())
-        )
-        bar = next((bar for bar in bars if bar is not None), None)
-        matter = near if bar is None else bar
-        return matter[np.all(np.abs(matter[:, :2]) < self.half + margin, axis=1)]
-
-    def ways(self, axes_ee: Array) -> Ways:
-        """Directions in the face's plane of those unit axes (A, 3) that lie nearly in it."""
-        flat = axes_ee @ self.T_face_ee[:2, :3].T
-        lengths = np.linalg.norm(flat, axis=1)
-        in_plane = lengths > _IN_PLANE
-        return Ways(directions=flat[in_plane] / lengths[in_plane, None], sd_rad=_ROLL_SD_RAD)
-
-    def covered(self, matter: Array) -> Array:
-        """How much of the near side of matter (K, 3) is in front of the grid (G,), as a share of the most, 0..1."""
-        behind = np.maximum(matter[:, 2] - np.percentile(matter[:, 2], _NEAR_PERCENT), 0)
-        # The grid is the product of two rows of steps, and so are the weights over it.
-        places = np.linspace(-1, 1, _GRID)[:, None] * self.half[:, None, None]
-        u, v = np.exp(-0.5 * ((places - matter.T[:2, None]) / SURFACE_SD_M) ** 2)
-        density = (v * np.exp(-0.5 * (behind / SURFACE_SD_M) ** 2) @ u.T).ravel()
-        return density / max(float(density.max()), 1e-12)
+        within = (local[:, 2] > -margin) & (local[:, 2] < self.openings(points_ee, other) + margin)
+        return local[within & np.all(np.abs(local[:, :2]) < self.half.max() + margin, axis=1)]
 
 
-def _flatness(normal: Array, axes: Array) -> float:
-    """How likely a side of a bar with the part's axes (3, 3) lies flat against a face, 0..1."""
-    roll = np.arccos(min(float(np.abs(axes @ normal).max()), 1.0))
-    return float(np.exp(-0.5 * (roll / _ROLL_SD_RAD) ** 2))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Strip:
+    """The straight piece between the pads as it lies on a face.
+
+    Attributes:
+        middle: Of what was seen of it (2,), [m].
+        angle: Its way on the face, [rad].
+        half: Half its width, [m].
+    """
+
+    middle: Array
+    angle: float
+    half: float
+
+    @staticmethod
+    def around(flat: Array, depth_m: float) -> "_Strip":
+        """The strip along points (N, 2): at least as deep as the pads are open, however little of its depth was seen."""
+        center = flat.mean(0)
+        way = np.linalg.eigh((flat - center).T @ (flat - center))[1][:, 1]
+        angle = float(np.arctan2(way[1], way[0]))
+        across = _frame(angle)[1]
+        low, high = np.percentile((flat - center) @ across, _STRAYS)
+        width = max(float(high - low), depth_m)
+        return _Strip(middle=center + (high + low) / 2 * across, angle=angle, half=width / 2)
+
+    def corners(self, half: Array) -> Array:
+        """Corners (C, 2) of what is in front of it of a face of half extents (2,); none if nothing is, [m]."""
+        square, across = _SQUARE * half, _frame(self.angle)[1]
+        starts = (square - self.middle) @ across
+        rises = np.roll(starts, -1) - starts
+        rises[np.abs(rises) < _LEAST_M] = _LEAST_M
+        shares = np.clip((np.array([[-self.half], [self.half]]) - starts) / rises, 0, 1)
+        found = (square + shares[..., None] * (np.roll(square, -1, axis=0) - square)).reshape(-1, 2)
+        return found[np.abs((found - self.middle) @ across) <= self.half + _LEAST_M]
+
+    def touched(self, half: Array, side: Array, closing: Array, turn: Array) -> Array:
+        """Where (2,) it touches a face of half extents (2,): of a plane, a corner is nearest.
+
+        Args:
+            half: Half extents of the face (2,), [m].
+            side: Slope (2,) of the object's side, by which it is turned about its length.
+            closing: Slope (2,) of what lies square in the closing hand, as it does along its length.
+            turn: About its length, along it and on the face (3,), beyond what is known, [rad].
+        """
+        turned = replace(self, angle=self.angle + turn[2])
+        way, across = _frame(turned.angle)
+        slope = (side @ across + turn[0]) * across + (closing @ way + turn[1]) * way
+        corners = turned.corners(half)
+        return corners[np.argmax(corners @ slope)]
 
 
-def _thickness(matter: Array) -> float:
-    low, high = np.percentile(matter[:, 2], [5, 95])
-    return float(high - low)
-
-
-def _pressed(
-    face: _Face, openings: Array, covered: Array, inside: NDArray[np.bool_], points_ee: Array
-) -> Patch:
-    """The patch where the part is (covered) and the pads are close, as far as both give way."""
-    slack = openings - openings[inside].min()
-    weights = covered * np.clip(1 - slack / (2 * SOFT_M), 0, 1)
-    weights /= weights.sum()
-    point = weights @ face.grid
-    # The pads may give way more than assumed: the middle of all that is covered is as possible.
-    spread = face.grid - point
-    covariance = (spread * (covered / covered.sum())[:, None]).T @ spread + SURFACE_SD_M**2 * np.eye(3)
-    gap = float(cKDTree(points_ee).query(face.grid[inside])[0].min())
-    return Patch(finger=face.finger, point=point, normal=face.normal, covariance=covariance, gap_m=gap)
+def _frame(angle: float) -> Array:
+    """Unit directions along and across a way (2, 2) in rows."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])

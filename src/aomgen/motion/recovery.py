@@ -144,12 +144,16 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
         start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
         return ValueCourse(times_s=times, values=values, interval=(start, end), levels=levels)
 
+    def beginning(found: Candidates, course: ValueCourse) -> PartPath:
+        moments = _begin(course.interval, demo, params)
+        thetas = np.interp(moments - offset_s, times, course.values) - course.levels[0]
+        return PartPath(times_log_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
+
     course = along(first.found, seen)
-    moments = _begin(course.interval, demo, params)
-    thetas = np.interp(moments - offset_s, times, course.values) - course.levels[0]
-    begin = PartPath(times_log_s=moments, Ts_world_part=first.found.of(joint_type).joint.motion(thetas))
-    contacts, found = _explained(demo, shape, first.surface, begin, course.interval, first.joint)
+    begin = beginning(first.found, course)
+    _, found = _explained(demo, shape, first.surface, begin, course.interval, first.joint)
     course = along(found, course.interval)
+    contacts = _contacts(demo, shape, first.surface, beginning(found, course))
     # A part that creeps off does not tell where it rested.
     rest = resting(times, course.values, seen[0])
     return Recovery(
@@ -171,13 +175,17 @@ def _explained(
     params: JointParams,
 ) -> tuple[Contacts, Candidates]:
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
-    contacts = find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
+    contacts = _contacts(demo, shape, surface, begin)
     held = poses_at(demo, _dense(interval) + demo.clock_offset_s)
     # Fingers that do not stand against each other push, and hold in no direction.
     normals = [patch.normal for patch in contacts.patches]
     pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
     hold = Hold(point_ee=contacts.grasp_ee, closing_ee=demo.robot.closing_ee if pinched else None)
     return contacts, candidates(held, hold, shape, params)
+
+
+def _contacts(demo: Demonstration, shape: Shape, surface: Array, begin: PartPath) -> Contacts:
+    return find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
 
 
 def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:

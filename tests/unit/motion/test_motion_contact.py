@@ -130,6 +130,60 @@ def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
     assert middle_ee(robot, contacts)[2] > 0.005
 
 
+def box_bar(
+    roll_rad: float, at_m: tuple[float, float] = (0.0, 0.0), deep_m: float = 0.012
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a bar 12 mm thick across the fingers, turned about its length, and its axes; end-effector frame."""
+    turn = matrix_from_rotvec([roll_rad, 0, 0])
+    rng = np.random.default_rng(0)
+    section = rng.uniform(-0.5, 0.5, (6000, 2)) * [0.012, deep_m]
+    side = rng.integers(0, 4, 6000)
+    section[side < 2, 0] = 0.006 * (2 * side[side < 2] - 1)
+    section[side >= 2, 1] = deep_m / 2 * (2 * side[side >= 2] - 5)
+    points = np.column_stack([rng.uniform(-0.05, 0.05, 6000), section]) @ turn.T + [0, *at_m]
+    return points, turn.T
+
+
+def touches_ee(robot: RobotModel, points_ee: np.ndarray, axes_ee: np.ndarray) -> dict[str, np.ndarray]:
+    """Where each finger touches, end-effector frame."""
+    log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
+    axes = axes_ee @ T_world_ee[:3, :3].T
+    contacts = find_contacts(robot, log, apply(T_world_ee, points_ee), axes, resting(robot, log))
+    return {patch.finger: apply(invert(T_world_ee), patch.point) for patch in contacts.patches}
+
+
+@pytest.mark.parametrize("roll_deg", [-10.0, 10.0])
+def test_a_bar_that_is_turned_in_the_pads_is_touched_at_opposite_edges(
+    robot: RobotModel, roll_deg: float
+) -> None:
+    touches = touches_ee(robot, *box_bar(np.radians(roll_deg)))
+    near, far = sorted(touches, key=lambda finger: touches[finger][1])
+    assert touches[near][2] * np.sign(roll_deg) > 0.004
+    assert touches[far][2] * np.sign(roll_deg) < -0.004
+    assert np.mean(list(touches.values()), axis=0) == pytest.approx([0, 0, 0], abs=0.002)
+
+
+def test_a_bar_that_lies_flush_is_touched_on_the_side_of_the_tips(robot: RobotModel) -> None:
+    """The pads of this gripper are 1.5 degrees from parallel each, and nearest to each other at their tips."""
+    for touch in touches_ee(robot, *box_bar(0.0)).values():
+        assert 0.003 < touch[2] < 0.008
+
+
+def test_a_lid_held_by_its_rim_is_touched_by_a_tip_and_at_the_rim(robot: RobotModel) -> None:
+    """A plate at 40 degrees to the pads, whose rim is 6 mm within them."""
+    points, axes = box_bar(np.radians(40), deep_m=0.2)
+    pads = touches_ee(robot, *box_bar(0.0))
+    tip = 0.018
+    rim = axes[2] * 0.1
+    touches = touches_ee(robot, points + [0, 0, tip - 0.006] + rim, axes)
+    assert {*touches} == {*pads}
+    low, high = sorted(float(touch[2]) for touch in touches.values())
+    assert high == pytest.approx(tip, abs=0.001)
+    # The nearer edge of a rim 12 mm thick.
+    assert low == pytest.approx(tip - 0.006 - 0.006 * np.sin(np.radians(40)), abs=0.003)
+    assert np.mean([touch[0] for touch in touches.values()]) == pytest.approx(0, abs=0.003)
+
+
 def test_strays_behind_the_bar_draw_nothing(robot: RobotModel) -> None:
     T_world_ee = robot.ee_poses(JOINTS[None])[0]
     log = still_log(robot, 0.857)
@@ -159,13 +213,15 @@ def test_the_part_is_sought_where_it_is_and_not_where_it_was(robot: RobotModel) 
 def test_a_hand_turned_in_the_world_takes_its_patches_along(robot: RobotModel) -> None:
     other = JOINTS + [0.7, 0.1, -0.2, 0.3, 0.2, 0.4]
     points, found = bar(0.1, 0.006, 0.003), []
+    axes_ee = AXES @ robot.ee_poses(JOINTS[None])[0][:3, :3]
     for joints in (JOINTS, other):
         log = JointLog(
             times_s=np.array([0.0, 2.0]), joints=np.stack([joints] * 2), gripper=np.full(2, 0.857),
             joint_names=robot.joint_names,
         )  # fmt: skip
         T_world_ee = robot.ee_poses(joints[None])[0]
-        contacts = find_contacts(robot, log, apply(T_world_ee, points), AXES, resting(robot, log))
+        axes = axes_ee @ T_world_ee[:3, :3].T
+        contacts = find_contacts(robot, log, apply(T_world_ee, points), axes, resting(robot, log))
         found.append([apply(invert(T_world_ee), patch.point) for patch in contacts.patches])
     assert np.array(found[0]) == pytest.approx(np.array(found[1]), abs=1e-5)
 
