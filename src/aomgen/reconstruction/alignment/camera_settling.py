@@ -15,7 +15,7 @@ from aomgen.core.clock import Clock
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
-from aomgen.errors import SyncError
+from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
 from aomgen.physics.robot_masks import robot_masks
 from aomgen.reconstruction.alignment.calibration import deviation, refuse_gross
@@ -26,6 +26,7 @@ from aomgen.reconstruction.alignment.film_outlines import (
     Film,
     film_of,
     misfit,
+    misfits,
     no_film,
     spread_frames,
     trace,
@@ -39,12 +40,19 @@ from aomgen.reconstruction.alignment.settled_cameras import SettledCamera
 
 # Scan views that say how well the alignment is known.
 _VIEWS = 24
-# Every fourth frame is left out of the refinement and judges it.
-_JUDGE_EVERY = 4
+# Every other frame is left out of the refinement and judges it.
+_JUDGE_EVERY = 2
 # Frames that must show the arm, of those chosen.
 _MIN_FRAMES = 8
 # Edges that have nothing to do with the arm lie anywhere in reach of its outline, at a misfit of 2/3.
 _MAX_MISFIT = 0.5
+
+# A joint zero with this deviation is the log's.
+_AS_LOGGED_RAD = 1e-6
+# Mastered arms are within this.
+_MAX_ZERO_RAD = float(np.radians(2.0))
+# Standard errors by which left-out frames must be drawn better.
+_CLEAR_SDS = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,13 +100,17 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settlement:
-    """Similarity and fixed cameras after the refinement."""
+    """Similarity, fixed cameras and joint zeros after the refinement; `zeros_rad` (J,) add to the log's joints."""
 
     S_world_recon: Array
     cameras: dict[str, SettledCamera]
+    zeros_rad: Array
+    zero_sds_rad: Array
 
     def __post_init__(self) -> None:
         freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+        freeze(self, "zeros_rad", self.zeros_rad, (None,))
+        freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
 
 
 def settle_fixed_cameras(
@@ -131,7 +143,8 @@ def settle_fixed_cameras(
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in filmed.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
     with robot_drawing(scene.posture, width, height) as drawing:
-        arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine)
+        zeros_rad = np.zeros(len(scene.posture.joints))
+        arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad)
         takes = {name: _take(S, item, clocks[name], arm, params) for name, item in filmed.items()}
         problem = JointProblem(
             S_world_recon=S,
@@ -143,10 +156,17 @@ def settle_fixed_cameras(
             params=params,
         )
         progress(0.6, "refining cameras and clocks")
-        refinement, takes = _judged(problem, takes)
+        problem, refinement, takes = _judged(problem, takes)
+        progress(0.8, "estimating joint zeros")
+        refinement = _with_zeros(problem, takes, refinement)
     cameras = {name: _settled(name, item, takes[name], refinement, params) for name, item in filmed.items()}
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
-    return Settlement(S_world_recon=refinement.S_world_recon, cameras=cameras)
+    return Settlement(
+        S_world_recon=refinement.S_world_recon,
+        cameras=cameras,
+        zeros_rad=refinement.zeros_rad,
+        zero_sds_rad=refinement.zero_sds_rad,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,18 +233,21 @@ def _in_problem(item: Filmed, take: _Take, params: JointParams) -> FilmedCamera:
     )
 
 
-def _judged(problem: JointProblem, takes: dict[str, _Take]) -> tuple[Refinement, dict[str, _Take]]:
-    """The refinement with every film that its left-out frames confirm.
+def _judged(
+    problem: JointProblem, takes: dict[str, _Take]
+) -> tuple[JointProblem, Refinement, dict[str, _Take]]:
+    """The refinement, joints as logged, with every film that its left-out frames confirm.
 
     A calibration that the answer contradicts, or a film whose answer is no better than the question,
     is left out, and the rest is solved again.
     """
     takes, empty = dict(takes), no_film()
     while True:
-        refinement = refine_jointly(problem)
+        held = replace(problem, params=replace(problem.params, zero_sd_rad=_AS_LOGGED_RAD))
+        refinement = refine_jointly(held)
         complaint = _complaint(problem, takes, refinement)
         if complaint is None:
-            return refinement, takes
+            return problem, refinement, takes
         name, reason, calibrated = complaint
         take, camera = takes[name], problem.cameras[name]
         if calibrated:
@@ -234,6 +257,38 @@ def _judged(problem: JointProblem, takes: dict[str, _Take]) -> tuple[Refinement,
             takes[name] = replace(take, film=empty, judges=empty, reason=reason)
             camera = replace(camera, film=empty, clock=Clock(offset_s=0.0))
         problem = replace(problem, cameras=problem.cameras | {name: camera})
+
+
+def _with_zeros(problem: JointProblem, takes: dict[str, _Take], logged: Refinement) -> Refinement:
+    """The refinement with joint zeros where frames left out are drawn clearly better with them.
+
+    Raises:
+        AlignmentError: They are, and one is larger than any mastered arm's.
+    """
+    if not any(len(take.judges.times_s) for take in takes.values()):
+        return logged
+    found = refine_jointly(problem)
+    gains = np.concatenate(
+        [_costs(problem, take, name, logged) - _costs(problem, take, name, found) for name, take in takes.items()]
+    )
+    gains = gains[~np.isnan(gains)]
+    print('ZEROS', np.degrees(found.zeros_rad).round(3), np.degrees(found.zero_sds_rad).round(3), 'gain', gains.mean(), gains.mean()/(gains.std(ddof=1)/np.sqrt(len(gains))), len(gains), 'S logged/found', flush=True)
+    if not (len(gains) > 1 and gains.mean() > _CLEAR_SDS * gains.std(ddof=1) / np.sqrt(len(gains))):
+        return logged
+    worst = int(np.argmax(np.abs(found.zeros_rad)))
+    if not abs(found.zeros_rad[worst]) <= _MAX_ZERO_RAD:
+        raise AlignmentError(
+            f"joint '{problem.arm.log.joint_names[worst]}'",
+            f"is {np.degrees(found.zeros_rad[worst]):+.1f} deg (+-{np.degrees(found.zero_sds_rad[worst]):.1f}) "
+            f"from where the log has it, scan and videos say; limit {np.degrees(_MAX_ZERO_RAD):.0f} deg",
+            "master this joint again, or add its offset to the log",
+        )
+    return found
+
+
+def _costs(problem: JointProblem, take: _Take, name: str, found: Refinement) -> Array:
+    state = found.cameras[name]
+    return misfits(take.judges, state.camera, state.clock, replace(problem.arm, zeros_rad=found.zeros_rad))
 
 
 def _complaint(

@@ -1,39 +1,82 @@
 """What the scan says about alignment and fixed cameras, as information for the joint refinement."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array
-from aomgen.reconstruction.alignment.contours import View, edge_shifts, shift_jacobian
-from aomgen.reconstruction.alignment.film_outlines import CLEAR_EDGE, TOGETHER, robust_weights
+from aomgen.core.values import Array, freeze
+from aomgen.reconstruction.alignment.contours import (
+    View,
+    edge_shifts,
+    shift_gradient,
+    shift_jacobian,
+)
+from aomgen.reconstruction.alignment.film_outlines import (
+    BIAS_SD_PX,
+    CLEAR_EDGE,
+    TOGETHER,
+    robust_weights,
+)
 from aomgen.reconstruction.alignment.outline_fit import RobotDrawing, camera_in_world, gray_levels
 
 _REACH_PX = 4
 _POINTS = 400
 
 
-def scan_information(S_world_recon: Array, views: list[View], drawing: RobotDrawing) -> Array:
-    """Information (7, 7) of the outlines in scan views about a motion of the robot, about its middle.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanInformation:
+    """What the scan says of the robot's motion (7) and joint zeros (J): `information @ step = pull`.
+
+    Attributes:
+        information: (7 + J, 7 + J).
+        pull: (7 + J,), at the alignment with the joints as logged.
+    """
+
+    information: Array
+    pull: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "pull", self.pull, (None,))
+        freeze(self, "information", self.information, (len(self.pull),) * 2)
+
+
+def scan_information(S_world_recon: Array, views: list[View], drawing: RobotDrawing) -> ScanInformation:
+    """Information of the outlines in scan views, about the middle of the robot.
+
+    All outlines may be drawn too wide or too narrow by one bias.
 
     Args:
         S_world_recon: The alignment (4, 4), which fits these views.
         views: Scan images of the size to be drawn.
         drawing: Robot as scanned.
     """
-    pivot = drawing.pivot
-    A, squares, total = np.zeros((7, 7)), 0.0, 0.0
+    size = 8 + len(drawing.posture.joints)
+    A, b, squares, total = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
     for view in views:
         camera = camera_in_world(S_world_recon, view.camera_recon)
         drawn = drawing.draw(camera, _POINTS)
         if drawn is None:
             continue
-        shifts, strength = edge_shifts(drawn.contour, gray_levels(view.image_srgb), _REACH_PX)
+        contour = drawn.contour
+        shifts, strength = edge_shifts(contour, gray_levels(view.image_srgb), _REACH_PX)
         weights = robust_weights(shifts, np.minimum(strength / CLEAR_EDGE, 1.0), 1.0)
-        J = shift_jacobian(camera, drawn.contour, pivot)
+        J = np.ones((len(shifts), size))
+        J[:, :7] = shift_jacobian(camera, contour, drawing.pivot)
+        turns = drawing.posture.turns(contour.points, drawn.bodies)
+        J[:, 7:-1] = np.einsum("cd,cjd->cj", shift_gradient(camera, contour), turns)
         A += J.T @ (weights[:, None] * J)
+        b += J.T @ (weights * shifts)
         squares, total = squares + float(weights @ shifts**2), total + float(weights.sum())
-    return A / (TOGETHER * max(squares / max(total, 1e-9), 0.01))
+    scale = 1 / (TOGETHER * max(squares / max(total, 1e-9), 0.01))
+    A, b = scale * A, scale * b
+    A[-1, -1] += 1 / BIAS_SD_PX**2
+    other = A[:-1, -1]
+    return ScanInformation(
+        information=A[:-1, :-1] - np.outer(other, other) / A[-1, -1],
+        pull=b[:-1] - other * b[-1] / A[-1, -1],
+    )
 
 
 def structure_rows(
