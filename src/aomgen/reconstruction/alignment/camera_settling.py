@@ -33,9 +33,15 @@ from aomgen.reconstruction.alignment.film_outlines import (
 )
 from aomgen.reconstruction.alignment.joint_equations import FilmedCamera, JointParams, JointProblem
 from aomgen.reconstruction.alignment.joint_refinement import Refinement, drifts, refine_jointly
-from aomgen.reconstruction.alignment.outline_fit import camera_in_world, reduced, robot_drawing, spread
+from aomgen.reconstruction.alignment.outline_fit import (
+    camera_in_world,
+    gray_levels,
+    reduced,
+    robot_drawing,
+    spread,
+)
 from aomgen.reconstruction.alignment.posture import RobotPosture
-from aomgen.reconstruction.alignment.scan_information import scan_information
+from aomgen.reconstruction.alignment.scan_information import Scanned
 from aomgen.reconstruction.alignment.settled_cameras import SettledCamera
 
 # Scan views that say how well the alignment is known.
@@ -143,13 +149,13 @@ def settle_fixed_cameras(
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in filmed.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
     with robot_drawing(scene.posture, width, height) as drawing:
+        shown = spread(views, S, drawing, _VIEWS)
         zeros_rad = np.zeros(len(scene.posture.joints))
         arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad)
         takes = {name: _take(S, item, clocks[name], arm, params) for name, item in filmed.items()}
         problem = JointProblem(
             S_world_recon=S,
-            information=scan_information(S, spread(views, S, drawing, _VIEWS), drawing),
-            pivot=drawing.pivot,
+            scan=Scanned(views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing),
             points_recon=scene.points_recon,
             arm=arm,
             cameras={name: _in_problem(filmed[name], take, params) for name, take in takes.items()},

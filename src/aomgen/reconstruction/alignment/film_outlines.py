@@ -214,6 +214,15 @@ def robust_weights(residuals: Array, clearness: Array, kernel_px: float) -> Arra
     return clearness / (1 + (residuals / kernel_px) ** 2) ** 2
 
 
+def common_bias(shifts: Array, clearness: Array, kernel_px: float) -> float:
+    """By how much outlines are drawn too narrow, all over, [px]."""
+    bias = 0.0
+    for _ in range(5):
+        weights = robust_weights(shifts - bias, clearness, kernel_px)
+        bias = float((weights * shifts).sum() / max(weights.sum(), 1e-9))
+    return bias
+
+
 def misfits(film: Film, camera: Camera, clock: Clock, arm: Arm, reach: int = 4) -> Array:
     """Mean robust distance (F,), 0..1, of each frame's edges from the outline drawn; one bias is free.
 
@@ -224,10 +233,7 @@ def misfits(film: Film, camera: Camera, clock: Clock, arm: Arm, reach: int = 4) 
     found = [evidence(film, rim, camera, np.zeros(3), reach) for rim in rims]
     shifts = np.concatenate([item.shifts for item in found] or [np.zeros(0)])
     clearness = np.concatenate([item.clearness for item in found] or [np.zeros(0)])
-    bias = 0.0
-    for _ in range(5):
-        weights = robust_weights(shifts - bias, clearness, 1.0)
-        bias = float((weights * shifts).sum() / max(weights.sum(), 1e-9))
+    bias = common_bias(shifts, clearness, 1.0)
     for rim, item in zip(rims, found, strict=True):
         squares = (item.shifts - bias) ** 2
         total = max(item.clearness.sum(), 1e-9)

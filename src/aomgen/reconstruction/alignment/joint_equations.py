@@ -24,7 +24,7 @@ from aomgen.reconstruction.alignment.film_outlines import (
     moved_rim,
     robust_weights,
 )
-from aomgen.reconstruction.alignment.scan_information import ScanInformation, structure_rows
+from aomgen.reconstruction.alignment.scan_information import Scanned, structure_rows
 
 # Stretches of a film that are left out in turn.
 _STRETCHES = 8
@@ -96,8 +96,7 @@ class JointProblem:
 
     Attributes:
         S_world_recon: The alignment's answer (4, 4).
-        information: What the scan views say of the robot's motion about `pivot` and of its joint zeros.
-        pivot: World point (3,), [m].
+        scan: Views of the robot as scanned.
         points_recon: The structure's points (P, 3).
         arm: Robot, log and drawing.
         cameras: By name.
@@ -105,12 +104,17 @@ class JointProblem:
     """
 
     S_world_recon: Array
-    information: ScanInformation
-    pivot: Array
+    scan: Scanned
     points_recon: Array
     arm: Arm
     cameras: dict[str, FilmedCamera]
     params: JointParams = field(default_factory=JointParams)
+
+
+    @property
+    def pivot(self) -> Array:
+        """World point (3,) that motions turn about, [m]."""
+        return self.scan.drawing.pivot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,18 +193,18 @@ def camera_block(
 
 def assemble(
     problem: JointProblem,
+    scan: tuple[Array, Array],
     blocks: dict[str, Block],
     S: Array,
-    moved: Array,
     zeros_rad: Array,
     states: dict[str, CameraState],
 ) -> tuple[Array, Array]:
     """Normal equations of all unknowns, see `Columns`."""
     columns = Columns(joints=len(zeros_rad), cameras=len(blocks))
     A, b = 1e-9 * np.eye(columns.count), np.zeros(columns.count)
-    scan, robot = problem.information, slice(0, columns.zeros.stop)
-    A[robot, robot] += scan.information
-    b[robot] += scan.pull - scan.information @ np.concatenate([moved, zeros_rad])
+    robot = slice(0, columns.zeros.stop)
+    A[robot, robot] += scan[0]
+    b[robot] += scan[1]
     prior = 1 / problem.params.zero_sd_rad**2
     A[columns.zeros, columns.zeros] += prior * np.eye(columns.joints)
     b[columns.zeros] -= prior * zeros_rad

@@ -2,7 +2,7 @@
 
 Unknown are a correction of `S_world_recon`, the zero of each arm joint, and for each fixed camera its
 pose, the offset and drift of its clock and the bias of its outlines. Evidence are the outlines of the arm in the films
-(`film_outlines`), the alignment's own answer with its information, the place that structure from
+(`film_outlines`) and in scan views (`scan_information`), the place that structure from
 motion gave each camera, and hand-eye calibrations. Frames that had no part in it decide whether a
 camera's answer is taken. Source: Gauss-Newton with Geman and McClure's weights; DESIGN, "Alignment".
 """
@@ -33,6 +33,7 @@ from aomgen.reconstruction.alignment.joint_equations import (
     camera_block,
 )
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world, moved_similarity
+from aomgen.reconstruction.alignment.scan_information import ScanRim, scan_block, trace_scan
 
 # Search reach and kernel of each drawing, [px]; and solves between two drawings.
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0), (4, 1.0))
@@ -74,10 +75,9 @@ def refine_jointly(problem: JointProblem) -> Refinement:
     }
     zeros = problem.arm.zeros_rad
     columns = Columns(joints=len(zeros), cameras=len(states))
-    now = _Solution(
-        columns=columns, S=S, moved=np.zeros(7), zeros=zeros, states=states, sds=np.zeros(columns.count)
-    )
+    now = _Solution(columns=columns, S=S, zeros=zeros, states=states, sds=np.zeros(columns.count))
     rims: dict[str, list[Rim]] = {}
+    scan_rims: list[ScanRim] = []
     for reach, kernel in _ROUNDS:
         arm = replace(problem.arm, zeros_rad=now.zeros)
         rims = {
@@ -86,11 +86,12 @@ def refine_jointly(problem: JointProblem) -> Refinement:
             )
             for name, item in problem.cameras.items()
         }
-        now = _solved(problem, now, rims, (reach, kernel), frozenset())
+        scan_rims = trace_scan(problem.scan, now.S, now.zeros)
+        now = _solved(problem, now, (scan_rims, rims), (reach, kernel), frozenset())
     steady = frozenset(
         name for k, name in enumerate(states) if not _drifts(problem, name, now.clock_of(k, name))
     )
-    now = _solved(problem, now, rims, (_ROUNDS[-1][0], _ROUNDS[-1][1]), steady)
+    now = _solved(problem, now, (scan_rims, rims), (_ROUNDS[-1][0], _ROUNDS[-1][1]), steady)
     return Refinement(
         S_world_recon=now.S,
         zeros_rad=now.zeros,
@@ -104,11 +105,10 @@ def refine_jointly(problem: JointProblem) -> Refinement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Solution:
-    """Where the search stands: similarity, its motion so far (7,), joint zeros, cameras, all deviations."""
+    """Where the search stands: similarity, joint zeros, cameras, deviations of all unknowns."""
 
     columns: Columns
     S: Array
-    moved: Array
     zeros: Array
     states: dict[str, CameraState]
     sds: Array
@@ -121,31 +121,33 @@ class _Solution:
 def _solved(
     problem: JointProblem,
     start: _Solution,
-    rims: dict[str, list[Rim]],
+    drawn: tuple[list[ScanRim], dict[str, list[Rim]]],
     search: tuple[int, float],
     steady: frozenset[str],
 ) -> _Solution:
     """Some Gauss-Newton steps on outlines drawn once; clocks of `steady` cameras do not drift."""
-    columns, S, moved, zeros, states = start.columns, start.S, start.moved, start.zeros, start.states
+    (scan_rims, rims), columns = drawn, start.columns
+    S, zeros, states = start.S, start.zeros, start.states
     for _ in range(_SOLVES):
         blocks = {
             name: camera_block(problem, name, states[name], zeros, rims[name], search) for name in states
         }
-        A, b = assemble(problem, blocks, S, moved, zeros, states)
+        scan = scan_block(problem.scan, scan_rims, S, zeros, search)
+        A, b = assemble(problem, scan, blocks, S, zeros, states)
         for k, name in enumerate(states):
             if name in steady:
                 at = columns.camera(k).start + RATE
                 A[at, at] += FIXED
                 b[at] -= FIXED * states[name].clock.rate
         step: Array = np.asarray(np.linalg.solve(A, b), np.float64)
-        S, moved = moved_similarity(S, step[:7], problem.pivot), moved + step[:7]
+        S = moved_similarity(S, step[:7], problem.pivot)
         zeros = zeros + step[columns.zeros]
         states = {
             name: _moved_state(states[name], step[columns.camera(k)], problem.pivot)
             for k, name in enumerate(states)
         }
     sds = _spread(A, b, columns, blocks)
-    return _Solution(columns=columns, S=S, moved=moved, zeros=zeros, states=states, sds=sds)
+    return _Solution(columns=columns, S=S, zeros=zeros, states=states, sds=sds)
 
 
 def _drifts(problem: JointProblem, name: str, clock: Clock) -> bool:

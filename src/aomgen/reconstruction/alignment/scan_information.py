@@ -1,82 +1,100 @@
-"""What the scan says about alignment and fixed cameras, as information for the joint refinement."""
+"""What the scan says about alignment, joint zeros and fixed cameras in the joint refinement."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array
 from aomgen.reconstruction.alignment.contours import (
+    Contour,
     View,
     edge_shifts,
-    shift_gradient,
     shift_jacobian,
 )
 from aomgen.reconstruction.alignment.film_outlines import (
     BIAS_SD_PX,
     CLEAR_EDGE,
     TOGETHER,
+    common_bias,
     robust_weights,
 )
-from aomgen.reconstruction.alignment.outline_fit import RobotDrawing, camera_in_world, gray_levels
+from aomgen.reconstruction.alignment.outline_fit import RobotDrawing, camera_in_world
 
-_REACH_PX = 4
 _POINTS = 400
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ScanInformation:
-    """What the scan says of the robot's motion (7) and joint zeros (J): `information @ step = pull`.
+class Scanned:
+    """The scan as the joint refinement looks at it: views of the size to be drawn, with gray levels."""
+
+    views: list[View]
+    grays: list[NDArray[np.float32]]
+    drawing: RobotDrawing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanRim:
+    """The robot's outline as drawn for one scan view.
 
     Attributes:
-        information: (7 + J, 7 + J).
-        pull: (7 + J,), at the alignment with the joints as logged.
+        view: Index of the view.
+        contour: Its points, world frame.
+        turns: How each joint moves the points (C, J, 3), [m/rad].
+        zeros_rad: The joint zeros (J,) it was drawn under.
     """
 
-    information: Array
-    pull: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "pull", self.pull, (None,))
-        freeze(self, "information", self.information, (len(self.pull),) * 2)
+    view: int
+    contour: Contour
+    turns: Array
+    zeros_rad: Array
 
 
-def scan_information(S_world_recon: Array, views: list[View], drawing: RobotDrawing) -> ScanInformation:
-    """Information of the outlines in scan views, about the middle of the robot.
+def trace_scan(scan: Scanned, S_world_recon: Array, zeros_rad: Array) -> list[ScanRim]:
+    """Outlines of the robot as scanned, with joint zeros, in the views that show enough of it."""
+    posture = replace(scan.drawing.posture, joints=scan.drawing.posture.joints + zeros_rad)
+    drawing = replace(scan.drawing, posture=posture)
+    rims = []
+    for index, view in enumerate(scan.views):
+        drawn = drawing.draw(camera_in_world(S_world_recon, view.camera_recon), _POINTS)
+        if drawn is not None:
+            turns = posture.turns(drawn.contour.points, drawn.bodies)
+            rims.append(ScanRim(view=index, contour=drawn.contour, turns=turns, zeros_rad=zeros_rad))
+    return rims
+
+
+def scan_block(
+    scan: Scanned, rims: list[ScanRim], S_world_recon: Array, zeros_rad: Array, search: tuple[int, float]
+) -> tuple[Array, Array]:
+    """Normal equations (7 + J) of a motion of the robot before all views, and of joint zeros.
 
     All outlines may be drawn too wide or too narrow by one bias.
-
-    Args:
-        S_world_recon: The alignment (4, 4), which fits these views.
-        views: Scan images of the size to be drawn.
-        drawing: Robot as scanned.
     """
-    size = 8 + len(drawing.posture.joints)
-    A, b, squares, total = np.zeros((size, size)), np.zeros(size), 0.0, 0.0
-    for view in views:
+    (reach, kernel), rows, every, clear = search, [], [], []
+    for rim in rims:
+        view = scan.views[rim.view]
         camera = camera_in_world(S_world_recon, view.camera_recon)
-        drawn = drawing.draw(camera, _POINTS)
-        if drawn is None:
-            continue
-        contour = drawn.contour
-        shifts, strength = edge_shifts(contour, gray_levels(view.image_srgb), _REACH_PX)
-        weights = robust_weights(shifts, np.minimum(strength / CLEAR_EDGE, 1.0), 1.0)
-        J = np.ones((len(shifts), size))
-        J[:, :7] = shift_jacobian(camera, contour, drawing.pivot)
-        turns = drawing.posture.turns(contour.points, drawn.bodies)
-        J[:, 7:-1] = np.einsum("cd,cjd->cj", shift_gradient(camera, contour), turns)
-        A += J.T @ (weights[:, None] * J)
-        b += J.T @ (weights * shifts)
-        squares, total = squares + float(weights @ shifts**2), total + float(weights.sum())
-    scale = 1 / (TOGETHER * max(squares / max(total, 1e-9), 0.01))
-    A, b = scale * A, scale * b
+        points = rim.contour.points + np.einsum("j,cjd->cd", zeros_rad - rim.zeros_rad, rim.turns)
+        contour = replace(rim.contour, points=points).seen_by(camera)
+        shifts, strength = edge_shifts(contour, scan.grays[rim.view], reach)
+        J = np.ones((len(shifts), 8 + len(zeros_rad)))
+        J[:, :7] = shift_jacobian(camera, contour, scan.drawing.pivot)
+        J[:, 7:-1] = np.einsum("cd,cjd->cj", J[:, 3:6], rim.turns)
+        rows.append(J)
+        every.append(shifts)
+        clear.append(np.minimum(strength / CLEAR_EDGE, 1.0))
+    if not rows:
+        return np.zeros((7 + len(zeros_rad),) * 2), np.zeros(7 + len(zeros_rad))
+    J, shifts, clearness = np.concatenate(rows), np.concatenate(every), np.concatenate(clear)
+    residuals = shifts - common_bias(shifts, clearness, kernel)
+    weights = robust_weights(residuals, clearness, kernel)
+    scale = 1 / (TOGETHER * max(float(weights @ residuals**2 / max(weights.sum(), 1e-9)), 0.01))
+    A, b = scale * J.T @ (weights[:, None] * J), scale * J.T @ (weights * residuals)
     A[-1, -1] += 1 / BIAS_SD_PX**2
-    other = A[:-1, -1]
-    return ScanInformation(
-        information=A[:-1, :-1] - np.outer(other, other) / A[-1, -1],
-        pull=b[:-1] - other * b[-1] / A[-1, -1],
-    )
+    bias = A[:-1, -1]
+    return A[:-1, :-1] - np.outer(bias, bias) / A[-1, -1], b[:-1] - bias * b[-1] / A[-1, -1]
 
 
 def structure_rows(
