@@ -149,13 +149,16 @@ def settle_fixed_cameras(
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in filmed.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
     with robot_drawing(scene.posture, width, height) as drawing:
-        shown = spread(views, S, drawing, _VIEWS)
+        # Without frames cameras and scan stay where they are.
+        shown = spread(views, S, drawing, _VIEWS) if params.frames else []
         zeros_rad = np.zeros(len(scene.posture.joints))
         arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad)
         takes = {name: _take(S, item, clocks[name], arm, params) for name, item in filmed.items()}
         problem = JointProblem(
             S_world_recon=S,
-            scan=Scanned(views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing),
+            scan=Scanned(
+                views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing
+            ),
             points_recon=scene.points_recon,
             arm=arm,
             cameras={name: _in_problem(filmed[name], take, params) for name, take in takes.items()},
@@ -273,12 +276,25 @@ def _with_zeros(problem: JointProblem, takes: dict[str, _Take], logged: Refineme
     """
     if not any(len(take.judges.times_s) for take in takes.values()):
         return logged
-    found = refine_jointly(problem)
+    found = refine_jointly(problem, logged)
     gains = np.concatenate(
-        [_costs(problem, take, name, logged) - _costs(problem, take, name, found) for name, take in takes.items()]
+        [
+            _costs(problem, take, name, logged) - _costs(problem, take, name, found)
+            for name, take in takes.items()
+        ]
     )
     gains = gains[~np.isnan(gains)]
-    print('ZEROS', np.degrees(found.zeros_rad).round(3), np.degrees(found.zero_sds_rad).round(3), 'gain', gains.mean(), gains.mean()/(gains.std(ddof=1)/np.sqrt(len(gains))), len(gains), 'S logged/found', flush=True)
+    print(
+        "ZEROS",
+        np.degrees(found.zeros_rad).round(3),
+        np.degrees(found.zero_sds_rad).round(3),
+        "gain",
+        gains.mean(),
+        gains.mean() / (gains.std(ddof=1) / np.sqrt(len(gains))),
+        len(gains),
+        "S logged/found",
+        flush=True,
+    )
     if not (len(gains) > 1 and gains.mean() > _CLEAR_SDS * gains.std(ddof=1) / np.sqrt(len(gains))):
         return logged
     worst = int(np.argmax(np.abs(found.zeros_rad)))

@@ -110,7 +110,6 @@ class JointProblem:
     cameras: dict[str, FilmedCamera]
     params: JointParams = field(default_factory=JointParams)
 
-
     @property
     def pivot(self) -> Array:
         """World point (3,) that motions turn about, [m]."""

@@ -36,7 +36,7 @@ from aomgen.reconstruction.alignment.outline_fit import camera_in_world, moved_s
 from aomgen.reconstruction.alignment.scan_information import ScanRim, scan_block, trace_scan
 
 # Search reach and kernel of each drawing, [px]; and solves between two drawings.
-_ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0), (4, 1.0))
+_ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
 _SOLVES = 4
 
 
@@ -61,24 +61,30 @@ class Refinement:
         freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
 
 
-def refine_jointly(problem: JointProblem) -> Refinement:
+def refine_jointly(problem: JointProblem, near: Refinement | None = None) -> Refinement:
     """Solve; a clock in the answer drifts only where the film says so clearly.
 
     A camera whose film is empty is placed by structure and calibration alone.
 
+    Args:
+        problem: The evidence.
+        near: An answer to start from, when there is one: the search begins with less reach.
+
     Not checked: that the answer is better than the question; see `film_outlines.misfit`.
     """
-    S = problem.S_world_recon
+    S = problem.S_world_recon if near is None else near.S_world_recon
     states = {
         name: CameraState(camera=camera_in_world(S, item.camera_recon), clock=item.clock)
         for name, item in problem.cameras.items()
     }
+    if near is not None:
+        states = near.cameras
     zeros = problem.arm.zeros_rad
     columns = Columns(joints=len(zeros), cameras=len(states))
     now = _Solution(columns=columns, S=S, zeros=zeros, states=states, sds=np.zeros(columns.count))
     rims: dict[str, list[Rim]] = {}
     scan_rims: list[ScanRim] = []
-    for reach, kernel in _ROUNDS:
+    for reach, kernel in _ROUNDS[0 if near is None else 1 :]:
         arm = replace(problem.arm, zeros_rad=now.zeros)
         rims = {
             name: trace(

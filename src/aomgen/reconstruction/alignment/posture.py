@@ -59,7 +59,9 @@ class RobotPosture:
         """How each joint moves points (C, 3) on bodies (C,): velocities (C, J, 3), [m/rad]."""
         motions, segments = self._turned()
         moves = np.einsum("jab,cb->cja", motions[:, :3, :3], points) + motions[:, :3, 3]
-        return np.asarray(moves * (segments[bodies][:, None] > np.arange(len(motions)))[..., None], np.float64)
+        return np.asarray(
+            moves * (segments[bodies][:, None] > np.arange(len(motions)))[..., None], np.float64
+        )
 
     def _turned(self) -> tuple[Array, NDArray[np.int64]]:
         rows = np.tile(self.joints, (len(self.joints) + 1, 1))
