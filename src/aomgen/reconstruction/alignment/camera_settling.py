@@ -284,17 +284,6 @@ def _with_zeros(problem: JointProblem, takes: dict[str, _Take], logged: Refineme
         ]
     )
     gains = gains[~np.isnan(gains)]
-    print(
-        "ZEROS",
-        np.degrees(found.zeros_rad).round(3),
-        np.degrees(found.zero_sds_rad).round(3),
-        "gain",
-        gains.mean(),
-        gains.mean() / (gains.std(ddof=1) / np.sqrt(len(gains))),
-        len(gains),
-        "S logged/found",
-        flush=True,
-    )
     if not (len(gains) > 1 and gains.mean() > _CLEAR_SDS * gains.std(ddof=1) / np.sqrt(len(gains))):
         return logged
     worst = int(np.argmax(np.abs(found.zeros_rad)))
