@@ -9,7 +9,9 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics, Prompt
+from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.cameras.lens_choice import choose_lens, compare, lean_on_stated
+from aomgen.reconstruction.cameras.lens_misfit import lens_misfit_px, require_lens_fits
 from aomgen.reconstruction.cameras.mapped import adjust
 from aomgen.reconstruction.cameras.resection import (
     Links,
@@ -23,7 +25,7 @@ OPTICS = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0}
 NOISE_PX = 0.5
 
 
-def _model(k1: float, seed: int, stated: float = 600.0) -> pycolmap.Reconstruction:
+def _model(k1: float, seed: int, stated: float = 600.0, waves_px: float = 0.0) -> pycolmap.Reconstruction:
     """Noisy views of a cloud that fills the image, adjusted as if they were a pinhole's."""
     rng = np.random.default_rng(seed)
     lens = Lens(**OPTICS, **SIZE, k1=k1)
@@ -41,6 +43,7 @@ def _model(k1: float, seed: int, stated: float = 600.0) -> pycolmap.Reconstructi
         points_cam = points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
         pixels = lens.pixels(points_cam[:, :2] / points_cam[:, 2:])
         seen = np.flatnonzero((points_cam[:, 2] > 0.3) & ((pixels > 0) & (pixels < [640, 480])).all(1))
+        pixels = pixels + waves_px * np.sin(pixels[:, ::-1] / 40)
         noisy = pixels[seen] + rng.normal(0, NOISE_PX, (len(seen), 2))
         image = pycolmap.Image(name=f"{number:02d}", keypoints=noisy, camera_id=1, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(T_cam_world[:3]))
@@ -85,6 +88,19 @@ def test_a_calibrated_focal_length_is_hardly_moved():
     free = Lens(**OPTICS, **SIZE)
     assert abs(lean_on_stated(free, known, 0.01).fx - 612) < 0.2
     assert abs(lean_on_stated(free, replace(known, calibrated=False), 0.001).fx - 600) < 0.2
+
+
+def test_a_lens_that_no_model_fits_is_refused():
+    model = _model(-0.1, 4, waves_px=4.0)
+    choose_lens(model, STATED, seed=0)
+    with pytest.raises(ReconstructionError, match="no lens model explains"):
+        require_lens_fits(lens_misfit_px(model), "scan")
+
+
+def test_a_lens_that_a_model_fits_is_accepted():
+    model = _model(-0.1, 4)
+    choose_lens(model, STATED, seed=0)
+    require_lens_fits(lens_misfit_px(model), "scan")
 
 
 def _links(lens: Lens, seed: int, count: int = 250, wrong: int = 40) -> tuple[Links, Camera]:

@@ -15,7 +15,7 @@ from aomgen.core.clock import Clock
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
-from aomgen.errors import AlignmentError, SyncError
+from aomgen.errors import SyncError
 from aomgen.io.video import Video
 from aomgen.physics.robot_masks import robot_masks
 from aomgen.reconstruction.alignment.calibration import deviation, refuse_gross
@@ -23,16 +23,14 @@ from aomgen.reconstruction.alignment.clock import estimate_clock
 from aomgen.reconstruction.alignment.contours import View
 from aomgen.reconstruction.alignment.film_outlines import (
     Arm,
-    Film,
     film_of,
-    misfit,
-    misfits,
     no_film,
     spread_frames,
     trace,
 )
 from aomgen.reconstruction.alignment.joint_equations import FilmedCamera, JointParams, JointProblem
-from aomgen.reconstruction.alignment.joint_refinement import Refinement, drifts, refine_jointly
+from aomgen.reconstruction.alignment.joint_refinement import Refinement, drifts
+from aomgen.reconstruction.alignment.left_out_frames import Take, judge, take_zeros
 from aomgen.reconstruction.alignment.outline_fit import (
     camera_in_world,
     gray_levels,
@@ -50,15 +48,6 @@ _VIEWS = 24
 _JUDGE_EVERY = 2
 # Frames that must show the arm, of those chosen.
 _MIN_FRAMES = 8
-# Edges that have nothing to do with the arm lie anywhere in reach of its outline, at a misfit of 2/3.
-_MAX_MISFIT = 0.5
-
-# A joint zero with this deviation is the log's.
-_AS_LOGGED_RAD = 1e-6
-# Mastered arms are within this.
-_MAX_ZERO_RAD = float(np.radians(2.0))
-# Standard errors by which left-out frames must be drawn better.
-_CLEAR_SDS = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,9 +154,9 @@ def settle_fixed_cameras(
             params=params,
         )
         progress(0.6, "refining cameras and clocks")
-        problem, refinement, takes = _judged(problem, takes)
+        problem, refinement, takes = judge(problem, takes)
         progress(0.8, "estimating joint zeros")
-        refinement = _with_zeros(problem, takes, refinement)
+        refinement = take_zeros(problem, takes, refinement)
     cameras = {name: _settled(name, item, takes[name], refinement, params) for name, item in filmed.items()}
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
     return Settlement(
@@ -176,25 +165,6 @@ def settle_fixed_cameras(
         zeros_rad=refinement.zeros_rad,
         zero_sds_rad=refinement.zero_sds_rad,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Take:
-    """One film, cut.
-
-    Attributes:
-        film: Frames to learn from; empty when the film cannot be used.
-        judges: Frames that judge the answer.
-        clock: First guess, or why there is none.
-        reason: Why the film cannot be used, or was not believed; empty otherwise.
-        calibrated: Whether the hand-eye calibration is leant on.
-    """
-
-    film: Film
-    judges: Film
-    clock: Clock | SyncError
-    reason: str
-    calibrated: bool
 
 
 def _small(item: Filmed, params: JointParams) -> Camera:
@@ -215,25 +185,25 @@ def _first_clock(scene: Scene, item: Filmed) -> Clock | SyncError:
             return error
 
 
-def _take(S: Array, item: Filmed, clock: Clock | SyncError, arm: Arm, params: JointParams) -> _Take:
+def _take(S: Array, item: Filmed, clock: Clock | SyncError, arm: Arm, params: JointParams) -> Take:
     """Frames to learn from and to judge by, if enough of them show the arm."""
     empty, calibrated = no_film(), item.T_world_cam is not None
     if isinstance(clock, SyncError):
-        return _Take(film=empty, judges=empty, clock=clock, reason=clock.problem, calibrated=calibrated)
+        return Take(film=empty, judges=empty, clock=clock, reason=clock.problem, calibrated=calibrated)
     if not params.frames:
-        return _Take(film=empty, judges=empty, clock=clock, reason="", calibrated=calibrated)
+        return Take(film=empty, judges=empty, clock=clock, reason="", calibrated=calibrated)
     frames = spread_frames(item.video, arm, clock, params.frames * _JUDGE_EVERY // (_JUDGE_EVERY - 1))
     judging = np.arange(len(frames)) % _JUDGE_EVERY == _JUDGE_EVERY // 2
     film, judges = (film_of(item.video, frames[chosen], params.width) for chosen in (~judging, judging))
     camera = camera_in_world(S, _small(item, params))
     shown = len(trace(film, camera, clock, arm, params.points))
     if shown >= _MIN_FRAMES:
-        return _Take(film=film, judges=judges, clock=clock, reason="", calibrated=calibrated)
+        return Take(film=film, judges=judges, clock=clock, reason="", calibrated=calibrated)
     reason = f"{shown} of {len(film.times_s)} frames show the arm, want {_MIN_FRAMES}"
-    return _Take(film=empty, judges=empty, clock=clock, reason=reason, calibrated=calibrated)
+    return Take(film=empty, judges=empty, clock=clock, reason=reason, calibrated=calibrated)
 
 
-def _in_problem(item: Filmed, take: _Take, params: JointParams) -> FilmedCamera:
+def _in_problem(item: Filmed, take: Take, params: JointParams) -> FilmedCamera:
     return FilmedCamera(
         camera_recon=_small(item, params),
         film=take.film,
@@ -242,89 +212,8 @@ def _in_problem(item: Filmed, take: _Take, params: JointParams) -> FilmedCamera:
     )
 
 
-def _judged(
-    problem: JointProblem, takes: dict[str, _Take]
-) -> tuple[JointProblem, Refinement, dict[str, _Take]]:
-    """The refinement, joints as logged, with every film that its left-out frames confirm.
-
-    A calibration that the answer contradicts, or a film whose answer is no better than the question,
-    is left out, and the rest is solved again.
-    """
-    takes, empty = dict(takes), no_film()
-    while True:
-        held = replace(problem, params=replace(problem.params, zero_sd_rad=_AS_LOGGED_RAD))
-        refinement = refine_jointly(held)
-        complaint = _complaint(problem, takes, refinement)
-        if complaint is None:
-            return problem, refinement, takes
-        name, reason, calibrated = complaint
-        take, camera = takes[name], problem.cameras[name]
-        if calibrated:
-            takes[name] = replace(take, calibrated=False)
-            camera = replace(camera, T_world_cam=None)
-        else:
-            takes[name] = replace(take, film=empty, judges=empty, reason=reason)
-            camera = replace(camera, film=empty, clock=Clock(offset_s=0.0))
-        problem = replace(problem, cameras=problem.cameras | {name: camera})
-
-
-def _with_zeros(problem: JointProblem, takes: dict[str, _Take], logged: Refinement) -> Refinement:
-    """The refinement with joint zeros where frames left out are drawn clearly better with them.
-
-    Raises:
-        AlignmentError: They are, and one is larger than any mastered arm's.
-    """
-    if not any(len(take.judges.times_s) for take in takes.values()):
-        return logged
-    found = refine_jointly(problem, logged)
-    gains = np.concatenate(
-        [
-            _costs(problem, take, name, logged) - _costs(problem, take, name, found)
-            for name, take in takes.items()
-        ]
-    )
-    gains = gains[~np.isnan(gains)]
-    if not (len(gains) > 1 and gains.mean() > _CLEAR_SDS * gains.std(ddof=1) / np.sqrt(len(gains))):
-        return logged
-    worst = int(np.argmax(np.abs(found.zeros_rad)))
-    if not abs(found.zeros_rad[worst]) <= _MAX_ZERO_RAD:
-        raise AlignmentError(
-            f"joint '{problem.arm.log.joint_names[worst]}'",
-            f"is {np.degrees(found.zeros_rad[worst]):+.1f} deg (+-{np.degrees(found.zero_sds_rad[worst]):.1f}) "
-            f"from where the log has it, scan and videos say; limit {np.degrees(_MAX_ZERO_RAD):.0f} deg",
-            "master this joint again, or add its offset to the log",
-        )
-    return found
-
-
-def _costs(problem: JointProblem, take: _Take, name: str, found: Refinement) -> Array:
-    state = found.cameras[name]
-    return misfits(take.judges, state.camera, state.clock, replace(problem.arm, zeros_rad=found.zeros_rad))
-
-
-def _complaint(
-    problem: JointProblem, takes: dict[str, _Take], refinement: Refinement
-) -> tuple[str, str, bool] | None:
-    """The first camera that has to be solved without something: name, reason, whether calibration."""
-    for name, take in takes.items():
-        camera, state = problem.cameras[name], refinement.cameras[name]
-        if camera.T_world_cam is not None and not deviation(camera.T_world_cam, state.camera).within(
-            3 * problem.params.calibration_sd_m, 3 * problem.params.calibration_sd_rad
-        ):
-            return name, "", True
-        if len(take.judges.times_s) and isinstance(take.clock, Clock):
-            start = camera_in_world(problem.S_world_recon, camera.camera_recon)
-            before = misfit(take.judges, start, take.clock, problem.arm)
-            after = misfit(take.judges, state.camera, state.clock, problem.arm)
-            if not after < before:
-                return name, f"frames left out fit worse than before ({after:.3f}, was {before:.3f})", False
-            if not after <= _MAX_MISFIT:
-                return name, f"its film does not show the arm's outlines ({after:.2f} off)", False
-    return None
-
-
 def _settled(
-    name: str, item: Filmed, take: _Take, refinement: Refinement, params: JointParams
+    name: str, item: Filmed, take: Take, refinement: Refinement, params: JointParams
 ) -> SettledCamera:
     state = refinement.cameras[name]
     used = bool(len(take.film.times_s))

@@ -89,7 +89,6 @@ def fit_lens(
         set_lens(model, lean_on_stated(camera_lens(model), stated, abs(np.log(one / other)) / 2))
         _adjust_lens(model, kind, focal=False)
     set_lens(model, camera_lens(model))
-    model.update_point_3d_errors()
     return camera_lens(model)
 
 
@@ -113,9 +112,9 @@ def climb(
             break
         chosen = kind
     if chosen in ("radial", "full") and base == "stated":
-        better = [("stated", "focal"), ("focal", chosen)]
-        called_for = [_convincing(*compare(held_out_errors(a), held_out_errors(b))) for a, b in better]
-        if called_for == [True, False]:
+        focal = held_out_errors("focal")
+        enough = _convincing(*compare(held_out_errors("stated"), focal))
+        if enough and not _convincing(*compare(focal, held_out_errors(chosen))):
             chosen = "focal"
     return chosen, gain, significance
 

@@ -107,6 +107,7 @@ def adjust(
         config.add_image(image_id)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    model.update_point_3d_errors()
 
 
 def camera_lens(model: pycolmap.Reconstruction) -> Lens:

@@ -17,8 +17,7 @@ from aomgen.reconstruction.cameras.consistency import Pair
 from aomgen.reconstruction.cameras.mapped import Mapped, adjust, lens_of, mapped_of, set_camera
 from aomgen.reconstruction.cameras.resection import Links
 
-
-# Twice the error that verified matches may have: a lens that bends the border otherwise by more costs matches.
+# Twice the error that verified matches may have: a lens that bends the border by more costs some.
 MAX_SHIFT_PX = 8.0
 
 
@@ -118,8 +117,7 @@ class Workspace:
     def set_lens(self, group: str, lens: Lens) -> bool:
         """Give a set's camera a known lens from now on.
 
-        Returns:
-            Whether all matches were verified again, because the lens bends much otherwise than before.
+        Returns: Whether all matches were verified again, because it bends much otherwise than before.
         """
         with pycolmap.Database.open(self.database) as database:
             camera = self._camera(database, group)
@@ -187,12 +185,10 @@ class Workspace:
         for image in list(model.images.values()):
             if image.has_pose and image.name not in keep:
                 model.deregister_frame(image.frame_id)
+        folders = self.folder / "images", self.folder / "remap"
         options = self._mapper_options("scan")
-        self._model = pycolmap.triangulate_points(
-            model, self.database, self.folder / "images", self.folder / "remap", True, options
-        )
+        self._model = pycolmap.triangulate_points(model, self.database, *folders, True, options)
         adjust(self._model)
-        self._model.update_point_3d_errors()
         return self.mapped("scan")
 
     def pairs(self, group: str, lens: Lens) -> list[Pair]:

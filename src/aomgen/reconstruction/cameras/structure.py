@@ -23,6 +23,7 @@ from aomgen.io.images import read_image
 from aomgen.reconstruction.cameras.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
 from aomgen.reconstruction.cameras.groups import duplicates
 from aomgen.reconstruction.cameras.lens_choice import choose_lens, fit_lens
+from aomgen.reconstruction.cameras.lens_misfit import lens_misfit_px, require_lens_fits
 from aomgen.reconstruction.cameras.mapped import Mapped
 from aomgen.reconstruction.cameras.mapping import ImageSet, Workspace
 from aomgen.reconstruction.cameras.sightings import require_coverage, sightings
@@ -219,12 +220,12 @@ def _map(
     choice = choose_lens(work.model, intrinsics, seed=work.seed)
     lens = choice.lens
     if work.set_lens("scan", lens):
-        if run("scan") is None:
-            return None, {}
+        run("scan")
         lens = fit_lens(work.model, choice.model, intrinsics, seed=work.seed)
         work.set_lens("scan", lens)
-    figures = {"model": choice.model, "gain": choice.gain, "significance": choice.significance}
-    return work.mapped("scan"), figures | asdict(lens)
+    misfit_px = lens_misfit_px(work.model)
+    require_lens_fits(misfit_px, "scan")
+    return work.mapped("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
 
 
 def _gate(count: int, vetted: Vetted, params: StructureParams) -> None:
