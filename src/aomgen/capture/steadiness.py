@@ -56,6 +56,10 @@ def _shift_px(first: NDArray[np.complex128], other: NDArray[np.complex128], size
     product = first.conj() * other
     surface: Array = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), size)
     rows, columns = np.fft.fftfreq(size[0], 1 / size[0]), np.fft.fftfreq(size[1], 1 / size[1])
+    # Nobody pushes a camera by more than a tenth of the picture and records on.
+    surface = np.where(
+        (np.abs(rows)[:, None] <= size[1] / 10) & (np.abs(columns) <= size[1] / 10), surface, -1
+    )
     still = (np.abs(rows)[:, None] <= STILL_PX) & (np.abs(columns) <= STILL_PX)
     row, column = np.unravel_index(int(np.argmax(np.where(still, -np.inf, surface))), size)
     if surface[row, column] <= CLEAR_RATIO * surface[still].max():

@@ -12,7 +12,7 @@ def film(pushed_px: int) -> Video:
     """A textured room and a box that crosses it; from the middle on the room lies elsewhere."""
     rng = np.random.default_rng(3)
     room = 128 + 4 * gaussian_filter(rng.normal(0, 60, (240, 340)), 1.5)
-    box = rng.uniform(0, 255, (80, 60))
+    box = 128 + 4 * gaussian_filter(rng.normal(0, 60, (80, 60)), 1.5)
     frames = []
     for k in range(40):
         shift = pushed_px if k >= 20 else 0

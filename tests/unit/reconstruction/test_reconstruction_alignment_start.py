@@ -63,7 +63,7 @@ def test_a_box_cut_by_the_border_holds_what_the_picture_shows(posture: RobotPost
     boxes = []
     for angle in (0.3, 1.6):
         whole = recon_camera(angle)
-        camera = replace(whole, cy=whole.cy - 45.0)
+        camera = replace(whole, cy=whole.cy - 65.0)
         pixels, _ = camera.project(apply(S_RECON_WORLD, posture.points_world()))
         shown = pixels[((pixels >= 0) & (pixels <= SIZE)).all(1)]
         boxes.append(RobotBox(camera_recon=camera, box_px=np.concatenate([shown.min(0), shown.max(0)])))

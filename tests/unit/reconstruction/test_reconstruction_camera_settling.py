@@ -179,7 +179,8 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
     cameras = {"front": filmed(FRONT, Video(times_s=times, frames_srgb=wall, fps=FPS))}
     found = settle(stage, cameras, clock_offset_s=0.2).cameras["front"]
     assert found.warnings("front")
-    assert error_px(found.camera, FRONT.moved(FRONT.T_world_cam @ MISPLACED)) < 0.1
+    # The scan views alone place the similarity.
+    assert error_px(found.camera, FRONT.moved(FRONT.T_world_cam @ MISPLACED)) < 0.2
 
 
 def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> None:

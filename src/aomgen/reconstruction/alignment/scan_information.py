@@ -24,6 +24,8 @@ from aomgen.reconstruction.alignment.film_outlines import (
 from aomgen.reconstruction.alignment.outline_fit import RobotDrawing, camera_in_world
 
 _POINTS = 400
+# Information that holds similarity and joints where they are, when no view is looked at.
+_HELD = 1e12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +88,7 @@ def scan_block(
         every.append(shifts)
         clear.append(np.minimum(strength / CLEAR_EDGE, 1.0))
     if not rows:
-        return np.zeros((7 + len(zeros_rad),) * 2), np.zeros(7 + len(zeros_rad))
+        return _HELD * np.eye(7 + len(zeros_rad)), np.zeros(7 + len(zeros_rad))
     J, shifts, clearness = np.concatenate(rows), np.concatenate(every), np.concatenate(clear)
     residuals = shifts - common_bias(shifts, clearness, kernel)
     weights = robust_weights(residuals, clearness, kernel)
