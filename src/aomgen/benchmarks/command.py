@@ -25,12 +25,13 @@ from aomgen.pipeline.films import fitted_frames
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
-from aomgen.pipeline.working import working_capture
+from aomgen.pipeline.working import with_joint_zeros, working_capture
 from aomgen.reconstruction.cameras.stage import load_structure
 from aomgen.twin.twin import Twin, TwinState
 
 LAST_STAGE = "twin"
 STRUCTURE_FOLDER = "01_structure"
+ALIGNMENT_FOLDER = "03_alignment"
 
 
 def run_accuracy(
@@ -55,7 +56,8 @@ def run_accuracy(
     with tempfile.TemporaryDirectory() as scratch:
         out = (out or Path(scratch) / "run").resolve()
         run_project(Project(capture=capture_folder.resolve(), out=out), until=LAST_STAGE)
-        capture = working_capture(read_capture(capture_folder), out / STRUCTURE_FOLDER)
+        recorded = working_capture(read_capture(capture_folder), out / STRUCTURE_FOLDER)
+        capture = with_joint_zeros(recorded, out / ALIGNMENT_FOLDER)
         estimates = read_json(out / "estimates.json")
         name = capture.cameras[0].name
         video = read_demo_videos(capture)[name]

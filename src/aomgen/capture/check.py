@@ -12,6 +12,7 @@ from aomgen.capture.mask_check import check_masks
 from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.read import check_intrinsics
 from aomgen.capture.scan_check import check_scan
+from aomgen.capture.steadiness import find_push
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
 from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
@@ -80,6 +81,7 @@ def check_capture(capture: Capture) -> CheckedCapture:
     for camera in capture.cameras:
         video = videos[camera.name]
         _check_motion(video, camera.video)
+        _check_steady(video, camera.video)
         count, height, width = video.frames_srgb.shape[:3]
         read_demo_masks(capture, camera, (count, height, width))
         warnings += _turned(camera.video)
@@ -177,6 +179,17 @@ def _check_motion(video: Video, path: Path) -> None:
             path,
             f"shows nothing that moves ({changed:.2%} of the picture changes, want {MIN_CHANGED_SHARE:.1%})",
             "check that it is the demonstration's video and that the camera did not freeze",
+        )
+
+
+def _check_steady(video: Video, path: Path) -> None:
+    push = find_push(video)
+    if push is not None:
+        raise IncompleteCaptureError(
+            path,
+            f"was moved: from {push.time_s:.1f} s on its background lies {push.share:.1%} of the width from where "
+            "it was at the start",
+            "fix the camera and record again, or cut the video with its part before or after the push",
         )
 
 

@@ -39,6 +39,7 @@ class ScanSection(_Section):
     images: str
     intrinsics: Four | None = None
     distortion: Four | None = None
+    calibrated: bool = False
 
 
 class CameraSection(_Section):
@@ -46,6 +47,7 @@ class CameraSection(_Section):
     video: str
     intrinsics: Four | None = None
     distortion: Four | None = None
+    calibrated: bool = False
     T_world_cam: list[Four] | None = Field(default=None, min_length=4, max_length=4)
 
 

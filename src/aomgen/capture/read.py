@@ -1,5 +1,6 @@
 """Reading a capture folder: everything is validated before any work starts."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -139,16 +140,18 @@ def _video_frames(scan: Path) -> tuple[tuple[int, int], set[str]]:
 
 def _intrinsics(section: ScanSection | CameraSection, where: str) -> Intrinsics | None:
     if section.intrinsics is None:
-        if section.distortion is not None:
-            raise CalibrationError(
-                where, "has distortion without intrinsics", "give both, as they were calibrated together"
-            )
+        for key in ("distortion", "calibrated"):
+            if getattr(section, key):
+                raise CalibrationError(
+                    where, f"has {key} without intrinsics", "give both, as they were calibrated together"
+                )
         return None
     fx, fy, cx, cy = section.intrinsics
+    known = Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, calibrated=section.calibrated)
     if section.distortion is None:
-        return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
+        return known
     k1, k2, p1, p2 = section.distortion
-    return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2))
+    return replace(known, distortion=(k1, k2, p1, p2))
 
 
 def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -> RobotChoice:

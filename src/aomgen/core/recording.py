@@ -8,6 +8,10 @@ from aomgen.core.lens import Lens
 from aomgen.core.robot_choice import RobotChoice
 from aomgen.core.values import Array, freeze
 
+# How far a focal length is off, as a share: a data sheet's, by sample and focus; one from a target.
+STATED_FOCAL_SD = 0.02
+CALIBRATED_FOCAL_SD = 0.001
+
 
 def frame_name(index: int) -> str:
     """Name of the image made from a frame of a scan video, sorting in the order of time."""
@@ -16,10 +20,11 @@ def frame_name(index: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsics:
-    """Known intrinsics, [px], principal point with pixel centres at +0.5.
+    """Stated intrinsics, [px], principal point with pixel centres at +0.5: a prior, not a fact.
 
     Attributes:
-        distortion: Known k1, k2, p1, p2 (see `Lens`); None when nothing is known about it.
+        distortion: Stated k1, k2, p1, p2 (see `Lens`); None when nothing is known about it.
+        calibrated: Measured with a target, and not read off a data sheet or another setting.
     """
 
     fx: float
@@ -27,6 +32,12 @@ class Intrinsics:
     cx: float
     cy: float
     distortion: tuple[float, float, float, float] | None = None
+    calibrated: bool = False
+
+    @property
+    def focal_sd(self) -> float:
+        """Standard deviation of the focal length, as a share of it."""
+        return CALIBRATED_FOCAL_SD if self.calibrated else STATED_FOCAL_SD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -50,13 +50,20 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         # The paper leaves fixed cameras where the scan has them.
         JointParams(frames=0) if paper else None,
     )
-    save_alignment(replace(result, S_world_recon=settlement.S_world_recon), folder)
+    result = replace(
+        result,
+        S_world_recon=settlement.S_world_recon,
+        joint_zeros_rad=settlement.zeros_rad,
+        joint_zero_sds_rad=settlement.zero_sds_rad,
+    )
+    save_alignment(result, folder)
     save_settled_cameras(settlement.cameras, folder)
     return {
         "support": result.support,
         "runner_up_support": result.runner_up_support,
         "residual_px": result.residual_px,
         "end_effector_sd_mm": 1e3 * result.ee_sd_m,
+        "largest_joint_zero_deg": float(np.degrees(np.abs(settlement.zeros_rad).max())),
         "fixed_cameras": {name: camera.summary() for name, camera in settlement.cameras.items()},
         WARNINGS: [warning for name, item in settlement.cameras.items() for warning in item.warnings(name)],
     }

@@ -89,6 +89,9 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "alignment": {
         "residual_px": Figure(name="outline error", unit="px", digits=2, below=1.0),
         "end_effector_sd_mm": Figure(name="end effector, standard deviation", unit="mm", digits=2, below=3.0),
+        "largest_joint_zero_deg": Figure(
+            name="largest joint zero", unit="deg", digits=2, below=0.5, zero_is_unknown=True
+        ),
     },
     "parts": {
         "robot": Figure(name="Gaussians of the robot"),

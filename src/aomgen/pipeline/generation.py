@@ -34,7 +34,7 @@ from aomgen.pipeline.asset_choice import open_asset
 from aomgen.pipeline.fitted_store import load_fitted, save_fitted
 from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, scanned_object
 from aomgen.pipeline.stage import Run
-from aomgen.pipeline.working import capture_of
+from aomgen.pipeline.working import aligned_capture_of, capture_of
 from aomgen.replacement.extent import free_rectangle
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.light import estimate_light
@@ -241,7 +241,7 @@ def recorded_demonstration(
     run: Run, robot: RobotModel, support: SupportPlane
 ) -> tuple[Demonstration, RecordedObject]:
     """The recorded demonstration and object as later stages use them."""
-    capture = capture_of(run)
+    capture = aligned_capture_of(run)
     motion = load_motion(run.folders["motion"])
     demo = demonstration_from(motion, capture.joint_log, robot, demo_fps(run))
     moving, static = scanned_object(run)

@@ -32,7 +32,7 @@ from aomgen.pipeline.films import demo_film, scan_films, with_looks
 from aomgen.pipeline.moving_parts import find_moving_parts
 from aomgen.pipeline.part_masks import part_masks
 from aomgen.pipeline.stage import WARNINGS, Run
-from aomgen.pipeline.working import capture_of
+from aomgen.pipeline.working import aligned_capture_of, capture_of
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world
 from aomgen.reconstruction.alignment.posture import RobotPosture
 from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
@@ -122,7 +122,7 @@ def gaussians(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """A part label for every Gaussian, the robot link that carries it, and which sides the scan saw."""
-    capture = capture_of(run)
+    capture = aligned_capture_of(run)
     scene = load_structure(run.folders["structure"])
     gaussians_recon = load_gaussians(run.folders["gaussians"]).gaussians_recon
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
@@ -165,7 +165,7 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
     A refused motion is written there as refused before the error goes on, and its score stays beside it.
     """
-    capture = capture_of(run)
+    capture = aligned_capture_of(run)
     structure = load_structure(run.folders["structure"])
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     settled = load_settled_cameras(run.folders["alignment"])
@@ -203,7 +203,7 @@ def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstim
     demonstration = motion_input(run, load_parts(run.folders["parts"]).labels)
     refused = run.out / REFUSED_MOTION
     if run.project.motion_method == "paper":
-        capture = capture_of(run)
+        capture = aligned_capture_of(run)
         masks = part_masks(capture, capture.cameras[0], demonstration)
         return run_paper_motion(demonstration, masks, folder, progress, refused)
     return run_motion(demonstration, folder, progress, refused=refused)
@@ -219,7 +219,7 @@ def motion_input(run: Run, labels: NDArray[np.uint8]) -> MotionInput:
     Raises:
         SyncError: The clock offset is unknown.
     """
-    capture = capture_of(run)
+    capture = aligned_capture_of(run)
     name = capture.cameras[0].name
     settled = load_settled_cameras(run.folders["alignment"])[name]
     clock = settled.settled_clock()
@@ -275,7 +275,7 @@ def scanned_twin(world: Gaussians, parts: Parts, joint: Joint, posture: RobotPos
 
 def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """Every Gaussian bound to the body that carries it, and everything fitted to scan and video."""
-    capture = capture_of(run)
+    capture = aligned_capture_of(run)
     posture, motion = posture_of(capture), load_motion(run.folders["motion"])
     robot = posture.robot
     scanned = scanned_twin(
@@ -309,4 +309,4 @@ def scan_cameras_world(run: Run) -> dict[str, Camera]:
 
 def demo_fps(run: Run) -> float:
     """Frame rate of the first demonstration video, [1/s]."""
-    return float(round(probe_video(capture_of(run).cameras[0].video).fps))
+    return float(round(probe_video(aligned_capture_of(run).cameras[0].video).fps))

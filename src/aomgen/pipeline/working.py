@@ -1,4 +1,4 @@
-"""The capture as every stage after structure sees it: stills of a pinhole camera."""
+"""The capture as later stages see it: stills of a pinhole camera, then joints with their zeros."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 from aomgen.capture.read import read_capture
 from aomgen.core.recording import Capture
 from aomgen.pipeline.stage import Run
+from aomgen.reconstruction.alignment.stage import load_alignment
 from aomgen.reconstruction.cameras.frames import extracted_frames
 from aomgen.reconstruction.cameras.stage import load_structure
 from aomgen.reconstruction.cameras.straight import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
@@ -14,6 +15,30 @@ from aomgen.reconstruction.cameras.straight import IMAGES_FOLDER, MASKS_FOLDER, 
 def capture_of(run: Run) -> Capture:
     """The run's capture, as `working_capture` gives it."""
     return working_capture(read_capture(run.project.capture), run.folders["structure"])
+
+
+def aligned_capture_of(run: Run) -> Capture:
+    """The run's capture as stages after alignment see it: joints of log and scan are the robot's own."""
+    return with_joint_zeros(capture_of(run), run.folders["alignment"])
+
+
+def with_joint_zeros(capture: Capture, alignment: Path) -> Capture:
+    """A capture with the joint zeros that the alignment found added to its log and to the scan's joints.
+
+    Args:
+        capture: As recorded.
+        alignment: Folder of the finished alignment stage.
+
+    Raises:
+        MissingFileError, MalformedFileError: The alignment stage has not finished there.
+    """
+    zeros_rad = load_alignment(alignment).joint_zeros_rad
+    log, robot = capture.joint_log, capture.robot
+    return replace(
+        capture,
+        joint_log=replace(log, joints=log.joints + zeros_rad),
+        robot=replace(robot, scan_joints=robot.scan_joints + zeros_rad),
+    )
 
 
 def working_capture(capture: Capture, structure: Path) -> Capture:

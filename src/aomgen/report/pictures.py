@@ -18,7 +18,7 @@ from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.pipeline.recovery import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.stage import Run
-from aomgen.pipeline.working import capture_of
+from aomgen.pipeline.working import aligned_capture_of
 from aomgen.reconstruction.surfaces.gaussians import held_out
 from aomgen.reconstruction.surfaces.survey_stage import load_survey
 from aomgen.report.drawing import map_from_above, overlay_labels, overlay_outline, sheet
@@ -64,7 +64,7 @@ def open_recovered(run: Run) -> Recovered:
     Raises:
         MissingFileError: The run has not come that far.
     """
-    capture = capture_of(run)
+    capture = aligned_capture_of(run)
     twin, robot = open_twin(run.out)
     return Recovered(
         run=run,

@@ -1,5 +1,7 @@
 """Places that boxes allow, and the quick look at colors that chooses among them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,21 @@ def box_on(posture: RobotPosture, camera: Camera) -> RobotBox:
     pixels, _ = camera.project(apply(S_RECON_WORLD, posture.points_world()))
     pixels = np.clip(pixels, 0, SIZE)
     return RobotBox(camera_recon=camera, box_px=np.concatenate([pixels.min(0), pixels.max(0)]))
+
+
+def test_a_box_cut_by_the_border_holds_what_the_picture_shows(posture: RobotPosture) -> None:
+    """The upper arm is out of the picture; the box ends where the picture does, and its sides are the rest's."""
+    boxes = []
+    for angle in (0.3, 1.6):
+        whole = recon_camera(angle)
+        camera = replace(whole, cy=whole.cy - 65.0)
+        pixels, _ = camera.project(apply(S_RECON_WORLD, posture.points_world()))
+        shown = pixels[((pixels >= 0) & (pixels <= SIZE)).all(1)]
+        boxes.append(RobotBox(camera_recon=camera, box_px=np.concatenate([shown.min(0), shown.max(0)])))
+        assert pixels[:, 1].min() < -10
+    found = places(posture, boxes)
+    good = found.misfits <= np.quantile(found.misfits, 0.25)
+    assert off_m(found.Ss_world_recon[good], posture).min() < 0.05
 
 
 def off_m(Ss_world_recon: Array, posture: RobotPosture) -> Array:

@@ -1,19 +1,21 @@
 """Distortion is found where it is, and nowhere else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.lens import Lens
-from aomgen.core.recording import Prompt
-from aomgen.reconstruction.cameras.lens_choice import choose_lens, compare
+from aomgen.core.recording import Intrinsics, Prompt
+from aomgen.errors import ReconstructionError
+from aomgen.reconstruction.cameras.lens_choice import choose_lens, compare, lean_on_stated
+from aomgen.reconstruction.cameras.lens_misfit import lens_misfit_px, require_lens_fits
 from aomgen.reconstruction.cameras.mapped import adjust
 from aomgen.reconstruction.cameras.resection import (
-    OWN_LENS_SIGNIFICANCE,
     Links,
     choose_view_lens,
-    own_lens_significance,
     resect,
 )
 from aomgen.reconstruction.cameras.straight import straight_prompts
@@ -23,13 +25,13 @@ OPTICS = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0}
 NOISE_PX = 0.5
 
 
-def _model(k1: float, seed: int) -> pycolmap.Reconstruction:
+def _model(k1: float, seed: int, stated: float = 600.0, waves_px: float = 0.0) -> pycolmap.Reconstruction:
     """Noisy views of a cloud that fills the image, adjusted as if they were a pinhole's."""
     rng = np.random.default_rng(seed)
     lens = Lens(**OPTICS, **SIZE, k1=k1)
     points = rng.uniform([-1.5, -1.5, 0], [1.5, 1.5, 1.2], (500, 3))
     model = pycolmap.Reconstruction()
-    params = list(OPTICS.values())
+    params = [stated, stated, OPTICS["cx"], OPTICS["cy"]]
     model.add_camera_with_trivial_rig(pycolmap.Camera(model="PINHOLE", params=params, camera_id=1, **SIZE))
     tracks = [pycolmap.Track() for _ in points]
     for number in range(1, 17):
@@ -41,6 +43,7 @@ def _model(k1: float, seed: int) -> pycolmap.Reconstruction:
         points_cam = points @ T_cam_world[:3, :3].T + T_cam_world[:3, 3]
         pixels = lens.pixels(points_cam[:, :2] / points_cam[:, 2:])
         seen = np.flatnonzero((points_cam[:, 2] > 0.3) & ((pixels > 0) & (pixels < [640, 480])).all(1))
+        pixels = pixels + waves_px * np.sin(pixels[:, ::-1] / 40)
         noisy = pixels[seen] + rng.normal(0, NOISE_PX, (len(seen), 2))
         image = pycolmap.Image(name=f"{number:02d}", keypoints=noisy, camera_id=1, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(T_cam_world[:3]))
@@ -49,22 +52,55 @@ def _model(k1: float, seed: int) -> pycolmap.Reconstruction:
     for point, track in zip(points, tracks, strict=True):
         if track.length() >= 3:
             model.add_point3D(point, track, np.zeros(3, np.uint8))
-    adjust(model, pycolmap.BundleAdjustmentOptions(print_summary=False, refine_focal_length=False))
+    adjust(model)
     return model
 
 
+STATED = Intrinsics(**OPTICS)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("focal_known", [True, False])
-def test_a_pinhole_stays_a_pinhole(seed, focal_known):
-    assert not choose_lens(_model(0.0, seed), focal_known=focal_known, seed=seed).bends
+@pytest.mark.parametrize(("stated", "kept"), [(STATED, "stated"), (None, "focal")])
+def test_a_pinhole_stays_a_pinhole(seed, stated, kept):
+    choice = choose_lens(_model(0.0, seed), stated, seed=seed)
+    assert choice.model == kept
+    assert not choice.lens.bends
+    assert abs(choice.lens.fx - 600) < 3
 
 
 @pytest.mark.parametrize("k1", [-0.2, -0.02, 0.1])
 def test_a_bent_lens_is_found(k1):
-    choice = choose_lens(_model(k1, 4), focal_known=True, seed=0)
-    assert choice.bends
+    choice = choose_lens(_model(k1, 4), STATED, seed=0)
+    assert choice.lens.bends
     assert abs(choice.lens.k1 - k1) < 0.01
-    assert (choice.lens.fx, choice.lens.fy) == (600.0, 600.0)
+    assert abs(choice.lens.fx - 600) < 3
+
+
+def test_a_focal_length_stated_wrong_follows_the_images():
+    model = _model(-0.03, 4, stated=612.0)
+    choice = choose_lens(model, Intrinsics(fx=612.0, fy=612.0, cx=320.0, cy=240.0), seed=0)
+    assert choice.model == "radial"
+    assert abs(choice.lens.fx - 600) < 3
+
+
+def test_a_calibrated_focal_length_is_hardly_moved():
+    known = Intrinsics(fx=612.0, fy=612.0, cx=320.0, cy=240.0, calibrated=True)
+    free = Lens(**OPTICS, **SIZE)
+    assert abs(lean_on_stated(free, known, 0.01).fx - 612) < 0.2
+    assert abs(lean_on_stated(free, replace(known, calibrated=False), 0.001).fx - 600) < 0.2
+
+
+def test_a_lens_that_no_model_fits_is_refused():
+    model = _model(-0.1, 4, waves_px=4.0)
+    choose_lens(model, STATED, seed=0)
+    with pytest.raises(ReconstructionError, match="no lens model explains"):
+        require_lens_fits(lens_misfit_px(model), "scan")
+
+
+def test_a_lens_that_a_model_fits_is_accepted():
+    model = _model(-0.1, 4)
+    choose_lens(model, STATED, seed=0)
+    require_lens_fits(lens_misfit_px(model), "scan")
 
 
 def _links(lens: Lens, seed: int, count: int = 250, wrong: int = 40) -> tuple[Links, Camera]:
@@ -88,7 +124,7 @@ def test_one_pinhole_view_stays_a_pinhole(seed):
     assert np.linalg.norm(placed.camera_recon.center - camera.center) < 0.01
     assert placed.count >= 200
     assert not placed.inliers[:40].all()
-    assert not choose_view_lens(links, placed, focal_known=True, seed=0).bends
+    assert not choose_view_lens(links, placed, STATED, None, seed=0).lens.bends
 
 
 def test_one_bent_view_is_found_and_placed():
@@ -96,8 +132,8 @@ def test_one_bent_view_is_found_and_placed():
     links, camera = _links(bent, 5)
     placed = resect(links, plain, focal_known=True, seed=0)
     assert placed is not None
-    choice = choose_view_lens(links, placed, focal_known=True, seed=0)
-    assert choice.bends
+    choice = choose_view_lens(links, placed, STATED, None, seed=0)
+    assert choice.lens.bends
     assert np.abs(choice.lens.pixels([[0.4, 0.3]]) - bent.pixels([[0.4, 0.3]])).max() < 1.0
     again = resect(links, choice.lens, focal_known=True, seed=0)
     assert again is not None
@@ -105,27 +141,23 @@ def test_one_bent_view_is_found_and_placed():
     assert np.linalg.norm(again.camera_recon.center - camera.center) < 0.01
 
 
-def _own_lens(true: Lens, given: Lens, seed: int) -> float:
-    plain = Lens(**OPTICS, **SIZE)
+def _keeps_scan_lens(true: Lens, given: Lens, seed: int) -> bool:
     links, _ = _links(true, seed)
-    placed = resect(links, plain, focal_known=False, seed=0)
+    placed = resect(links, Lens(**OPTICS, **SIZE), focal_known=False, seed=0)
     assert placed is not None
-    c = placed.camera_recon
-    own = Lens(fx=c.fx, fy=c.fy, cx=c.cx, cy=c.cy, **SIZE)
-    return own_lens_significance(links, placed, (given, own), seed=0)
+    return choose_view_lens(links, placed, None, given, seed=0).model == "scan"
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_a_camera_with_the_scans_lens_keeps_it(seed):
     plain = Lens(**OPTICS, **SIZE)
-    assert _own_lens(plain, plain, seed) < OWN_LENS_SIGNIFICANCE
+    assert _keeps_scan_lens(plain, plain, seed)
 
 
 @pytest.mark.parametrize("share", [0.97, 1.02, 1.3])
 def test_a_camera_with_another_focal_length_keeps_its_own(share):
-    plain = Lens(**OPTICS, **SIZE)
     other = Lens(fx=600 * share, fy=600 * share, cx=320, cy=240, **SIZE)
-    assert _own_lens(plain, other, 5) > OWN_LENS_SIGNIFICANCE
+    assert not _keeps_scan_lens(Lens(**OPTICS, **SIZE), other, 5)
 
 
 def test_two_stills_place_a_camera_better_than_one():

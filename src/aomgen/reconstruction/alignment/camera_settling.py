@@ -23,28 +23,31 @@ from aomgen.reconstruction.alignment.clock import estimate_clock
 from aomgen.reconstruction.alignment.contours import View
 from aomgen.reconstruction.alignment.film_outlines import (
     Arm,
-    Film,
     film_of,
-    misfit,
     no_film,
     spread_frames,
     trace,
 )
 from aomgen.reconstruction.alignment.joint_equations import FilmedCamera, JointParams, JointProblem
-from aomgen.reconstruction.alignment.joint_refinement import Refinement, drifts, refine_jointly
-from aomgen.reconstruction.alignment.outline_fit import camera_in_world, reduced, robot_drawing, spread
+from aomgen.reconstruction.alignment.joint_refinement import Refinement, drifts
+from aomgen.reconstruction.alignment.left_out_frames import Take, judge, take_zeros
+from aomgen.reconstruction.alignment.outline_fit import (
+    camera_in_world,
+    gray_levels,
+    reduced,
+    robot_drawing,
+    spread,
+)
 from aomgen.reconstruction.alignment.posture import RobotPosture
-from aomgen.reconstruction.alignment.scan_information import scan_information
+from aomgen.reconstruction.alignment.scan_information import Scanned
 from aomgen.reconstruction.alignment.settled_cameras import SettledCamera
 
 # Scan views that say how well the alignment is known.
 _VIEWS = 24
-# Every fourth frame is left out of the refinement and judges it.
-_JUDGE_EVERY = 4
+# Every other frame is left out of the refinement and judges it.
+_JUDGE_EVERY = 2
 # Frames that must show the arm, of those chosen.
 _MIN_FRAMES = 8
-# Edges that have nothing to do with the arm lie anywhere in reach of its outline, at a misfit of 2/3.
-_MAX_MISFIT = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,13 +95,17 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settlement:
-    """Similarity and fixed cameras after the refinement."""
+    """Similarity, fixed cameras and joint zeros after the refinement; `zeros_rad` (J,) add to the log's joints."""
 
     S_world_recon: Array
     cameras: dict[str, SettledCamera]
+    zeros_rad: Array
+    zero_sds_rad: Array
 
     def __post_init__(self) -> None:
         freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+        freeze(self, "zeros_rad", self.zeros_rad, (None,))
+        freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
 
 
 def settle_fixed_cameras(
@@ -131,41 +138,33 @@ def settle_fixed_cameras(
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in filmed.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
     with robot_drawing(scene.posture, width, height) as drawing:
-        arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine)
+        # Without frames cameras and scan stay where they are.
+        shown = spread(views, S, drawing, _VIEWS) if params.frames else []
+        zeros_rad = np.zeros(len(scene.posture.joints))
+        arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad)
         takes = {name: _take(S, item, clocks[name], arm, params) for name, item in filmed.items()}
         problem = JointProblem(
             S_world_recon=S,
-            information=scan_information(S, spread(views, S, drawing, _VIEWS), drawing),
-            pivot=drawing.pivot,
+            scan=Scanned(
+                views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing
+            ),
             points_recon=scene.points_recon,
             arm=arm,
             cameras={name: _in_problem(filmed[name], take, params) for name, take in takes.items()},
             params=params,
         )
         progress(0.6, "refining cameras and clocks")
-        refinement, takes = _judged(problem, takes)
+        problem, refinement, takes = judge(problem, takes)
+        progress(0.8, "estimating joint zeros")
+        refinement = take_zeros(problem, takes, refinement)
     cameras = {name: _settled(name, item, takes[name], refinement, params) for name, item in filmed.items()}
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
-    return Settlement(S_world_recon=refinement.S_world_recon, cameras=cameras)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Take:
-    """One film, cut.
-
-    Attributes:
-        film: Frames to learn from; empty when the film cannot be used.
-        judges: Frames that judge the answer.
-        clock: First guess, or why there is none.
-        reason: Why the film cannot be used, or was not believed; empty otherwise.
-        calibrated: Whether the hand-eye calibration is leant on.
-    """
-
-    film: Film
-    judges: Film
-    clock: Clock | SyncError
-    reason: str
-    calibrated: bool
+    return Settlement(
+        S_world_recon=refinement.S_world_recon,
+        cameras=cameras,
+        zeros_rad=refinement.zeros_rad,
+        zero_sds_rad=refinement.zero_sds_rad,
+    )
 
 
 def _small(item: Filmed, params: JointParams) -> Camera:
@@ -186,25 +185,25 @@ def _first_clock(scene: Scene, item: Filmed) -> Clock | SyncError:
             return error
 
 
-def _take(S: Array, item: Filmed, clock: Clock | SyncError, arm: Arm, params: JointParams) -> _Take:
+def _take(S: Array, item: Filmed, clock: Clock | SyncError, arm: Arm, params: JointParams) -> Take:
     """Frames to learn from and to judge by, if enough of them show the arm."""
     empty, calibrated = no_film(), item.T_world_cam is not None
     if isinstance(clock, SyncError):
-        return _Take(film=empty, judges=empty, clock=clock, reason=clock.problem, calibrated=calibrated)
+        return Take(film=empty, judges=empty, clock=clock, reason=clock.problem, calibrated=calibrated)
     if not params.frames:
-        return _Take(film=empty, judges=empty, clock=clock, reason="", calibrated=calibrated)
+        return Take(film=empty, judges=empty, clock=clock, reason="", calibrated=calibrated)
     frames = spread_frames(item.video, arm, clock, params.frames * _JUDGE_EVERY // (_JUDGE_EVERY - 1))
     judging = np.arange(len(frames)) % _JUDGE_EVERY == _JUDGE_EVERY // 2
     film, judges = (film_of(item.video, frames[chosen], params.width) for chosen in (~judging, judging))
     camera = camera_in_world(S, _small(item, params))
     shown = len(trace(film, camera, clock, arm, params.points))
     if shown >= _MIN_FRAMES:
-        return _Take(film=film, judges=judges, clock=clock, reason="", calibrated=calibrated)
+        return Take(film=film, judges=judges, clock=clock, reason="", calibrated=calibrated)
     reason = f"{shown} of {len(film.times_s)} frames show the arm, want {_MIN_FRAMES}"
-    return _Take(film=empty, judges=empty, clock=clock, reason=reason, calibrated=calibrated)
+    return Take(film=empty, judges=empty, clock=clock, reason=reason, calibrated=calibrated)
 
 
-def _in_problem(item: Filmed, take: _Take, params: JointParams) -> FilmedCamera:
+def _in_problem(item: Filmed, take: Take, params: JointParams) -> FilmedCamera:
     return FilmedCamera(
         camera_recon=_small(item, params),
         film=take.film,
@@ -213,52 +212,8 @@ def _in_problem(item: Filmed, take: _Take, params: JointParams) -> FilmedCamera:
     )
 
 
-def _judged(problem: JointProblem, takes: dict[str, _Take]) -> tuple[Refinement, dict[str, _Take]]:
-    """The refinement with every film that its left-out frames confirm.
-
-    A calibration that the answer contradicts, or a film whose answer is no better than the question,
-    is left out, and the rest is solved again.
-    """
-    takes, empty = dict(takes), no_film()
-    while True:
-        refinement = refine_jointly(problem)
-        complaint = _complaint(problem, takes, refinement)
-        if complaint is None:
-            return refinement, takes
-        name, reason, calibrated = complaint
-        take, camera = takes[name], problem.cameras[name]
-        if calibrated:
-            takes[name] = replace(take, calibrated=False)
-            camera = replace(camera, T_world_cam=None)
-        else:
-            takes[name] = replace(take, film=empty, judges=empty, reason=reason)
-            camera = replace(camera, film=empty, clock=Clock(offset_s=0.0))
-        problem = replace(problem, cameras=problem.cameras | {name: camera})
-
-
-def _complaint(
-    problem: JointProblem, takes: dict[str, _Take], refinement: Refinement
-) -> tuple[str, str, bool] | None:
-    """The first camera that has to be solved without something: name, reason, whether calibration."""
-    for name, take in takes.items():
-        camera, state = problem.cameras[name], refinement.cameras[name]
-        if camera.T_world_cam is not None and not deviation(camera.T_world_cam, state.camera).within(
-            3 * problem.params.calibration_sd_m, 3 * problem.params.calibration_sd_rad
-        ):
-            return name, "", True
-        if len(take.judges.times_s) and isinstance(take.clock, Clock):
-            start = camera_in_world(problem.S_world_recon, camera.camera_recon)
-            before = misfit(take.judges, start, take.clock, problem.arm)
-            after = misfit(take.judges, state.camera, state.clock, problem.arm)
-            if not after < before:
-                return name, f"frames left out fit worse than before ({after:.3f}, was {before:.3f})", False
-            if not after <= _MAX_MISFIT:
-                return name, f"its film does not show the arm's outlines ({after:.2f} off)", False
-    return None
-
-
 def _settled(
-    name: str, item: Filmed, take: _Take, refinement: Refinement, params: JointParams
+    name: str, item: Filmed, take: Take, refinement: Refinement, params: JointParams
 ) -> SettledCamera:
     state = refinement.cameras[name]
     used = bool(len(take.film.times_s))

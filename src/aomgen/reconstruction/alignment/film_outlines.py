@@ -22,9 +22,10 @@ from aomgen.physics.robot import RobotModel
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.contours import Contour, edge_shifts, outline, shift_jacobian
 from aomgen.reconstruction.alignment.outline_fit import gray_levels
+from aomgen.reconstruction.alignment.posture import RobotPosture
 
 # Columns of the equations: rotation and translation of the robot before the camera, clock offset,
-# drift, bias of the outlines.
+# drift, bias of the outlines; the zero of each arm joint follows.
 POSE, OFFSET, RATE, BIAS = slice(0, 6), 6, 7, 8
 COLUMNS = 9
 # Readings within this time are averaged to beat encoder noise, and differentiated over twice as much, [s].
@@ -34,6 +35,8 @@ _SPEED_S = 0.05
 CLEAR_EDGE = 0.05
 # Neighbouring outline points err together: ten of them count as one.
 TOGETHER = 10.0
+# How far blur, tone curves and simple meshes widen all outlines of one camera, [px].
+BIAS_SD_PX = 1.0
 # A picture of less robot than this share says nothing, one of more has no outline.
 _SHARES = (0.002, 0.7)
 _MIN_POINTS = 20
@@ -57,17 +60,21 @@ class Film:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arm:
-    """The robot with its log and the context that draws it."""
+    """The robot with its log, what is added to each joint of it (J,) [rad], and the context that draws it."""
 
     robot: RobotModel
     log: JointLog
     renderer: SilhouetteRenderer
+    zeros_rad: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "zeros_rad", self.zeros_rad, (self.log.joints.shape[1],))
 
     def states(self, log_times_s: Array) -> tuple[Array, Array]:
         """Joints (T, J) and gripper (T,) at log times (T,), encoder noise averaged."""
         offsets = np.linspace(-_READING_S, _READING_S, 5)
         readings = [self.log.at(log_times_s + offset) for offset in offsets]
-        return np.mean([q for q, _ in readings], 0), np.mean([g for _, g in readings], 0)
+        return np.mean([q for q, _ in readings], 0) + self.zeros_rad, np.mean([g for _, g in readings], 0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,13 +85,17 @@ class Rim:
         frame: Index into the film.
         contour: Its points, world frame.
         velocities: Of the points (C, 3), per second of the log, [m/s].
+        turns: How each joint moves the points (C, J, 3), [m/rad].
         clock: The clock it was drawn under.
+        zeros_rad: The joint zeros (J,) it was drawn under.
     """
 
     frame: int
     contour: Contour
     velocities: Array
+    turns: Array
     clock: Clock
+    zeros_rad: Array
 
 
 def no_film() -> Film:
@@ -134,27 +145,39 @@ def trace(film: Film, camera: Camera, clock: Clock, arm: Arm, points: int) -> li
             continue
         # The outline runs half a pixel outside the pixels it was found on.
         columns, rows = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
-        moves = ((after[k] - before[k]) @ invert(poses[k]) / (2 * _SPEED_S))[bodies[rows, columns]]
+        seen = bodies[rows, columns]
+        moves = ((after[k] - before[k]) @ invert(poses[k]) / (2 * _SPEED_S))[seen]
         velocities = np.einsum("cij,cj->ci", moves[:, :3, :3], contour.points) + moves[:, :3, 3]
-        rims.append(Rim(frame=k, contour=contour, velocities=velocities, clock=clock))
+        posture = RobotPosture(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
+        rims.append(
+            Rim(
+                frame=k,
+                contour=contour,
+                velocities=velocities,
+                turns=posture.turns(contour.points, seen),
+                clock=clock,
+                zeros_rad=arm.zeros_rad,
+            )
+        )
     return rims
 
 
-def moved_rim(rim: Rim, time_s: float, camera: Camera, clock: Clock) -> Rim:
-    """The outline as another camera pose and clock nearby would have it, not drawn again.
+def moved_rim(rim: Rim, time_s: float, camera: Camera, clock: Clock, zeros_rad: Array) -> Rim:
+    """The outline as another camera pose, clock and joint zeros nearby would have it, not drawn again.
 
     Args:
         rim: Drawn outline.
         time_s: Video time of its frame.
         camera: Same size, nearly the same pose.
-        clock: Differs by little from the rim's.
+        clock, zeros_rad: Differ by little from the rim's.
     """
     delay = float(clock.log_times([time_s])[0] - rim.clock.log_times([time_s])[0])
-    points = rim.contour.points + delay * rim.velocities
+    turned = np.einsum("j,cjd->cd", zeros_rad - rim.zeros_rad, rim.turns)
+    points = rim.contour.points + delay * rim.velocities + turned
     contour = replace(
         rim.contour, points=points, pixels=camera.project(points)[0] + 0.5 * rim.contour.normals
     )
-    return replace(rim, contour=contour, clock=clock)
+    return replace(rim, contour=contour, clock=clock, zeros_rad=zeros_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,7 +185,7 @@ class Evidence:
     """Equations of one outline, `jacobian @ step = shifts`.
 
     Attributes:
-        jacobian: (C, COLUMNS), [px] per [rad], [m], [s], 1, [px].
+        jacobian: (C, COLUMNS + J), [px] per [rad], [m], [s], 1, [px], [rad].
         shifts: From the drawn outline to the picture's edge, along the normals (C,), [px].
         clearness: How far the edge is one (C,), 0..1.
     """
@@ -173,15 +196,16 @@ class Evidence:
 
 
 def evidence(film: Film, rim: Rim, camera: Camera, pivot: Array, reach: int) -> Evidence:
-    """What one frame says about pose (about `pivot`), clock and bias."""
+    """What one frame says about pose (about `pivot`), clock, bias and joint zeros."""
     contour = rim.contour
     shifts, strength = edge_shifts(contour, film.grays[rim.frame], reach)
     full = shift_jacobian(camera, contour, pivot)
-    jacobian = np.empty((len(shifts), COLUMNS))
+    jacobian = np.empty((len(shifts), COLUMNS + len(rim.zeros_rad)))
     jacobian[:, POSE] = full[:, :6]
     jacobian[:, OFFSET] = np.einsum("cd,cd->c", full[:, 3:6], rim.velocities)
     jacobian[:, RATE] = jacobian[:, OFFSET] * (film.times_s[rim.frame] - rim.clock.middle_s)
     jacobian[:, BIAS] = 1.0
+    jacobian[:, COLUMNS:] = np.einsum("cd,cjd->cj", full[:, 3:6], rim.turns)
     return Evidence(jacobian=jacobian, shifts=shifts, clearness=np.minimum(strength / CLEAR_EDGE, 1.0))
 
 
@@ -190,20 +214,35 @@ def robust_weights(residuals: Array, clearness: Array, kernel_px: float) -> Arra
     return clearness / (1 + (residuals / kernel_px) ** 2) ** 2
 
 
-def misfit(film: Film, camera: Camera, clock: Clock, arm: Arm, reach: int = 4) -> float:
-    """Mean robust distance, 0..1, of the frames' edges from the outlines drawn; bias is free.
-
-    Infinite when no frame shows the arm.
-    """
-    rims = trace(film, camera, clock, arm, 300)
-    if not rims:
-        return float("inf")
-    found = [evidence(film, rim, camera, np.zeros(3), reach) for rim in rims]
-    shifts = np.concatenate([item.shifts for item in found])
-    clearness = np.concatenate([item.clearness for item in found])
+def common_bias(shifts: Array, clearness: Array, kernel_px: float) -> float:
+    """By how much outlines are drawn too narrow, all over, [px]."""
     bias = 0.0
     for _ in range(5):
-        weights = robust_weights(shifts - bias, clearness, 1.0)
+        weights = robust_weights(shifts - bias, clearness, kernel_px)
         bias = float((weights * shifts).sum() / max(weights.sum(), 1e-9))
-    squares = (shifts - bias) ** 2
-    return float((clearness * squares / (1 + squares)).sum() / max(clearness.sum(), 1e-9))
+    return bias
+
+
+def misfits(film: Film, camera: Camera, clock: Clock, arm: Arm, reach: int = 4) -> Array:
+    """Mean robust distance (F,), 0..1, of each frame's edges from the outline drawn; one bias is free.
+
+    NaN for frames that do not show the arm.
+    """
+    rims = trace(film, camera, clock, arm, 300)
+    costs = np.full(len(film.times_s), np.nan)
+    found = [evidence(film, rim, camera, np.zeros(3), reach) for rim in rims]
+    shifts = np.concatenate([item.shifts for item in found] or [np.zeros(0)])
+    clearness = np.concatenate([item.clearness for item in found] or [np.zeros(0)])
+    bias = common_bias(shifts, clearness, 1.0)
+    for rim, item in zip(rims, found, strict=True):
+        squares = (item.shifts - bias) ** 2
+        total = max(item.clearness.sum(), 1e-9)
+        costs[rim.frame] = float((item.clearness * squares / (1 + squares)).sum() / total)
+    return costs
+
+
+def misfit(film: Film, camera: Camera, clock: Clock, arm: Arm) -> float:
+    """Mean of `misfits` over the frames; infinite when none shows the arm."""
+    costs = misfits(film, camera, clock, arm)
+    shown = costs[~np.isnan(costs)]
+    return float(shown.mean()) if len(shown) else float("inf")

@@ -11,6 +11,7 @@ from aomgen.core.transforms import rotvec_from_matrix, skew
 from aomgen.core.values import Array
 from aomgen.reconstruction.alignment.film_outlines import (
     BIAS,
+    BIAS_SD_PX,
     COLUMNS,
     OFFSET,
     RATE,
@@ -23,7 +24,7 @@ from aomgen.reconstruction.alignment.film_outlines import (
     moved_rim,
     robust_weights,
 )
-from aomgen.reconstruction.alignment.scan_information import structure_rows
+from aomgen.reconstruction.alignment.scan_information import Scanned, structure_rows
 
 # Stretches of a film that are left out in turn.
 _STRETCHES = 8
@@ -47,6 +48,7 @@ class JointParams:
         max_drift_s: A drift that shifts the ends of the film by less than this against one another is
             none: 20 ms at either end are 6 mm of an arm that moves at 0.3 m/s, [s].
         drift_sds: Standard deviations that a drift has to be away from none.
+        zero_sd_rad: How far the zero of a joint of a mastered arm is off; next to 0 keeps the log's.
     """
 
     frames: int = 32
@@ -59,6 +61,7 @@ class JointParams:
     min_sd_s: float = 0.001
     max_drift_s: float = 0.04
     drift_sds: float = 4.0
+    zero_sd_rad: float = float(np.radians(0.3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,8 +96,7 @@ class JointProblem:
 
     Attributes:
         S_world_recon: The alignment's answer (4, 4).
-        information: Of a motion of the robot (7, 7) before the scan views, about `pivot`.
-        pivot: World point (3,), [m].
+        scan: Views of the robot as scanned.
         points_recon: The structure's points (P, 3).
         arm: Robot, log and drawing.
         cameras: By name.
@@ -102,34 +104,67 @@ class JointProblem:
     """
 
     S_world_recon: Array
-    information: Array
-    pivot: Array
+    scan: Scanned
     points_recon: Array
     arm: Arm
     cameras: dict[str, FilmedCamera]
     params: JointParams = field(default_factory=JointParams)
 
+    @property
+    def pivot(self) -> Array:
+        """World point (3,) that motions turn about, [m]."""
+        return self.scan.drawing.pivot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Columns:
+    """Where the unknowns stand: similarity (7), joint zeros (J), then COLUMNS for each camera."""
+
+    joints: int
+    cameras: int
+
+    @property
+    def count(self) -> int:
+        """Of all unknowns."""
+        return 7 + self.joints + COLUMNS * self.cameras
+
+    @property
+    def zeros(self) -> slice:
+        """Of the joint zeros."""
+        return slice(7, 7 + self.joints)
+
+    def camera(self, k: int) -> slice:
+        """Of camera `k`."""
+        start = 7 + self.joints + COLUMNS * k
+        return slice(start, start + COLUMNS)
+
+    def film(self, k: int) -> NDArray[np.int64]:
+        """What the film of camera `k` tells of, in the order of `Evidence.jacobian`."""
+        every = np.arange(self.count)
+        return np.concatenate([every[self.camera(k)], every[self.zeros]])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Normal equations of one camera's film, and those of each stretch of it."""
+    """Normal equations of one camera's film, and those of each stretch of it; see `Columns.film`."""
 
     A: Array
     b: Array
     stretches: list[tuple[Array, Array]]
 
 
-def columns_of(k: int) -> slice:
-    return slice(7 + COLUMNS * k, 7 + COLUMNS * (k + 1))
-
-
 def camera_block(
-    problem: JointProblem, name: str, state: CameraState, rims: list[Rim], search: tuple[int, float]
+    problem: JointProblem,
+    name: str,
+    state: CameraState,
+    zeros_rad: Array,
+    rims: list[Rim],
+    search: tuple[int, float],
 ) -> Block:
     film, (reach, kernel) = problem.cameras[name].film, search
     found: list[tuple[int, Evidence]] = []
     for rim in rims:
-        here = moved_rim(rim, film.times_s[rim.frame], state.camera, state.clock)
+        here = moved_rim(rim, film.times_s[rim.frame], state.camera, state.clock, zeros_rad)
         found.append((rim.frame, evidence(film, here, state.camera, problem.pivot, reach)))
     parts, squares, total = [], 0.0, 0.0
     for frame, item in found:
@@ -146,7 +181,8 @@ def camera_block(
         mine = [part for part, at in zip(parts, stretch, strict=True) if at == index]
         if mine:
             stretches.append((scale * sum(A for _, A, _ in mine), scale * sum(b for _, _, b in mine)))
-    zero = (np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS))
+    size = COLUMNS + len(zeros_rad)
+    zero = (np.zeros((size, size)), np.zeros(size))
     return Block(
         A=sum((A for A, _ in stretches), zero[0]),
         b=sum((b for _, b in stretches), zero[1]),
@@ -155,24 +191,34 @@ def camera_block(
 
 
 def assemble(
-    problem: JointProblem, blocks: dict[str, Block], S: Array, moved: Array, states: dict[str, CameraState]
+    problem: JointProblem,
+    scan: tuple[Array, Array],
+    blocks: dict[str, Block],
+    S: Array,
+    zeros_rad: Array,
+    states: dict[str, CameraState],
 ) -> tuple[Array, Array]:
-    """Normal equations of all unknowns: similarity (7), then COLUMNS for each camera."""
-    size = 7 + COLUMNS * len(blocks)
-    A, b = 1e-9 * np.eye(size), np.zeros(size)
-    A[:7, :7] += problem.information
-    b[:7] -= problem.information @ moved
+    """Normal equations of all unknowns, see `Columns`."""
+    columns = Columns(joints=len(zeros_rad), cameras=len(blocks))
+    A, b = 1e-9 * np.eye(columns.count), np.zeros(columns.count)
+    robot = slice(0, columns.zeros.stop)
+    A[robot, robot] += scan[0]
+    b[robot] += scan[1]
+    prior = 1 / problem.params.zero_sd_rad**2
+    A[columns.zeros, columns.zeros] += prior * np.eye(columns.joints)
+    b[columns.zeros] -= prior * zeros_rad
     for k, (name, block) in enumerate(blocks.items()):
-        at, item, state = columns_of(k), problem.cameras[name], states[name]
-        A[at, at] += block.A
-        b[at] += block.b
+        at, item, state = columns.camera(k), problem.cameras[name], states[name]
+        film = columns.film(k)
+        A[np.ix_(film, film)] += block.A
+        b[film] += block.b
         pose = np.arange(at.start, at.start + 6)
         _add(A, b, np.concatenate([pose, np.arange(7)]), _structure_prior(problem, item, state, S))
         if item.T_world_cam is not None:
             _add(A, b, pose, _calibration_prior(problem, item.T_world_cam, state))
         first = at.start
-        A[first + BIAS, first + BIAS] += 1.0
-        b[first + BIAS] -= state.bias_px
+        A[first + BIAS, first + BIAS] += 1 / BIAS_SD_PX**2
+        b[first + BIAS] -= state.bias_px / BIAS_SD_PX**2
         if not item.clock.sd_s > 0:
             A[first + OFFSET, first + OFFSET] += FIXED
             A[first + RATE, first + RATE] += FIXED

@@ -1,8 +1,8 @@
 """Similarity, fixed cameras and clocks in one least-squares problem, from the films of the arm.
 
-Unknown are a correction of `S_world_recon`, and for each fixed camera its pose, the offset and drift
-of its clock and the bias of its outlines. Evidence are the outlines of the arm in the films
-(`film_outlines`), the alignment's own answer with its information, the place that structure from
+Unknown are a correction of `S_world_recon`, the zero of each arm joint, and for each fixed camera its
+pose, the offset and drift of its clock and the bias of its outlines. Evidence are the outlines of the arm in the films
+(`film_outlines`) and in scan views (`scan_information`), the place that structure from
 motion gave each camera, and hand-eye calibrations. Frames that had no part in it decide whether a
 camera's answer is taken. Source: Gauss-Newton with Geman and McClure's weights; DESIGN, "Alignment".
 """
@@ -16,7 +16,6 @@ from aomgen.core.transforms import invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.reconstruction.alignment.film_outlines import (
     BIAS,
-    COLUMNS,
     OFFSET,
     POSE,
     RATE,
@@ -27,58 +26,82 @@ from aomgen.reconstruction.alignment.joint_equations import (
     FIXED,
     Block,
     CameraState,
+    Columns,
     JointParams,
     JointProblem,
     assemble,
     camera_block,
-    columns_of,
 )
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world, moved_similarity
+from aomgen.reconstruction.alignment.scan_information import ScanRim, scan_block, trace_scan
 
 # Search reach and kernel of each drawing, [px]; and solves between two drawings.
-_ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0), (4, 1.0))
+_ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
 _SOLVES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refinement:
-    """The joint answer; `cameras` hold clocks with their standard deviations."""
+    """The joint answer.
+
+    Attributes:
+        S_world_recon: (4, 4).
+        cameras: With clocks and their standard deviations, by name.
+        zeros_rad, zero_sds_rad: What to add to each joint of the log (J,), and standard deviations.
+    """
 
     S_world_recon: Array
     cameras: dict[str, CameraState]
+    zeros_rad: Array
+    zero_sds_rad: Array
 
     def __post_init__(self) -> None:
         freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+        freeze(self, "zeros_rad", self.zeros_rad, (None,))
+        freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
 
 
-def refine_jointly(problem: JointProblem) -> Refinement:
+def refine_jointly(problem: JointProblem, near: Refinement | None = None) -> Refinement:
     """Solve; a clock in the answer drifts only where the film says so clearly.
 
     A camera whose film is empty is placed by structure and calibration alone.
 
+    Args:
+        problem: The evidence.
+        near: An answer to start from, when there is one: the search begins with less reach.
+
     Not checked: that the answer is better than the question; see `film_outlines.misfit`.
     """
-    S = problem.S_world_recon
+    S = problem.S_world_recon if near is None else near.S_world_recon
     states = {
         name: CameraState(camera=camera_in_world(S, item.camera_recon), clock=item.clock)
         for name, item in problem.cameras.items()
     }
-    now = _Solution(S=S, moved=np.zeros(7), states=states, sds=np.zeros(7 + COLUMNS * len(states)))
+    if near is not None:
+        states = near.cameras
+    zeros = problem.arm.zeros_rad
+    columns = Columns(joints=len(zeros), cameras=len(states))
+    now = _Solution(columns=columns, S=S, zeros=zeros, states=states, sds=np.zeros(columns.count))
     rims: dict[str, list[Rim]] = {}
-    for reach, kernel in _ROUNDS:
+    scan_rims: list[ScanRim] = []
+    for reach, kernel in _ROUNDS[0 if near is None else 1 :]:
+        arm = replace(problem.arm, zeros_rad=now.zeros)
         rims = {
             name: trace(
-                item.film, now.states[name].camera, now.states[name].clock, problem.arm, problem.params.points
+                item.film, now.states[name].camera, now.states[name].clock, arm, problem.params.points
             )
             for name, item in problem.cameras.items()
         }
-        now = _solved(problem, now, rims, (reach, kernel), frozenset())
+        scan_rims = trace_scan(problem.scan, now.S, now.zeros)
+        now = _solved(problem, now, (scan_rims, rims), (reach, kernel), frozenset())
     steady = frozenset(
         name for k, name in enumerate(states) if not _drifts(problem, name, now.clock_of(k, name))
     )
-    now = _solved(problem, now, rims, (_ROUNDS[-1][0], _ROUNDS[-1][1]), steady)
+    now = _solved(problem, now, (scan_rims, rims), (_ROUNDS[-1][0], _ROUNDS[-1][1]), steady)
     return Refinement(
         S_world_recon=now.S,
+        zeros_rad=now.zeros,
+        zero_sds_rad=now.sds[columns.zeros],
         cameras={
             name: replace(state, clock=_settled(problem, name, now.clock_of(k, name), steady=name in steady))
             for k, (name, state) in enumerate(now.states.items())
@@ -88,42 +111,49 @@ def refine_jointly(problem: JointProblem) -> Refinement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Solution:
-    """Where the search stands: similarity, its motion so far (7,), cameras, deviations of all unknowns."""
+    """Where the search stands: similarity, joint zeros, cameras, deviations of all unknowns."""
 
+    columns: Columns
     S: Array
-    moved: Array
+    zeros: Array
     states: dict[str, CameraState]
     sds: Array
 
     def clock_of(self, k: int, name: str) -> Clock:
-        sds = self.sds[columns_of(k)]
+        sds = self.sds[self.columns.camera(k)]
         return replace(self.states[name].clock, sd_s=float(sds[OFFSET]), rate_sd=float(sds[RATE]))
 
 
 def _solved(
     problem: JointProblem,
     start: _Solution,
-    rims: dict[str, list[Rim]],
+    drawn: tuple[list[ScanRim], dict[str, list[Rim]]],
     search: tuple[int, float],
     steady: frozenset[str],
 ) -> _Solution:
     """Some Gauss-Newton steps on outlines drawn once; clocks of `steady` cameras do not drift."""
-    S, moved, states = start.S, start.moved, start.states
+    (scan_rims, rims), columns = drawn, start.columns
+    S, zeros, states = start.S, start.zeros, start.states
     for _ in range(_SOLVES):
-        blocks = {name: camera_block(problem, name, states[name], rims[name], search) for name in states}
-        A, b = assemble(problem, blocks, S, moved, states)
+        blocks = {
+            name: camera_block(problem, name, states[name], zeros, rims[name], search) for name in states
+        }
+        scan = scan_block(problem.scan, scan_rims, S, zeros, search)
+        A, b = assemble(problem, scan, blocks, S, zeros, states)
         for k, name in enumerate(states):
             if name in steady:
-                at = 7 + COLUMNS * k + RATE
+                at = columns.camera(k).start + RATE
                 A[at, at] += FIXED
                 b[at] -= FIXED * states[name].clock.rate
         step: Array = np.asarray(np.linalg.solve(A, b), np.float64)
-        S, moved = moved_similarity(S, step[:7], problem.pivot), moved + step[:7]
+        S = moved_similarity(S, step[:7], problem.pivot)
+        zeros = zeros + step[columns.zeros]
         states = {
-            name: _moved_state(states[name], step[columns_of(k)], problem.pivot)
+            name: _moved_state(states[name], step[columns.camera(k)], problem.pivot)
             for k, name in enumerate(states)
         }
-    return _Solution(S=S, moved=moved, states=states, sds=_spread(A, b, blocks))
+    sds = _spread(A, b, columns, blocks)
+    return _Solution(columns=columns, S=S, zeros=zeros, states=states, sds=sds)
 
 
 def _drifts(problem: JointProblem, name: str, clock: Clock) -> bool:
@@ -160,7 +190,7 @@ def _moved_state(state: CameraState, step: Array, pivot: Array) -> CameraState:
     )
 
 
-def _spread(A: Array, b: Array, blocks: dict[str, Block]) -> Array:
+def _spread(A: Array, b: Array, columns: Columns, blocks: dict[str, Block]) -> Array:
     """Standard deviations of all unknowns: the larger of formal ones and those over stretches of time.
 
     Leaving out stretches tells what the formal ones do not know: shadows, hidden hands and log noise
@@ -169,10 +199,10 @@ def _spread(A: Array, b: Array, blocks: dict[str, Block]) -> Array:
     formal = np.sqrt(np.diag(np.linalg.inv(A)))
     answers = []
     for k, block in enumerate(blocks.values()):
-        at = columns_of(k)
+        at = columns.film(k)
         for A_left, b_left in block.stretches:
             A_rest, b_rest = A.copy(), b.copy()
-            A_rest[at, at] -= A_left
+            A_rest[np.ix_(at, at)] -= A_left
             b_rest[at] -= b_left
             answers.append(np.linalg.solve(A_rest, b_rest))
     if len(answers) < 2:

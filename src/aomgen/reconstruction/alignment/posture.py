@@ -55,6 +55,14 @@ class RobotPosture:
         """Velocity fields (J, 4, 4): a joint moves a point p behind it by `M[:3] @ [p, 1]`, [1/rad]."""
         return self._turned()[0]
 
+    def turns(self, points: Array, bodies: NDArray[np.integer]) -> Array:
+        """How each joint moves points (C, 3) on bodies (C,): velocities (C, J, 3), [m/rad]."""
+        motions, segments = self._turned()
+        moves = np.einsum("jab,cb->cja", motions[:, :3, :3], points) + motions[:, :3, 3]
+        return np.asarray(
+            moves * (segments[bodies][:, None] > np.arange(len(motions)))[..., None], np.float64
+        )
+
     def _turned(self) -> tuple[Array, NDArray[np.int64]]:
         rows = np.tile(self.joints, (len(self.joints) + 1, 1))
         rows[1:] += _TURN_RAD * np.eye(len(self.joints))

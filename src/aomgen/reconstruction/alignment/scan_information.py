@@ -1,39 +1,102 @@
-"""What the scan says about alignment and fixed cameras, as information for the joint refinement."""
+"""What the scan says about alignment, joint zeros and fixed cameras in the joint refinement."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.reconstruction.alignment.contours import View, edge_shifts, shift_jacobian
-from aomgen.reconstruction.alignment.film_outlines import CLEAR_EDGE, TOGETHER, robust_weights
-from aomgen.reconstruction.alignment.outline_fit import RobotDrawing, camera_in_world, gray_levels
+from aomgen.reconstruction.alignment.contours import (
+    Contour,
+    View,
+    edge_shifts,
+    shift_jacobian,
+)
+from aomgen.reconstruction.alignment.film_outlines import (
+    BIAS_SD_PX,
+    CLEAR_EDGE,
+    TOGETHER,
+    common_bias,
+    robust_weights,
+)
+from aomgen.reconstruction.alignment.outline_fit import RobotDrawing, camera_in_world
 
-_REACH_PX = 4
 _POINTS = 400
+# Information that holds similarity and joints where they are, when no view is looked at.
+_HELD = 1e12
 
 
-def scan_information(S_world_recon: Array, views: list[View], drawing: RobotDrawing) -> Array:
-    """Information (7, 7) of the outlines in scan views about a motion of the robot, about its middle.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scanned:
+    """The scan as the joint refinement looks at it: views of the size to be drawn, with gray levels."""
 
-    Args:
-        S_world_recon: The alignment (4, 4), which fits these views.
-        views: Scan images of the size to be drawn.
-        drawing: Robot as scanned.
+    views: list[View]
+    grays: list[NDArray[np.float32]]
+    drawing: RobotDrawing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanRim:
+    """The robot's outline as drawn for one scan view.
+
+    Attributes:
+        view: Index of the view.
+        contour: Its points, world frame.
+        turns: How each joint moves the points (C, J, 3), [m/rad].
+        zeros_rad: The joint zeros (J,) it was drawn under.
     """
-    pivot = drawing.pivot
-    A, squares, total = np.zeros((7, 7)), 0.0, 0.0
-    for view in views:
+
+    view: int
+    contour: Contour
+    turns: Array
+    zeros_rad: Array
+
+
+def trace_scan(scan: Scanned, S_world_recon: Array, zeros_rad: Array) -> list[ScanRim]:
+    """Outlines of the robot as scanned, with joint zeros, in the views that show enough of it."""
+    posture = replace(scan.drawing.posture, joints=scan.drawing.posture.joints + zeros_rad)
+    drawing = replace(scan.drawing, posture=posture)
+    rims = []
+    for index, view in enumerate(scan.views):
+        drawn = drawing.draw(camera_in_world(S_world_recon, view.camera_recon), _POINTS)
+        if drawn is not None:
+            turns = posture.turns(drawn.contour.points, drawn.bodies)
+            rims.append(ScanRim(view=index, contour=drawn.contour, turns=turns, zeros_rad=zeros_rad))
+    return rims
+
+
+def scan_block(
+    scan: Scanned, rims: list[ScanRim], S_world_recon: Array, zeros_rad: Array, search: tuple[int, float]
+) -> tuple[Array, Array]:
+    """Normal equations (7 + J) of a motion of the robot before all views, and of joint zeros.
+
+    All outlines may be drawn too wide or too narrow by one bias.
+    """
+    (reach, kernel), rows, every, clear = search, [], [], []
+    for rim in rims:
+        view = scan.views[rim.view]
         camera = camera_in_world(S_world_recon, view.camera_recon)
-        drawn = drawing.draw(camera, _POINTS)
-        if drawn is None:
-            continue
-        shifts, strength = edge_shifts(drawn.contour, gray_levels(view.image_srgb), _REACH_PX)
-        weights = robust_weights(shifts, np.minimum(strength / CLEAR_EDGE, 1.0), 1.0)
-        J = shift_jacobian(camera, drawn.contour, pivot)
-        A += J.T @ (weights[:, None] * J)
-        squares, total = squares + float(weights @ shifts**2), total + float(weights.sum())
-    return A / (TOGETHER * max(squares / max(total, 1e-9), 0.01))
+        points = rim.contour.points + np.einsum("j,cjd->cd", zeros_rad - rim.zeros_rad, rim.turns)
+        contour = replace(rim.contour, points=points).seen_by(camera)
+        shifts, strength = edge_shifts(contour, scan.grays[rim.view], reach)
+        J = np.ones((len(shifts), 8 + len(zeros_rad)))
+        J[:, :7] = shift_jacobian(camera, contour, scan.drawing.pivot)
+        J[:, 7:-1] = np.einsum("cd,cjd->cj", J[:, 3:6], rim.turns)
+        rows.append(J)
+        every.append(shifts)
+        clear.append(np.minimum(strength / CLEAR_EDGE, 1.0))
+    if not rows:
+        return _HELD * np.eye(7 + len(zeros_rad)), np.zeros(7 + len(zeros_rad))
+    J, shifts, clearness = np.concatenate(rows), np.concatenate(every), np.concatenate(clear)
+    residuals = shifts - common_bias(shifts, clearness, kernel)
+    weights = robust_weights(residuals, clearness, kernel)
+    scale = 1 / (TOGETHER * max(float(weights @ residuals**2 / max(weights.sum(), 1e-9)), 0.01))
+    A, b = scale * J.T @ (weights[:, None] * J), scale * J.T @ (weights * residuals)
+    A[-1, -1] += 1 / BIAS_SD_PX**2
+    bias = A[:-1, -1]
+    return A[:-1, :-1] - np.outer(bias, bias) / A[-1, -1], b[:-1] - bias * b[-1] / A[-1, -1]
 
 
 def structure_rows(

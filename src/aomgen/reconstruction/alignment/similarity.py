@@ -87,7 +87,9 @@ class Alignment:
         residual_px: Median distance of confirmed outline points from image edges.
         residual_px_of_view: The same for each view that shows enough robot.
         ee_sd_m: Standard deviation of the end effector.
-        joint_offsets_rad: What the images would add to each joint value (J,).
+        joint_zeros_rad: What to add to each joint of the log (J,), see `settle_fixed_cameras`; 0 where
+            nothing speaks for it, empty before that was looked at.
+        joint_zero_sds_rad: Standard deviations.
     """
 
     S_world_recon: Array
@@ -97,11 +99,13 @@ class Alignment:
     residual_px: float
     residual_px_of_view: dict[str, float]
     ee_sd_m: float
-    joint_offsets_rad: Array = field(default_factory=lambda: np.zeros(0))
+    joint_zeros_rad: Array = field(default_factory=lambda: np.zeros(0))
+    joint_zero_sds_rad: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-        freeze(self, "joint_offsets_rad", self.joint_offsets_rad, (None,))
+        freeze(self, "joint_zeros_rad", self.joint_zeros_rad, (None,))
+        freeze(self, "joint_zero_sds_rad", self.joint_zero_sds_rad, (len(self.joint_zeros_rad),))
 
 
 def align(
@@ -148,11 +152,10 @@ def align(
         _refuse_unconfirmed(confirmed, runner_up, posture, params)
         hand = best_hand_turn(S, chosen[::2], drawing, params.contour_points, evidence)
         _refuse_turned_hand(hand, posture)
-    offsets_rad = _refuse_wrong_joints(evidence, posture, params)
+    _refuse_wrong_joints(evidence, posture, params)
     result = replace(
         _summary(S @ S_unit_recon, evidence, confirmed),
         runner_up_support=runner_up,
-        joint_offsets_rad=offsets_rad,
         ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
     )
     _refuse_vague(result, params)
@@ -275,7 +278,7 @@ def _refuse_unconfirmed(
 
 def _refuse_wrong_joints(
     evidence: list[ViewEvidence], posture: RobotPosture, params: AlignmentParams
-) -> Array:
+) -> None:
     found = joint_offsets(evidence)
     sizes = np.abs(found.offsets_rad)
     wrong = (sizes > params.max_joint_offset_rad) & (sizes > params.joint_sds * found.sds_rad)
@@ -289,7 +292,6 @@ def _refuse_wrong_joints(
             f"(+-{sd_deg:.1f}, limit {np.degrees(params.max_joint_offset_rad):.0f})",
             "check scan_state: the joint values must be those during the scan",
         )
-    return found.offsets_rad
 
 
 def _refuse_turned_hand(found: HandTurn, posture: RobotPosture) -> None:

@@ -114,7 +114,8 @@ def save_alignment(result: Alignment, folder: Path) -> None:
             "residual_px": result.residual_px,
             "residual_px_of_view": result.residual_px_of_view,
             "ee_sd_m": result.ee_sd_m,
-            "joint_offsets_rad": result.joint_offsets_rad,
+            "joint_zeros_rad": result.joint_zeros_rad,
+            "joint_zero_sds_rad": result.joint_zero_sds_rad,
         },
     )
 

@@ -78,7 +78,7 @@ def places_in_boxes(
     Source: own; the box sides are what a projected convex hull must touch.
     """
     middle = (vertices_world.min(0) + vertices_world.max(0)) / 2
-    hull = _support_points(vertices_world - middle, rng)
+    hull = _outline_points(vertices_world - middle, rng)
     Rs_world_recon = _headings(ups_recon, rng, count)
     turned = hull @ Rs_world_recon
     center, depth, size = _guesses(boxes, points_recon, float(np.ptp(hull, axis=0).max()), rng, count)
@@ -113,10 +113,13 @@ def places_in_boxes(
     return Places(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
 
 
-def _support_points(points: Array, rng: np.random.Generator, directions: int = 150) -> Array:
-    """Those points that lie farthest in some direction: what the extent of a projection needs."""
-    sampled = rng.normal(size=(directions, 3))
-    return points[np.unique(np.argmax(points @ sampled.T, axis=0))]
+def _outline_points(points: Array, rng: np.random.Generator, count: int = 150) -> Array:
+    """Those points that lie farthest in some direction: what the extent of a projection needs.
+
+    As many others say how far that part of the robot reaches which the image border leaves.
+    """
+    farthest = np.argmax(points @ rng.normal(size=(3, count)), axis=0)
+    return points[np.unique(np.concatenate([farthest, rng.integers(len(points), size=count)]))]
 
 
 def _headings(ups: list[Array], rng: np.random.Generator, count: int) -> Array:
@@ -201,14 +204,25 @@ def _gaps(
     points_cam = apply(camera.T_cam_world, points)
     near = 0.05 * np.abs(points_cam[..., 2]).mean(1, keepdims=True) + 1e-6
     z = np.maximum(points_cam[..., 2], near)
+    pixels = np.stack(
+        [
+            camera.fx * points_cam[..., 0] / z + camera.cx,
+            camera.fy * points_cam[..., 1] / z + camera.cy,
+        ],
+        -1,
+    )
+    # A box is drawn around what the picture shows of the robot.
+    shown = (pixels >= 0) & (pixels <= [camera.width, camera.height])
     span = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     rows = np.arange(len(points))
     gaps, J = np.empty((len(points), 4)), np.empty((len(points), 4, 4))
     for side in range(4):
         axis = side % 2
-        focal, middle = (camera.fx, camera.cx) if axis == 0 else (camera.fy, camera.cy)
-        seen = focal * points_cam[..., axis] / z + middle
-        extreme = np.argmin(seen, axis=1) if side < 2 else np.argmax(seen, axis=1)
+        focal = camera.fx if axis == 0 else camera.fy
+        seen = pixels[..., axis]
+        beside = ~shown[..., 1 - axis] & shown[..., 1 - axis].any(1, keepdims=True)
+        outwards = -1 if side < 2 else 1
+        extreme = np.argmax(np.where(beside, -np.inf, outwards * seen), axis=1)
         gaps[:, side] = (seen[rows, extreme] - sides[:, side]) / span[side]
         zs, p = z[rows, extreme], points_cam[rows, extreme]
         along = focal * (R[axis] / zs[:, None] - p[:, axis, None] * R[2] / zs[:, None] ** 2) / span[side]

@@ -12,12 +12,10 @@ from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.cameras.mapped import Mapped
 from aomgen.reconstruction.cameras.mapping import Workspace
 from aomgen.reconstruction.cameras.resection import (
-    OWN_LENS_SIGNIFICANCE,
     Links,
     Resection,
     agree,
     choose_view_lens,
-    own_lens_significance,
     resect,
 )
 
@@ -39,7 +37,7 @@ class DemoView:
     Attributes:
         first_srgb: (H, W, 3) uint8, robot as in the scan.
         median_srgb: (H, W, 3) uint8, most of the moving arm gone.
-        intrinsics: Known intrinsics, or None to estimate the focal length.
+        intrinsics: Stated intrinsics, a prior, or None.
     """
 
     first_srgb: NDArray[np.uint8]
@@ -62,35 +60,32 @@ class FixedCamera:
     figures: dict[str, object]
 
 
-def place_fixed_camera(work: Workspace, mapped: Mapped, name: str, view: DemoView) -> FixedCamera:
-    """Find a fixed camera, and its lens when nothing is known about that.
+def place_fixed_camera(
+    work: Workspace, mapped: Mapped, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
+) -> FixedCamera:
+    """Find a fixed camera and its lens.
+
+    A camera with the scan's image size and statement, or with none, may be the one that scanned.
 
     Raises:
         ReconstructionError: Neither still can be placed, or they contradict each other and
             neither is clearly better.
     """
     group = f"demo:{name}"
-    focal_known = view.intrinsics is not None
-    lens = work.lens(group)
+    stated, lens = view.intrinsics, work.lens(group)
+    focal_known = stated is not None
     found = _placed(work, mapped, group, lens, focal_known=focal_known)
     figures: dict[str, object] = {}
-    if found and (view.intrinsics is None or view.intrinsics.distortion is None):
+    if found:
         still, best = max(found.items(), key=lambda item: item[1].count)
-        choice = choose_view_lens(
-            work.links(group, still, mapped), best, focal_known=focal_known, seed=work.seed
-        )
-        figures |= {"distortion_gain": choice.gain, "distortion_significance": choice.significance}
-        if choice.bends:
-            lens = choice.lens
-            work.set_lens(group, lens)
-            found = _placed(work, mapped, group, lens, focal_known=focal_known)
-    if found and not focal_known and (lens.width, lens.height) == (mapped.lens.width, mapped.lens.height):
-        significance = _own_lens(work, mapped, group, lens, found)
-        figures["own_lens_significance"] = significance
-        if significance < OWN_LENS_SIGNIFICANCE:
-            lens, focal_known = mapped.lens, True
-            work.set_lens(group, lens)
-            found = _placed(work, mapped, group, lens, focal_known=True)
+        same = (lens.width, lens.height) == (mapped.lens.width, mapped.lens.height)
+        scan_lens = mapped.lens if same and stated in (None, scan_intrinsics) else None
+        links = work.links(group, still, mapped)
+        choice = choose_view_lens(links, best, stated, scan_lens, seed=work.seed)
+        figures |= {"lens": choice.model, "lens_gain": choice.gain, "lens_significance": choice.significance}
+        lens, focal_known = choice.lens, True
+        work.set_lens(group, lens)
+        found = _placed(work, mapped, group, lens, focal_known=True)
     used, reason = _chosen(name, found)
     best = found[used[0]]
     if len(used) == 2:
@@ -103,16 +98,7 @@ def place_fixed_camera(work: Workspace, mapped: Mapped, name: str, view: DemoVie
     if len(found) == 2:
         apart = agree(found["first"], found["median"])
         figures |= {"disagreement_deg": apart.angle_deg, "disagreement_share": apart.distance_share}
-    if not lens.bends:
-        lens = _pinhole(camera)
     return FixedCamera(camera_recon=camera, lens=lens, figures=figures)
-
-
-def _own_lens(work: Workspace, mapped: Mapped, group: str, lens: Lens, found: dict[str, Resection]) -> float:
-    """Standard errors by which the camera's own lens is better than the scan's."""
-    still, best = max(found.items(), key=lambda item: item[1].count)
-    own = lens if lens.bends else _pinhole(best.camera_recon)
-    return own_lens_significance(work.links(group, still, mapped), best, (mapped.lens, own), seed=work.seed)
 
 
 def _links(work: Workspace, mapped: Mapped, group: str, stills: tuple[str, ...]) -> Links:
@@ -120,12 +106,6 @@ def _links(work: Workspace, mapped: Mapped, group: str, stills: tuple[str, ...])
     for other in others:
         first = first.with_links(other)
     return first
-
-
-def _pinhole(camera: Camera) -> Lens:
-    return Lens(
-        fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy, width=camera.width, height=camera.height
-    )
 
 
 def _placed(

@@ -1,74 +1,140 @@
-"""Is there lens distortion? Decided on evidence that the fit has not seen.
+"""Which lens model a scan supports, decided on tracks that the fit has not seen.
 
-A lens with four more parameters always fits better what it was fitted to. So the tracks are split
-in two halves: cameras and optics are adjusted on one half, as a pinhole and with distortion, and
-both answers have to explain the other half, where only the points may move.
+A richer model always fits better what it was fitted to. So the tracks are split in two halves:
+cameras and optics are adjusted on one half under each model, and every answer has to explain the
+other half, where only the points may move. Where no richer model wins, the stated values stay.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
 
 from aomgen.core.lens import Lens
+from aomgen.core.recording import Intrinsics
 from aomgen.core.values import Array
-from aomgen.reconstruction.cameras.mapped import adjust, lens_of, opencv_params
+from aomgen.reconstruction.cameras.mapped import (
+    LensModel,
+    adjust,
+    camera_lens,
+    free_lens,
+    set_lens,
+)
 
-# Held-out evidence for distortion: the mean gain over images in standard errors of that mean, and
-# the share of the squared error it removes. Pinhole captures stay below 0 and -0.1 %; a lens that
-# bends the border by a pixel and a half gives 5 standard errors and 0.7 %.
-MIN_SIGNIFICANCE = 4.0
+# Held-out evidence for a richer model: the mean gain over images in standard errors of that mean, and
+# the share of the squared error it removes. Where the simpler model is right they stay below 1 and 0.1 %;
+# a lens that bends the border by two pixels, or a focal length 2 % off, gives 4 to 6 and 2 %.
+MIN_SIGNIFICANCE = 3.0
 MIN_GAIN = 0.005
 # Errors above this many medians are outliers and count no more than this.
-OUTLIER_MEDIANS = 4.0
-MAX_ITERATIONS = 30
+OUTLIER_MEDIANS = 2.0
+# What focal lengths from two halves of a scan repeat to at best, as a share: blur and compression
+# move the features of both halves alike.
+MIN_FOCAL_SD = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensChoice:
-    """What held-out tracks say about distortion.
+    """What held-out tracks say about the lens.
 
     Attributes:
-        lens: The fit with distortion.
-        gain: Share of the pinhole's squared held-out error that distortion removes.
+        lens: Fitted to all tracks under the chosen model.
+        model: What was refined.
+        gain: Share of the squared held-out error that the richest model tried removes.
         significance: Mean gain of the images in standard errors.
     """
 
     lens: Lens
-    gain: float
-    significance: float
-
-    @property
-    def bends(self) -> bool:
-        """Whether the distortion is real and can be undone."""
-        return self.gain >= MIN_GAIN and self.significance >= MIN_SIGNIFICANCE and self.lens.valid
+    model: LensModel
+    gain: float = 0.0
+    significance: float = 0.0
 
 
-def choose_lens(model: pycolmap.Reconstruction, *, focal_known: bool, seed: int) -> LensChoice:
-    """Compare pinhole and distortion on a mapped model, which is not changed.
+def choose_lens(model: pycolmap.Reconstruction, stated: Intrinsics | None, *, seed: int) -> LensChoice:
+    """Choose the lens model of a mapped scan, and adjust the scan under it in place.
 
     Args:
-        model: A model of one pinhole camera.
-        focal_known: Keep the focal lengths; otherwise both candidates refine them.
+        model: A model of one camera, which has the stated optics if there are any.
+        stated: The prior, or None when nothing is known.
         seed: Of the split.
     """
-    point_ids = np.array(sorted(model.points3D))
-    order = np.random.default_rng(seed).permutation(len(point_ids))
-    fitted, held_out = np.array_split(point_ids[order], 2)
-    errors: list[list[Array]] = []
-    lens = lens_of(next(iter(model.cameras.values())))
-    for bends in (False, True):
-        fit = _with_points(model, fitted)
-        if bends:
-            _allow_distortion(fit)
-        adjust(fit, _options(focal=not focal_known, distortion=bends))
-        lens = lens_of(next(iter(fit.cameras.values())))
-        check = _with_points(model, held_out)
-        _copy_cameras(fit, check)
-        adjust(check, _options(points_only=True))
-        errors.append(squared_errors(check))
-    gain, significance = compare(errors[0], errors[1])
-    return LensChoice(lens=lens, gain=gain, significance=significance)
+    halves = _halves(model, seed)
+    errors: dict[LensModel, list[Array]] = {}
+
+    def held_out_errors(kind: LensModel) -> list[Array]:
+        if kind not in errors:
+            fit, check = (_with_points(model, half) for half in halves)
+            _adjust_lens(fit, kind)
+            _copy_cameras(fit, check)
+            adjust(check, points_only=True)
+            errors[kind] = squared_errors(check)
+        return errors[kind]
+
+    chosen, gain, significance = climb(held_out_errors, stated)
+    lens = fit_lens(model, chosen, stated, seed=seed)
+    return LensChoice(lens=lens, model=chosen, gain=gain, significance=significance)
+
+
+def fit_lens(
+    model: pycolmap.Reconstruction, kind: LensModel, stated: Intrinsics | None, *, seed: int
+) -> Lens:
+    """Adjust a scan in place, with what a lens model leaves free under the prior; the lens."""
+    _adjust_lens(model, kind)
+    if stated is not None and kind != "stated":
+        fits = [_with_points(model, half) for half in _halves(model, seed)]
+        for fit in fits:
+            _adjust_lens(fit, kind)
+        one, other = (camera_lens(fit).fx for fit in fits)
+        set_lens(model, lean_on_stated(camera_lens(model), stated, abs(np.log(one / other)) / 2))
+        _adjust_lens(model, kind, focal=False)
+    set_lens(model, camera_lens(model))
+    return camera_lens(model)
+
+
+def climb(
+    held_out_errors: Callable[[LensModel], list[Array]], stated: Intrinsics | None
+) -> tuple[LensModel, float, float]:
+    """The richest lens model that held-out errors call for; gain and significance of the last one tried.
+
+    Args:
+        held_out_errors: Squared errors by group under a model, see `compare`.
+        stated: The prior; a calibrated distortion is not touched.
+    """
+    base: LensModel = "focal" if stated is None else "stated"
+    richer: tuple[LensModel, ...] = ("radial", "full")
+    if stated is not None and stated.distortion is not None:
+        richer = ("focal",) if stated.calibrated else ("full",)
+    chosen, gain, significance = base, 0.0, 0.0
+    for kind in richer:
+        gain, significance = compare(held_out_errors(chosen), held_out_errors(kind))
+        if not _convincing(gain, significance):
+            break
+        chosen = kind
+    if chosen in ("radial", "full") and base == "stated":
+        focal = held_out_errors("focal")
+        enough = _convincing(*compare(held_out_errors("stated"), focal))
+        if enough and not _convincing(*compare(focal, held_out_errors(chosen))):
+            chosen = "focal"
+    return chosen, gain, significance
+
+
+def lean_on_stated(free: Lens, stated: Intrinsics, focal_sd: float) -> Lens:
+    """The fitted lens with its focal length drawn towards the stated one, as their deviations say.
+
+    Args:
+        free: Fitted without the prior.
+        stated: The prior.
+        focal_sd: Of the fitted focal length, as a share of it.
+    """
+    evidence, prior = 1 / max(focal_sd, MIN_FOCAL_SD) ** 2, 1 / stated.focal_sd**2
+    toward = prior / (evidence + prior)
+    fx, fy = (a ** (1 - toward) * b**toward for a, b in ((free.fx, stated.fx), (free.fy, stated.fy)))
+    return replace(free, fx=fx, fy=fy)
+
+
+def _convincing(gain: float, significance: float) -> bool:
+    return gain >= MIN_GAIN and significance >= MIN_SIGNIFICANCE
 
 
 def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
@@ -87,31 +153,33 @@ def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
 
 def squared_errors(model: pycolmap.Reconstruction) -> list[Array]:
     """Squared reprojection errors of each registered image, [px^2]."""
-    errors = []
+    return [(shifts**2).sum(1) for _, shifts in residuals(model)]
+
+
+def residuals(model: pycolmap.Reconstruction) -> list[tuple[Array, Array]]:
+    """Features (F, 2) of each registered image that show points, and their shifts to these (F, 2), [px]."""
+    found = []
     for image_id in sorted(model.reg_image_ids()):
         image = model.images[image_id]
         seen = [point for point in image.points2D if point.has_point3D()]
-        if not seen:
-            errors.append(np.zeros(0))
-            continue
-        points = np.array([model.points3D[point.point3D_id].xyz for point in seen])
-        points_cam = points @ image.cam_from_world().matrix()[:, :3].T + image.cam_from_world().translation
-        drawn = np.asarray(model.cameras[image.camera_id].img_from_cam(points_cam))
-        errors.append(((drawn - np.array([point.xy for point in seen])) ** 2).sum(1))
-    return errors
+        pixels = np.array([point.xy for point in seen], np.float64).reshape(-1, 2)
+        points = np.array([model.points3D[point.point3D_id].xyz for point in seen], np.float64).reshape(-1, 3)
+        T_cam_recon = image.cam_from_world()
+        points_cam = points @ T_cam_recon.matrix()[:, :3].T + T_cam_recon.translation
+        drawn = np.asarray(model.cameras[image.camera_id].img_from_cam(points_cam)).reshape(-1, 2)
+        found.append((pixels, drawn - pixels))
+    return found
 
 
-def _options(
-    *, focal: bool = False, distortion: bool = False, points_only: bool = False
-) -> pycolmap.BundleAdjustmentOptions:
-    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    options.refine_focal_length = focal
-    options.refine_extra_params = distortion
-    options.refine_rig_from_world = not points_only
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
-    options.ceres.solver_options.max_num_iterations = MAX_ITERATIONS
-    options.ceres.solver_options.function_tolerance = 1e-6
-    return options
+def _adjust_lens(model: pycolmap.Reconstruction, kind: LensModel, *, focal: bool = True) -> None:
+    """Adjust poses, points and what a lens model leaves free; the focal length can be held."""
+    for camera in model.cameras.values():
+        free_lens(camera, kind)
+    adjust(model, focal=focal and kind != "stated", distortion=kind in ("radial", "full"))
+
+
+def _halves(model: pycolmap.Reconstruction, seed: int) -> list[Array]:
+    return np.array_split(np.random.default_rng(seed).permutation(sorted(model.points3D)), 2)
 
 
 def _with_points(model: pycolmap.Reconstruction, point_ids: Array) -> pycolmap.Reconstruction:
@@ -120,13 +188,6 @@ def _with_points(model: pycolmap.Reconstruction, point_ids: Array) -> pycolmap.R
         if point_id not in keep:
             copy.delete_point3D(point_id)
     return copy
-
-
-def _allow_distortion(model: pycolmap.Reconstruction) -> None:
-    for camera in model.cameras.values():
-        params = opencv_params(lens_of(camera))
-        camera.model = pycolmap.CameraModelId.OPENCV
-        camera.params = params
 
 
 def _copy_cameras(source: pycolmap.Reconstruction, target: pycolmap.Reconstruction) -> None:

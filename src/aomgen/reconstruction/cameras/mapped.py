@@ -1,6 +1,7 @@
 """A mapper's model as plain values, in straight (undistorted) pixels."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pycolmap
@@ -9,6 +10,14 @@ from numpy.typing import NDArray
 from aomgen.core.lens import Lens
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
+
+# Of a lens is refined: nothing (as stated, or as the scan's is), the focal length, it and one radial
+# coefficient, it and all four coefficients.
+LensModel = Literal["stated", "scan", "focal", "radial", "full"]
+
+# Beyond the usual error of a SIFT feature matches fade: mismatches, shadows and smeared images err far.
+FEATURE_SD_PX = 0.5
+MAX_ITERATIONS = 30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,20 +80,68 @@ def T_recon_cam(image: pycolmap.Image) -> Array:
     return invert(T_cam_recon)
 
 
-def adjust(model: pycolmap.Reconstruction, options: pycolmap.BundleAdjustmentOptions) -> None:
-    """Bundle adjustment of a whole model in place (COLMAP's own call turns its log on for good)."""
+def adjust(
+    model: pycolmap.Reconstruction,
+    *,
+    focal: bool = False,
+    distortion: bool = False,
+    points_only: bool = False,
+) -> None:
+    """Robust bundle adjustment of a whole model in place (COLMAP's own call turns its log on for good).
+
+    Args:
+        model: Points, poses and cameras.
+        focal, distortion: Whether these are refined.
+        points_only: Whether the poses stay.
+    """
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
+    options.refine_focal_length = focal
+    options.refine_extra_params = distortion
+    options.refine_rig_from_world = not points_only
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = FEATURE_SD_PX
+    options.ceres.solver_options.max_num_iterations = MAX_ITERATIONS
+    options.ceres.solver_options.function_tolerance = 1e-6
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    model.update_point_3d_errors()
+
+
+def camera_lens(model: pycolmap.Reconstruction) -> Lens:
+    """Optics of a model of one camera."""
+    return lens_of(next(iter(model.cameras.values())))
+
+
+def set_lens(model: pycolmap.Reconstruction, lens: Lens) -> None:
+    """Give a model's cameras a lens."""
+    for camera in model.cameras.values():
+        set_camera(camera, lens)
+
+
+def set_camera(camera: pycolmap.Camera, lens: Lens) -> None:
+    """Give a camera a lens, as a pinhole where it does not bend."""
+    name = pycolmap.CameraModelId.OPENCV if lens.bends else pycolmap.CameraModelId.PINHOLE
+    camera.model, camera.params = name, opencv_params(lens)[: 8 if lens.bends else 4]
+
+
+def free_lens(camera: pycolmap.Camera, kind: LensModel) -> None:
+    """Give a camera the parameters that a lens model refines; its lens stays as far as these hold it."""
+    lens = lens_of(camera)
+    if kind == "radial":
+        camera.model = pycolmap.CameraModelId.SIMPLE_RADIAL
+        camera.params = [(lens.fx + lens.fy) / 2, lens.cx, lens.cy, lens.k1]
+    elif kind == "full":
+        camera.model, camera.params = pycolmap.CameraModelId.OPENCV, opencv_params(lens)
 
 
 def lens_of(camera: pycolmap.Camera) -> Lens:
-    """Optics of a pinhole camera or of one with OpenCV's four coefficients."""
+    """Optics of a pinhole camera, or of one with one or OpenCV's four coefficients."""
     K = camera.calibration_matrix()
-    bends = camera.model == pycolmap.CameraModelId.OPENCV
-    k1, k2, p1, p2 = (float(value) for value in camera.params[4:8]) if bends else (0.0, 0.0, 0.0, 0.0)
+    bent = [float(camera.params[index]) for index in camera.extra_params_idxs()]
+    k1, k2, p1, p2 = (*bent, 0.0, 0.0, 0.0, 0.0)[:4]
     return Lens(
         fx=float(K[0, 0]),
         fy=float(K[1, 1]),

@@ -14,8 +14,11 @@ from aomgen.core.recording import Intrinsics
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.cameras.consistency import Pair
-from aomgen.reconstruction.cameras.mapped import Mapped, adjust, lens_of, mapped_of, opencv_params
+from aomgen.reconstruction.cameras.mapped import Mapped, adjust, lens_of, mapped_of, set_camera
 from aomgen.reconstruction.cameras.resection import Links
+
+# Twice the error that verified matches may have: a lens that bends the border by more costs some.
+MAX_SHIFT_PX = 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,16 +114,23 @@ class Workspace:
             self._verification(),
         )
 
-    def set_lens(self, group: str, lens: Lens) -> None:
-        """Give a set's camera another lens, and verify all matches again under it."""
+    def set_lens(self, group: str, lens: Lens) -> bool:
+        """Give a set's camera a known lens from now on.
+
+        Returns: Whether all matches were verified again, because it bends much otherwise than before.
+        """
         with pycolmap.Database.open(self.database) as database:
             camera = self._camera(database, group)
-            camera.model = pycolmap.CameraModelId.OPENCV
-            camera.params = opencv_params(lens)
+            again = abs(lens.largest_shift_px() - lens_of(camera).largest_shift_px()) > MAX_SHIFT_PX
+            set_camera(camera, lens)
             camera.has_prior_focal_length = True
             database.update_camera(camera)
-            database.clear_two_view_geometries()
-        pycolmap.verify_matches(self.database, self._listing, self._verification())
+            if again:
+                database.clear_two_view_geometries()
+        self._focal_known[group] = self._lens_known[group] = True
+        if again:
+            pycolmap.verify_matches(self.database, self._listing, self._verification())
+        return again
 
     def lens(self, group: str) -> Lens:
         """The optics that a set's matches are verified with."""
@@ -139,7 +149,7 @@ class Workspace:
         if not models:
             return None
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
-        return self._mapped(group)
+        return self.mapped(group)
 
     def map_globally(self, group: str) -> Mapped | None:
         """Global mapping of one set: all rotations at once, then all places; the model, or None.
@@ -155,7 +165,7 @@ class Workspace:
             return None
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
         self._model.update_point_3d_errors()
-        return self._mapped(group)
+        return self.mapped(group)
 
     @property
     def model(self) -> pycolmap.Reconstruction:
@@ -175,16 +185,11 @@ class Workspace:
         for image in list(model.images.values()):
             if image.has_pose and image.name not in keep:
                 model.deregister_frame(image.frame_id)
+        folders = self.folder / "images", self.folder / "remap"
         options = self._mapper_options("scan")
-        self._model = pycolmap.triangulate_points(
-            model, self.database, self.folder / "images", self.folder / "remap", True, options
-        )
-        adjustment = pycolmap.BundleAdjustmentOptions(print_summary=False)
-        adjustment.refine_focal_length = options.ba_refine_focal_length
-        adjustment.refine_extra_params = options.ba_refine_extra_params
-        adjust(self._model, adjustment)
-        self._model.update_point_3d_errors()
-        return self._mapped("scan")
+        self._model = pycolmap.triangulate_points(model, self.database, *folders, True, options)
+        adjust(self._model)
+        return self.mapped("scan")
 
     def pairs(self, group: str, lens: Lens) -> list[Pair]:
         """Every pair of a set that was tried, with its verified matches, as straight pixels."""
@@ -273,7 +278,8 @@ class Workspace:
     def _listing(self) -> Path:
         return self.folder / "pairs.txt"
 
-    def _mapped(self, group: str) -> Mapped:
+    def mapped(self, group: str) -> Mapped:
+        """The model as values."""
         return mapped_of(self.model, {file: name for name, file in self._files[group].items()})
 
 

@@ -8,19 +8,22 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens
+from aomgen.core.recording import Intrinsics
 from aomgen.core.transforms import invert, rotvec_from_matrix
 from aomgen.core.values import Array
-from aomgen.reconstruction.cameras.lens_choice import LensChoice, compare
-from aomgen.reconstruction.cameras.mapped import lens_of, opencv_params
+from aomgen.reconstruction.cameras.lens_choice import (
+    MIN_SIGNIFICANCE,
+    LensChoice,
+    climb,
+    compare,
+    lean_on_stated,
+)
+from aomgen.reconstruction.cameras.mapped import LensModel, free_lens, lens_of, set_camera
 
 MIN_INLIERS = 30
 MAX_ERROR_PX = 6.0
 FOLDS = 5
 LENS_ROUNDS = 3
-# A camera with the scan's image size has the scan's lens, until its own predicts matches better by
-# this many standard errors. Measured: -4 to 2 where it is the same lens, from 4 up where the focal
-# length differs by a hundredth.
-OWN_LENS_SIGNIFICANCE = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,62 +131,76 @@ def agree(a: Resection, b: Resection) -> Difference:
     )
 
 
-def choose_view_lens(links: Links, placed: Resection, *, focal_known: bool, seed: int) -> LensChoice:
-    """Compare pinhole and distortion on one view that was placed as a pinhole.
-
-    The matches are told inliers under the lens itself, because a pinhole drops those near the
-    border; then every match is predicted by a fit to the other folds.
-    """
-    start = placed.camera_recon
-    plain = Lens(fx=start.fx, fy=start.fy, cx=start.cx, cy=start.cy, width=start.width, height=start.height)
-    inliers, lens = placed.inliers, plain
-    for _ in range(LENS_ROUNDS):
-        lens, T_recon_cam = _refined(links, inliers, plain, start, (focal_known, True))
-        inliers = _squared(links, lens, T_recon_cam) <= MAX_ERROR_PX**2
-    rows = np.random.default_rng(seed).permutation(np.flatnonzero(inliers))
-    errors: dict[bool, list[Array]] = {False: [], True: []}
-    for fold in np.array_split(rows, FOLDS):
-        others = inliers.copy()
-        others[fold] = False
-        for bends, found in errors.items():
-            fit = _refined(links, others, plain, start, (focal_known, bends))
-            found += [error[None] for error in _squared(links, *fit)[fold]]
-    gain, significance = compare(errors[False], errors[True])
-    return LensChoice(lens=lens, gain=gain, significance=significance)
-
-
-def own_lens_significance(links: Links, placed: Resection, lenses: tuple[Lens, Lens], *, seed: int) -> float:
-    """How much better a camera's own focal length predicts matches than a given lens, in standard errors.
+def choose_view_lens(
+    links: Links, placed: Resection, stated: Intrinsics | None, scan_lens: Lens | None, *, seed: int
+) -> LensChoice:
+    """Choose the lens model of one view, by matches that each fit has not seen.
 
     Args:
         links: Matches.
-        placed: The camera as it was placed with its own focal length.
-        lenses: The given lens, kept as it is, and its own, of which the focal length is refined.
+        placed: The camera as it was placed, with the stated optics if there are any.
+        stated: The prior, or None when nothing is known.
+        scan_lens: The scan's lens where the view may have it too; its own has to be clearly better.
         seed: Of the folds.
+
+    The matches are told inliers under the richest lens, because a pinhole drops those near the border.
     """
-    given, own = lenses
-    rows = np.random.default_rng(seed).permutation(np.flatnonzero(placed.inliers))
-    errors: tuple[list[Array], list[Array]] = ([], [])
-    for fold in np.array_split(rows, FOLDS):
-        others = placed.inliers.copy()
-        others[fold] = False
-        fits = (
-            _refined(links, others, given, placed.camera_recon, (True, False)),
-            _refined(links, others, own, placed.camera_recon, (False, own.bends)),
-        )
-        for found, fit in zip(errors, fits, strict=True):
-            found += [error[None] for error in _squared(links, *fit)[fold]]
-    return compare(*errors)[1]
+    start = placed.camera_recon
+    plain = _pinhole(start) if stated is None or stated.distortion is None else stated_lens(stated, start)
+    inliers = placed.inliers
+    for _ in range(LENS_ROUNDS):
+        inliers = _squared(links, *_refined(links, inliers, plain, start, "full")) <= MAX_ERROR_PX**2
+    rows = np.random.default_rng(seed).permutation(np.flatnonzero(inliers))
+    folds = [np.isin(np.arange(len(inliers)), rows[k::FOLDS]) for k in range(FOLDS)]
+    fits: dict[LensModel, list[tuple[Lens, Array]]] = {}
+
+    def held_out_errors(kind: LensModel) -> list[Array]:
+        lens = scan_lens if kind == "scan" and scan_lens is not None else plain
+        if kind not in fits:
+            fits[kind] = [_refined(links, inliers & ~fold, lens, start, kind) for fold in folds]
+        return [
+            error[None]
+            for fold, fit in zip(folds, fits[kind], strict=True)
+            for error in _squared(links, *fit)[fold]
+        ]
+
+    chosen, gain, significance = climb(held_out_errors, stated)
+    if scan_lens is not None:
+        gain, significance = compare(held_out_errors("scan"), held_out_errors(chosen))
+        if significance < MIN_SIGNIFICANCE:
+            return LensChoice(lens=scan_lens, model="scan", gain=gain, significance=significance)
+    lens, _ = _refined(links, inliers, plain, start, chosen)
+    if stated is not None and chosen != "stated":
+        focals = np.log([fit.fx for fit, _ in fits[chosen]])
+        lens = lean_on_stated(lens, stated, float(np.sqrt((FOLDS - 1) * focals.var())))
+        lens, _ = _refined(links, inliers, lens, start, chosen, focal=False)
+    return LensChoice(lens=lens, model=chosen, gain=gain, significance=significance)
+
+
+def stated_lens(stated: Intrinsics, size: Camera) -> Lens:
+    """Stated optics, for images of a camera's size."""
+    k1, k2, p1, p2 = stated.distortion or (0.0, 0.0, 0.0, 0.0)
+    optics = {"fx": stated.fx, "fy": stated.fy, "cx": stated.cx, "cy": stated.cy}
+    return Lens(**optics, width=size.width, height=size.height, k1=k1, k2=k2, p1=p1, p2=p2)
+
+
+def _pinhole(camera: Camera) -> Lens:
+    optics = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    return Lens(**optics, width=camera.width, height=camera.height)
 
 
 def _refined(
-    links: Links, use: NDArray[np.bool_], lens: Lens, start: Camera, choice: tuple[bool, bool]
+    links: Links, use: NDArray[np.bool_], lens: Lens, start: Camera, kind: LensModel, *, focal: bool = True
 ) -> tuple[Lens, Array]:
-    """Lens and pose (4, 4) fitted to some matches; `choice` = (focal length known, distortion)."""
-    focal_known, bends = choice
-    camera = pycolmap.Camera(model="OPENCV", width=lens.width, height=lens.height, params=opencv_params(lens))
+    """Lens and pose (4, 4) fitted to some matches; the focal length can be held."""
+    camera = pycolmap.Camera(model="PINHOLE", width=lens.width, height=lens.height, params=[1.0] * 4)
+    set_camera(camera, lens)
+    free_lens(camera, kind)
+    fixed = kind in ("stated", "scan")
     refinement = pycolmap.AbsolutePoseRefinementOptions(
-        refine_focal_length=not focal_known, refine_extra_params=bends, gradient_tolerance=1e-3
+        refine_focal_length=focal and not fixed,
+        refine_extra_params=kind in ("radial", "full"),
+        gradient_tolerance=1e-3,
     )
     T_cam_recon = start.T_cam_world
     found = pycolmap.refine_absolute_pose(

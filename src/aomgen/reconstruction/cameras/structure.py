@@ -22,7 +22,8 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.reconstruction.cameras.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
 from aomgen.reconstruction.cameras.groups import duplicates
-from aomgen.reconstruction.cameras.lens_choice import choose_lens
+from aomgen.reconstruction.cameras.lens_choice import choose_lens, fit_lens
+from aomgen.reconstruction.cameras.lens_misfit import lens_misfit_px, require_lens_fits
 from aomgen.reconstruction.cameras.mapped import Mapped
 from aomgen.reconstruction.cameras.mapping import ImageSet, Workspace
 from aomgen.reconstruction.cameras.sightings import require_coverage, sightings
@@ -38,7 +39,7 @@ class Photographs:
 
     Attributes:
         images: Scan images by file name; all of one size and one camera.
-        intrinsics: Known intrinsics, kept as given, or None to estimate them.
+        intrinsics: Stated intrinsics, a prior, or None.
         demo: Fixed cameras by name.
         prompts: What a person clicked, in pixels of the images as they are.
     """
@@ -143,7 +144,7 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         vetted, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
         progress(0.99, "placing the fixed cameras")
         placed = {
-            name: place_fixed_camera(work, vetted.mapped, name, view)
+            name: place_fixed_camera(work, vetted.mapped, name, view, photographs.intrinsics)
             for name, view in photographs.demo.items()
         }
     dropped = vetted.dropped | {name: f"shows the same as {other}" for name, other in same.items()}
@@ -206,22 +207,25 @@ def _solve(
         name: {"registered": item.count, "reprojection_error_px": item.mapped.error_px}
         for name, (item, _) in attempts.items()
     }
-    return vetted, {"mapper": best, "tried": tried, "distortion": lens_figures}
+    return vetted, {"mapper": best, "tried": tried, "lens": lens_figures}
 
 
 def _map(
     work: Workspace, run: Callable[[str], Mapped | None], intrinsics: Intrinsics | None
 ) -> tuple[Mapped | None, Figures]:
-    """Map the scan as a pinhole, and once more with distortion where that is really there."""
+    """Map the scan with its stated lens, then adjust it with the one that the matches call for."""
     mapped = run("scan")
-    given = intrinsics is not None and intrinsics.distortion is not None
-    if mapped is None or given or work.lens("scan").bends:
-        return mapped, {}
-    choice = choose_lens(work.model, focal_known=intrinsics is not None, seed=work.seed)
-    if choice.bends:
-        work.set_lens("scan", choice.lens)
-        mapped = run("scan")
-    return mapped, {"gain": choice.gain, "significance": choice.significance}
+    if mapped is None:
+        return None, {}
+    choice = choose_lens(work.model, intrinsics, seed=work.seed)
+    lens = choice.lens
+    if work.set_lens("scan", lens):
+        run("scan")
+        lens = fit_lens(work.model, choice.model, intrinsics, seed=work.seed)
+        work.set_lens("scan", lens)
+    misfit_px = lens_misfit_px(work.model)
+    require_lens_fits(misfit_px, "scan")
+    return work.mapped("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
 
 
 def _gate(count: int, vetted: Vetted, params: StructureParams) -> None:
