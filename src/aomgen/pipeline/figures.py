@@ -97,9 +97,9 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "robot": Figure(name="Gaussians of the robot"),
         "static": Figure(name="of the static part"),
         "moving": Figure(name="of the moving part"),
-        # The stage warns below 80 %.
-        "static_iou": Figure(name="expected overlap, static", unit="%", factor=100.0, above=80.0),
-        "moving_iou": Figure(name="expected overlap, moving", unit="%", factor=100.0, above=80.0),
+        # The stage warns below 60 %.
+        "static_agreement": Figure(name="labels in masks, static", unit="%", factor=100.0, above=60.0),
+        "moving_agreement": Figure(name="labels in masks, moving", unit="%", factor=100.0, above=60.0),
         # The mean of a box's four sides; the stage warns above 5 %.
         "box_misfit": Figure(
             name="edges off the prompted boxes", unit="% of a box", digits=1, factor=25.0, below=5.0

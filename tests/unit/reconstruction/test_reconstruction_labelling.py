@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aomgen.reconstruction.parts.labelling import expected_iou, smooth_posterior
+from aomgen.reconstruction.parts.labelling import smooth_posterior
 
 GRID = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0.0], indexing="ij"), -1).reshape(-1, 3) * 0.005
 LEFT = GRID[:, 0] < 0.05
@@ -49,11 +49,3 @@ def test_posteriors_are_probabilities_whatever_the_order_of_points():
 
 def test_one_point_has_no_neighbors():
     assert np.argmax(smooth_posterior(np.zeros((1, 3)), np.zeros((1, 3)), np.array([[0.0, 1.0]]))) == 1
-
-
-def test_expected_overlap_falls_with_doubt():
-    chosen = np.array([True, True, False])
-    sure = np.array([[0.0, 1], [0, 1], [1, 0]])
-    doubtful = np.array([[0.3, 0.7], [0.3, 0.7], [0.7, 0.3]])
-    assert expected_iou(sure, chosen, 1, np.ones(3)) == 1.0
-    assert abs(expected_iou(doubtful, chosen, 1, np.ones(3)) - 1.4 / 2.3) < 1e-9

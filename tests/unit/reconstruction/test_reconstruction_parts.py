@@ -119,7 +119,7 @@ def tight_prompt(part: str, index: int, folder) -> Prompt:
 def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     gaussians, labels = toy_scene(posture)
     views = toy_views(gaussians, labels, posture, tmp_path)
-    prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
+    prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (1, 2, 4, 6))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
     parts = find_parts(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
     votes = np.zeros(len(gaussians))
@@ -127,7 +127,7 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
         votes[ids[ids >= 0]] = 1
     seen = votes > 0
-    for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
+    for value, least in ((ROBOT, 0.95), (STATIC, 0.9), (MOVING, 0.97), (BACKGROUND, 0.97)):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
     save_parts(parts, tmp_path)
@@ -177,7 +177,7 @@ def test_parts_that_miss_their_boxes_are_warned_about():
     labels = np.zeros(3, np.uint8)
     found = Parts(
         labels=labels, confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32),
-        method="boxes", box_misfit=0.4, static_iou=0.9, moving_iou=0.9,
+        method="boxes", box_misfit=0.4, static_agreement=0.9, moving_agreement=0.9,
     )  # fmt: skip
     assert found.warnings() == [
         "the parts found end 10 % of a box away from the prompts' boxes, want 5 %; draw boxes that touch each "
@@ -189,10 +189,12 @@ def test_parts_that_miss_their_boxes_are_warned_about():
 def test_doubtful_labels_are_warned_about():
     found = Parts(
         labels=np.zeros(3, np.uint8), confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32),
-        method="boxes", box_misfit=0.1, static_iou=0.9, moving_iou=0.55,
+        method="boxes", box_misfit=0.1, static_agreement=0.9, moving_agreement=0.55,
     )  # fmt: skip
     (sentence,) = found.warnings()
-    assert "labels of the moving part are doubtful (overlap of 55 % expected, want 80 %)" in sentence
+    assert (
+        "labels of the moving part are doubtful: they overlap with its masks by 55 %, want 60 %" in sentence
+    )
 
 
 def test_a_part_without_a_prompt_is_refused(posture, tmp_path):

@@ -12,6 +12,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.masks.segmenter import Mask
 from aomgen.reconstruction.parts.panel import Panel
+from aomgen.reconstruction.parts.panel_crops import within
 from aomgen.reconstruction.parts.panel_fit import fit_panel
 from aomgen.reconstruction.parts.part_masks import ScanView, lift
 from aomgen.reconstruction.parts.prompted import PromptedImage, surface_seen
@@ -32,7 +33,7 @@ GIVEN_MASK: Final = {
 # nothing; right ones reach 0.07.
 MAX_MISFIT = 0.3
 # Where no boxes explain the prompts, what no mask shows is background: odds.
-BACKGROUND_ODDS = 3.0
+BACKGROUND_ODDS = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,9 +118,3 @@ def _shares(gaussians: Gaussians, view: ScanView, masks: list[Mask]) -> tuple[Ar
     weights = lift(gaussians, view, [mask & ~view.robot for mask in masks]).astype(np.float64)
     total = weights.sum(1)
     return weights / np.maximum(total, 1e-9)[:, None], total > MIN_WEIGHT
-
-
-def within(box: Array, shape: tuple[int, ...]) -> Mask:
-    """Pixels (H, W) of a box x0, y0, x1, y1, [px]."""
-    rows, columns = np.arange(shape[0])[:, None] + 0.5, np.arange(shape[1]) + 0.5
-    return (columns > box[0]) & (columns < box[2]) & (rows > box[1]) & (rows < box[3])

@@ -6,7 +6,7 @@ Source: Kraehenbuehl and Koltun, "Efficient Inference in Fully Connected CRFs", 
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -53,17 +53,3 @@ def _coupling(points: Array, colors: Array) -> csr_matrix:
 def _normalized(log_weights: Array) -> Array:
     weights = np.exp(log_weights - log_weights.max(1, keepdims=True))
     return np.asarray(weights / weights.sum(1, keepdims=True), np.float64)
-
-
-def expected_iou(posterior: Array, chosen: NDArray[np.bool_], label: int, weights: NDArray) -> float:
-    """IoU (0..1) that a part has on average when labels are drawn from the posterior.
-
-    Args:
-        posterior: (N, L).
-        chosen: (N,), points that got the label.
-        label: Column of the posterior.
-        weights: (N,), what each point counts.
-    """
-    both = float(weights @ (posterior[:, label] * chosen))
-    either = float(weights @ np.where(chosen, 1.0, posterior[:, label]))
-    return both / either if either > 0 else 0.0

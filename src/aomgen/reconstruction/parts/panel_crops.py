@@ -55,6 +55,12 @@ def box_misfit(mask: Mask, box: Array) -> float:
     return float(gaps / width + heights / height + 2 * (1 - share_inside(mask, box)))
 
 
+def within(box: Array, shape: tuple[int, ...]) -> Mask:
+    """Pixels (H, W) of a box x0, y0, x1, y1, [px]."""
+    rows, columns = np.arange(shape[0])[:, None] + 0.5, np.arange(shape[1]) + 0.5
+    return (columns > box[0]) & (columns < box[2]) & (rows > box[1]) & (rows < box[3])
+
+
 def share_inside(mask: Mask, box: Array) -> float:
     """Share of a mask (H, W), not empty, that lies in a box x0, y0, x1, y1, [px]."""
     x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)

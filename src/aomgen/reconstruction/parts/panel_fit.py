@@ -18,7 +18,7 @@ from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.reconstruction.parts.panel import Panel
-from aomgen.reconstruction.parts.panel_crops import Crop, PromptedView
+from aomgen.reconstruction.parts.panel_crops import MAX_MASK_MISFIT, Crop, PromptedView, box_misfit, within
 from aomgen.reconstruction.parts.panel_front import panel_frame
 from aomgen.reconstruction.parts.tracked_points import TrackedPoints
 
@@ -43,7 +43,7 @@ SKIN_SHARE = 0.02
 SIZE_PRICE = 0.03
 # Of panel outside the body's footprint, per diagonal: most objects are scanned closed, and a side that no
 # prompt shows is where the panel ends. Doors that stand open gain more than this by their masks.
-UNCOVERED_PRICE = 0.1
+UNCOVERED_PRICE = 0.15
 # Of turning the body against its first yaw, per radian: bodies are square to their panels.
 YAW_PRICE = 0.5
 # First seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
@@ -52,6 +52,8 @@ SEAM_SHARES = (0.05, 0.015)
 REACH_SHARE = 0.1
 # Points this close to the front plane, as share of the panel's diagonal, are the panel's; and fewest of them.
 FRONT_SHARE, MIN_FRONT_PIXELS = 0.05, 20
+# Planes this parallel (2 degrees) and close, as share of the panel's diagonal, are one.
+SAME_PLANE_COS, SAME_PLANE_SHARE = 0.9994, 0.02
 # What a panel's first edges lie between, quantiles.
 EDGE_QUANTILES = (0.03, 0.97)
 
@@ -158,32 +160,44 @@ def fit_panel(
 
     Not checked: the panel is a rectangle, its edges level; the body is a box. Read `misfits`.
     """
-    moving = [view for view in views if view.part == MOVING]
-    centers = np.array([view.camera.center for view in moving])
-    T_world_panel, size = panel_frame([_surface(view) for view in moving], centers, rng)
-    coarse, fine = (
-        [Crop.of(view, T_world_panel, pixels) for view in views] for pixels in (COARSE_PIXELS, FINE_PIXELS)
-    )
-    points: list[Term] = [] if tracked is None else [tracked.near(T_world_panel, size)]
-    found = [
-        (shapes, *shapes.descend(start, [*coarse, *points], COARSE_STEPS))
-        for shapes, start in _starts(coarse, T_world_panel, size)
-    ]
+    found = []
+    for T_world_panel, size in _frames([view for view in views if view.part == MOVING], rng):
+        coarse, fine = (
+            [Crop.of(view, T_world_panel, pixels) for view in views]
+            for pixels in (COARSE_PIXELS, FINE_PIXELS)
+        )
+        points: list[Term] = [] if tracked is None else [tracked.near(T_world_panel, size)]
+        for shapes, start in _starts(coarse, T_world_panel, size):
+            shape, loss = shapes.descend(start, [*coarse, *points], COARSE_STEPS)
+            found.append((loss, shapes, shape, fine, points))
     if not found:
         raise ReconstructionError(
             STAGE, "the boxes of the moving part show no common front", "draw them around the same part"
         )
-    refined = [
-        (shapes, *shapes.descend(shape, [*fine, *points], FINE_STEPS))
-        for shapes, shape, _ in sorted(found, key=lambda item: item[2])[:REFINED]
-    ]
-    shapes, shape, loss = min(refined, key=lambda item: item[2])
+    refined = []
+    for _, shapes, shape, fine, points in sorted(found, key=lambda item: item[0])[:REFINED]:
+        shape, loss = shapes.descend(shape, [*fine, *points], FINE_STEPS)
+        refined.append((loss, shapes, shape, fine))
+    loss, shapes, shape, fine = min(refined, key=lambda item: item[0])
     compared = shapes.panel(shape, 0.5 * SKIN_SHARE)
     return PanelFit(
         panel=shapes.panel(shape, SKIN_SHARE),
         misfits=tuple(crop.misfit(compared) for crop in fine),
         loss=loss,
     )
+
+
+def _frames(moving: Sequence[PromptedView], rng: np.random.Generator) -> list[tuple[Array, float]]:
+    """Frames on the front plane and diagonals: of what boxes show, and of masks where that is another plane."""
+    centers = np.array([view.camera.center for view in moving])
+    boxed, masked = (
+        panel_frame([_surface(view, masked=masked) for view in moving], centers, rng)
+        for masked in (False, True)
+    )
+    normals = boxed[0][:3, 2], masked[0][:3, 2]
+    apart = abs(float((masked[0][:3, 3] - boxed[0][:3, 3]) @ normals[0]))
+    same = normals[0] @ normals[1] > SAME_PLANE_COS and apart < SAME_PLANE_SHARE * boxed[1]
+    return [boxed] if same else [boxed, masked]
 
 
 def _starts(crops: list[Crop], T_world_panel: Array, size: float) -> list[tuple[Shapes, Array]]:
@@ -224,8 +238,11 @@ def _edges(crops: list[Crop], size: float, *, masked: bool) -> list[Array]:
     ]
 
 
-def _surface(view: PromptedView) -> Array:
-    """Surface points (N, 3) inside a view's box, world frame."""
-    x0, y0, x1, y1 = np.maximum(np.rint(view.box), 0).astype(int)
-    points = view.points_world[y0:y1, x0:x1].reshape(-1, 3)
+def _surface(view: PromptedView, *, masked: bool) -> Array:
+    """Surface points (N, 3) inside a view's box, also inside the mask that fills it best; world frame."""
+    shown = within(view.box, view.points_world.shape[:2])
+    mask = min(view.masks, key=lambda mask: box_misfit(mask, view.box), default=None)
+    if masked and mask is not None and box_misfit(mask, view.box) < MAX_MASK_MISFIT:
+        shown &= mask
+    points = view.points_world[shown]
     return points[np.isfinite(points[:, 0])]

@@ -1,6 +1,7 @@
 """What the prompted images show: surface points, and the segmenter's answers to each box."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import BackendError, ReconstructionError
 from aomgen.reconstruction.masks.segmenter import Mask, PreparedImage, Segmenter
-from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, share_inside
+from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou, share_inside
 from aomgen.reconstruction.parts.part_masks import ScanView, drawn_parts
 from aomgen.splatting.rasterizer import render
 
@@ -58,12 +59,31 @@ class PromptedImage:
         )
 
 
-def drawn_misfit(gaussians: Gaussians, labels: NDArray[np.uint8], prompted: list[PromptedImage]) -> float:
-    """How far the extents of labels (N,), drawn into the prompted images, are from the boxes; mean `box_misfit`."""
-    drawn = (
-        drawn_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot for item in prompted
-    )
-    return float(np.mean([box_misfit(mask, item.box) for mask, item in zip(drawn, prompted, strict=True)]))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptFit:
+    """How labels, drawn into the prompted images, fit what was asked there.
+
+    Attributes:
+        misfit: `box_misfit`, mean over the prompts.
+        agreement: IoU with the mask that fits best, mean over the prompts of a part, by part.
+    """
+
+    misfit: float
+    agreement: dict[int, float]
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, labels: NDArray[np.uint8], prompted: list[PromptedImage]) -> Self:
+        """Draw labels (N,) of Gaussians, world frame."""
+        misfits: list[float] = []
+        overlaps: dict[int, list[float]] = {STATIC: [], MOVING: []}
+        for item in prompted:
+            drawn = drawn_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
+            misfits.append(box_misfit(drawn, item.box))
+            overlaps[item.part].append(max((iou(drawn, mask) for mask in item.masks), default=0.0))
+        return cls(
+            misfit=float(np.mean(misfits)),
+            agreement={part: float(np.mean(values)) for part, values in overlaps.items()},
+        )
 
 
 def ask_prompts(

@@ -57,8 +57,8 @@ def save_parts(parts: Parts, folder: Path) -> None:
         robot_bodies=parts.robot_bodies,
         method=np.str_(parts.method),
         box_misfit=np.float64(parts.box_misfit),
-        static_iou=np.float64(parts.static_iou),
-        moving_iou=np.float64(parts.moving_iou),
+        static_agreement=np.float64(parts.static_agreement),
+        moving_agreement=np.float64(parts.moving_agreement),
     )
     write_bytes(folder / PARTS_FILE, buffer.getvalue())
 
@@ -80,8 +80,8 @@ def load_parts(folder: Path) -> Parts:
                 robot_bodies=arrays["robot_bodies"],
                 method=str(arrays["method"]),
                 box_misfit=float(arrays["box_misfit"]),
-                static_iou=float(arrays["static_iou"]),
-                moving_iou=float(arrays["moving_iou"]),
+                static_agreement=float(arrays["static_agreement"]),
+                moving_agreement=float(arrays["moving_agreement"]),
             )
     except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
         raise MalformedFileError(
