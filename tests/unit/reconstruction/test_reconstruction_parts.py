@@ -119,7 +119,7 @@ def tight_prompt(part: str, index: int, folder) -> Prompt:
 def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     gaussians, labels = toy_scene(posture)
     views = toy_views(gaussians, labels, posture, tmp_path)
-    prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (1, 2, 4, 6))
+    prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
     parts = find_parts(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
     votes = np.zeros(len(gaussians))
@@ -127,7 +127,7 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
         votes[ids[ids >= 0]] = 1
     seen = votes > 0
-    for value, least in ((ROBOT, 0.95), (STATIC, 0.9), (MOVING, 0.97), (BACKGROUND, 0.97)):
+    for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
     save_parts(parts, tmp_path)

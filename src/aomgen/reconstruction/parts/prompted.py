@@ -12,7 +12,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import BackendError, ReconstructionError
-from aomgen.reconstruction.masks.segmenter import Mask, PreparedImage, Segmenter
+from aomgen.reconstruction.masks.segmenter import Mask, MasksOnDisk, PreparedImage, Segmenter
 from aomgen.reconstruction.parts.panel_crops import PromptedView, box_misfit, iou, share_inside
 from aomgen.reconstruction.parts.part_masks import ScanView, drawn_parts
 from aomgen.splatting.rasterizer import render
@@ -110,17 +110,19 @@ def ask_prompts(
             image = prepared[view.name]
             clicks = [np.zeros((0, 3)), prompt.points] if len(prompt.points) else [prompt.points]
             masks = [image.mask(part, prompt.box, points) & ~view.robot for points in clicks]
-            masks = _filling(masks, image, np.asarray(prompt.box, np.float64), view.robot)
-            answers.append(
-                PromptedImage(
-                    view=view,
-                    prepared=image,
-                    part=value,
-                    box=np.asarray(prompt.box, np.float64),
-                    masks=tuple(mask for mask in masks if mask.any()),
-                )
-            )
+            box = np.asarray(prompt.box, np.float64)
+            if isinstance(segmenter, MasksOnDisk) and masks[0].any():
+                # Label images are edited by people, and say more than a box around them.
+                box = _extent(masks[0])
+            masks = [mask for mask in _filling(masks, image, box, view.robot) if mask.any()]
+            answers.append(PromptedImage(view=view, prepared=image, part=value, box=box, masks=tuple(masks)))
     return answers
+
+
+def _extent(mask: Mask) -> Array:
+    """The box x0, y0, x1, y1 around a mask (H, W), [px]."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
 
 
 def _filling(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -> list[Mask]:
