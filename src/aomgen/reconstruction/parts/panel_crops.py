@@ -13,6 +13,8 @@ from aomgen.reconstruction.parts.panel import Panel
 
 # A mask whose own extent is this far from its box (see `box_misfit`) shows something else.
 MAX_MASK_MISFIT = 0.25
+# So does one of which less than this share is inside the box.
+MIN_SHARE_INSIDE = 0.5
 # So does one that is this much farther from it than another.
 MASK_SPREAD = 0.1
 # A mask beside a box: segmenters are wrong by whole faces, people by a few pixels.
@@ -85,6 +87,7 @@ class Crop:
     center: Array
     box: Array
     masks: tuple[Mask, ...]
+    inside_box: Mask
 
     @staticmethod
     def of(view: PromptedView, T_world_panel: Array, pixels: int) -> "Crop":
@@ -94,7 +97,10 @@ class Crop:
         x1, y1 = np.minimum(view.box[2:] + margin, [width, height]).astype(int)
         stride = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / pixels)))
         window = (slice(y0, y1, stride), slice(x0, x1, stride))
-        misfits = [box_misfit(mask, view.box) for mask in view.masks]
+        inside = within(view.box, (height, width))
+        # Masks bleed over the border of what was boxed; one that is mostly elsewhere shows something else.
+        kept = [mask & inside for mask in view.masks if share_inside(mask, view.box) > MIN_SHARE_INSIDE]
+        misfits = [box_misfit(mask, view.box) for mask in kept]
         limit = min([MAX_MASK_MISFIT, *(misfit + MASK_SPREAD for misfit in misfits)])
         T_panel_world = invert(T_world_panel)
         points = apply(T_panel_world, view.points_world[window].reshape(-1, 3)).T
@@ -104,7 +110,8 @@ class Crop:
             local=np.moveaxis(planes.reshape(3, *view.points_world[window].shape[:2]), 0, -1),
             center=apply(T_panel_world, view.camera.center[None])[0],
             box=(view.box - [x0, y0, x0, y0]) / stride,
-            masks=tuple(m[window] for m, misfit in zip(view.masks, misfits, strict=True) if misfit < limit),
+            masks=tuple(m[window] for m, misfit in zip(kept, misfits, strict=True) if misfit < limit),
+            inside_box=inside[window],
         )
 
     def shown(self, panel: Panel) -> Mask:
@@ -119,7 +126,9 @@ class Crop:
         shown = labels == self.part
         # Segmenters find whole objects best, also where a person boxed the body of one.
         wanted = (shown,) if self.part == MOVING else (shown, labels != BACKGROUND)
-        apart = min((1 - iou(item, mask) for mask in self.masks for item in wanted), default=0.0)
+        apart = min(
+            (1 - iou(item & self.inside_box, mask) for mask in self.masks for item in wanted), default=0.0
+        )
         return box_misfit(shown, self.box) + MASK_WEIGHT * apart
 
     def inside(self, *, masked: bool) -> Array:

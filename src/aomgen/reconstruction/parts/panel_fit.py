@@ -44,8 +44,9 @@ SIZE_PRICE = 0.03
 # Of panel outside the body's footprint, per diagonal: most objects are scanned closed, and a side that no
 # prompt shows is where the panel ends. Doors that stand open gain more than this by their masks.
 UNCOVERED_PRICE = 0.15
-# Of turning the body against its first yaw, per radian: bodies are square to their panels.
-YAW_PRICE = 0.5
+# Of a body that is not square to its panel, per radian, and at most: closed and ajar ones are, open doors stand
+# at any angle.
+YAW_PRICE, MAX_YAW_PRICE = 0.5, 0.1
 # First seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
 SEAM_SHARES = (0.05, 0.015)
 # First reach of handles, as share of the panel's diagonal.
@@ -114,7 +115,16 @@ class Shapes:
         panel = self.panel(shape, 0.5 * SKIN_SHARE)
         extent = sizes.sum() - shape[SEAM]
         price = (SIZE_PRICE * extent + UNCOVERED_PRICE * panel.uncovered_m) / self.size
-        return sum(term.loss(panel) for term in terms) + float(price + YAW_PRICE * abs(shape[YAW]))
+        askew = abs((self.yaw + shape[YAW] + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+        price += min(YAW_PRICE * askew, MAX_YAW_PRICE)
+        return sum(term.loss(panel) for term in terms) + float(price)
+
+    @property
+    def yaw(self) -> float:
+        """Direction of the body's first axis before its turn, from the panel's, about the vertical, [rad]."""
+        R_world_body = self.T_world_panel[:3, :3] @ self.T_panel_body[:3, :3]
+        along, body = self.T_world_panel[:2, 0], R_world_body[:2, 0]
+        return float(np.arctan2(along[0] * body[1] - along[1] * body[0], along @ body))
 
     def trials(self) -> Array:
         """Directions (M, 13) of steps: each number alone, and edges of both boxes together."""
