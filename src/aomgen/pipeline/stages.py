@@ -63,7 +63,7 @@ STAGES: tuple[Stage, ...] = (
         needs=("capture", "structure", "gaussians"),
         settings=("alignment_method",),
         version=8,
-        weight=14,
+        weight=17,
         function=lazily("aligning", "alignment"),
     ),
     Stage(
@@ -73,7 +73,7 @@ STAGES: tuple[Stage, ...] = (
         needs=("capture", "structure", "gaussians", "alignment"),
         settings=("parts_method", "segmenter", "alignment_method"),
         version=10,
-        weight=16,
+        weight=22,
         function=lazily("recovery", "parts"),
         incremental=True,
     ),
