@@ -4,7 +4,6 @@ A hundred kills instead of the everyday few:
 `AOMGEN_KILLS=100 pytest tests/faults/test_faults_kill.py -s`
 """
 
-import itertools
 import os
 import signal
 import subprocess
@@ -25,6 +24,8 @@ SCRIPT = Path(__file__).with_name("killed_run.py")
 KILLS = int(os.environ.get("AOMGEN_KILLS", "6"))
 STAGES = ("plans", "episodes", "dataset")
 KILLS_A_STAGE = 2  # before a run may come to its end
+# A quick stage is missed now and then on a busy machine; it is tried again, so often at most.
+MAX_CAMPAIGNS = 40
 
 
 class Server:
@@ -125,7 +126,7 @@ def test_killed_runs_end_in_the_same_bytes(tmp_path):
     delivered, equal = Counter(), 0
     whole: dict[str, dict[str, bytes]] = {}
     with serving() as server:
-        for campaign in itertools.count():
+        for campaign in range(MAX_CAMPAIGNS):
             # Other inputs every second time: then all is made anew over a finished run.
             digest, out = f"capture-{campaign % 2}", tmp_path / "broken"
             if digest not in whole:
@@ -133,7 +134,7 @@ def test_killed_runs_end_in_the_same_bytes(tmp_path):
                 seconds, whole[digest] = dict(server.finished), tree(tmp_path / digest)
             had_dataset, known = (out / "dataset").exists(), set[str]()
             for target in [stage for stage in STAGES for _ in range(KILLS_A_STAGE)]:
-                if delivered.total() < KILLS:
+                if delivered.total() < KILLS or not delivered[target]:
                     delay_s = float(rng.uniform(0, seconds[target]))
                     delivered[server.run(out, digest, target, delay_s)] += 1
                     now = acknowledged(out, whole[digest])
@@ -145,7 +146,7 @@ def test_killed_runs_end_in_the_same_bytes(tmp_path):
                 assert tree(out / stage) == tree(tmp_path / digest / stage)
             equal += 1
             del delivered[""]  # of runs that were faster
-            if delivered.total() >= KILLS:
+            if delivered.total() >= KILLS and all(delivered[stage] for stage in STAGES):
                 break
     counts = {stage: delivered[stage] for stage in STAGES}
     print(
