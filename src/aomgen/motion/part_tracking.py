@@ -140,9 +140,7 @@ def tracked_log_odds(
     for k, robot in zip(frames, hidden[len(resting) :], strict=True):
         T = joint.motion(float(thetas[k]))
         parts = Parts(indices=moving.astype(np.int32), Ts_world_part=np.stack([np.eye(4), T]))
-        depth = render(scene, camera, parts=parts, with_ids=True).median_depth
-        if depth is None:
-            raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
+        depth = _depth(scene, camera, parts)
         log_odds = _of_frame(rest, _frame(demo, k, camera), np.where(robot, -1.0, depth), camera, T)
         total += np.nan_to_num(log_odds)
         count += np.isfinite(log_odds)
@@ -189,11 +187,8 @@ def _at_rest(
 ) -> tuple[NDArray[np.intp], _Rest]:
     """Indices of the Gaussians that the picture at rest shows, and what they look like there."""
     points = scene.means.astype(np.float64)
-    depth = render(scene, camera, with_ids=True).median_depth
-    if depth is None:
-        raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
     pixels, depths = camera.project(points)
-    depth = np.where(np.isnan(picture[..., 0]), -1.0, depth)
+    depth = np.where(np.isnan(picture[..., 0]), -1.0, _depth(scene, camera))
     seen = np.flatnonzero(_shown(pixels, depths, depth))
     normals = _normals(points[seen], points[scene.opacities > SOLID_OPACITY])
     steepness = np.sum(normals * _views(camera, points[seen]), axis=1)
@@ -201,7 +196,7 @@ def _at_rest(
     return seen, _Rest(
         points=points[seen],
         pixels=pixels[seen],
-        colors=_colors(np.nan_to_num(picture), pixels[seen]),
+        colors=_colors(_blurred(np.nan_to_num(picture)), pixels[seen]),
         normals=normals,
         steepness=np.abs(steepness),
         moving=moving[seen],
@@ -219,8 +214,9 @@ def _of_frame(
     shown_there = faces & _shown(pixels, depths, depth)
     first_depths = camera.project(rest.points)[1]
     shown_here = _shown(rest.pixels, first_depths, depth)
-    if_moving = _log_likelihood(rest.colors, _colors(frame, pixels), shown_there & rest.moving)
-    if_standing = _log_likelihood(rest.colors, _colors(frame, rest.pixels), shown_here & ~rest.moving)
+    blurred = _blurred(frame)
+    if_moving = _log_likelihood(rest.colors, _colors(blurred, pixels), shown_there & rest.moving)
+    if_standing = _log_likelihood(rest.colors, _colors(blurred, rest.pixels), shown_here & ~rest.moving)
     tells = shown_here & shown_there & (np.linalg.norm(pixels - rest.pixels, axis=1) > MIN_SHIFT_PX)
     return np.where(tells, if_moving - if_standing, np.nan)
 
@@ -260,11 +256,23 @@ def _shown(pixels: Array, depths: Array, depth: NDArray) -> NDArray[np.bool_]:
     return inside & (surface >= 0) & ((surface == 0) | (depths < surface + DEPTH_M))
 
 
-def _colors(picture: NDArray[np.float32], pixels: Array) -> Array:
-    """Blurred colors (N, 3) at pixels (N, 2)."""
+def _blurred(picture: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Its three channels (H, W) without noise."""
+    return [ndimage.gaussian_filter(picture[..., channel], BLUR_PX) for channel in range(3)]
+
+
+def _colors(planes: list[NDArray[np.float32]], pixels: Array) -> Array:
+    """Colors (N, 3) at pixels (N, 2) of three channels (H, W)."""
     at = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
-    blurred = [ndimage.gaussian_filter(picture[..., channel], BLUR_PX) for channel in range(3)]
-    return np.stack([ndimage.map_coordinates(plane, at, order=1, mode="nearest") for plane in blurred], 1)
+    return np.stack([ndimage.map_coordinates(plane, at, order=1, mode="nearest") for plane in planes], 1)
+
+
+def _depth(scene: Gaussians, camera: Camera, parts: Parts | None = None) -> NDArray[np.float32]:
+    """Depth (H, W) of the surface that a camera sees, 0 for none, [m]."""
+    depth = render(scene, camera, parts=parts, with_ids=True).median_depth
+    if depth is None:
+        raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
+    return depth
 
 
 def _normals(points: Array, surface: Array) -> Array:

@@ -1,6 +1,7 @@
 """Parts and motion in turn: labels give a motion, and the motion tells which Gaussians move."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ def find_moving_parts(
 
     Args:
         scan: Prompts, masks and surfaces.
-        demonstration: What motion looks at, given labels.
+        demonstration: What motion looks at, given labels; read once.
         progress: Told about each round.
 
     Raises:
@@ -35,8 +36,9 @@ def find_moving_parts(
     """
     first = current = find_parts(scan)
     progress(0.3, "boxes fitted to the prompts")
+    seen = demonstration(first.labels)
     for round_ in range(MAX_ROUNDS):
-        demo = demonstration(current.labels)
+        demo = replace(seen, labels=current.labels)
         try:
             log_odds = motion_log_odds(demo, first_motion(demo))
         except EstimationError:

@@ -309,4 +309,4 @@ def scan_cameras_world(run: Run) -> dict[str, Camera]:
 
 def demo_fps(run: Run) -> float:
     """Frame rate of the first demonstration video, [1/s]."""
-    return float(round(probe_video(aligned_capture_of(run).cameras[0].video).fps))
+    return float(round(probe_video(capture_of(run).cameras[0].video).fps))

@@ -46,7 +46,7 @@ def world(monkeypatch):
 
 
 def found() -> np.ndarray:
-    return moving_parts.find_moving_parts(None, lambda labels: labels, silent).labels  # type: ignore[arg-type]
+    return moving_parts.find_moving_parts(None, Labels, silent).labels  # type: ignore[arg-type]
 
 
 def test_a_demonstration_that_agrees_is_asked_once(world):
