@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, panel, rod
+from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, carcass, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
@@ -137,11 +137,7 @@ def _body(
     lip = y0 - 2 * GAP - shape.door
     inside = (z0 + board, z1 - board)
     boards = {
-        "top": box(-w, w, y0, y1, z1 - board, z1),
-        "bottom": box(-w, w, y0, y1, z0, z0 + board),
-        "left": box(-w, -w + board, y0, y1, *inside, "zZ"),
-        "right": box(w - board, w, y0, y1, *inside, "zZ"),
-        "back": box(-w + board, w - board, y1 - board, y1, *inside, "xXzZ"),
+        **carcass(w, (y0, y1), (z0, z1), board),
         "shelf": box(-w + board, w - board, y0 + 0.03, y1 - board, *_shelf(shape), "xXY"),
         "rail_top": box(-w, w, lip, y0, z1 - shape.rail, z1, "Y"),
         "rail_bottom": box(-w, w, lip, y0, z0, z0 + shape.rail, "Y"),

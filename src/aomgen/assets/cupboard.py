@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import Surface, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.shapes import Surface, box, boxes_mesh, carcass, merged, panel, rod
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -122,13 +122,8 @@ def _joined(body: AssetLink, part: AssetLink) -> AssetLink:
 def _body(shape: CupboardShape, wood: Surface, rng: np.random.Generator) -> AssetLink:
     w, y0, y1, board = shape.width / 2, -shape.depth / 2, shape.depth / 2, shape.board
     z0, z1 = shape.feet, shape.height
-    inside = (z0 + board, z1 - board)
     boards = {
-        "top": box(-w, w, y0, y1, z1 - board, z1),
-        "bottom": box(-w, w, y0, y1, z0, z0 + board),
-        "left": box(-w, -w + board, y0, y1, *inside, "zZ"),
-        "right": box(w - board, w, y0, y1, *inside, "zZ"),
-        "back": box(-w + board, w - board, y1 - board, y1, *inside, "xXzZ"),
+        **carcass(w, (y0, y1), (z0, z1), board),
         "shelf": box(-w + board, w - board, y0, y1 - board, shape.shelf - board, shape.shelf, "xXY"),
     }
     feet = {

@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import DARKS, METALS, PAINTS, WOODS
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, merged
+from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, carcass, merged
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -150,13 +150,7 @@ def _body(
     w, y0, y1, board = shape.width / 2, -shape.depth / 2, shape.depth / 2, shape.board
     z0, z1 = shape.feet, shape.height
     inside = (z0 + board, z1 - board)
-    boards = {
-        "top": box(-w, w, y0, y1, z1 - board, z1),
-        "bottom": box(-w, w, y0, y1, z0, z0 + board),
-        "left": box(-w, -w + board, y0, y1, *inside, "zZ"),
-        "right": box(w - board, w, y0, y1, *inside, "zZ"),
-        "back": box(-w + board, w - board, y1 - board, y1, *inside, "xXzZ"),
-    }
+    boards = carcass(w, (y0, y1), (z0, z1), board)
     for row in range(1, shape.rows):
         z = z0 + row * shape.pitch[1]
         boards[f"shelf_{row}"] = box(

@@ -57,6 +57,21 @@ def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, skip: 
     return Box(lower=(x0, y0, z0), upper=(x1, y1, z1), skip=skip)
 
 
+def carcass(
+    w: float, depth: tuple[float, float], height: tuple[float, float], board: float
+) -> dict[str, Box]:
+    """Boards around a piece of furniture that is open to the front: `w` to both sides, front to back, floor to top."""
+    (y0, y1), (z0, z1) = depth, height
+    inside = (z0 + board, z1 - board)
+    return {
+        "top": box(-w, w, y0, y1, z1 - board, z1),
+        "bottom": box(-w, w, y0, y1, z0, z0 + board),
+        "left": box(-w, -w + board, y0, y1, *inside, "zZ"),
+        "right": box(w - board, w, y0, y1, *inside, "zZ"),
+        "back": box(-w + board, w - board, y1 - board, y1, *inside, "xXzZ"),
+    }
+
+
 def boxes_mesh(name: str, boxes: Sequence[Box], surface: Surface) -> Mesh:
     """One mesh of several boxes, planar-mapped: u runs along x (or y), v along z (or y).
 
