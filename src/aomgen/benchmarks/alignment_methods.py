@@ -16,7 +16,7 @@ from aomgen.pipeline.stages import STAGES
 from aomgen.reconstruction.alignment.outline_fit import camera_in_world
 from aomgen.reconstruction.cameras.stage import load_structure
 from aomgen.reconstruction.masks.segmenter import choose_segmenter
-from aomgen.reconstruction.parts.lifting import PartsParams, find_parts, prompted_scan
+from aomgen.reconstruction.parts.lifting import PartsParams, find_parts, part_evidence, prompted_scan
 from aomgen.reconstruction.parts.stage import scan_views
 from aomgen.reconstruction.surfaces.stage import load_gaussians
 from aomgen.twin.twin import Twin
@@ -52,7 +52,8 @@ def paper_twin(out: Path, capture: Capture, estimates: dict[str, Any]) -> tuple[
     views = scan_views(structure, S_world_recon, images, posture)
     segmenter = choose_segmenter(capture.mask_folders)
     params = PartsParams(robot="boxes")
-    parts = find_parts(prompted_scan(world, views, capture.prompts, segmenter, posture, silent, params))
+    scan = prompted_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    parts = find_parts(scan, part_evidence(scan))
     joint = load_motion(folders["motion"]).joint
     return (
         scanned_twin(world, parts, joint, posture),

@@ -17,10 +17,9 @@ from aomgen.motion.paper.estimate import PaperParams, estimate_motion_paper
 from aomgen.motion.paper.keyframes import PartMasks
 from aomgen.pipeline.estimates import NO_MOTION, motion_estimates
 from aomgen.pipeline.project import Project
-from aomgen.pipeline.recovery import motion_input
+from aomgen.pipeline.recovery import labelled_scan, motion_input
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import STAGES
-from aomgen.reconstruction.parts.stage import load_parts
 
 PREFIX = "paper_motion."
 # What the methods are compared in.
@@ -66,7 +65,8 @@ def paper_motion_figures(out: Path, capture: Path, truth: Truth, masks: TrueMask
         masks: True masks of the first camera's video.
     """
     run = Run.of(Project(capture=capture, out=out), out, STAGES)
-    demonstration = motion_input(run, load_parts(run.folders["parts"]).labels)
+    scene, parts = labelled_scan(run.folders)
+    demonstration = motion_input(run, scene, parts.labels)
     times_s = demonstration.video.times_s
     labels = np.stack([masks.read(f"{k:04d}") for k in range(len(times_s))])
     given = segmented(labels, np.random.default_rng(0))

@@ -12,7 +12,7 @@ from aomgen.reconstruction.alignment.stage import load_alignment
 from aomgen.reconstruction.cameras.stage import load_structure
 from aomgen.reconstruction.masks.segmenter import choose_segmenter
 from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams, masked_scan
-from aomgen.reconstruction.parts.lifting import PartsParams, find_parts, prompted_scan
+from aomgen.reconstruction.parts.lifting import PartsParams, find_parts, part_evidence, prompted_scan
 from aomgen.reconstruction.parts.prompted import ask_prompts
 from aomgen.reconstruction.parts.stage import MASKS_FOLDER, scan_views
 from aomgen.twin.twin import Twin
@@ -43,7 +43,8 @@ def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
     masked_scan(world, views, prompted, segmenter, silent, affinity)
     masked = time.monotonic()
     params = PartsParams(method="saga", affinity=affinity)
-    parts = find_parts(prompted_scan(world, views, capture.prompts, segmenter, posture, silent, params))
+    scan = prompted_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    parts = find_parts(scan, part_evidence(scan))
     seconds = {"masks": masked - started, "features": time.monotonic() - masked}
     twin = scanned_twin(world, parts, load_motion(folders["motion"]).joint, posture)
     return twin, {step: round(value, 1) for step, value in seconds.items()}

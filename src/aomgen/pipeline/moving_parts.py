@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.errors import EstimationError
 from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.estimate import first_motion
 from aomgen.motion.part_tracking import motion_log_odds
-from aomgen.reconstruction.parts.lifting import Parts, PromptedScan, find_parts
+from aomgen.reconstruction.parts.lifting import Parts, PromptedScan, cut_scan, find_parts, part_evidence
 
 # Most rounds, and overlap of the moving part (IoU) from which another round would not change it.
 MAX_ROUNDS, SETTLED_IOU = 2, 0.95
@@ -22,36 +23,43 @@ MIN_KEPT = 0.5
 
 
 def find_moving_parts(
-    scan: PromptedScan, demonstration: Callable[[NDArray[np.uint8]], Demonstration], progress: Progress
+    scan: PromptedScan,
+    demonstration: Callable[[Gaussians, NDArray[np.uint8]], Demonstration],
+    progress: Progress,
 ) -> Parts:
     """Label all Gaussians by the prompts and by the demonstration.
 
     Args:
         scan: Prompts, masks and surfaces.
-        demonstration: What motion looks at, given labels; read once.
+        demonstration: What motion looks at, given Gaussians, world frame, and their labels; read once.
         progress: Told about each round.
 
     Raises:
         ReconstructionError, WrongPromptError: See `find_parts`.
     """
-    first = current = find_parts(scan)
+    prompted = evidence = part_evidence(scan)
+    log_odds = None
+    first = current = find_parts(scan, prompted)
     progress(0.3, "boxes fitted to the prompts")
-    seen = demonstration(first.labels)
+    seen = demonstration(scan.gaussians, first.labels)
     for round_ in range(MAX_ROUNDS):
         demo = replace(seen, labels=current.labels)
         try:
-            log_odds = motion_log_odds(demo, first_motion(demo))
+            shown = motion_log_odds(demo, first_motion(demo))
         except EstimationError:
             # The motion stage meets the same demonstration with these labels, and says what is wrong.
-            return current
-        found = find_parts(scan, log_odds)
+            break
+        told = part_evidence(scan, shown)
+        found = find_parts(scan, told)
         if not _kept(first.labels, found.labels) >= MIN_KEPT:
-            return first
+            evidence, log_odds = prompted, None
+            break
         before, current = current, found
-        progress(0.3 + 0.7 * (round_ + 1) / MAX_ROUNDS, f"demonstration looked at, round {round_ + 1}")
+        evidence, log_odds = told, shown
+        progress(0.3 + 0.6 * (round_ + 1) / MAX_ROUNDS, f"demonstration looked at, round {round_ + 1}")
         if _iou(before.labels, current.labels) >= SETTLED_IOU:
             break
-    return current
+    return find_parts(*cut_scan(scan, evidence, log_odds))
 
 
 def _iou(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -124,14 +125,14 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """A part label for every Gaussian, the robot link that carries it, and which sides the scan saw."""
     capture = aligned_capture_of(run)
     scene = load_structure(run.folders["structure"])
-    gaussians_recon = load_gaussians(run.folders["gaussians"]).gaussians_recon
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
+    world = scanned_world(run.folders)
     posture = posture_of(capture)
     images = {path.name: path for path in capture.scan_images}
     views = scan_views(scene, S_world_recon, images, posture)
     progress(0.1, "robot drawn into the scan")
     scan = prompted_scan(
-        gaussians_recon.transformed(S_world_recon),
+        world,
         views,
         capture.prompts,
         choose_segmenter(capture.mask_folders, run.project.segmenter),
@@ -143,9 +144,9 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
             robot="boxes" if run.project.alignment_method == "paper" else "links",
         ),
     )
-    result = find_moving_parts(scan, lambda labels: motion_input(run, labels), part(progress, 0.5, 1.0))
+    result = find_moving_parts(scan, partial(motion_input, run), part(progress, 0.5, 1.0))
     save_parts(result, folder)
-    found = run_survey(scene, gaussians_recon, S_world_recon, result, posture, folder)
+    found = run_survey(scene, result.cut.applied(world), S_world_recon, result, posture, folder)
     counts = np.bincount(result.labels, minlength=4)
     return {
         "robot": int(counts[ROBOT]),
@@ -200,7 +201,8 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstimate:
-    demonstration = motion_input(run, load_parts(run.folders["parts"]).labels)
+    scene, parts = labelled_scan(run.folders)
+    demonstration = motion_input(run, scene, parts.labels)
     refused = run.out / REFUSED_MOTION
     if run.project.motion_method == "paper":
         capture = aligned_capture_of(run)
@@ -209,11 +211,12 @@ def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstim
     return run_motion(demonstration, folder, progress, refused=refused)
 
 
-def motion_input(run: Run, labels: NDArray[np.uint8]) -> MotionInput:
+def motion_input(run: Run, scene: Gaussians, labels: NDArray[np.uint8]) -> MotionInput:
     """What AOMotion looks at: the first fixed camera's film, the log, and the scan in its parts.
 
     Args:
         run: Finished up to its alignment.
+        scene: The scan, world frame.
         labels: Part label of every Gaussian.
 
     Raises:
@@ -228,7 +231,7 @@ def motion_input(run: Run, labels: NDArray[np.uint8]) -> MotionInput:
         camera=settled.camera,
         log=capture.joint_log,
         robot=robot_of(capture),
-        scene=scanned_world(run.folders),
+        scene=scene,
         labels=labels,
         clock_offset_s=clock.offset_s,
         clock_sd_s=clock.sd_s,
@@ -241,10 +244,16 @@ def scanned_world(folders: Mapping[str, Path]) -> Gaussians:
     return load_gaussians(folders["gaussians"]).gaussians_recon.transformed(S_world_recon)
 
 
+def labelled_scan(folders: Mapping[str, Path]) -> tuple[Gaussians, Parts]:
+    """The trained Gaussians as the parts stage cut them, world frame, and their labels."""
+    parts = load_parts(folders["parts"])
+    return parts.cut.applied(scanned_world(folders)), parts
+
+
 def scanned_object(run: Run) -> tuple[Array, Array]:
     """Points of the moving and the static part (N, 3), (M, 3) as scanned, world frame, [m]."""
-    world, labels = scanned_world(run.folders), load_parts(run.folders["parts"]).labels
-    return surface_points(world, labels, MOVING), surface_points(world, labels, STATIC)
+    world, parts = labelled_scan(run.folders)
+    return surface_points(world, parts.labels, MOVING), surface_points(world, parts.labels, STATIC)
 
 
 def posture_of(capture: Capture) -> RobotPosture:
@@ -278,9 +287,7 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     capture = aligned_capture_of(run)
     posture, motion = posture_of(capture), load_motion(run.folders["motion"])
     robot = posture.robot
-    scanned = scanned_twin(
-        scanned_world(run.folders), load_parts(run.folders["parts"]), motion.joint, posture
-    )
+    scanned = scanned_twin(*labelled_scan(run.folders), motion.joint, posture)
     film = demo_film(capture, demo_camera_world(run), motion, scanned, robot)
     bound = with_tray(scanned, robot, film)
     films = [*scan_films(capture, scan_cameras_world(run), bound), film]

@@ -18,6 +18,11 @@ class Labels:
     labels: np.ndarray
 
 
+@dataclass
+class Scan:
+    gaussians: None = None
+
+
 @pytest.fixture
 def world(monkeypatch):
     """Labels follow the log odds where there are some; `world.odds` is what the demonstration shows."""
@@ -28,7 +33,7 @@ def world(monkeypatch):
 
     made = World()
 
-    def labelled(scan, log_odds=None):
+    def labelled(scan, log_odds):
         if log_odds is None:
             return Labels(PROMPTED)
         return Labels(
@@ -39,6 +44,9 @@ def world(monkeypatch):
         made.rounds += 1
         return made.odds[min(made.rounds, len(made.odds)) - 1]
 
+    # Evidence is what the demonstration showed.
+    monkeypatch.setattr(moving_parts, "part_evidence", lambda scan, log_odds=None: log_odds)
+    monkeypatch.setattr(moving_parts, "cut_scan", lambda scan, evidence, log_odds: (scan, evidence))
     monkeypatch.setattr(moving_parts, "find_parts", labelled)
     monkeypatch.setattr(moving_parts, "first_motion", lambda demo: None)
     monkeypatch.setattr(moving_parts, "motion_log_odds", shown)
@@ -46,7 +54,8 @@ def world(monkeypatch):
 
 
 def found() -> np.ndarray:
-    return moving_parts.find_moving_parts(None, Labels, silent).labels  # type: ignore[arg-type]
+    scan = Scan()
+    return moving_parts.find_moving_parts(scan, lambda scene, labels: Labels(labels), silent).labels  # type: ignore[arg-type]
 
 
 def test_a_demonstration_that_agrees_is_asked_once(world):

@@ -7,7 +7,7 @@ import pytest
 
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.gaussians import Gaussians
+from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
@@ -20,7 +20,15 @@ from aomgen.reconstruction.alignment.outline_fit import RobotPosture
 from aomgen.reconstruction.masks.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter, clean
 from aomgen.reconstruction.masks.weights import find_weights
 from aomgen.reconstruction.parts.binding import nearest_links
-from aomgen.reconstruction.parts.lifting import Parts, find_parts, prompted_scan
+from aomgen.reconstruction.parts.cutting import no_cut
+from aomgen.reconstruction.parts.lifting import (
+    Parts,
+    PromptedScan,
+    cut_scan,
+    find_parts,
+    part_evidence,
+    prompted_scan,
+)
 from aomgen.reconstruction.parts.part_masks import ScanView
 from aomgen.reconstruction.parts.stage import load_parts, save_parts
 from aomgen.splatting.rasterizer import render
@@ -116,12 +124,16 @@ def tight_prompt(part: str, index: int, folder) -> Prompt:
     return Prompt(part=part, image=f"{index}.jpg", points=np.zeros((0, 3)), box=box)
 
 
+def labelled(scan: PromptedScan) -> Parts:
+    return find_parts(scan, part_evidence(scan))
+
+
 def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     gaussians, labels = toy_scene(posture)
     views = toy_views(gaussians, labels, posture, tmp_path)
     prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    parts = find_parts(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
+    parts = labelled(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
     votes = np.zeros(len(gaussians))
     for view in views:
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
@@ -131,7 +143,23 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
     save_parts(parts, tmp_path)
-    assert np.array_equal(load_parts(tmp_path).labels, parts.labels)
+    stored = load_parts(tmp_path)
+    assert np.array_equal(stored.labels, parts.labels)
+    assert (stored.method, stored.box_misfit) == (parts.method, parts.box_misfit)
+
+
+def test_cut_parts_are_stored_with_their_pieces(posture, tmp_path):
+    gaussians, labels = toy_scene(posture)
+    views = toy_views(gaussians, labels, posture, tmp_path)
+    prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
+    scan = prompted_scan(gaussians, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), posture, silent)
+    parts = find_parts(*cut_scan(scan, part_evidence(scan), None))
+    assert len(parts.cut.sources) > 0
+    assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
+    save_parts(parts, tmp_path)
+    stored = load_parts(tmp_path).cut
+    assert np.array_equal(stored.sources, parts.cut.sources)
+    assert np.array_equal(stored.pieces.means, parts.cut.pieces.means)
 
 
 def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
@@ -139,7 +167,7 @@ def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
     views = toy_views(gaussians, labels, posture, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    parts = find_parts(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
+    parts = labelled(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
     assert parts.method == "boxes"
     assert parts.box_misfit < 0.1
     drawn = render(gaussians, views[3].camera, with_ids=True)
@@ -170,15 +198,21 @@ def test_parts_of_different_objects_are_refused(posture, tmp_path):
     prompts += tuple(tight_prompt("moving", k, tmp_path) for k in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
     with pytest.raises(WrongPromptError, match=r"away from the moving part.*another object.*around the body"):
-        find_parts(prompted_scan(both, views, prompts, segmenter, posture, silent))
+        labelled(prompted_scan(both, views, prompts, segmenter, posture, silent))
+
+
+def nothing_found() -> Parts:
+    nothing = gaussians_of(
+        means=np.zeros((0, 3)), quats=np.zeros((0, 4)), scales=np.zeros((0, 3)), opacities=[], sh=np.zeros((0, 1, 3))
+    )  # fmt: skip
+    return Parts(
+        labels=np.zeros(0, np.uint8), confidence=np.zeros(0, np.float32), robot_bodies=np.zeros(0, np.int32),
+        cut=no_cut(nothing), method="boxes", box_misfit=0.1, static_agreement=0.9, moving_agreement=0.9,
+    )  # fmt: skip
 
 
 def test_parts_that_miss_their_boxes_are_warned_about():
-    labels = np.zeros(3, np.uint8)
-    found = Parts(
-        labels=labels, confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32),
-        method="boxes", box_misfit=0.4, static_agreement=0.9, moving_agreement=0.9,
-    )  # fmt: skip
+    found = replace(nothing_found(), box_misfit=0.4)
     assert found.warnings() == [
         "the parts found end 10 % of a box away from the prompts' boxes, want 5 %; draw boxes that touch each "
         "part on all four sides"
@@ -187,10 +221,7 @@ def test_parts_that_miss_their_boxes_are_warned_about():
 
 
 def test_doubtful_labels_are_warned_about():
-    found = Parts(
-        labels=np.zeros(3, np.uint8), confidence=np.zeros(3, np.float32), robot_bodies=np.full(3, -1, np.int32),
-        method="boxes", box_misfit=0.1, static_agreement=0.9, moving_agreement=0.55,
-    )  # fmt: skip
+    found = replace(nothing_found(), moving_agreement=0.55)
     (sentence,) = found.warnings()
     assert (
         "labels of the moving part are doubtful: they overlap with its masks by 55 %, want 60 %" in sentence

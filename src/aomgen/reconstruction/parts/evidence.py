@@ -1,7 +1,7 @@
 """What prompts, masks and fitted boxes say of every Gaussian, as log-likelihoods of its labels."""
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from aomgen.reconstruction.parts.part_masks import ScanView, lift
 from aomgen.reconstruction.parts.prompted import PromptedImage, surface_seen
 from aomgen.reconstruction.parts.tracked_points import TrackedPoints
 
+# Columns of log-likelihoods and posteriors.
+LABELS: Final = np.array([BACKGROUND, STATIC, MOVING], np.uint8)
 # Painted weight below which no view has really seen a Gaussian, [px].
 MIN_WEIGHT = 0.02
 # How often boxes are wrong about a Gaussian that they paint, and about one that no view shows.
@@ -38,13 +40,24 @@ BACKGROUND_ODDS = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartEvidence:
-    """Log-likelihoods (N, 3) of background, static and moving part, and the method they come from."""
+    """What is known of N Gaussians.
+
+    Attributes:
+        log_likelihoods: (N, 3), of background, static and moving part.
+        method: What they come from, see `Parts`.
+        panel: The fitted boxes of method "boxes".
+    """
 
     log_likelihoods: Array
     method: str
+    panel: Panel | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "log_likelihoods", self.log_likelihoods, (None, 3))
+
+    def with_motion(self, log_odds: Array) -> Self:
+        """The same and the log odds (N,) of moving over standing still."""
+        return replace(self, log_likelihoods=self.log_likelihoods + log_odds[:, None] * (LABELS == MOVING))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +90,7 @@ def prompted_evidence(
         prompted: Answers to the prompts.
         surfaces: Views in which fitted boxes are drawn.
         rng: For the panel's search.
-        motion_log_odds: See `find_parts`; shapes the boxes, and is not added here.
+        motion_log_odds: See `part_evidence`; shapes the boxes, and is not added here.
     """
     tracked = None if motion_log_odds is None else TrackedPoints.of(gaussians, motion_log_odds)
     try:
@@ -88,7 +101,7 @@ def prompted_evidence(
         # The part is no panel: its masks are what is known of it.
         masks = sum((_of_prompt(gaussians, item) for item in prompted), np.zeros((len(gaussians), 3)))
         return PartEvidence(log_likelihoods=masks + np.log([BACKGROUND_ODDS, 1, 1]), method="masks")
-    return PartEvidence(log_likelihoods=_of_panel(gaussians, fit.panel, surfaces), method="boxes")
+    return panel_evidence(gaussians, fit.panel, surfaces)
 
 
 def _of_prompt(gaussians: Gaussians, item: PromptedImage) -> Array:
@@ -99,18 +112,19 @@ def _of_prompt(gaussians: Gaussians, item: PromptedImage) -> Array:
     return np.where(seen[:, None], np.log(np.maximum(shares @ GIVEN_MASK[item.part], 1e-3)), 0.0)
 
 
-def _of_panel(gaussians: Gaussians, panel: Panel, surfaces: list[SurfaceView]) -> Array:
-    """Log-likelihoods (N, 3) by what the boxes paint in many views, or by place where no view shows it."""
+def panel_evidence(gaussians: Gaussians, panel: Panel, surfaces: list[SurfaceView]) -> PartEvidence:
+    """Of what the boxes paint in many views, or of its place where no view shows a Gaussian."""
     weights = np.zeros((len(gaussians), 3))
     for item in surfaces:
         labels = panel.labels_seen(item.points_world, item.view.camera.center)
-        masks = [(labels == value) & ~item.view.robot for value in (BACKGROUND, STATIC, MOVING)]
+        masks = [(labels == value) & ~item.view.robot for value in LABELS]
         weights += lift(gaussians, item.view, masks)
     total = weights.sum(1, keepdims=True)
-    column = np.searchsorted([BACKGROUND, STATIC, MOVING], panel.labels(gaussians.means))
+    column = np.searchsorted(LABELS, panel.labels(gaussians.means))
     by_place = np.eye(3)[column] * (1 - 3 * UNSEEN_ERROR) + UNSEEN_ERROR
     painted = weights / np.maximum(total, 1e-9) * (1 - 3 * PANEL_ERROR) + PANEL_ERROR
-    return np.log(np.where(total > MIN_WEIGHT, painted, by_place))
+    log_likelihoods = np.log(np.where(total > MIN_WEIGHT, painted, by_place))
+    return PartEvidence(log_likelihoods=log_likelihoods, method="boxes", panel=panel)
 
 
 def _shares(gaussians: Gaussians, view: ScanView, masks: list[Mask]) -> tuple[Array, NDArray[np.bool_]]:

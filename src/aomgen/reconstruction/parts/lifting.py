@@ -6,14 +6,14 @@ and masks, the masks themselves, and what the demonstration shows of each Gaussi
 paper's, takes affinity features trained from automatic masks instead (see `affinity_parts`).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
+from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.progress import Progress, part
@@ -24,7 +24,15 @@ from aomgen.reconstruction.alignment.link_boxes import bodies_in_boxes
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture
 from aomgen.reconstruction.masks.segmenter import Segmenter
 from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams, affinity_evidence, masked_scan
-from aomgen.reconstruction.parts.evidence import PartEvidence, SurfaceView, prompted_evidence, surface_views
+from aomgen.reconstruction.parts.cutting import Cut, cut_at_faces, no_cut
+from aomgen.reconstruction.parts.evidence import (
+    LABELS,
+    PartEvidence,
+    SurfaceView,
+    panel_evidence,
+    prompted_evidence,
+    surface_views,
+)
 from aomgen.reconstruction.parts.labelling import smooth_posterior
 from aomgen.reconstruction.parts.part_masks import ScanView, spread
 from aomgen.reconstruction.parts.prompted import PromptedImage, PromptFit, ask_prompts
@@ -32,8 +40,6 @@ from aomgen.reconstruction.parts.robot_labels import robot_bodies
 
 STAGE = "parts"
 PartsMethod = Literal["closed_form", "saga"]
-# Columns of log-likelihoods and posteriors.
-LABELS = np.array([BACKGROUND, STATIC, MOVING], np.uint8)
 # Views in which the boxes are drawn to label what they show.
 DRAWN_VIEWS = 20
 # Fewest Gaussians of a usable part.
@@ -67,12 +73,13 @@ class PartsParams:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parts:
-    """Labels of N Gaussians.
+    """Labels of N Gaussians: those of the scan, some of them cut.
 
     Attributes:
         labels: (N,), see `conventions.PART_LABELS`.
         confidence: (N,), probability of the label.
         robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
+        cut: Which Gaussians of the scan were cut, and their pieces.
         method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or "saga".
         box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
         static_agreement, moving_agreement: IoU of the drawn part with its masks in the prompted images, 0..1.
@@ -81,6 +88,7 @@ class Parts:
     labels: NDArray[np.uint8]
     confidence: NDArray[np.float32]
     robot_bodies: NDArray[np.int32]
+    cut: Cut
     method: str
     box_misfit: float
     static_agreement: float
@@ -115,7 +123,8 @@ class PromptedScan:
     """Everything about a scan's parts that is asked once, whatever the demonstration shows later.
 
     Attributes:
-        gaussians: World frame.
+        gaussians: World frame, cut.
+        cut: How they were cut.
         bodies: (N,) robot bodies, -1 where a Gaussian is not of the robot.
         robot_share: (N,) share of the painted weight inside the robot's masks.
         prompted: Answers to the prompts.
@@ -125,6 +134,7 @@ class PromptedScan:
     """
 
     gaussians: Gaussians
+    cut: Cut
     bodies: NDArray[np.int32]
     robot_share: Array
     prompted: list[PromptedImage]
@@ -173,6 +183,7 @@ def prompted_scan(
         surfaces = surface_views(gaussians, spread(views, DRAWN_VIEWS))
     return PromptedScan(
         gaussians=gaussians,
+        cut=no_cut(gaussians),
         bodies=bodies,
         robot_share=share,
         prompted=prompted,
@@ -182,25 +193,50 @@ def prompted_scan(
     )
 
 
-def find_parts(scan: PromptedScan, motion_log_odds: Array | None = None) -> Parts:
-    """Label all Gaussians.
+def part_evidence(scan: PromptedScan, motion_log_odds: Array | None = None) -> PartEvidence:
+    """What prompts, masks and the demonstration say of all Gaussians.
 
     Args:
         scan: See `prompted_scan`.
         motion_log_odds: Natural logarithm of how much more likely the demonstration is if a Gaussian (N,)
             moves than if it stands still; None before the demonstration was looked at.
+    """
+    evidence = scan.given or prompted_evidence(
+        scan.gaussians, scan.prompted, scan.surfaces, np.random.default_rng(scan.seed), motion_log_odds
+    )
+    return evidence if motion_log_odds is None else evidence.with_motion(motion_log_odds)
+
+
+def cut_scan(
+    scan: PromptedScan, evidence: PartEvidence, motion_log_odds: Array | None
+) -> tuple[PromptedScan, PartEvidence]:
+    """The scan cut where faces of the fitted boxes pass through Gaussians, and evidence of all pieces.
+
+    Args:
+        scan: Not cut yet.
+        evidence: See `part_evidence`; without boxes nothing is cut.
+        motion_log_odds: As they went into the evidence.
+    """
+    if evidence.panel is None:
+        return scan, evidence
+    cut = cut_at_faces(scan.gaussians, evidence.panel, scan.bodies < 0)
+    gaussians, origins = cut.applied(scan.gaussians), cut.origins(len(scan.gaussians))
+    known = panel_evidence(gaussians, evidence.panel, scan.surfaces)
+    if motion_log_odds is not None:
+        known = known.with_motion(motion_log_odds[origins])
+    bodies, share = scan.bodies[origins], scan.robot_share[origins]
+    return replace(scan, gaussians=gaussians, cut=cut, bodies=bodies, robot_share=share), known
+
+
+def find_parts(scan: PromptedScan, evidence: PartEvidence) -> Parts:
+    """Label all Gaussians.
 
     Raises:
         ReconstructionError: Almost nothing was found of a part.
         WrongPromptError: The prompts show parts of different objects.
     """
     gaussians, robot = scan.gaussians, scan.bodies >= 0
-    evidence = scan.given or prompted_evidence(
-        gaussians, scan.prompted, scan.surfaces, np.random.default_rng(scan.seed), motion_log_odds
-    )
-    log_likelihoods = evidence.log_likelihoods[~robot].copy()
-    if motion_log_odds is not None:
-        log_likelihoods[:, 2] += motion_log_odds[~robot]
+    log_likelihoods = evidence.log_likelihoods[~robot]
     colors = np.clip(0.5 + SH_C0 * gaussians.sh[~robot, 0], 0, 1)
     posterior = smooth_posterior(gaussians.means[~robot], colors, log_likelihoods)
     labels, confidence = np.full(len(robot), ROBOT, np.uint8), scan.robot_share.copy()
@@ -211,6 +247,7 @@ def find_parts(scan: PromptedScan, motion_log_odds: Array | None = None) -> Part
         labels=labels,
         confidence=confidence.astype(np.float32),
         robot_bodies=np.where(robot, scan.bodies, -1),
+        cut=scan.cut,
         method=evidence.method,
         box_misfit=fit.misfit,
         static_agreement=fit.agreement[STATIC],

@@ -75,6 +75,19 @@ class Panel:
         labels[moves] = MOVING
         return labels
 
+    def faces(self) -> list[tuple[Array, float]]:
+        """The planes of all twelve faces, `normal @ x = offset`, world frame."""
+        planes = []
+        for T_world_box, low, high in (
+            (self.T_world_panel, self.low, self.high),
+            (self.T_world_panel @ self.T_panel_body, self.body_low, self.body_high),
+        ):
+            for axis in range(3):
+                normal = T_world_box[:3, axis]
+                at_origin = float(normal @ T_world_box[:3, 3])
+                planes += [(normal, at_origin + float(edge)) for edge in (low[axis], high[axis])]
+        return planes
+
     @property
     def uncovered_m(self) -> float:
         """How far the panel's corners stand out past the body's footprint, mean over the corners, [m]."""

@@ -1,25 +1,28 @@
 """Loading and saving of the parts stage."""
 
-import io
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
-from aomgen.errors import MalformedFileError, MissingFileError
+from aomgen.errors import MalformedFileError
+from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import read_image
 from aomgen.physics.silhouette import SilhouetteRenderer
 from aomgen.reconstruction.alignment.outline_fit import RobotPosture, camera_in_world
 from aomgen.reconstruction.cameras.structure import Structure
+from aomgen.reconstruction.parts.cutting import Cut
 from aomgen.reconstruction.parts.lifting import Parts
 from aomgen.reconstruction.parts.part_masks import ScanView
 from aomgen.reconstruction.surfaces.gaussians import held_out
 
 PARTS_FILE = "parts.npz"
 MASKS_FOLDER = "automatic_masks"
+# Arrays of the pieces of Gaussians that were cut.
+PIECES = ("means", "quats", "scales", "opacities", "sh")
 
 
 def scan_views(
@@ -48,42 +51,42 @@ def scan_views(
 
 
 def save_parts(parts: Parts, folder: Path) -> None:
-    """Write labels into a folder."""
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        labels=parts.labels,
-        confidence=parts.confidence,
-        robot_bodies=parts.robot_bodies,
-        method=np.str_(parts.method),
-        box_misfit=np.float64(parts.box_misfit),
-        static_agreement=np.float64(parts.static_agreement),
-        moving_agreement=np.float64(parts.moving_agreement),
-    )
-    write_bytes(folder / PARTS_FILE, buffer.getvalue())
+    """Write labels into a folder; equal parts give equal bytes."""
+    pieces = {name: getattr(parts.cut.pieces, name) for name in PIECES}
+    arrays = {
+        "labels": parts.labels,
+        "confidence": parts.confidence,
+        "robot_bodies": parts.robot_bodies,
+        "cut_sources": parts.cut.sources,
+        **{f"cut_{name}": array for name, array in pieces.items()},
+        "method": np.array(parts.method, dtype=np.str_),
+        "box_misfit": np.array(parts.box_misfit),
+        "static_agreement": np.array(parts.static_agreement),
+        "moving_agreement": np.array(parts.moving_agreement),
+    }
+    write_bytes(folder / PARTS_FILE, npz_bytes(arrays))
 
 
 def load_parts(folder: Path) -> Parts:
     """Read what `save_parts` wrote.
 
     Raises:
-        MissingFileError, MalformedFileError: As their names say.
+        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
     """
-    path = folder / PARTS_FILE
-    if not path.is_file():
-        raise MissingFileError(path, "is missing", "run the parts stage again")
+    arrays = read_npz(folder / PARTS_FILE)
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return Parts(
-                labels=arrays["labels"],
-                confidence=arrays["confidence"],
-                robot_bodies=arrays["robot_bodies"],
-                method=str(arrays["method"]),
-                box_misfit=float(arrays["box_misfit"]),
-                static_agreement=float(arrays["static_agreement"]),
-                moving_agreement=float(arrays["moving_agreement"]),
-            )
-    except (ValueError, KeyError, OSError, zipfile.BadZipFile) as error:
+        pieces = Gaussians(**{name: arrays[f"cut_{name}"] for name in PIECES})
+        return Parts(
+            labels=arrays["labels"],
+            confidence=arrays["confidence"],
+            robot_bodies=arrays["robot_bodies"],
+            cut=Cut(sources=arrays["cut_sources"], pieces=pieces),
+            method=str(arrays["method"]),
+            box_misfit=float(arrays["box_misfit"]),
+            static_agreement=float(arrays["static_agreement"]),
+            moving_agreement=float(arrays["moving_agreement"]),
+        )
+    except (ValueError, KeyError) as error:
         raise MalformedFileError(
-            path, f"does not hold part labels ({error})", "run the stage again"
+            folder / PARTS_FILE, f"does not hold part labels ({error})", "run the stage again"
         ) from error

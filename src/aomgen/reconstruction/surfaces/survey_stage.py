@@ -23,7 +23,7 @@ SEED = 0
 
 def run_survey(
     structure: Structure,
-    gaussians_recon: Gaussians,
+    world: Gaussians,
     S_world_recon: Array,
     parts: Parts,
     posture: RobotPosture,
@@ -33,9 +33,9 @@ def run_survey(
 
     Args:
         structure: Cameras, recon frame; held-out ones do not count.
-        gaussians_recon: The trained scene, recon frame.
+        world: The trained scene, world frame.
         S_world_recon: The alignment.
-        parts: Labels of the Gaussians.
+        parts: Labels of these Gaussians.
         posture: Robot as scanned.
         folder: Receives the result.
     """
@@ -45,7 +45,6 @@ def run_survey(
         for name, camera in structure.cameras_recon.items()
         if name not in withheld
     ]
-    world = gaussians_recon.transformed(S_world_recon)
     views = view_depths(world, cameras)
     found = survey(world, parts.labels, posture, views, np.random.default_rng(SEED))
     save_survey(folder, found)
