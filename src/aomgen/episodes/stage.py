@@ -35,6 +35,7 @@ def run_episodes(
     folder: Path,
     *,
     instruction: str,
+    joint_zeros_rad: Array,
     T_world_plane: Array | None = None,
     workers: int = WORKERS,
     progress: Progress = silent,
@@ -51,6 +52,7 @@ def run_episodes(
         cameras: Cameras of the pictures.
         folder: Of all episodes; committed ones are kept.
         instruction: Language instruction.
+        joint_zeros_rad: Of the recorded arm, see `assumptions`.
         T_world_plane: The surface that shadows fall on, (4, 4).
         workers: Episodes drawn at the same time.
         progress: Told about every episode.
@@ -72,7 +74,7 @@ def run_episodes(
     def draw(index: int) -> None:
         name = verified[index].plan.fitted.asset.name
         usd = Path(os.path.relpath(usd_files[name], episode_folder(folder, index)))
-        episode = episode_of(verified[index], index, usd, robot, instruction, cameras)
+        episode = episode_of(verified[index], index, usd, robot, instruction, cameras, joint_zeros_rad)
         videos = episode_videos(episode, twins[name], robot, layers[name], T_world_plane, threads)
         commit_episode(folder, episode, videos)
 
@@ -95,6 +97,7 @@ def episode_of(
     robot: RobotModel,
     instruction: str,
     cameras: Mapping[str, Camera],
+    joint_zeros_rad: Array,
 ) -> Episode:
     """The episode that a verified plan becomes; its actions are the plan one frame ahead."""
     plan = verified.plan
@@ -121,7 +124,7 @@ def episode_of(
         T_world_object=plan.T_world_object,
         cameras=cameras,
         verdict={**verified.verdict.as_json(), "variation": asdict(plan.variation), "grasp": plan.grasp},
-        simulation=assumptions(asset, bolted=verified.verdict.bolted),
+        simulation=assumptions(asset, joint_zeros_rad, bolted=verified.verdict.bolted),
     )
 
 

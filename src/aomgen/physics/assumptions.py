@@ -10,6 +10,7 @@ from aomgen.assets.resistance import (
     holding_friction,
 )
 from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.values import Array
 from aomgen.physics.simulate import CONTROL_HZ, SETTLE_S
 
 CONTROL: Final = (
@@ -18,11 +19,12 @@ CONTROL: Final = (
 )
 
 
-def assumptions(asset: ArticulatedAsset, *, bolted: bool) -> dict[str, Any]:
+def assumptions(asset: ArticulatedAsset, joint_zeros_rad: Array, *, bolted: bool) -> dict[str, Any]:
     """Content of `simulation` in `episode.json`; SI units.
 
     Args:
         asset: As it was simulated, after scaling.
+        joint_zeros_rad: All joints of the episode minus what the real arm reads there (J,).
         bolted: Its base was held by the world.
     """
     holding = holding_friction(asset)
@@ -30,6 +32,7 @@ def assumptions(asset: ArticulatedAsset, *, bolted: bool) -> dict[str, Any]:
         "control": CONTROL,
         "control_hz_at_least": CONTROL_HZ,
         "settle_s": SETTLE_S,
+        "joint_zeros_rad": joint_zeros_rad.tolist(),
         "bolted": bolted,
         "masses_kg": {"static": asset.static.mass, "moving": asset.moving.mass},
         "contact_friction": list(CONTACT_FRICTION),

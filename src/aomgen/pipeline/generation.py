@@ -35,6 +35,7 @@ from aomgen.pipeline.fitted_store import load_fitted, save_fitted
 from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, scanned_object
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.working import aligned_capture_of, capture_of
+from aomgen.reconstruction.alignment.stage import load_alignment
 from aomgen.replacement.extent import free_rectangle
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.light import estimate_light
@@ -155,6 +156,7 @@ def episodes(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         cameras,
         folder,
         instruction=capture.instruction,
+        joint_zeros_rad=load_alignment(run.folders["alignment"]).joint_zeros_rad,
         T_world_plane=np.array(scene["T_world_plane"]),
         progress=progress,
     )

@@ -90,7 +90,13 @@ def export(robot: RobotModel, category: str, out: Path) -> None:
     T_world_cam = look_at((1, 1, 1), (0, 0, 0))
     camera = Camera(fx=60, fy=60, cx=32, cy=32, width=64, height=64, T_world_cam=T_world_cam)
     episode = episode_of(
-        made.episodes[0], 0, Path("../../asset.usda"), robot, f"open the {category}", {"front": camera}
+        made.episodes[0],
+        0,
+        Path("../../asset.usda"),
+        robot,
+        f"open the {category}",
+        {"front": camera},
+        np.zeros(6),
     )
     grey = encode_video(np.full((len(episode), 64, 64, 3), 128, np.uint8), FPS)
     folder = commit_episode(out / "09_episodes", episode, {"front": grey})

@@ -20,6 +20,7 @@ from aomgen.twin.lamp import Lamp
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 FRAMES = 4
+ZEROS_RAD = np.array([0.0, 0.002, -0.003, 0.0, 0.001, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +101,7 @@ def run(toy_scene, twin, cameras, folder: Path, count: int = 2, workers: int = 2
         cameras,
         folder,
         instruction="open the microwave",
+        joint_zeros_rad=ZEROS_RAD,
         T_world_plane=np.eye(4),
         workers=workers,
     )
@@ -117,6 +119,7 @@ def test_an_episode_comes_back_as_it_was(toy_scene, committed):
     np.testing.assert_array_equal(item.episode.action_joints[:-1], verified(toy_scene, 0.4).plan.joints[1:])
     np.testing.assert_array_equal(item.episode.action_joints[-1], verified(toy_scene, 0.4).plan.joints[-1])
     assert item.episode.asset_usd == "../asset.usda"
+    assert item.episode.simulation["joint_zeros_rad"] == ZEROS_RAD.tolist()
     assert [run["name"] for run in item.episode.simulation["settings"]] == ["nominal", "light", "heavy"]
     assert item.episode.joint_names == toy_scene.robot.joint_names
     assert item.episode.verdict["passed"]
