@@ -79,7 +79,7 @@ $(VENV)/dev.stamp: $(VENV)/demo.stamp
 	@touch $@
 
 weights: $(VENV)/demo.stamp
-	@$(BIN)/python -m aomgen.reconstruction.masks.weights
+	@$(BIN)/python -m aomgen.segmentation.weights
 
 $(LEROBOT_VENV)/installed.stamp: requirements/lerobot-py311.txt tests/lerobot_env.sh
 	PYTHON=$(PYTHON) sh tests/lerobot_env.sh

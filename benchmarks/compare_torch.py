@@ -1,6 +1,6 @@
 """The engine against a tile rasterizer in plain torch, timed in turn on one thread.
 
-    python benchmarks/compare_torch.py --gaussians 100000 --size 640x480 --rounds 5
+    python -m benchmarks.compare_torch --gaussians 100000 --size 640x480 --rounds 5
 
 Times are processor time, so that other programs on the machine disturb them little.
 """
@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from torch_tiles import render
 
-from aomgen.benchmarks.agreement import draw
-from aomgen.benchmarks.projection import parameters_of
-from aomgen.benchmarks.scenes import table_camera, table_top
-from aomgen.benchmarks.timing import forward_pass, interleaved_ms, torch_threads, training_pass
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
+from benchmarks.agreement import draw
+from benchmarks.projection import parameters_of
+from benchmarks.scenes import table_camera, table_top
+from benchmarks.timing import forward_pass, interleaved_ms, torch_threads, training_pass
 
 
 def compare(gaussians: Gaussians, camera: Camera, rounds: int, tile_px: int) -> dict[str, float]:

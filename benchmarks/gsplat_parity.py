@@ -1,7 +1,7 @@
 """Both rasterizers on a machine with an NVIDIA GPU: the parity suite, then their times side by side.
 
-    python benchmarks/gsplat_parity.py
-    python benchmarks/gsplat_parity.py --wheels wheels --gaussians 20000,100000,300000 --size 640x480
+    python -m benchmarks.gsplat_parity
+    python -m benchmarks.gsplat_parity --wheels wheels --gaussians 20000,100000,300000 --size 640x480
 
 Uses the Python it runs on if its torch finds the GPU; otherwise makes an environment and installs torch from
 the registries. What else is missing, gsplat first of all, goes into the folder too, and nowhere else. gsplat
@@ -76,7 +76,7 @@ def _environment(python: str, folder: Path, site: Path) -> dict[str, str]:
     return {
         **os.environ,
         "PATH": os.pathsep.join(paths),
-        "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), str(site)]),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "src"), str(site)]),
         "TORCH_EXTENSIONS_DIR": str(folder / "extensions"),
         "TORCH_CUDA_ARCH_LIST": _capability(python),
         "MAX_JOBS": str(os.cpu_count()),

@@ -1,6 +1,6 @@
 """Times of the engine and of gsplat on one scene, and how far their pictures lie apart.
 
-    python benchmarks/gsplat_times.py 20000,100000,300000 640x480
+    python -m benchmarks.gsplat_times 20000,100000,300000 640x480
 
 Wall times, medians: the engine with all processors, gsplat with the GPU waited for.
 """
@@ -14,11 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aomgen.benchmarks.scenes import table_camera, table_top
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting.differentiable import GaussianTensors, Rasterizer, RasterOptions
 from aomgen.splatting.rasterizers import make_rasterizer
+from benchmarks.scenes import table_camera, table_top
 
 OPTIONS = RasterOptions(sh_degree=3)
 COLUMNS = ("Gaussians", "forward", "with ids", "with 16 features", "forward+backward", "PSNR [dB]")

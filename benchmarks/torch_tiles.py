@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from aomgen.benchmarks.projection import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, NEAR_DEPTH, Splats, project
 from aomgen.core.camera import Camera
+from benchmarks.projection import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, NEAR_DEPTH, Splats, project
 
 
 def render(parameters: dict[str, Tensor], camera: Camera, degree: int, *, tile_px: int = 16) -> Tensor:

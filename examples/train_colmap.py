@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from aomgen.core.camera import Camera
+from aomgen.core.held_out import held_out
+from aomgen.core.structure import Structure
+from aomgen.gaussians.dense_points import DensifyParams, densify
+from aomgen.gaussians.train import initial_gaussians, judge
 from aomgen.io.colmap import ColmapView, read_colmap
 from aomgen.io.images import read_image, resize
 from aomgen.io.ply import write_gaussians
-from aomgen.reconstruction.cameras.structure import Structure
-from aomgen.reconstruction.surfaces.densify import DensifyParams, densify
-from aomgen.reconstruction.surfaces.gaussians import held_out, initial_gaussians, judge
 from aomgen.splatting.initialization import gaussians_from_points
 from aomgen.splatting.training import TrainingParams, train
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from aomgen.core.transforms import apply, invert
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.synthetic.world import make_capture
 
 PANDA = """<mujoco model="panda">

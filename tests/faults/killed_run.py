@@ -24,12 +24,12 @@ from aomgen.generalization.stage import run_generalization
 from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
-from aomgen.physics.robot import load_robot
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages
 from aomgen.pipeline.stage import Run, Stage
+from aomgen.robots.robot import load_robot
 
-sys.path.append(str(Path(__file__).parents[1]))
+sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
 EPISODES, FRAMES, SIZE = 10, 30, (128, 96)

@@ -10,9 +10,9 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-import tensor_reference as reference
 import torch
 
+import tensor_reference as reference
 from aomgen.core.camera import Camera, look_at
 from aomgen.errors import BackendError
 from aomgen.splatting import torch_loss

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import splatting_reference as reference
 import torch
 
+import splatting_reference as reference
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native

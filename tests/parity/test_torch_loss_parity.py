@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import splatting_reference as reference
 import torch
 
+import splatting_reference as reference
 from aomgen.splatting import loss as native_loss
 from aomgen.splatting import torch_loss
 

@@ -28,16 +28,16 @@ from aomgen.core.transforms import (
 from aomgen.core.values import Array
 from aomgen.io.video import Video
 from aomgen.motion.contact import ContactParams
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.film_fit import Band
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.joint import JointParams
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
 from aomgen.motion.recovery import first_frame, poses_at, recover, touched
-from aomgen.physics.robot import RobotModel, load_robot
-from aomgen.physics.robot_masks import robot_masks
+from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.robot_masks import robot_masks
 from aomgen.splatting.rasterizer import Parts
 from aomgen.splatting.session import RenderSession
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from broken_captures import write_small
 
 from aomgen.assets.make import make_asset
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC, linear_from_srgb, srgb_from_linear
@@ -18,10 +17,11 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.light import Light, hemisphere_light, shaded_srgb
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.physics.robot import RobotModel, load_robot
+from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.binding import bind
 from aomgen.twin.twin import Twin, TwinState
+from broken_captures import write_small
 
 TABLE_SRGB = np.array([0.6, 0.45, 0.3])
 

@@ -19,7 +19,7 @@ from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
 from aomgen.io.images import resize
 from aomgen.io.straighten import straightener
 from aomgen.io.video import Video, decoded_frames, probe_video, read_video
-from aomgen.physics.robot import RobotModel, chosen_robot
+from aomgen.robots.robot import RobotModel, chosen_robot
 
 MIN_FRAMES = 20
 # A real joint may stand this far past the limit that its file states, [rad] or [m].

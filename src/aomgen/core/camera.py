@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.core.transforms import apply, invert
+from aomgen.core.transforms import apply, invert, similarity_parts
 from aomgen.core.values import Array, freeze
 
 
@@ -90,3 +90,12 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     T[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
     T[:3, 3] = eye
     return T
+
+
+def camera_in_world(S_world_recon: Array, camera_recon: Camera) -> Camera:
+    """A camera of the recon frame as a camera of the world, same pixels."""
+    _, R, _ = similarity_parts(S_world_recon)
+    T = np.eye(4)
+    T[:3, :3] = R @ camera_recon.T_world_cam[:3, :3]
+    T[:3, 3] = apply(S_world_recon, camera_recon.center)
+    return camera_recon.moved(T)

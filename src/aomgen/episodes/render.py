@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Parts
 from aomgen.splatting.session import draw_sessions
 from aomgen.twin.lamp import FAR, MOVES, STANDS, Lamp, on_surface, silhouette

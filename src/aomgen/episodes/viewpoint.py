@@ -12,7 +12,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.twin import Twin, TwinState, body_poses, rig
 

@@ -14,10 +14,10 @@ from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.ik import IkSolver, ik_solver
 from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.variations import PoseRanges, in_view, longest_reach, variations, worth_trying
-from aomgen.physics.kinematic import table_overlap_m
-from aomgen.physics.robot import RobotModel
-from aomgen.physics.scene import Scene, build_scene
-from aomgen.physics.verify import PassRule, verify_plan
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation.collision_check import table_overlap_m
+from aomgen.simulation.scene import Scene, build_scene
+from aomgen.simulation.verify import PassRule, verify_plan
 
 # Kept between the recorded arm and a table that it would have hit, [m].
 TABLE_CLEARANCE_M = 0.005

@@ -8,7 +8,7 @@ import numpy as np
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.core.values import Array, freeze
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
 from aomgen.core.verdict import Rejection
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 
 # Of the least-squares step; carries the arm across singular poses instead of around them.
 DAMPING = 1e-3

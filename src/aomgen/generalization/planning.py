@@ -13,8 +13,8 @@ from aomgen.generalization.arm import FreeWay, solve_around, solve_contact
 from aomgen.generalization.grasps import Grasp, HandConventions, grasps, hand_of
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed
 from aomgen.generalization.retarget import CONTACT, HandMotion, Style, retarget, timing
-from aomgen.physics.kinematic import KinematicLimits, check_kinematics, holding_gripper
-from aomgen.physics.scene import Scene
+from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
+from aomgen.simulation.scene import Scene
 
 # From early to late.
 REASONS = (

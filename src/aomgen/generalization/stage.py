@@ -13,7 +13,7 @@ from aomgen.generalization.attempts import AttemptStore, read_attempt, record_of
 from aomgen.generalization.generate import Generated, GenerationParams, generate_episodes
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 
 INDEX_FILE = "episodes.json"
 REJECTED_FILE = "rejected.json"

@@ -14,7 +14,7 @@ from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 
 # An object may stand this far beyond the table's estimated edge, [m].
 OVERHANG_M = 0.02

@@ -7,9 +7,9 @@ import numpy as np
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.direction import direction_of
 from aomgen.motion.drift import hand_drift
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.recovery import Recovery, first_frame, poses_at
 from aomgen.motion.theta import leave_of, path_values, values_at_frames
 

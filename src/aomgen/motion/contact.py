@@ -19,8 +19,8 @@ from aomgen.motion.grip import Patch, held_patches, unseen_patches
 from aomgen.motion.hand import EMPTY_GRIP
 from aomgen.motion.path import mean_pose
 from aomgen.motion.push import MIN_WAY_M, pushing_patches
-from aomgen.physics.hand_surface import hand_surface
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.gripper_surface import hand_surface
+from aomgen.robots.robot import RobotModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

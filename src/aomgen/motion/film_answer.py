@@ -8,9 +8,9 @@ from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_problem import value_lever
 from aomgen.motion.hand_answer import HandAnswer
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.joint_models import tangent_basis
 from aomgen.motion.photometric import PhotometricParams, Witness, refine
 

@@ -10,8 +10,8 @@ from aomgen.core.joint_log import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.motion.filters import runs
-from aomgen.physics.hand_surface import hand_surface
-from aomgen.physics.robot import FingerPad, RobotModel
+from aomgen.robots.gripper_surface import hand_surface
+from aomgen.robots.robot import FingerPad, RobotModel
 
 _PAD_GRID = 9
 _SPEED_WINDOW_S = 0.1

@@ -9,13 +9,13 @@ from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionCurve
 from aomgen.errors import NoMotionError
 from aomgen.io.images import resize
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.ends import Way
 from aomgen.motion.evidence import MotionSigns
 from aomgen.motion.exposure import matched_frames
 from aomgen.motion.filters import grown, smooth
 from aomgen.motion.following import following
 from aomgen.motion.hand import HandSignals, Touch, hand_signals, reached, surface_gaps, touch_interval
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.keyframes import (
     Departures,
     Interval,
@@ -27,7 +27,7 @@ from aomgen.motion.keyframes import (
 )
 from aomgen.motion.moved_part import MovedPart, moved_part
 from aomgen.motion.params import MotionParams
-from aomgen.physics.robot_masks import MasksAt
+from aomgen.robots.robot_masks import MasksAt
 
 _WAY_STEP_S = 0.01
 _WAY_SMOOTH_S = 0.1

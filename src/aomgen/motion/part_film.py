@@ -18,9 +18,9 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.filters import grown
-from aomgen.physics.robot_masks import MasksAt
+from aomgen.motion.inputs import Demonstration
+from aomgen.robots.robot_masks import MasksAt
 from aomgen.splatting.rasterizer import Parts, contribution_weights, render
 
 FloatImage = NDArray[np.float32]

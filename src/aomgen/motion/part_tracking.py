@@ -22,9 +22,9 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import BackendError
 from aomgen.io.images import resize
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.filters import grown
-from aomgen.physics.robot_masks import MasksAt, robot_masks
+from aomgen.motion.inputs import Demonstration
+from aomgen.robots.robot_masks import MasksAt, robot_masks
 from aomgen.splatting.rasterizer import Parts, render
 
 # Frames wider than this are reduced, [px].

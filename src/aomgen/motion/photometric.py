@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array, freeze
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.film_fit import Band, compared
 from aomgen.motion.film_problem import FilmProblem
 from aomgen.motion.hand_answer import HandAnswer
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.part_film import PartFilm, part_film
-from aomgen.physics.robot_masks import MasksAt
+from aomgen.robots.robot_masks import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].
 _SETTLED_S: Final = 0.1

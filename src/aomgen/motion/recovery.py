@@ -8,9 +8,9 @@ from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.ends import Sight
 from aomgen.motion.geometry import Shape, shape_of
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.joint import Candidates, JointEstimate, JointParams, candidates
 from aomgen.motion.keyframe_view import KeyframeView
 from aomgen.motion.keyframes import Departures, Interval

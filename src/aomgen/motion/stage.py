@@ -8,14 +8,12 @@ from typing import Any
 
 from aomgen.core.joint import Joint
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
-from aomgen.core.progress import Progress, part, silent
+from aomgen.core.progress import Progress, silent
 from aomgen.errors import CorruptArtifactError, EstimationError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.paper.estimate import PaperParams, estimate_motion_paper
-from aomgen.motion.paper.keyframes import PartMasks
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.params import MotionParams
 
 FILE_NAME = "motion.json"
@@ -56,37 +54,15 @@ def run_motion(
         params: Of the submodules.
         refused: File that keeps the motion score when the answer is refused.
     """
-    with _kept_when(refused) as curves:
+    with kept_when_refused(refused) as curves:
         estimate = estimate_motion(demonstration, params, progress, curves.append)
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")
     return estimate
 
 
-def run_paper_motion(
-    demonstration: Demonstration,
-    masks: PartMasks,
-    folder: Path,
-    progress: Progress = silent,
-    refused: Path | None = None,
-) -> MotionEstimate:
-    """Estimate the motion as the paper does, formulas as printed, and write it to `folder`.
-
-    The paper takes the joint's type as known; here it is the one that our own estimator finds, so
-    both have to answer; see `estimate_motion` and `estimate_motion_paper` for what they raise, and
-    `run_motion` for the arguments.
-    """
-    ours, papers = part(progress, 0.0, 0.7), part(progress, 0.7, 1.0)
-    with _kept_when(refused) as curves:
-        params = PaperParams(joint_type=estimate_motion(demonstration, None, ours, curves.append).joint.type)
-        estimate = estimate_motion_paper(demonstration, masks, params, papers, curves.append)
-    write_json(folder / FILE_NAME, asdict(estimate))
-    progress(1.0, "motion")
-    return estimate
-
-
 @contextmanager
-def _kept_when(refused: Path | None) -> Iterator[list[MotionCurve]]:
+def kept_when_refused(refused: Path | None) -> Iterator[list[MotionCurve]]:
     """A list of motion scores whose last one is saved when an answer is refused."""
     curves: list[MotionCurve] = []
     try:

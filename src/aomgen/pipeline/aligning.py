@@ -6,23 +6,23 @@ from typing import Any
 
 import numpy as np
 
+from aomgen.alignment.align import Alignment
+from aomgen.alignment.bundle_equations import JointParams
+from aomgen.alignment.calibrated_cameras import save_settled_cameras
+from aomgen.alignment.fixed_camera_calibration import Filmed, Scene, settle_fixed_cameras
+from aomgen.alignment.stage import boxes_of, run_alignment, save_alignment, views_of
 from aomgen.capture.check import read_demo_videos
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
+from aomgen.core.structure import Structure
+from aomgen.gaussians.stage import load_gaussians
 from aomgen.io.video import Video
+from aomgen.paper.icp_alignment import align_as_paper
 from aomgen.pipeline.recovery import posture_of
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import capture_of
-from aomgen.reconstruction.alignment.camera_settling import Filmed, Scene, settle_fixed_cameras
-from aomgen.reconstruction.alignment.joint_equations import JointParams
-from aomgen.reconstruction.alignment.paper import align_as_paper
-from aomgen.reconstruction.alignment.settled_cameras import save_settled_cameras
-from aomgen.reconstruction.alignment.similarity import Alignment
-from aomgen.reconstruction.alignment.stage import boxes_of, run_alignment, save_alignment, views_of
-from aomgen.reconstruction.cameras.stage import load_structure
-from aomgen.reconstruction.cameras.structure import Structure
-from aomgen.reconstruction.surfaces.stage import load_gaussians
+from aomgen.structure.stage import load_structure
 
 
 def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:

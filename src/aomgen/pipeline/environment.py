@@ -9,9 +9,9 @@ from collections.abc import Collection
 from pathlib import Path
 
 from aomgen.errors import BackendError, StorageError
-from aomgen.physics.offscreen import REMEDY as GL_REMEDY
-from aomgen.reconstruction.masks.sam2_weights import find_sam2
-from aomgen.reconstruction.masks.weights import find_weights
+from aomgen.robots.offscreen import REMEDY as GL_REMEDY
+from aomgen.segmentation.sam2_weights import find_sam2
+from aomgen.segmentation.weights import find_weights
 from aomgen.splatting.native import library
 
 # What a stage imports: modules, and what to install for them.
@@ -25,7 +25,7 @@ SAM2 = (("torch", "transformers", "safetensors"), "pip install 'aomgen[sam2]'")
 DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
 EVERYTHING = (*MODULES, *DRAWS_ROBOT)
 # A context can abort the whole process when the driver is broken, so it is tried in a child.
-GL_PROBE = "from aomgen.physics.offscreen import offscreen_context; offscreen_context(8, 8).free()"
+GL_PROBE = "from aomgen.robots.offscreen import offscreen_context; offscreen_context(8, 8).free()"
 # A driver takes about a second; one that hangs never ends, [s].
 GL_TIMEOUT_S = 60.0
 # The bundled recording's run takes 180 MB; nothing of a run is small enough for less, [bytes].

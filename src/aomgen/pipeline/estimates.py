@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any, Final
 
-from aomgen.core.camera import Camera
+from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.recording import Capture
 from aomgen.core.values import Array
-from aomgen.reconstruction.alignment.outline_fit import camera_in_world
 
 # What a refused motion leaves of it.
 NO_MOTION: Final[dict[str, Any]] = {

@@ -5,21 +5,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.appearance.directional_light import found_lamp, without_shadow
+from aomgen.appearance.refine import sharpened
+from aomgen.appearance.robot_surfels import dressed
+from aomgen.appearance.surfel_observations import Film, matched_film
 from aomgen.capture.check import read_demo_videos
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
+from aomgen.core.held_out import held_out
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
-from aomgen.physics.robot import RobotModel
-from aomgen.reconstruction.looks.lamp_search import found_lamp, without_shadow
-from aomgen.reconstruction.looks.robot_surface import dressed
-from aomgen.reconstruction.looks.robot_views import Film, matched_film
-from aomgen.reconstruction.looks.twin_training import sharpened
-from aomgen.reconstruction.surfaces.gaussians import held_out
 from aomgen.replacement.support import find_support
+from aomgen.robots.robot import RobotModel
 from aomgen.twin.lamp import Lamp
 from aomgen.twin.twin import Twin, TwinState, posed, render_state
 

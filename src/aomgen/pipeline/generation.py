@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_closing
 
+from aomgen.alignment.stage import load_alignment
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
@@ -28,20 +29,19 @@ from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import camera_dict, list_committed
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.stage import load_motion
-from aomgen.physics.demonstration import demonstration_from
-from aomgen.physics.robot import RobotModel
 from aomgen.pipeline.asset_choice import open_asset
 from aomgen.pipeline.fitted_store import load_fitted, save_fitted
 from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, scanned_object
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.working import aligned_capture_of, capture_of
-from aomgen.reconstruction.alignment.stage import load_alignment
 from aomgen.replacement.extent import free_rectangle
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.light import estimate_light
 from aomgen.replacement.recorded import recorded_contact
 from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.replacement.support import seen_from_above
+from aomgen.robots.demonstrated_path import demonstration_from
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.store import load_twin, save_twin

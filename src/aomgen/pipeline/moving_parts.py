@@ -10,10 +10,10 @@ from aomgen.conventions import MOVING
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.errors import EstimationError
-from aomgen.motion.demonstration import Demonstration
 from aomgen.motion.estimate import first_motion
+from aomgen.motion.inputs import Demonstration
 from aomgen.motion.part_tracking import motion_log_odds
-from aomgen.reconstruction.parts.lifting import Parts, PromptedScan, cut_scan, find_parts, part_evidence
+from aomgen.parts.label import Parts, PromptedScan, cut_scan, find_parts, part_evidence
 
 # Most rounds, and overlap of the moving part (IoU) from which another round would not change it.
 MAX_ROUNDS, SETTLED_IOU = 2, 0.95

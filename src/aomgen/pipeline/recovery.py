@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.alignment.calibrated_cameras import load_settled_cameras
+from aomgen.alignment.stage import load_alignment
+from aomgen.appearance.drawer_interior import with_tray
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
-from aomgen.core.camera import Camera
+from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
@@ -21,35 +24,32 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
+from aomgen.gaussians.stage import load_gaussians, run_gaussians
+from aomgen.gaussians.train import GaussiansParams
 from aomgen.io.atomic import write_json
 from aomgen.io.video import Video, probe_video
-from aomgen.motion.demonstration import Demonstration as MotionInput
+from aomgen.motion.inputs import Demonstration as MotionInput
 from aomgen.motion.moved_part import doubts
-from aomgen.motion.stage import load_motion, run_motion, run_paper_motion
-from aomgen.physics.robot import RobotModel, chosen_robot
-from aomgen.physics.robot_store import save_robot
+from aomgen.motion.stage import load_motion, run_motion
+from aomgen.paper.motion_estimate import run_paper_motion
+from aomgen.paper.true_part_masks import part_masks
+from aomgen.parts.affinity_parts import AffinityPartsParams
+from aomgen.parts.label import Parts, PartsParams, prompted_scan
+from aomgen.parts.stage import MASKS_FOLDER, load_parts, save_parts, scan_views
+from aomgen.parts.survey_store import run_survey
 from aomgen.pipeline.estimates import REFUSED_MOTION, estimates_of
 from aomgen.pipeline.films import demo_film, scan_films, with_looks
 from aomgen.pipeline.moving_parts import find_moving_parts
-from aomgen.pipeline.part_masks import part_masks
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import aligned_capture_of, capture_of
-from aomgen.reconstruction.alignment.outline_fit import camera_in_world
-from aomgen.reconstruction.alignment.posture import RobotPosture
-from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
-from aomgen.reconstruction.alignment.stage import load_alignment
-from aomgen.reconstruction.cameras.fixed_cameras import DemoView
-from aomgen.reconstruction.cameras.frames import extract_frames
-from aomgen.reconstruction.cameras.stage import load_structure, run_structure
-from aomgen.reconstruction.cameras.structure import Photographs
-from aomgen.reconstruction.looks.tray import with_tray
-from aomgen.reconstruction.masks.segmenter import choose_segmenter
-from aomgen.reconstruction.parts.affinity_parts import AffinityPartsParams
-from aomgen.reconstruction.parts.lifting import Parts, PartsParams, prompted_scan
-from aomgen.reconstruction.parts.stage import MASKS_FOLDER, load_parts, save_parts, scan_views
-from aomgen.reconstruction.surfaces.gaussians import GaussiansParams
-from aomgen.reconstruction.surfaces.stage import load_gaussians, run_gaussians
-from aomgen.reconstruction.surfaces.survey_stage import run_survey
+from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.robot import RobotModel, chosen_robot
+from aomgen.robots.robot_store import save_robot
+from aomgen.segmentation.segmenter import choose_segmenter
+from aomgen.structure.fixed_cameras import DemoView
+from aomgen.structure.reconstruct import Photographs
+from aomgen.structure.stage import load_structure, run_structure
+from aomgen.structure.video_frames import extract_frames
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.store import save_twin
 from aomgen.twin.twin import Twin, TwinState

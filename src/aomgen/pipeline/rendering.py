@@ -10,8 +10,8 @@ from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError
-from aomgen.physics.robot import RobotModel
-from aomgen.physics.robot_store import stored_robot
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot_store import stored_robot
 from aomgen.twin.store import load_twin
 from aomgen.twin.twin import Twin, TwinState, render_state
 

@@ -1,5 +1,6 @@
 """The cameras of a run by their names: of the demonstration, of the episodes, of the scan."""
 
+from aomgen.alignment.calibrated_cameras import load_settled_cameras
 from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError
 from aomgen.pipeline.generation import stored_cameras
@@ -7,7 +8,6 @@ from aomgen.pipeline.project import Project
 from aomgen.pipeline.recovery import scan_cameras_world
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import STAGES
-from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
 
 
 def find_camera(project: Project, name: str) -> Camera:

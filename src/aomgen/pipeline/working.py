@@ -3,13 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
+from aomgen.alignment.stage import load_alignment
 from aomgen.capture.read import read_capture
 from aomgen.core.recording import Capture
 from aomgen.pipeline.stage import Run
-from aomgen.reconstruction.alignment.stage import load_alignment
-from aomgen.reconstruction.cameras.frames import extracted_frames
-from aomgen.reconstruction.cameras.stage import load_structure
-from aomgen.reconstruction.cameras.straight import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
+from aomgen.structure.stage import load_structure
+from aomgen.structure.undistortion import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
+from aomgen.structure.video_frames import extracted_frames
 
 
 def capture_of(run: Run) -> Capture:

@@ -19,7 +19,7 @@ from aomgen.core.mesh import sample_surface
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.visibility import sphere_directions
 from aomgen.twin.twin import Twin, body_poses, posed
 

@@ -12,9 +12,9 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotModel
 from aomgen.replacement.inpaint import inpainted
 from aomgen.replacement.support import SURFACE, Support, find_support, on_surface, seen_from_above
+from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import Twin, posed
 
 # Remains of the object are looked for this far around it, [m].

@@ -9,11 +9,11 @@ from aomgen.core.episode import Episode
 from aomgen.core.plan import Variation
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.video import read_frames
-from aomgen.physics.verify import PassRule
 from aomgen.pipeline.figures import read_figure
 from aomgen.pipeline.generation import fitted_assets
 from aomgen.pipeline.stage import Run
 from aomgen.report.html import Markup, folded, heading, link, paragraph, table, text, video, whole
+from aomgen.simulation.verify import PassRule
 
 # Episodes shown with videos; each adds two posters of some 15 kB to the page.
 SHOWN = 24

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aomgen.alignment.calibrated_cameras import load_settled_cameras
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.io.images import write_image
@@ -11,7 +12,6 @@ from aomgen.pipeline.figures import FIGURES, read_figure
 from aomgen.pipeline.project import read_project
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
-from aomgen.reconstruction.alignment.settled_cameras import load_settled_cameras
 from aomgen.report import pictures
 from aomgen.report.drawing import sheet
 from aomgen.report.episodes import episodes_section

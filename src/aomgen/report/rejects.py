@@ -5,11 +5,11 @@ from typing import Any
 from aomgen.core.plan import Variation
 from aomgen.generalization.ik import IkLimits
 from aomgen.io.jsonfile import read_json
-from aomgen.physics.kinematic import KinematicLimits
-from aomgen.physics.verify import PassRule
 from aomgen.pipeline.stage import Run
 from aomgen.report.episodes import place_words
 from aomgen.report.html import heading, paragraph, table, whole
+from aomgen.simulation.collision_check import KinematicLimits
+from aomgen.simulation.verify import PassRule
 
 # Rejects listed for each reason.
 LISTED = 20

@@ -10,12 +10,12 @@ from aomgen.core.camera import Camera
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demonstration import Demonstration
 from aomgen.synthetic.performance import Performance
 from aomgen.synthetic.pictures import Painter, exposed
 from aomgen.synthetic.setting import build_world
+from aomgen.synthetic.simulated_demonstration import Demonstration
 from aomgen.synthetic.timing import CONTROL_STEP_S
 from aomgen.synthetic.viewpoints import demo_candidates
 

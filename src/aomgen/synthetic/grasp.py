@@ -11,8 +11,8 @@ from aomgen.assets.check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
-from aomgen.physics.kinematic import holding_gripper
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation.collision_check import holding_gripper
 from aomgen.synthetic.hold import BAR_BEHIND_TIP_M, Hold, Style, closed_tips, draw_style, hand_axes
 from aomgen.synthetic.manner import Direction, Manner, Touch
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.manner import Manner
 
 # A hooking or pushing bar lies this far behind the finger tips, [m]: half a finger pad.

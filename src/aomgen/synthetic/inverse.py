@@ -7,7 +7,7 @@ import numpy as np
 
 from aomgen.core.transforms import rotvec_from_matrix
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 
 DAMPING = 1e-4
 MAX_STEP_RAD = 0.25

@@ -8,12 +8,12 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
-from aomgen.physics.robot import RobotModel
-from aomgen.synthetic.demonstration import Demonstration, simulate
+from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.grasp import possible_touches
 from aomgen.synthetic.manner import MOVED, Manner
 from aomgen.synthetic.planning import plan
 from aomgen.synthetic.setting import Setting, build_world, draw_setting
+from aomgen.synthetic.simulated_demonstration import Demonstration, simulate
 from aomgen.synthetic.timing import Script
 
 MAX_TRIES = 80

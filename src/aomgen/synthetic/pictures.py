@@ -11,9 +11,9 @@ from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
-from aomgen.physics.id_colors import values_of_geoms
-from aomgen.physics.offscreen import offscreen_context
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.offscreen import offscreen_context
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.segmentation_ids import values_of_geoms
 from aomgen.synthetic.setting import World
 
 NEAR_M, FAR_M = 0.05, 20.0

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.grasp import take_hold, usual
 from aomgen.synthetic.hold import Hold, draw_style, hold_poses
 from aomgen.synthetic.inverse import Arm

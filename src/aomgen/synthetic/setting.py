@@ -11,8 +11,8 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
-from aomgen.physics.robot import RobotModel
-from aomgen.physics.robot_looks import add_robot_looks
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.visuals import add_robot_looks
 from aomgen.synthetic.room import FRONT_M, Room, add_room
 
 # How finely the robot is drawn, [m]: less than a pixel in these pictures.

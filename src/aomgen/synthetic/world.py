@@ -1,21 +1,20 @@
 """Synthetic captures: a complete recording with ground truth, from a category and a seed."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.assets.make import make_asset
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress, silent
 from aomgen.core.robot_choice import HandChoice
 from aomgen.errors import ConfigError
 from aomgen.io.atomic import staged_folder
 from aomgen.io.robot_xml import read_robot_xml
-from aomgen.physics.robot import RobotModel, load_robot
-from aomgen.physics.robot_store import copy_robot_files
+from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.robot_store import copy_robot_files
+from aomgen.synthetic.capture_content import Recording
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.film import Film, best_camera, draw_take, filmed
 from aomgen.synthetic.grasp import possible_touches
@@ -31,28 +30,6 @@ DEFAULT_ROBOT = "ur5e_2f85"
 PACKAGE_DEPTH = 3
 # What a capture of a category shows, where it is not the asset of that name.
 SHOWN = {"drawer": "dresser"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Recording:
-    """Everything a synthetic capture holds.
-
-    Attributes:
-        name, category: Of the capture.
-        performance: Setting and demonstration.
-        scan_cameras, scan_images, scan_labels: One entry a still; images (H, W, 3), labels (H, W).
-        film: Of the fixed camera, with the joint log.
-        conditions: How everything was filmed.
-    """
-
-    name: str
-    category: str
-    performance: Performance
-    scan_cameras: list[Camera]
-    scan_images: list[NDArray[np.uint8]]
-    scan_labels: list[NDArray[np.uint8]]
-    film: Film
-    conditions: Conditions
 
 
 def make_capture(

@@ -1,9 +1,7 @@
 """Synthetic recordings as capture folders, with `truth/` (see CAPTURE_FORMAT)."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +17,8 @@ from aomgen.core.values import Array
 from aomgen.io.atomic import write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.io.video import encode_video
+from aomgen.synthetic.capture_content import Recording
 from aomgen.synthetic.manner import MOVED
-
-if TYPE_CHECKING:
-    from aomgen.synthetic.world import Recording
 
 CAMERA = "front"
 PROMPT_IMAGES = 2

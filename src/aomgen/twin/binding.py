@@ -11,7 +11,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.light import Light
 from aomgen.core.transforms import invert, transform
 from aomgen.core.values import Array
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
 from aomgen.twin.relit import Relit, joined
 from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses

@@ -16,7 +16,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
-from aomgen.physics.robot import RobotModel
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.twin.lamp import MOVES, SCENE, STANDS, Lamp, darkened, draw_lit
 from aomgen.twin.relit import Relit, Surface, surfaces_of

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from aomgen.benchmarks.timing import torch_threads
+from benchmarks.timing import torch_threads
 
 
 @pytest.fixture(autouse=True, scope="package")

@@ -1,0 +1,109 @@
+"""Whether the joint's stated 95 % intervals hold the truth, and how wide they are, over many hidden joints."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from aomgen.core.transforms import angle_between
+from aomgen.core.values import Array
+from aomgen.errors import EstimationError
+from aomgen.motion.geometry import shape_of
+from aomgen.motion.joint import JointEstimate, estimate_joint
+from aomgen.motion.path import Hold
+from benchmarks.joint_worlds import GRASP_SD_M, JointWorld, draw_world
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IntervalRow:
+    """One world's answer.
+
+    Attributes:
+        seed: Of the world.
+        kind: Its joint type.
+        loose: Whether its grasp was a bad one.
+        axis: Error and stated radius of the direction, [deg].
+        origin: The same of the axis line nearest the held point, [mm]; zeros for a prismatic joint.
+        failure: "" or why there is no right answer: the error's name, or "wrong type".
+    """
+
+    seed: int
+    kind: str
+    loose: bool
+    axis: tuple[float, float]
+    origin: tuple[float, float]
+    failure: str
+
+
+def measure_world(seed: int) -> IntervalRow:
+    """Ask for one world's joint."""
+    world = draw_world(seed)
+    nothing = (float("inf"), 0.0)
+    kind = world.joint.type
+    failure = ""
+    try:
+        shape = shape_of(world.points_static, world.points_moving)
+        hold = Hold(point_ee=world.grasp_ee, closing_ee=world.closing_ee, sd_m=GRASP_SD_M)
+        estimate = estimate_joint(world.Ts_world_ee, hold, shape)
+        failure = "" if estimate.joint.type == kind else "wrong type"
+    except EstimationError as error:
+        failure = type(error).__name__
+    if failure:
+        return IntervalRow(
+            seed=seed, kind=kind, loose=world.loose, axis=nothing, origin=nothing, failure=failure
+        )
+    axis_deg = float(np.degrees(angle_between(estimate.joint.axis, world.joint.axis)))
+    return IntervalRow(
+        seed=seed,
+        kind=kind,
+        loose=world.loose,
+        axis=(axis_deg, float(np.degrees(estimate.axis_ci95_rad))),
+        origin=_origin(world, estimate),
+        failure="",
+    )
+
+
+def _origin(world: JointWorld, estimate: JointEstimate) -> tuple[float, float]:
+    joint = world.joint
+    if joint.type == "prismatic":
+        return 0.0, 0.0
+    near = joint.origin + joint.axis * ((world.held_world - joint.origin) @ joint.axis)
+    gap = np.linalg.norm(np.cross(near - estimate.joint.origin, estimate.joint.axis))
+    return 1e3 * float(gap), 1e3 * estimate.origin_ci95_m
+
+
+def interval_figures(rows: list[IntervalRow]) -> list[dict[str, Any]]:
+    """One line for each group of worlds: errors, share of intervals that hold the truth, width over error.
+
+    Failures count in `worlds` and `failures` only, as they state no interval.
+    """
+    groups: dict[str, Callable[[IntervalRow], bool]] = {
+        "all": lambda row: True,
+        "revolute": lambda row: row.kind == "revolute",
+        "prismatic": lambda row: row.kind == "prismatic",
+        "firm grasp": lambda row: not row.loose,
+        "loose grasp": lambda row: row.loose,
+    }
+    lines = []
+    for name, belongs in groups.items():
+        mine = [row for row in rows if belongs(row)]
+        answered = [row for row in mine if not row.failure]
+        line: dict[str, Any] = {"worlds of": name, "worlds": len(mine), "failures": len(mine) - len(answered)}
+        line |= _figures("axis", "deg", np.array([row.axis for row in answered]))
+        turning = [row.origin for row in answered if row.kind == "revolute"]
+        line |= _figures("origin", "mm", np.array(turning))
+        lines.append(line)
+    return lines
+
+
+def _figures(name: str, unit: str, pairs: Array) -> dict[str, float | None]:
+    """Of errors and radii (N, 2)."""
+    keys = (f"{name}_{unit}", f"{name}_{unit}_p90", f"{name}_held", f"{name}_width")
+    if not len(pairs):
+        return dict.fromkeys(keys)
+    errors, radii = pairs.T
+    median = float(np.median(errors))
+    held = float(np.mean(errors <= radii))
+    figures = (median, float(np.percentile(errors, 90)), held, float(np.median(radii)) / median)
+    return {key: round(value, 3) for key, value in zip(keys, figures, strict=True)}

@@ -1,0 +1,237 @@
+"""`aomgen bench accuracy --synthetic-motion N`: AOMotion on cheap worlds that nobody looked at."""
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.assets.make import MAKERS
+from aomgen.core.motion import MotionEstimate
+from aomgen.errors import ConfigError, EstimationError
+from aomgen.io.arrays import read_npz
+from aomgen.io.jsonfile import read_json
+from aomgen.motion.estimate import estimate_motion
+from aomgen.pipeline.estimates import motion_estimates
+from benchmarks.accuracy import score_motion
+from benchmarks.motion_methods import REFUSAL, paper_estimates
+from benchmarks.motion_worlds import (
+    CAMERA,
+    TRUE_ARRAYS,
+    UNSOLVABLE,
+    Kind,
+    MotionWorld,
+    motion_world,
+)
+from benchmarks.segmented import segmented
+
+# Seeds below are for looking at while working on the methods; a score wants unseen ones.
+FIRST_SEED: Final = 2000
+NORMAL_95: Final = 1.96
+# Unsolvable cases, and worlds beyond the usual pinch that opens, beside every solvable world.
+UNSOLVABLE_SHARE: Final = 0.4
+BEYOND_SHARE: Final = 0.2
+BEYOND: Final[tuple[Kind, ...]] = ("closing", "hook", "push", "open", "open")
+# Of which "open" is done with objects beyond the five.
+OTHERS: Final = ("cupboard", "oven")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """Which world: its category, seed and kind, and the group it is counted in."""
+
+    category: str
+    seed: int
+    kind: Kind
+    group: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """One world and what a method made of it.
+
+    Attributes:
+        case: Which world.
+        joint_type: The true one.
+        method: "ours", or a variant of the paper's.
+        refusal: Name of the error, empty when there is an answer.
+        reason: Its sentence.
+        figures: By dotted name; empty when refused.
+        moving_share: Share of the film in which the part moves.
+        seconds: Processor time of the estimate.
+    """
+
+    case: Case
+    joint_type: str
+    method: str
+    refusal: str
+    reason: str
+    figures: dict[str, Any]
+    moving_share: float
+    seconds: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no answer, or one with the wrong type of joint."""
+        return bool(self.refusal) or not self.figures["joint.type_ok"]
+
+    @property
+    def rightly_refused(self) -> bool:
+        """Whether an unsolvable world was refused with an error that says why."""
+        return self.refusal in UNSOLVABLE.get(self.case.kind, ())
+
+    def error(self, name: str) -> float:
+        """A figure; infinite where the method failed."""
+        value = self.figures.get(name)
+        return float("inf") if self.failed or value is None else float(value)
+
+    def row(self) -> dict[str, Any]:
+        """For tables and JSON."""
+        return {
+            "world": self.case.category,
+            "seed": self.case.seed,
+            "kind": self.case.kind,
+            "group": self.case.group,
+            "method": self.method,
+            "cpu_s": self.seconds,
+            "moving_share": self.moving_share,
+            "refusal": self.refusal,
+            "reason": self.reason,
+        } | self.figures
+
+
+def cases(count: int, first_seed: int) -> list[Case]:
+    """So many worlds of the five categories, then unsolvable ones, then some beyond; categories take turns.
+
+    Beyond are other manners of the five, and other objects.
+    """
+    categories = sorted(MAKERS)
+    groups: tuple[tuple[str, int, Sequence[Kind]], ...] = (
+        ("solvable", count, ("open",)),
+        ("unsolvable", round(UNSOLVABLE_SHARE * count), tuple(UNSOLVABLE)),
+        ("beyond", round(BEYOND_SHARE * count), BEYOND),
+    )
+    result = []
+    for group, number, kinds in groups:
+        for k in range(number):
+            # Kinds shift against categories, so that few cases hold many pairs.
+            kind = kinds[(k + k // len(categories)) % len(kinds)]
+            category = categories[k % len(categories)]
+            if group == "beyond" and kind == "open":
+                category = OTHERS[k % len(OTHERS)]
+            result.append(
+                Case(category=category, seed=first_seed + k // len(categories), kind=kind, group=group)
+            )
+    return result
+
+
+def run_motion(
+    wanted: Sequence[Case],
+    out: Path | None,
+    tell: Callable[[Outcome], None],
+    skipped: Callable[[Case, str], None],
+) -> list[Outcome]:
+    """Make worlds, recover their motion, score it.
+
+    Args:
+        wanted: Which worlds.
+        out: Keeps the worlds, which are made but once; temporary when None.
+        tell: Gets every outcome as soon as it is known.
+        skipped: Gets every case that no demonstration was found for, with the reason; it is left out.
+    """
+    outcomes = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = (out or Path(scratch)).resolve()
+        for case in wanted:
+            try:
+                world = motion_world(case.category, case.seed, folder, case.kind)
+            except ConfigError as error:
+                skipped(case, str(error))
+                continue
+            for outcome in judged(world, case):
+                outcomes.append(outcome)
+                tell(outcome)
+    return outcomes
+
+
+def judged(world: MotionWorld, case: Case) -> Iterator[Outcome]:
+    """Recover the motion of a world and score it: ours, then the paper's variants where there is a motion.
+
+    The paper is given true masks with a segmenter's errors, and the true type of the joint.
+    """
+    truth, times = world.truth, world.demonstration.video.times_s
+    solvable = case.kind not in UNSOLVABLE
+    blank = Outcome(
+        case=case,
+        joint_type=truth.joint.type,
+        method="ours",
+        refusal="",
+        reason="",
+        figures={},
+        moving_share=(truth.end_frame - truth.start_frame + 1) / len(times) if solvable else 0.0,
+        seconds=0.0,
+    )
+    began = time.process_time()
+    try:
+        estimate = estimate_motion(world.demonstration)
+    except EstimationError as error:
+        seconds = time.process_time() - began
+        yield replace(blank, refusal=type(error).__name__, reason=str(error), seconds=seconds)
+    else:
+        seconds = time.process_time() - began
+        figures = scored(estimate, world) if solvable else {"joint.type_ok": False}
+        yield replace(blank, figures=figures, seconds=seconds)
+    if case.group == "solvable":
+        yield from _paper(world, blank)
+
+
+def _paper(world: MotionWorld, blank: Outcome) -> Iterator[Outcome]:
+    truth, times = world.truth, world.demonstration.video.times_s
+    labels = read_npz(truth.folder / TRUE_ARRAYS)["film_labels"]
+    began = time.process_time()
+    masks = segmented(labels, np.random.default_rng(blank.case.seed))
+    answers = paper_estimates(world.demonstration, masks, truth.joint.type)
+    seconds = (time.process_time() - began) / len(answers)
+    for name, answer in answers.items():
+        refusal = "EstimationError" if REFUSAL in answer else ""
+        figures = {} if refusal else score_motion(answer, truth, times, CAMERA)
+        yield replace(
+            blank,
+            method=f"paper {name}",
+            refusal=refusal,
+            reason=answer.get(REFUSAL, ""),
+            figures=figures,
+            seconds=seconds,
+        )
+
+
+def scored(estimate: MotionEstimate, world: MotionWorld) -> dict[str, Any]:
+    """Figures of an answer, with its intervals and whether it tells opening from closing."""
+    times = world.demonstration.video.times_s
+    figures = score_motion(motion_estimates(estimate), world.truth, times, CAMERA)
+    direction = read_json(world.truth.folder / "truth.json")["direction"]
+    return figures | intervals(estimate, world, figures) | {"direction_ok": estimate.direction == direction}
+
+
+def intervals(estimate: MotionEstimate, world: MotionWorld, figures: dict[str, Any]) -> dict[str, Any]:
+    """Half-widths of the 95 % intervals, and the share of truth within them: 0, 1, or of the frames."""
+    truth = world.truth
+    widths = {"axis_deg": np.degrees(estimate.axis_ci95_rad)}
+    inside = {"axis": figures["joint.axis_deg"] <= widths["axis_deg"]}
+    if figures.get("joint.origin_mm") is not None and estimate.joint.type == "revolute":
+        widths["origin_mm"] = 1e3 * estimate.origin_ci95_m
+        inside["origin"] = figures["joint.origin_mm"] <= widths["origin_mm"]
+    if figures["joint.type_ok"]:
+        moving = slice(truth.start_frame, truth.end_frame + 1)
+        true = truth.theta[CAMERA] - truth.theta[CAMERA][0]
+        unit, factor = ("deg", 180 / np.pi) if truth.joint.type == "revolute" else ("mm", 1e3)
+        half = NORMAL_95 * estimate.theta_sd[moving]
+        errors = np.abs(estimate.thetas - estimate.thetas[0] - true)[moving]
+        widths[f"theta_{unit}"] = factor * float(np.median(half))
+        inside["theta"] = float(np.mean(errors <= half))
+    return {f"half_width.{name}": float(value) for name, value in widths.items()} | {
+        f"inside.{name}": float(value) for name, value in inside.items()
+    }

@@ -1,0 +1,90 @@
+"""The paper's motion recovery beside ours, on a finished run."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aomgen.core.joint import JointType
+from aomgen.errors import EstimationError
+from aomgen.motion.inputs import Demonstration
+from aomgen.paper.mask_keyframes import PartMasks
+from aomgen.paper.motion_estimate import PaperParams, estimate_motion_paper
+from aomgen.pipeline.estimates import NO_MOTION, motion_estimates
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.recovery import labelled_scan, motion_input
+from aomgen.pipeline.stage import Run
+from aomgen.pipeline.stages import STAGES
+from benchmarks.accuracy import score_motion
+from benchmarks.images import TrueMasks
+from benchmarks.segmented import segmented
+from benchmarks.table import as_table
+from benchmarks.truth import Truth
+
+PREFIX = "paper_motion."
+# What the methods are compared in.
+GROUPS = ("keyframes.", "contact_mm", "joint.", "theta.")
+REFUSAL = "refusal"
+
+
+def paper_variants(joint_type: JointType) -> dict[str, PaperParams]:
+    """As printed; with a threshold that fires; and with the signs that the text means as well.
+
+    The middle one shows what the printed signs do where the printed threshold refuses.
+    """
+    return {
+        "printed": PaperParams(joint_type=joint_type),
+        "threshold": PaperParams(joint_type=joint_type, threshold="repaired"),
+        "repaired": PaperParams(joint_type=joint_type, threshold="repaired", signs="repaired"),
+    }
+
+
+def paper_estimates(
+    demonstration: Demonstration, masks: PartMasks, joint_type: JointType
+) -> dict[str, dict[str, Any]]:
+    """What each variant answers, as entries of estimates.json; refused ones say why under "refusal"."""
+    answers = {}
+    for name, params in paper_variants(joint_type).items():
+        try:
+            answers[name] = motion_estimates(estimate_motion_paper(demonstration, masks, params))
+        except EstimationError as error:
+            answers[name] = NO_MOTION | {REFUSAL: str(error)}
+    return answers
+
+
+def paper_motion_figures(out: Path, capture: Path, truth: Truth, masks: TrueMasks) -> dict[str, Any]:
+    """Figures of the paper's motion recovery on a finished run, under names of their own.
+
+    The paper takes masks and the type of the joint as given: masks are the true ones with a segmenter's
+    errors, the type is the true one.
+
+    Args:
+        out: Folder of the run, finished up to its motion.
+        capture: Folder of the capture.
+        truth: Of the capture.
+        masks: True masks of the first camera's video.
+    """
+    run = Run.of(Project(capture=capture, out=out), out, STAGES)
+    scene, parts = labelled_scan(run.folders)
+    demonstration = motion_input(run, scene, parts.labels)
+    times_s = demonstration.video.times_s
+    labels = np.stack([masks.read(f"{k:04d}") for k in range(len(times_s))])
+    given = segmented(labels, np.random.default_rng(0))
+    figures = {}
+    for name, answer in paper_estimates(demonstration, given, truth.joint.type).items():
+        kept = score_motion(answer, truth, times_s, masks.folder.name)
+        kept[REFUSAL] = answer.get(REFUSAL)
+        figures |= {f"{PREFIX}{name}.{key}": value for key, value in kept.items()}
+    return figures
+
+
+def motion_methods_table(figures: dict[str, Any]) -> str:
+    """One row a figure, a column for our estimator and for each variant of the paper's."""
+    variants = tuple(paper_variants("revolute"))
+    names = [name for name in figures if name.startswith(GROUPS)]
+    rows = [
+        {"figure": name, "aomotion": figures[name]}
+        | {variant: figures.get(f"{PREFIX}{variant}.{name}") for variant in variants}
+        for name in names
+    ]
+    return as_table(rows)

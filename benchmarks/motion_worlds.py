@@ -1,0 +1,264 @@
+"""Cheap worlds for AOMotion alone: a filmed demonstration, and upstream results as wrong as real ones are.
+
+The demonstration is simulated (the object moves by contact alone) and filmed as captures are; scene,
+labels, camera and clock are true ones perturbed by `motion_upstream.Upstream`.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.assets.make import make_asset
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.joint_log import JointLog
+from aomgen.errors import ConfigError
+from aomgen.io.arrays import npz_bytes, read_npz
+from aomgen.io.atomic import staged_folder, write_bytes, write_json
+from aomgen.io.jsonfile import read_json
+from aomgen.io.video import encode_video, read_video
+from aomgen.motion.inputs import Demonstration as MotionInput
+from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.splatting.rasterizer import render
+from aomgen.synthetic.conditions import Conditions, draw_conditions
+from aomgen.synthetic.film import Film, best_camera, draw_take, filmed
+from aomgen.synthetic.grasp import possible_touches
+from aomgen.synthetic.manner import Manner, draw_manner
+from aomgen.synthetic.performance import Performance, perform
+from aomgen.synthetic.pictures import Painter, exposed
+from aomgen.synthetic.setting import build_world
+from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
+from aomgen.synthetic.world import DEFAULT_ROBOT
+from aomgen.synthetic.write import moved_range
+from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
+from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
+from benchmarks.truth import Truth, read_truth
+
+Kind = Literal["open", "closing", "hook", "push", "nothing", "touch", "locked", "cut", "short"]
+# Kinds of which no joint can be told, and the errors that say why.
+UNSOLVABLE: Final[dict[Kind, tuple[str, ...]]] = {
+    "nothing": ("NoMotionError",),
+    "touch": ("NoMotionError",),
+    "locked": ("NoMotionError", "DemonstrationTooShortError"),
+    "cut": ("NoMotionError",),
+    "short": ("DemonstrationTooShortError", "AmbiguousJointError"),
+}
+# Travel that is too short to tell a joint, [rad] or [m].
+SHORT: Final = {"revolute": float(np.deg2rad(5.0)), "prismatic": 0.01}
+MAX_MANNERS: Final = 6
+CAMERA: Final = "front"
+SCAN_VIEWS: Final = 30
+# Beside truth.json: labels of the Gaussians, and of every frame of the film.
+TRUE_ARRAYS: Final = "arrays.npz"
+_WORLD, _VIDEO, _ARRAYS = "world.json", "demo.mp4", "arrays.npz"
+_GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionWorld:
+    """What AOMotion is given, and what it should find.
+
+    Attributes:
+        name: For example "microwave-2003".
+        demonstration: Its input.
+        truth: The answers; `scan` is empty.
+    """
+
+    name: str
+    demonstration: MotionInput
+    truth: Truth
+
+
+def motion_world(category: str, seed: int, folder: Path, kind: Kind = "open") -> MotionWorld:
+    """Load a world, made first when it is not there.
+
+    Args:
+        category: One that `assets.make.make_asset` knows.
+        seed: Chooses everything else.
+        folder: Where worlds are kept; this one in "<category>-<seed>", or "<category>-<seed>-<kind>".
+        kind: What is demonstrated.
+
+    Raises:
+        ConfigError: Unknown category, or no setting of this seed can be reached.
+        BackendError: No OpenGL driver works.
+        StorageError: The disk refuses.
+    """
+    place = folder / (f"{category}-{seed}" + ("" if kind == "open" else f"-{kind}"))
+    if not (place / _WORLD).is_file():
+        _make(category, seed, kind, place)
+    return load_motion_world(place)
+
+
+def _make(category: str, seed: int, kind: Kind, place: Path) -> None:
+    rng, upstream = np.random.default_rng([seed, *category.encode(), *kind.encode()]), Upstream()
+    robot = load_robot(DEFAULT_ROBOT)
+    performance = performed(robot, category, seed, kind, rng)
+    recorded = _recorded(robot, performance, draw_conditions(rng), rng)
+    film, surface = recorded.film, recorded.surface
+    middle = performance.setting.T_world_object[:3, 3]
+    off = draw_misplacement(upstream, film.camera, middle, rng)
+    labels = mislabelled(surface.points, surface.labels, upstream, rng)
+    gaussians = raw_gaussians(surface, middle, upstream, rng)
+    gaussians = learned(gaussians, recorded.scan_cameras, recorded.scan_images, rng)
+    scene = gaussians.transformed(off.S_given_world)
+    arrays: dict[str, NDArray] = {name: getattr(scene, name) for name in _GAUSSIANS} | {"labels": labels}
+    arrays |= {name: getattr(film.take.log, name) for name in ("times_s", "joints", "gripper")}
+    truth: dict[str, NDArray] = {"labels": surface.labels, "film_labels": np.stack(film.labels)}
+    answers = _answers(performance, film) | {"S_given_world": off.S_given_world}
+    world = {
+        "intrinsics": _intrinsics(film.camera),
+        "T_world_cam": off.camera.T_world_cam,
+        "clock_offset_s": film.take.clock_offset_s + off.clock_s,
+        "clock_sd_s": 1e-3 * upstream.clock_sd_ms,
+    }
+    with staged_folder(place) as staging:
+        write_bytes(staging / _VIDEO, encode_video(film.frames, recorded.fps, crf=17))
+        write_bytes(staging / _ARRAYS, npz_bytes(arrays))
+        write_bytes(staging / "truth" / TRUE_ARRAYS, npz_bytes(truth))
+        write_json(staging / "truth" / "truth.json", answers)
+        write_json(staging / _WORLD, world)
+
+
+def load_motion_world(place: Path) -> MotionWorld:
+    """Load a world's folder.
+
+    Raises:
+        MissingFileError, MalformedFileError: It is not complete.
+    """
+    content, arrays = read_json(place / _WORLD), read_npz(place / _ARRAYS)
+    fx, fy, cx, cy, width, height = content["intrinsics"]
+    robot = load_robot(DEFAULT_ROBOT)
+    return MotionWorld(
+        name=place.name,
+        demonstration=MotionInput(
+            video=read_video(place / _VIDEO),
+            camera=Camera(
+                fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height,
+                T_world_cam=np.array(content["T_world_cam"]),
+            ),
+            log=JointLog(
+                times_s=arrays["times_s"],
+                joints=arrays["joints"],
+                gripper=arrays["gripper"],
+                joint_names=robot.joint_names,
+            ),
+            robot=robot,
+            scene=Gaussians(**{name: arrays[name] for name in _GAUSSIANS}),
+            labels=arrays["labels"],
+            clock_offset_s=content["clock_offset_s"],
+            clock_sd_s=content["clock_sd_s"],
+        ),
+        truth=read_truth(place),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Recorded:
+    """Everything recorded of one performance, exact but for the sensors' noise."""
+
+    film: Film
+    fps: int
+    scan_cameras: list[Camera]
+    scan_images: list[NDArray[np.uint8]]
+    surface: Surface
+
+
+def _recorded(
+    robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
+) -> _Recorded:
+    demonstration, setting = performance.demonstration, performance.setting
+    take = draw_take(robot, performance, conditions, rng)
+    walk = scan_cameras(setting, conditions, rng)
+    walk = [walk[k] for k in np.linspace(0, len(walk) - 1, SCAN_VIEWS).astype(int)]
+    world = build_world(robot, setting, visual=True)
+    with Painter(robot, world, *conditions.size) as painter:
+        camera = best_camera(painter, demo_candidates(setting, conditions, rng), demonstration, take)
+        middle = setting.T_world_object[:3, 3]
+        surface, images = seen_surface(painter, walk, demonstration.qpos[0], middle, rng)
+        frames, labels = filmed(painter, camera, demonstration, take, conditions, rng)
+    return _Recorded(
+        film=Film(take=take, camera=camera, frames=frames, labels=labels),
+        fps=conditions.fps,
+        scan_cameras=walk,
+        scan_images=[exposed(image, 1.0, conditions.noise, rng) for image in images],
+        surface=surface,
+    )
+
+
+def performed(
+    robot: RobotModel, category: str, seed: int, kind: Kind, rng: np.random.Generator
+) -> Performance:
+    """A demonstration of a kind; manners are drawn until one can be done.
+
+    Raises:
+        ConfigError: None of MAX_MANNERS can.
+    """
+    asset = make_asset(category, seed)
+    for _ in range(MAX_MANNERS - 1):
+        try:
+            return perform(robot, asset, rng, manner_of(kind, asset, rng))
+        except ConfigError:
+            continue
+    return perform(robot, asset, rng, manner_of(kind, asset, rng))
+
+
+def manner_of(kind: Kind, asset: ArticulatedAsset, rng: np.random.Generator) -> Manner:
+    """A random manner of a kind."""
+    if kind == "short":
+        manner = draw_manner(asset, rng)
+        return replace(manner, travel=SHORT[asset.joint.type], pause_s=0.0, slip_m=0.0, grip=1.0)
+    if kind == "closing":
+        return draw_manner(asset, rng, direction="closing")
+    if kind in ("hook", "push"):
+        direction = "closing" if kind == "push" else "opening"
+        # A lid or a sliding panel cannot be hooked: its handle is pushed along the front.
+        touch = kind if kind in possible_touches(asset, direction) else "push"
+        return draw_manner(asset, rng, touch=touch, direction=direction)
+    if kind == "open":
+        return draw_manner(asset, rng)
+    return draw_manner(asset, rng, outcome=kind)
+
+
+def _answers(performance: Performance, film: Film) -> dict[str, Any]:
+    """Content of truth.json, as `synthetic.write` gives it for captures."""
+    joint, demonstration, steps = performance.joint, performance.demonstration, film.take.steps
+    theta = performance.theta[steps]
+    start, end = moved_range(theta, joint)
+    contacts = [
+        [
+            {"finger": touch.finger, "point": touch.point, "normal": touch.normal, "force": touch.force}
+            for touch in demonstration.contacts[step]
+        ]
+        for step in steps
+    ]
+    return {
+        "scan": {},
+        "demo_cameras": {CAMERA: film.camera.T_world_cam},
+        "joint": {"type": joint.type, "axis": joint.axis, "origin": joint.origin, "lower": joint.lower, "upper": joint.upper},
+        "direction": performance.manner.direction,
+        "manner": asdict(performance.manner),
+        "theta": {CAMERA: theta},
+        "start_frame": start,
+        "end_frame": end,
+        "clock_offset_s": film.take.clock_offset_s,
+        "qpos": demonstration.joints[steps],
+        "gripper": demonstration.gripper[steps],
+        "contacts": contacts,
+        "T_world_object": performance.setting.T_world_object,
+    }  # fmt: skip
+
+
+def _intrinsics(camera: Camera) -> list[float]:
+    return [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height]
+
+
+def picture(world: MotionWorld) -> NDArray[np.uint8]:
+    """First frame beside the scene drawn from the same camera (H, 2 W, 3), for looking at."""
+    demonstration = world.demonstration
+    drawn = render(demonstration.scene, demonstration.camera).rgb
+    drawn = np.clip(np.asarray(drawn) * 255, 0, 255).astype(np.uint8)
+    return np.concatenate([demonstration.video.frames_srgb[0], drawn], 1)

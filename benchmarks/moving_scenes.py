@@ -1,0 +1,113 @@
+"""Scenes of which a part moves before a fixed camera, for render sessions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians, concatenate
+from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.values import Array, freeze
+from aomgen.splatting.rasterizer import render
+from benchmarks.scenes import FIRST_OBJECT, ellipsoids, table_top, table_top_surfaces
+
+TILE_PX = 16
+PERIOD_FRAMES = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovingScene:
+    """Gaussians that stand, and P parts that swing about a vertical axis.
+
+    Attributes:
+        camera: The fixed view.
+        static: What stands, world frame.
+        moving: What moves, world frame at rest.
+        parts: Part of every moving Gaussian (M,) int32.
+        swings_deg: How far each part swings to either side (P,).
+        pivot: Point on the axis (3,), world frame, [m].
+    """
+
+    camera: Camera
+    static: Gaussians
+    moving: Gaussians
+    parts: NDArray[np.int32]
+    swings_deg: Array
+    pivot: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "parts", self.parts, (len(self.moving),), np.int32)
+        freeze(self, "swings_deg", self.swings_deg, (None,))
+        freeze(self, "pivot", self.pivot, (3,))
+
+    def Ts_world_part(self, frame: int) -> Array:
+        """Poses of the parts (P, 4, 4) relative to rest; no two neighbouring frames are alike."""
+        phase = np.sin(2 * np.pi * (frame + 0.3) / PERIOD_FRAMES)
+        angles = np.radians(self.swings_deg) * phase
+        R = matrix_from_rotvec(angles[:, None] * [0.0, 0.0, 1.0])
+        return transform(R, self.pivot - R @ self.pivot)
+
+
+def objects_scene(count: int, camera: Camera, share: float) -> MovingScene:
+    """The table-top scene, of which the round objects nearest to the camera sway.
+
+    As many objects move as are seen in a share of the tiles, as nearly as objects allow.
+    """
+    gaussians, surfaces = table_top_surfaces(count, 3)
+    objects = np.unique(surfaces[surfaces >= FIRST_OBJECT])
+    depths = [camera.project(gaussians.means[surfaces == item])[1].mean() for item in objects]
+    nearest = objects[np.argsort(depths)]
+    seen = [touched_tiles(gaussians.select(surfaces == item), camera) for item in nearest]
+    shares = np.logical_or.accumulate(seen).mean((1, 2))
+    moves = np.isin(surfaces, nearest[: int(np.abs(shares - share).argmin()) + 1])
+    return MovingScene(
+        camera=camera,
+        static=gaussians.select(~moves),
+        moving=gaussians.select(moves),
+        parts=np.zeros(int(moves.sum()), np.int32),
+        swings_deg=np.array([1.0]),
+        pivot=np.array([0, 0, 0.1]),
+    )
+
+
+def arm_scene(static: int, moving: int, camera: Camera) -> MovingScene:
+    """The table-top scene with a swinging arm of eight links over it, and an object with a door.
+
+    Harmonics of degree 2 and parts one after the other, as twins have them.
+    """
+    along = np.linspace(0, 1, 8)
+    links = np.stack([0.6 - 0.55 * along, 0.1 - 0.45 * along, 0.1 + 1.5 * along * (1.2 - along)], 1)
+    thickness = np.linspace(0.14, 0.08, 8)[:, None] * [1.0, 1.0, 1.4]
+    centers = np.concatenate([links, [[-0.35, 0.0, 0.22], [-0.35, -0.2, 0.22]]])
+    radii = np.concatenate([thickness, [[0.28, 0.2, 0.2], [0.25, 0.04, 0.18]]])
+    parts = np.arange(moving) % len(centers)
+    order = np.argsort(parts, kind="stable")
+    return MovingScene(
+        camera=camera,
+        static=table_top(static, 2),
+        moving=ellipsoids(moving, centers, radii, 2, seed=1).select(order),
+        parts=parts[order].astype(np.int32),
+        swings_deg=np.append(np.linspace(1, 8, 8), [0.0, 4.0]),
+        pivot=np.array([0, 0.45, 0]),
+    )
+
+
+def touched_share(scene: MovingScene, frame: int) -> float:
+    """Share of the tiles in which moving Gaussians are seen in a frame or in the one before."""
+    frames = (frame - 1, frame)
+    return float(np.logical_or.reduce([touched_tiles(moved(scene, f), scene.camera) for f in frames]).mean())
+
+
+def touched_tiles(gaussians: Gaussians, camera: Camera) -> NDArray[np.bool_]:
+    """Tiles (rows, columns) of the image in which Gaussians, drawn alone, are seen."""
+    columns, rows = -(-camera.width // TILE_PX), -(-camera.height // TILE_PX)
+    seen = np.zeros((rows * TILE_PX, columns * TILE_PX), bool)
+    seen[: camera.height, : camera.width] = render(gaussians, camera).alpha > 0
+    return np.asarray(seen.reshape(rows, TILE_PX, columns, TILE_PX).any((1, 3)))
+
+
+def moved(scene: MovingScene, frame: int) -> Gaussians:
+    """The moving Gaussians at a frame, world frame; harmonics turn along."""
+    Ts = scene.Ts_world_part(frame)
+    return concatenate([scene.moving.select(scene.parts == part).transformed(T) for part, T in enumerate(Ts)])

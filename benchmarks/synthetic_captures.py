@@ -1,0 +1,141 @@
+"""`aomgen bench accuracy --synthetic N`: captures that nobody looked at, end to end, in one table."""
+
+import json
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.assets.make import MAKERS
+from aomgen.errors import ConfigError, EstimationError
+from aomgen.io.atomic import write_json
+from aomgen.io.jsonfile import read_json
+from aomgen.synthetic.conditions import draw_conditions
+from aomgen.synthetic.world import make_capture
+from benchmarks.bars import BARS
+from benchmarks.command import run_accuracy
+from benchmarks.harsh_capture import degrade_capture
+from benchmarks.table import as_table
+
+# Seeds below are for looking at while working on the methods; a score wants unseen ones.
+FIRST_SEED: Final = 1000
+RESULT = "figures.json"
+REFUSED = "refused_because"
+
+
+def run_synthetic(
+    count: int,
+    out: Path | None,
+    run_project: Callable[..., None],
+    first_seed: int = FIRST_SEED,
+    *,
+    category: str | None = None,
+    harsh: bool = False,
+) -> dict[str, Any]:
+    """Make captures of different objects, rooms, cameras and noise; run and score each.
+
+    Args:
+        count: How many.
+        out: Keeps captures, runs and figures, and is continued when it exists; temporary when None.
+        run_project: Runs a project up to a stage.
+        first_seed: Seed of the first capture, the others follow.
+        category: Of all of them; None: categories take turns.
+        harsh: Make each worse, as phones and labs do (see `harsh_capture`).
+
+    Returns:
+        `captures` (figures by capture), and `median`, `worst` and `refusals` by figure. A capture
+        that a stage refused has no figures and counts as refused in every one.
+
+    Raises:
+        ConfigError: The category is unknown.
+    """
+    categories = sorted(MAKERS) if category is None else [category]
+    if category is not None and category not in MAKERS:
+        raise ConfigError("--category", f"{category!r} is unknown", f"choose one of {', '.join(MAKERS)}")
+    with tempfile.TemporaryDirectory() as scratch:
+        root = (out or Path(scratch)).resolve()
+        captures = {}
+        for number in range(count):
+            kind, seed = categories[number % len(categories)], first_seed + number
+            name = f"{kind}-{seed}{'-harsh' if harsh else ''}"
+            captures[name] = _one(root / name, kind, seed, run_project, harsh=harsh)
+    return {"captures": captures} | summary(captures)
+
+
+def _one(
+    folder: Path, category: str, seed: int, run_project: Callable[..., None], *, harsh: bool
+) -> dict[str, Any]:
+    result = folder / RESULT
+    if result.is_file():
+        return read_json(result)
+    capture = folder / "capture"
+    clean = folder / "clean" if harsh else capture
+    if not clean.is_dir():
+        conditions = draw_conditions(np.random.default_rng(seed))
+        make_capture(clean, category=category, seed=seed, conditions=conditions)
+    if not capture.is_dir():
+        degrade_capture(clean, capture, np.random.default_rng([seed, 1]))
+    try:
+        figures = run_accuracy(capture, folder / "run", run_project)
+    except EstimationError as error:
+        figures = {REFUSED: str(error)}
+    write_json(result, figures)
+    return figures
+
+
+def summary(captures: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Median and worst of every figure that has a bar, and how many captures gave none.
+
+    A refusal takes the worst place in the order, so that it moves the median too; where the median
+    or the worst falls on a refusal it is None.
+    """
+    median, worst, refusals = {}, {}, {}
+    for name, bar in BARS.items():
+        values = [figures.get(name) for figures in captures.values()]
+        missing = float("inf") if bar.at_most else float("-inf")
+        filled = sorted(
+            (missing if value is None else float(value) for value in values), reverse=not bar.at_most
+        )
+        refusals[name] = sum(value is None for value in values)
+        median[name] = _finite(float(np.median(filled))) if filled else None
+        worst[name] = _finite(filled[-1]) if filled else None
+    return {"median": median, "worst": worst, "refusals": refusals}
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def synthetic_table(results: dict[str, Any]) -> str:
+    """One row a figure: bar, median, worst, then every capture."""
+    rows = [
+        {
+            "figure": name,
+            "wanted": str(bar),
+            "median": results["median"][name],
+            "worst": results["worst"][name],
+        }
+        | {capture: figures.get(name) for capture, figures in results["captures"].items()}
+        for name, bar in BARS.items()
+    ]
+    reasons = {
+        capture: figures[REFUSED] for capture, figures in results["captures"].items() if REFUSED in figures
+    }
+    return as_table(rows) + (f"\n{json.dumps(reasons, indent=1)}" if reasons else "")
+
+
+def accuracy_table(figures: dict[str, Any]) -> str:
+    """One row a figure of a single capture beside its bar."""
+    return as_table(
+        [
+            {
+                "figure": name,
+                "wanted": str(bar),
+                "measured": figures.get(name),
+                "met": bar.met(figures.get(name)),
+            }
+            for name, bar in BARS.items()
+        ]
+    )

@@ -1,0 +1,148 @@
+"""`aomgen bench training`: how well held-out views are reproduced, over the seconds of training."""
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.capture.read import read_capture
+from aomgen.core.camera import Camera
+from aomgen.core.progress import silent
+from aomgen.gaussians.train import GaussiansParams, Lesson, judge, lesson_of, without_floaters
+from aomgen.io.images import read_image
+from aomgen.pipeline.project import Project
+from aomgen.splatting.metrics import psnr
+from aomgen.splatting.state import TrainingState
+from aomgen.splatting.training import finished, learning, scene_extent, started
+from aomgen.structure.stage import load_structure
+
+FIRST_STAGE, STRUCTURE_FOLDER = "structure", "01_structure"
+LIMIT_SECONDS = 120.0
+
+
+class Clock:
+    """Seconds of training, wall and processor; what happens between `stop` and `start` is not counted."""
+
+    def __init__(self) -> None:
+        self.wall = self.cpu = 0.0
+        self.start()
+
+    def start(self) -> None:
+        """Count from now on."""
+        self._wall, self._cpu = time.monotonic(), time.process_time()
+
+    def stop(self) -> None:
+        """Add what passed since `start` or the last `stop`."""
+        wall, cpu = time.monotonic(), time.process_time()
+        self.wall, self.cpu = self.wall + wall - self._wall, self.cpu + cpu - self._cpu
+        self._wall, self._cpu = wall, cpu
+
+
+def run_training(
+    capture_folder: Path,
+    out: Path | None,
+    run_project: Callable[..., None],
+    *,
+    iterations: int = 0,
+    every_seconds: float = 15.0,
+) -> dict[str, Any]:
+    """PSNR of a scan's held-out views over the seconds of training.
+
+    Args:
+        capture_folder: A capture; no truth is needed.
+        out: Run folder, continued when it exists; a temporary one when None.
+        run_project: Runs a project up to a stage.
+        iterations: Instead of the project's own number; 0 keeps it.
+        every_seconds: Training time between two judgements.
+
+    Returns:
+        `curve`, a list of seconds (wall), cpu_seconds, iteration, gaussians, psnr, ssim and
+        psnr_gain_fitted (after each rendered color channel took the gain that fits best: what
+        the camera's exposure costs); the last values; the best within 120 s; seconds of the
+        dense start.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        out = (out or Path(scratch) / "run").resolve()
+        project = Project(capture=capture_folder.resolve(), out=out)
+        run_project(project, until=FIRST_STAGE)
+        structure = load_structure(out / STRUCTURE_FOLDER)
+    images = {path.name: read_image(path) for path in read_capture(capture_folder).scan_images}
+    default = GaussiansParams()
+    params = replace(
+        default,
+        training=replace(
+            default.training,
+            iterations=iterations or project.iterations,
+            max_gaussians=project.gaussians,
+        ),
+    )
+    clock = Clock()
+    lesson = lesson_of(structure, images, params.densify, silent)
+    clock.stop()
+    held_out = [(structure.cameras_recon[name], images[name]) for name in lesson.test]
+    curve = training_curve(lesson, held_out, params, every_seconds)
+    soon = [point["psnr"] for point in curve if point["seconds"] <= LIMIT_SECONDS]
+    return {
+        "curve": curve,
+        "dense_start_seconds": round(clock.wall, 2),
+        "heldout_psnr": curve[-1]["psnr"],
+        "heldout_psnr_gain_fitted": curve[-1]["psnr_gain_fitted"],
+        "heldout_psnr_within_120_s": max(soon, default=None),
+        "heldout_ssim": curve[-1]["ssim"],
+        "training_seconds": curve[-1]["seconds"],
+    }
+
+
+def training_curve(
+    lesson: Lesson,
+    held_out: list[tuple[Camera, np.ndarray]],
+    params: GaussiansParams,
+    every_seconds: float,
+) -> list[dict[str, Any]]:
+    """Train, and judge the held-out views every few seconds and at the end."""
+    state = started(lesson.initial, lesson.cameras, params.training, np.random.default_rng(params.seed))
+    extent = scene_extent(lesson.initial, lesson.cameras)
+    curve: list[dict[str, Any]] = []
+    clock = Clock()
+    for _ in learning(state, lesson.cameras, lesson.images_srgb, params.training, extent):
+        clock.stop()
+        if clock.wall >= every_seconds * (len(curve) + 1) or state.iteration == params.training.iterations:
+            curve.append(_point(state, lesson, held_out, params, clock))
+            clock.start()
+    return curve
+
+
+def _point(
+    state: TrainingState,
+    lesson: Lesson,
+    held_out: list[tuple[Camera, np.ndarray]],
+    params: GaussiansParams,
+    clock: Clock,
+) -> dict[str, Any]:
+    gaussians = finished(state, params.training)
+    gaussians = without_floaters(gaussians, lesson.cameras, lesson.dense, params.near_share)
+    views = [judge(gaussians, camera, image) for camera, image in held_out]
+    fitted = [
+        gain_fitted_psnr(view.rendered_srgb, image) for view, (_, image) in zip(views, held_out, strict=True)
+    ]
+    return {
+        "seconds": round(clock.wall, 2),
+        "cpu_seconds": round(clock.cpu, 2),
+        "iteration": state.iteration,
+        "gaussians": len(gaussians),
+        "psnr": float(np.mean([view.psnr_db for view in views])),
+        "psnr_gain_fitted": float(np.mean(fitted)),
+        "ssim": float(np.mean([view.ssim for view in views])),
+    }
+
+
+def gain_fitted_psnr(rendered_srgb: NDArray[np.uint8], image_srgb: NDArray[np.uint8]) -> float:
+    """PSNR of a rendering (H, W, 3) after the best gain for every color channel, [dB]."""
+    drawn, photograph = (image.reshape(-1, 3) / 255.0 for image in (rendered_srgb, image_srgb))
+    gains = (drawn * photograph).sum(0) / np.maximum((drawn * drawn).sum(0), 1e-12)
+    return psnr(drawn * gains, photograph)

@@ -1,0 +1,312 @@
+"""The similarity that brings the structure's frame into the robot's: `S_world_recon`.
+
+Likely places come from the prompted boxes and a quick look at colors (`alignment_search`); each is
+pulled onto the outlines that the scan images show (`contours`), the best is refined on all views,
+and doubtful answers are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
+known scale and clean robot points, so outlines in the images take its place.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from aomgen.alignment.camera_uncertainty import CameraErrors
+from aomgen.alignment.confidence import Confirmation, ViewEvidence, confirmation, look
+from aomgen.alignment.contours import View
+from aomgen.alignment.pose_search import Scan, SearchParams, search
+from aomgen.alignment.silhouette_fit import FINE, MIDDLE, RobotDrawing, reduced, refine, robot_drawing, spread
+from aomgen.alignment.uncertainty import (
+    covariance_from_cameras,
+    joint_offsets,
+    similarity_covariance,
+)
+from aomgen.alignment.wrist_check import HandTurn, best_hand_turn
+from aomgen.core.progress import Progress, part
+from aomgen.core.transforms import apply, similarity
+from aomgen.core.values import Array, freeze
+from aomgen.errors import AlignmentError
+from aomgen.robots.configuration import RobotPosture
+
+STAGE = "alignment"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignmentParams:
+    """Effort and limits.
+
+    Attributes:
+        search: Effort of the search for likely places.
+        guesses: Factors of its guesses; each but the first is for when what was found is not confirmed.
+        views: Scan images used, spread over the walk.
+        width: Images wider than this are reduced, [px].
+        contour_points: Outline points a view.
+        min_lift: Least support beyond chance, of the robot.
+        min_segment_lift: The same for every segment of the arm that a joint moves.
+        min_margin: Least lead in support over a different hypothesis.
+        finalist_share: Places are pulled onto outlines whose colors score this share of the best one's.
+        distinct_m: Hypotheses whose robots are farther apart than this are different.
+        max_joint_offset_rad: Largest offset of a joint that the images may ask for.
+        joint_sds: An offset counts when it is this many of its standard deviations.
+        min_joint_move_px: And when it moves the outline more than edges are found apart anyway.
+        max_sd_m: Largest standard deviation of the end effector.
+    """
+
+    search: SearchParams = field(default_factory=SearchParams)
+    views: int = 24
+    width: int = 640
+    contour_points: int = 400
+    min_lift: float = 0.2
+    min_segment_lift: float = 0.1
+    min_margin: float = 0.1
+    guesses: tuple[int, ...] = (1, 3)
+    finalist_share: float = 0.5
+    distinct_m: float = 0.05
+    max_joint_offset_rad: float = float(np.radians(2.0))
+    joint_sds: float = 4.0
+    min_joint_move_px: float = 0.5
+    max_sd_m: float = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """The answer and how far it can be trusted.
+
+    Attributes:
+        S_world_recon: Similarity (4, 4), metres per recon unit included.
+        support: Share of outline points, over all views, that the images confirm within 2 px.
+        chance: The same for the outlines moved aside.
+        runner_up_support: The same for the best different hypothesis, 0 when there was none.
+        residual_px: Median distance of confirmed outline points from image edges.
+        residual_px_of_view: The same for each view that shows enough robot.
+        ee_sd_m: Standard deviation of the end effector.
+        joint_zeros_rad: What to add to each joint of the log (J,), see `settle_fixed_cameras`; 0 where
+            nothing speaks for it, empty before that was looked at.
+        joint_zero_sds_rad: Standard deviations.
+    """
+
+    S_world_recon: Array
+    support: float
+    chance: float
+    runner_up_support: float
+    residual_px: float
+    residual_px_of_view: dict[str, float]
+    ee_sd_m: float
+    joint_zeros_rad: Array = field(default_factory=lambda: np.zeros(0))
+    joint_zero_sds_rad: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+        freeze(self, "joint_zeros_rad", self.joint_zeros_rad, (None,))
+        freeze(self, "joint_zero_sds_rad", self.joint_zero_sds_rad, (len(self.joint_zeros_rad),))
+
+
+def align(
+    scan: Scan,
+    posture: RobotPosture,
+    progress: Progress,
+    rng: np.random.Generator,
+    params: AlignmentParams | None = None,
+) -> Alignment:
+    """Find `S_world_recon` from the robot's outlines in the scan images.
+
+    Args:
+        scan: Images that show the robot in `posture`, with at least one prompted box.
+        posture: Robot and its joint values during the scan.
+        progress: Told after each hypothesis.
+        rng: Random choices of the search.
+        params: See `AlignmentParams`.
+
+    Raises:
+        AlignmentError: No box, the outlines are not confirmed by the images, or two different
+            hypotheses are confirmed equally well.
+
+    Not checked: intrinsics are taken as given, and the robot's base must stand within about 30
+    degrees of upright.
+    """
+    params = params or AlignmentParams()
+    if not scan.boxes:
+        raise AlignmentError(
+            STAGE, "no prompt gives a box around the robot", "add a robot box to capture.toml"
+        )
+    cameras = [view.camera_recon for view in scan.views]
+    S_unit_recon = unit_frame([camera.center for camera in cameras], cameras[0].T_world_cam)
+    scan = scan.seen_from(S_unit_recon)
+    scan = replace(scan, views=[reduced(view, params.width) for view in scan.views])
+    width = max(view.camera_recon.width for view in scan.views)
+    height = max(view.camera_recon.height for view in scan.views)
+    with robot_drawing(posture, width, height) as drawing:
+        S, runner_up = _likeliest(scan, drawing, part(progress, 0.0, 0.6), rng, params)
+        chosen = spread(scan.views, S, drawing, params.views)
+        S = refine(S, chosen, drawing, FINE, params.contour_points)
+        progress(0.9, "refined on all views")
+        evidence = look(S, chosen, drawing, params.contour_points)
+        confirmed = confirmation(evidence)
+        _refuse_unconfirmed(confirmed, runner_up, posture, params)
+        hand = best_hand_turn(S, chosen[::2], drawing, params.contour_points, evidence)
+        _refuse_turned_hand(hand, posture)
+    _refuse_wrong_joints(evidence, posture, params)
+    result = replace(
+        _summary(S @ S_unit_recon, evidence, confirmed),
+        runner_up_support=runner_up,
+        ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
+    )
+    _refuse_vague(result, params)
+    progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
+    return result
+
+
+def _likeliest(
+    scan: Scan, drawing: RobotDrawing, progress: Progress, rng: np.random.Generator, params: AlignmentParams
+) -> tuple[Array, float]:
+    """The best place on coarse images, and the support of the best different one; 0 without one.
+
+    Raises:
+        AlignmentError: Images confirm nothing that was found.
+    """
+    best: list[tuple[Confirmation, Array]] = []
+    for number, factor in enumerate(params.guesses):
+        effort = replace(params.search, guesses=factor * params.search.guesses)
+        found = search(scan, drawing.posture, rng, effort).at_least(params.finalist_share)
+        now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
+        now(0.5, "looked for likely places")
+        ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
+        best = max(best, ranked, key=lambda places: places[0][0].lift if places else -1.0)
+        if best and best[0][0].lift >= params.min_lift:
+            break
+    if not best:
+        raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
+    first, S = best[0]
+    if not first.lift >= params.min_lift / 2:
+        raise _unconfirmed(first, params)
+    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > params.distinct_m]
+    return S, max(others, default=0.0)
+
+
+def _ee_sd_m(evidence: list[ViewEvidence], errors: CameraErrors | None) -> float:
+    """Standard deviation of the end effector; errors of the cameras in the world frame."""
+    covariance = similarity_covariance(evidence)
+    if errors is not None:
+        covariance = covariance + covariance_from_cameras(evidence, errors)
+    return float(np.sqrt(np.trace(covariance[3:6, 3:6])))
+
+
+def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
+    """Similarity (4, 4) to a frame that does not depend on the scale and axes of `recon`.
+
+    Args:
+        centers_recon: Camera centres; they have mean zero and unit spread afterwards.
+        T_recon_cam: A camera whose axes the new frame takes.
+    """
+    centers = np.array(centers_recon)
+    middle = centers.mean(0)
+    size = float(np.sqrt(np.mean(np.sum((centers - middle) ** 2, axis=1)))) or 1.0
+    R = T_recon_cam[:3, :3].T
+    return similarity(1 / size, R, -R @ middle / size)
+
+
+def _refine_starts(
+    starts: Array, views: list[View], drawing: RobotDrawing, progress: Progress
+) -> list[tuple[Confirmation, Array]]:
+    """Pull every start (H, 4, 4) onto the outlines of some views; best support first."""
+    ranked = []
+    for index, start in enumerate(starts):
+        chosen = spread(views, start, drawing, 8)
+        if chosen:
+            S = refine(start, chosen, drawing, MIDDLE, 200)
+            ranked.append((confirmation(look(S, chosen, drawing, 200)), S))
+        progress((index + 1) / len(starts), f"place {index + 1} of {len(starts)}")
+    return sorted(ranked, key=lambda item: -item[0].support)
+
+
+def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation) -> Alignment:
+    of_view = {
+        view.name: float(np.median(np.abs(view.edge_px[view.confirmed])))
+        for view in evidence
+        if view.confirmed.sum() >= 10
+    }
+    pooled = np.concatenate([view.edge_px[view.confirmed] for view in evidence])
+    return Alignment(
+        S_world_recon=S,
+        support=found.support,
+        chance=found.chance,
+        runner_up_support=0.0,
+        residual_px=float(np.median(np.abs(pooled))),
+        residual_px_of_view=of_view,
+        ee_sd_m=0.0,
+    )
+
+
+def _unconfirmed(found: Confirmation, params: AlignmentParams) -> AlignmentError:
+    return AlignmentError(
+        STAGE,
+        f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
+        f"one drawn anywhere; want a lead of {params.min_lift:.0%}",
+        "check the robot prompts and that the first rows of the log are the scan's joint values",
+    )
+
+
+def _refuse_unconfirmed(
+    found: Confirmation, runner_up: float, posture: RobotPosture, params: AlignmentParams
+) -> None:
+    if not found.lift >= params.min_lift:
+        raise _unconfirmed(found, params)
+    if not found.support - runner_up >= params.min_margin:
+        raise AlignmentError(
+            STAGE,
+            f"two places of the robot are confirmed alike ({found.support:.0%} and {runner_up:.0%})",
+            "add a robot box on an image from another side",
+        )
+    # The base may stand behind things or on a mount, and says nothing about the joints.
+    for segment, lift in sorted(found.lift_of_segment.items()):
+        if segment > 0 and not lift >= params.min_segment_lift:
+            joint = posture.robot.joint_names[segment - 1]
+            raise AlignmentError(
+                STAGE,
+                f"the robot is not seen where the log puts it, from {joint} on (the images confirm "
+                f"{lift:.0%} of that outline beyond chance, want {params.min_segment_lift:.0%})",
+                "check scan_state: the joint values must be those during the scan",
+            )
+
+
+def _refuse_wrong_joints(
+    evidence: list[ViewEvidence], posture: RobotPosture, params: AlignmentParams
+) -> None:
+    found = joint_offsets(evidence)
+    sizes = np.abs(found.offsets_rad)
+    wrong = (sizes > params.max_joint_offset_rad) & (sizes > params.joint_sds * found.sds_rad)
+    wrong &= found.moves_px > params.min_joint_move_px
+    if wrong.any():
+        worst = int(np.argmax(np.where(wrong, sizes, 0)))
+        offset_deg, sd_deg = np.degrees(found.offsets_rad[worst]), np.degrees(found.sds_rad[worst])
+        raise AlignmentError(
+            STAGE,
+            f"{posture.robot.joint_names[worst]} looks {offset_deg:+.0f} deg off in the images "
+            f"(+-{sd_deg:.1f}, limit {np.degrees(params.max_joint_offset_rad):.0f})",
+            "check scan_state: the joint values must be those during the scan",
+        )
+
+
+def _refuse_turned_hand(found: HandTurn, posture: RobotPosture) -> None:
+    if found.clear:
+        raise AlignmentError(
+            STAGE,
+            f"{posture.robot.joint_names[-1]} looks {np.degrees(found.turn_rad):+.0f} deg off in the images "
+            f"(they confirm {found.gain:.0%} more of the hand there)",
+            "check scan_state: the joint values must be those during the scan",
+        )
+
+
+def _refuse_vague(result: Alignment, params: AlignmentParams) -> None:
+    if not result.ee_sd_m <= params.max_sd_m:
+        raise AlignmentError(
+            STAGE,
+            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * params.max_sd_m:.0f} mm",
+            "scan the robot from more sides",
+        )
+
+
+def _distance(S_a: Array, S_b: Array, posture: RobotPosture) -> float:
+    """Mean distance [m] between the robot placed by one similarity and by another."""
+    points = posture.points_world(200)
+    moved = apply(S_a @ np.linalg.inv(S_b), points)
+    return float(np.linalg.norm(moved - points, axis=1).mean())

@@ -1,0 +1,257 @@
+"""The equations behind the joint refinement: what films, structure and calibrations say of the unknowns."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.alignment.scan_information import Scanned, structure_rows
+from aomgen.alignment.silhouette_residuals import (
+    BIAS,
+    BIAS_SD_PX,
+    COLUMNS,
+    OFFSET,
+    RATE,
+    TOGETHER,
+    Arm,
+    Evidence,
+    Film,
+    Rim,
+    evidence,
+    moved_rim,
+    robust_weights,
+)
+from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
+from aomgen.core.transforms import rotvec_from_matrix, skew
+from aomgen.core.values import Array
+
+# Stretches of a film that are left out in turn.
+_STRETCHES = 8
+# Information that holds an unknown where it is.
+FIXED = 1e12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointParams:
+    """Beliefs and effort.
+
+    Attributes:
+        frames: Frames of each film; 0 leaves cameras where the scan placed them.
+        width: Pictures wider than this are reduced, [px].
+        points: Outline points a frame.
+        structure_points: Points that carry the camera's place in the structure.
+        structure_sd_px: How far a camera placed in the structure is off, in its own picture, [px]:
+            about half the reprojection error of a single image.
+        calibration_sd_m, calibration_sd_rad: What a hand-eye calibration is good to.
+        min_sd_s: Smallest standard deviation of a clock that is believed, [s].
+        max_drift_s: A drift that shifts the ends of the film by less than this against one another is
+            none: 20 ms at either end are 6 mm of an arm that moves at 0.3 m/s, [s].
+        drift_sds: Standard deviations that a drift has to be away from none.
+        zero_sd_rad: How far the zero of a joint of a mastered arm is off; next to 0 keeps the log's.
+    """
+
+    frames: int = 32
+    width: int = 640
+    points: int = 300
+    structure_points: int = 300
+    structure_sd_px: float = 0.25
+    calibration_sd_m: float = 0.003
+    calibration_sd_rad: float = 0.0035
+    min_sd_s: float = 0.001
+    max_drift_s: float = 0.04
+    drift_sds: float = 4.0
+    zero_sd_rad: float = float(np.radians(0.3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmedCamera:
+    """One fixed camera as the refinement gets it.
+
+    Attributes:
+        camera_recon: As structure from motion placed it, recon frame, the film's size.
+        film: Frames to learn from.
+        clock: First guess; its `sd_s` 0 means that it is known.
+        T_world_cam: Hand-eye calibration to lean on, or None.
+    """
+
+    camera_recon: Camera
+    film: Film
+    clock: Clock
+    T_world_cam: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraState:
+    """What is sought for one camera: pose, clock, bias of the outlines [px]."""
+
+    camera: Camera
+    clock: Clock
+    bias_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointProblem:
+    """Everything that stays the same while it is solved.
+
+    Attributes:
+        S_world_recon: The alignment's answer (4, 4).
+        scan: Views of the robot as scanned.
+        points_recon: The structure's points (P, 3).
+        arm: Robot, log and drawing.
+        cameras: By name.
+        params: Beliefs and effort.
+    """
+
+    S_world_recon: Array
+    scan: Scanned
+    points_recon: Array
+    arm: Arm
+    cameras: dict[str, FilmedCamera]
+    params: JointParams = field(default_factory=JointParams)
+
+    @property
+    def pivot(self) -> Array:
+        """World point (3,) that motions turn about, [m]."""
+        return self.scan.drawing.pivot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Columns:
+    """Where the unknowns stand: similarity (7), joint zeros (J), then COLUMNS for each camera."""
+
+    joints: int
+    cameras: int
+
+    @property
+    def count(self) -> int:
+        """Of all unknowns."""
+        return 7 + self.joints + COLUMNS * self.cameras
+
+    @property
+    def zeros(self) -> slice:
+        """Of the joint zeros."""
+        return slice(7, 7 + self.joints)
+
+    def camera(self, k: int) -> slice:
+        """Of camera `k`."""
+        start = 7 + self.joints + COLUMNS * k
+        return slice(start, start + COLUMNS)
+
+    def film(self, k: int) -> NDArray[np.int64]:
+        """What the film of camera `k` tells of, in the order of `Evidence.jacobian`."""
+        every = np.arange(self.count)
+        return np.concatenate([every[self.camera(k)], every[self.zeros]])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """Normal equations of one camera's film, and those of each stretch of it; see `Columns.film`."""
+
+    A: Array
+    b: Array
+    stretches: list[tuple[Array, Array]]
+
+
+def camera_block(
+    problem: JointProblem,
+    name: str,
+    state: CameraState,
+    zeros_rad: Array,
+    rims: list[Rim],
+    search: tuple[int, float],
+) -> Block:
+    film, (reach, kernel) = problem.cameras[name].film, search
+    found: list[tuple[int, Evidence]] = []
+    for rim in rims:
+        here = moved_rim(rim, film.times_s[rim.frame], state.camera, state.clock, zeros_rad)
+        found.append((rim.frame, evidence(film, here, state.camera, problem.pivot, reach)))
+    parts, squares, total = [], 0.0, 0.0
+    for frame, item in found:
+        residuals = item.shifts - state.bias_px
+        weights = robust_weights(residuals, item.clearness, kernel)
+        J = item.jacobian
+        parts.append((frame, J.T @ (weights[:, None] * J), J.T @ (weights * residuals)))
+        squares, total = squares + float(weights @ residuals**2), total + float(weights.sum())
+    # Tenths of a pixel are the least that edges are believed to.
+    scale = 1 / (TOGETHER * max(squares / max(total, 1e-9), 0.01))
+    stretch = [frame * _STRETCHES // len(film.times_s) for frame, _, _ in parts]
+    stretches = []
+    for index in range(_STRETCHES):
+        mine = [part for part, at in zip(parts, stretch, strict=True) if at == index]
+        if mine:
+            stretches.append((scale * sum(A for _, A, _ in mine), scale * sum(b for _, _, b in mine)))
+    size = COLUMNS + len(zeros_rad)
+    zero = (np.zeros((size, size)), np.zeros(size))
+    return Block(
+        A=sum((A for A, _ in stretches), zero[0]),
+        b=sum((b for _, b in stretches), zero[1]),
+        stretches=stretches,
+    )
+
+
+def assemble(
+    problem: JointProblem,
+    scan: tuple[Array, Array],
+    blocks: dict[str, Block],
+    S: Array,
+    zeros_rad: Array,
+    states: dict[str, CameraState],
+) -> tuple[Array, Array]:
+    """Normal equations of all unknowns, see `Columns`."""
+    columns = Columns(joints=len(zeros_rad), cameras=len(blocks))
+    A, b = 1e-9 * np.eye(columns.count), np.zeros(columns.count)
+    robot = slice(0, columns.zeros.stop)
+    A[robot, robot] += scan[0]
+    b[robot] += scan[1]
+    prior = 1 / problem.params.zero_sd_rad**2
+    A[columns.zeros, columns.zeros] += prior * np.eye(columns.joints)
+    b[columns.zeros] -= prior * zeros_rad
+    for k, (name, block) in enumerate(blocks.items()):
+        at, item, state = columns.camera(k), problem.cameras[name], states[name]
+        film = columns.film(k)
+        A[np.ix_(film, film)] += block.A
+        b[film] += block.b
+        pose = np.arange(at.start, at.start + 6)
+        _add(A, b, np.concatenate([pose, np.arange(7)]), _structure_prior(problem, item, state, S))
+        if item.T_world_cam is not None:
+            _add(A, b, pose, _calibration_prior(problem, item.T_world_cam, state))
+        first = at.start
+        A[first + BIAS, first + BIAS] += 1 / BIAS_SD_PX**2
+        b[first + BIAS] -= state.bias_px / BIAS_SD_PX**2
+        if not item.clock.sd_s > 0:
+            A[first + OFFSET, first + OFFSET] += FIXED
+            A[first + RATE, first + RATE] += FIXED
+    return A, b
+
+
+def _add(A: Array, b: Array, columns: NDArray[np.int64], rows: tuple[Array, Array]) -> None:
+    J, r = rows
+    A[np.ix_(columns, columns)] += J.T @ J
+    b[columns] += J.T @ r
+
+
+def _structure_prior(
+    problem: JointProblem, item: FilmedCamera, state: CameraState, S: Array
+) -> tuple[Array, Array]:
+    camera, points = item.camera_recon, problem.points_recon
+    pixels, depths = camera.project(points)
+    size = np.array([camera.width, camera.height])
+    seen = np.flatnonzero((depths > 0) & np.all((pixels > 0) & (pixels < size), axis=1))
+    chosen = seen[:: max(1, len(seen) // problem.params.structure_points)]
+    if not len(chosen):
+        return np.zeros((0, 13)), np.zeros(0)
+    J, r = structure_rows(state.camera, camera, points[chosen], S, problem.pivot)
+    # Six degrees of freedom, each known to `structure_sd_px`.
+    scale = np.sqrt(6 / len(r)) / problem.params.structure_sd_px
+    return scale * J, scale * r
+
+
+def _calibration_prior(problem: JointProblem, T_world_cam: Array, state: CameraState) -> tuple[Array, Array]:
+    params, T = problem.params, state.camera.T_world_cam
+    turn = rotvec_from_matrix(T_world_cam[:3, :3] @ T[:3, :3].T)
+    J, r = np.zeros((6, 6)), np.zeros(6)
+    J[:3, :3], r[:3] = -np.eye(3), turn
+    J[3:, :3], J[3:, 3:], r[3:] = skew(T[:3, 3] - problem.pivot), -np.eye(3), T_world_cam[:3, 3] - T[:3, 3]
+    sds = np.repeat([params.calibration_sd_rad, params.calibration_sd_m], 3)
+    return J / sds[:, None], r / sds

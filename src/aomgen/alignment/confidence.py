@@ -1,0 +1,193 @@
+"""How well images confirm an outline that was drawn into them, and what they would rather see.
+
+A share of confirmed points says little by itself: clutter confirms outlines that lie anywhere. So
+each drawing is also moved aside in its own image, and what is confirmed there is chance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.alignment.contours import (
+    Contour,
+    View,
+    color_ratio,
+    edge_shifts,
+    region_shifts,
+    shift_gradient,
+    shift_jacobian,
+)
+from aomgen.alignment.silhouette_fit import (
+    Drawn,
+    RobotDrawing,
+    edge_weights,
+    gray_levels,
+    reduced,
+    region_weights,
+)
+from aomgen.core.camera import camera_in_world
+from aomgen.core.values import Array, freeze
+
+# A point is confirmed by an edge this near and this strong, and by a color border this near.
+NEAR_EDGE_PX, MIN_STEP, NEAR_BORDER_PX = 2.0, 0.02, 3.0
+REACH_PX, BORDER_REACH_PX = 8, 16
+# Outlines are moved aside by this share of the image's width: far beyond the reach, near enough
+# to cross the same surroundings.
+ASIDE = 0.06
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewEvidence:
+    """What one image says about the outline drawn into it; C points, J arm joints.
+
+    Attributes:
+        name: Of the view.
+        segments: Number (C,) of arm joints that move the body at each point.
+        confirmed: (C,) bool.
+        by_chance: (D,) bool, the same for those points that stay in the picture moved aside.
+        edge_px, edge_weights: Signed shift outwards to the image's edge (C,), and its weight.
+        border_px, border_weights: The same for the border between two colors, farther reaching.
+        jacobian: (C, 7), see `shift_jacobian`, about the end effector.
+        joint_jacobian: (C, J), shift of the outline for a turn of each joint, [px/rad].
+        camera_jacobian: (C, 6), the shift that an error of the camera looks like: centre [m], then
+            rotation vector [rad], world frame.
+        normals: (C, 2), see `Contour`.
+    """
+
+    name: str
+    segments: NDArray[np.int64]
+    confirmed: NDArray[np.bool_]
+    by_chance: NDArray[np.bool_]
+    edge_px: Array
+    edge_weights: Array
+    border_px: Array
+    border_weights: Array
+    jacobian: Array
+    joint_jacobian: Array
+    camera_jacobian: Array
+    normals: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.segments)
+        for name in ("edge_px", "edge_weights", "border_px", "border_weights"):
+            freeze(self, name, getattr(self, name), (count,))
+        freeze(self, "jacobian", self.jacobian, (count, 7))
+        freeze(self, "joint_jacobian", self.joint_jacobian, (count, None))
+        freeze(self, "camera_jacobian", self.camera_jacobian, (count, 6))
+        freeze(self, "normals", self.normals, (count, 2))
+
+
+def look(
+    S: Array, views: list[View], drawing: RobotDrawing, contour_points: int, width: int = 640
+) -> list[ViewEvidence]:
+    """Evidence of every view that shows enough robot.
+
+    Args:
+        S: `S_world_recon` to be judged.
+        views: Images.
+        drawing: Draws the robot.
+        contour_points: Outline points a view.
+        width: Images wider than this are reduced, [px].
+    """
+    found = []
+    for number, view in enumerate(views):
+        small = reduced(view, width)
+        drawn = drawing.draw(camera_in_world(S, small.camera_recon), contour_points)
+        if drawn is not None:
+            found.append(_evidence(S, number, small, drawn, drawing))
+    return found
+
+
+def _evidence(S: Array, number: int, view: View, drawn: Drawn, drawing: RobotDrawing) -> ViewEvidence:
+    camera = camera_in_world(S, view.camera_recon)
+    gray = gray_levels(view.image_srgb)
+    contour = drawn.contour
+    edges, strength = edge_shifts(contour, gray, REACH_PX)
+    ratio = color_ratio(view.image_srgb, drawn.mask, 2 * BORDER_REACH_PX)
+    borders, variances = region_shifts(contour, ratio, BORDER_REACH_PX)
+    aside = _moved_aside(drawn, number, camera.width)
+    size = np.array([camera.width, camera.height])
+    inside = np.all((aside.contour.pixels > 3) & (aside.contour.pixels < size - 3), axis=1)
+    gradient = shift_gradient(camera, contour)
+    segments = drawing.segments[drawn.bodies]
+    turned = [
+        np.einsum("cd,cd->c", gradient, contour.points @ motion[:3, :3].T + motion[:3, 3])
+        * (segments > joint)
+        for joint, motion in enumerate(drawing.joint_motions)
+    ]
+    return ViewEvidence(
+        name=view.name,
+        segments=segments,
+        confirmed=_confirmed(contour, drawn.mask, view, gray),
+        by_chance=_confirmed(aside.contour, aside.mask, view, gray)[inside],
+        edge_px=edges,
+        edge_weights=edge_weights(edges, strength),
+        border_px=borders,
+        border_weights=region_weights(borders, variances, BORDER_REACH_PX),
+        jacobian=shift_jacobian(camera, contour, drawing.posture.ee_world),
+        joint_jacobian=np.stack(turned, 1),
+        camera_jacobian=np.asarray(
+            np.concatenate([gradient, np.cross(contour.points - camera.center, gradient)], axis=1), np.float64
+        ),
+        normals=contour.normals,
+    )
+
+
+def _confirmed(
+    contour: Contour, mask: NDArray[np.bool_], view: View, gray: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    edge, strength = edge_shifts(contour, gray, REACH_PX)
+    border, _ = region_shifts(contour, color_ratio(view.image_srgb, mask, 2 * REACH_PX), REACH_PX)
+    return (np.abs(edge) <= NEAR_EDGE_PX) & (strength > MIN_STEP) & (np.abs(border) <= NEAR_BORDER_PX)
+
+
+def _moved_aside(drawn: Drawn, number: int, width: int) -> Drawn:
+    """The same outline elsewhere in the picture; directions differ from view to view."""
+    golden = number * np.pi * (3 - np.sqrt(5))
+    shift = np.round(ASIDE * width * np.array([np.cos(golden), np.sin(golden)]))
+    contour = replace(drawn.contour, pixels=drawn.contour.pixels + shift)
+    mask = np.roll(drawn.mask, (int(shift[1]), int(shift[0])), (0, 1))
+    return replace(drawn, contour=contour, mask=mask)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Confirmation:
+    """Shares of outline points that images confirm.
+
+    Attributes:
+        support: Of all points, 0..1.
+        chance: Of the outlines moved aside, 0..1.
+        lift_of_segment: Support beyond chance, as share of what was left to confirm, for every
+            segment of the arm (number of joints that move it) with enough points.
+    """
+
+    support: float
+    chance: float
+    lift_of_segment: dict[int, float]
+
+    @property
+    def lift(self) -> float:
+        """Support of the whole robot beyond chance, 0 = as clutter would, 1 = everything."""
+        return (self.support - self.chance) / (1 - self.chance)
+
+
+def confirmation(evidence: list[ViewEvidence], min_points: int = 100) -> Confirmation:
+    """Pool the evidence of all views; nothing is confirmed where there is none.
+
+    Args:
+        evidence: Of one similarity.
+        min_points: Segments with fewer outline points say nothing (ten neighbours count as one).
+    """
+    if not evidence:
+        return Confirmation(support=0.0, chance=0.0, lift_of_segment={})
+    confirmed = np.concatenate([view.confirmed for view in evidence])
+    segments = np.concatenate([view.segments for view in evidence])
+    by_chance = np.concatenate([view.by_chance for view in evidence])
+    chance = min(float(by_chance.mean()) if len(by_chance) else 0.0, 0.9)
+    lifts = {
+        int(segment): (float(confirmed[segments == segment].mean()) - chance) / (1 - chance)
+        for segment in np.unique(segments)
+        if np.sum(segments == segment) >= min_points
+    }
+    return Confirmation(support=float(confirmed.mean()), chance=chance, lift_of_segment=lifts)

@@ -1,0 +1,214 @@
+"""Where the robot may stand: many places that the prompted boxes allow, the likeliest bred further.
+
+Boxes leave headings and depths open, and hands draw them carelessly, so a thousand places are
+looked at in small images (`color_score`). The best of them, kept apart from one another, spread
+to places near them, in ever smaller steps. Source: a plain evolution strategy, Beyer and Schwefel,
+2002, with niches.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aomgen.alignment.camera_uncertainty import CameraErrors
+from aomgen.alignment.color_score import color_score
+from aomgen.alignment.contours import View
+from aomgen.alignment.gravity import up_candidates
+from aomgen.alignment.silhouette_fit import reduced
+from aomgen.alignment.starting_poses import RobotBox, places_in_boxes
+from aomgen.core.camera import camera_in_world
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.core.values import Array, freeze
+from aomgen.robots.configuration import RobotPosture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Generation:
+    """One round of breeding.
+
+    Attributes:
+        parents: Places kept.
+        apart: They differ by more than this, as a share of the robot's size.
+        children: New places near each.
+        step: Standard deviation of their distance along each axis, same share.
+    """
+
+    parents: int
+    apart: float
+    children: int
+    step: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchParams:
+    """Effort.
+
+    Attributes:
+        guesses: Places that are looked at first.
+        max_misfit: Worse ones than the best by this share of a box are dropped.
+        width, first_width: Of the small images, and of those for the first look, [px].
+        views: How many of them.
+        generations: Rounds; steps begin at the size of the basin, about a link's thickness.
+        apart: The places returned differ by more than this share of the robot's size.
+        kept: How many of them, at most.
+    """
+
+    guesses: int = 2400
+    max_misfit: float = 0.15
+    width: int = 80
+    first_width: int = 48
+    views: int = 8
+    generations: tuple[Generation, ...] = (
+        Generation(parents=50, apart=0.08, children=6, step=0.06),
+        Generation(parents=24, apart=0.06, children=8, step=0.04),
+        Generation(parents=12, apart=0.05, children=10, step=0.025),
+        Generation(parents=6, apart=0.03, children=12, step=0.012),
+    )
+    apart: float = 0.5
+    kept: int = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """What a structure and the prompts give the alignment.
+
+    Attributes:
+        views: Images that show the robot as it stood during the scan.
+        boxes: Prompted boxes around the robot; two far apart are better than one.
+        points_recon: Sparse points (P, 3).
+        errors: How far the cameras may be off; without, they are taken as exact.
+    """
+
+    views: list[View]
+    boxes: list[RobotBox]
+    points_recon: Array
+    errors: CameraErrors | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "points_recon", self.points_recon, (None, 3))
+
+    def seen_from(self, S_other_recon: Array) -> "Scan":
+        """The same in another frame."""
+        return Scan(
+            views=[
+                replace(view, camera_recon=camera_in_world(S_other_recon, view.camera_recon))
+                for view in self.views
+            ],
+            boxes=[
+                replace(box, camera_recon=camera_in_world(S_other_recon, box.camera_recon))
+                for box in self.boxes
+            ],
+            points_recon=apply(S_other_recon, self.points_recon),
+            errors=self.errors and self.errors.seen_from(S_other_recon),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Places of the robot, best first: `S_world_recon` (H, 4, 4) and their color scores (H,)."""
+
+    Ss_world_recon: Array
+    scores: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
+        freeze(self, "scores", self.scores, (len(self.Ss_world_recon),))
+
+    def at_least(self, share: float) -> "Found":
+        """Those whose score is this share of the best one's."""
+        good = self.scores >= share * self.scores.max()
+        return Found(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
+
+
+def search(
+    scan: Scan, posture: RobotPosture, rng: np.random.Generator, params: SearchParams | None = None
+) -> Found:
+    """Likely places of the robot, best first and far from one another.
+
+    Args:
+        scan: Images with cameras, one prompted box or more.
+        posture: The robot during the scan.
+        rng: Makes guesses and children.
+        params: Effort.
+    """
+    params = params or SearchParams()
+    vertices = posture.points_world()
+    probe = vertices[rng.choice(len(vertices), 16, replace=False)]
+    ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
+    places = places_in_boxes(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
+    Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + params.max_misfit]
+    Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
+    chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
+    first = color_score([reduced(view, params.first_width) for view in chosen], posture, rng)
+    score = color_score([reduced(view, params.width) for view in chosen], posture, rng)
+    parents = different(Found(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(params.generations[0]))
+    parents = replace(parents, scores=score(parents.Ss_world_recon))
+    looked_at = [parents]
+    for generation in params.generations:
+        parents = different(_joined(looked_at), probe, *_kept(generation))
+        children = _near(parents.Ss_world_recon, probe, generation, rng)
+        looked_at.append(Found(Ss_world_recon=children, scores=score(children)))
+    found = _joined(looked_at)
+    return different(found, probe, params.apart, params.kept)
+
+
+def _kept(generation: Generation) -> tuple[float, int]:
+    return generation.apart, generation.parents
+
+
+def _joined(parts: list[Found]) -> Found:
+    """All places of several searches."""
+    return Found(
+        Ss_world_recon=np.concatenate([part.Ss_world_recon for part in parts]),
+        scores=np.concatenate([part.scores for part in parts]),
+    )
+
+
+def different(found: Found, points_world: Array, apart: float, count: int) -> Found:
+    """The best places, at most `count`, no two nearer than a share of the robot's size."""
+    Ss = found.Ss_world_recon
+    placed = _transformed(np.asarray(np.linalg.inv(Ss), np.float64), points_world)
+    sizes = np.linalg.norm(placed - placed.mean(1, keepdims=True), axis=2).mean(1)
+    left = np.argsort(-found.scores, kind="stable")
+    kept = []
+    while len(left) and len(kept) < count:
+        best, left = left[0], left[1:]
+        kept.append(best)
+        distances = np.linalg.norm(placed[left] - placed[best], axis=2).mean(1)
+        left = left[distances > apart * np.sqrt(sizes[left] * sizes[best])]
+    return Found(Ss_world_recon=Ss[kept], scores=found.scores[kept])
+
+
+def _near(Ss: Array, points_world: Array, generation: Generation, rng: np.random.Generator) -> Array:
+    """Children (C, 4, 4): the robot turned, moved and scaled a little about its middle."""
+    middle = points_world.mean(0)
+    size = np.linalg.norm(points_world - middle, axis=1).mean()
+    count = len(Ss) * generation.children
+    turns = matrix_from_rotvec(rng.normal(0, generation.step, (count, 3)) * [0.5, 0.5, 1.0])
+    factors = np.exp(rng.normal(0, generation.step, (count, 1, 1)))
+    moves = rng.normal(0, generation.step * size, (count, 3))
+    turned = factors * turns
+    Ds = transform(turned, middle + moves - turned @ middle)
+    return np.asarray(np.linalg.inv(Ds) @ np.repeat(Ss, generation.children, axis=0), np.float64)
+
+
+def _views_on(views: list[View], centers: Array, count: int) -> list[View]:
+    """Views that show most of the likely robot centres (H, 3), from different sides, widest first."""
+    shown = []
+    for view in views:
+        camera = view.camera_recon
+        pixels, z = camera.project(centers)
+        shown.append(np.mean((z > 0) & np.all((pixels > 0) & (pixels < [camera.width, camera.height]), 1)))
+    usable = np.flatnonzero(np.array(shown) >= 0.7 * max(shown))
+    sides = np.array([views[i].camera_recon.center for i in usable]) - np.median(centers, axis=0)
+    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+    chosen, distances = [0], np.linalg.norm(sides - sides[0], axis=1)
+    while len(chosen) < min(count, len(usable)):
+        chosen.append(int(np.argmax(distances)))
+        distances = np.minimum(distances, np.linalg.norm(sides - sides[chosen[-1]], axis=1))
+    return [views[usable[i]] for i in chosen]
+
+
+def _transformed(Ss: Array, points: Array) -> Array:
+    """Points (P, 3) moved by each of a stack (H, 4, 4): (H, P, 3)."""
+    return np.asarray(points @ np.swapaxes(Ss[:, :3, :3], 1, 2) + Ss[:, None, :3, 3], np.float64)

@@ -1,0 +1,248 @@
+"""Evidence of one fixed camera's film: the moving arm's outlines at many postures.
+
+An outline that is drawn from the joint log lies beside the one that a frame shows when the camera's
+pose is off, when the clocks are off, or when pictures show every outline a little too wide or too
+narrow (blur, tone curve, simplified meshes). All three are told apart, because the arm goes many
+ways: the clock's error goes with the arm's velocity, the outline's bias with neither.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.alignment.contours import Contour, edge_shifts, outline, shift_jacobian
+from aomgen.alignment.silhouette_fit import gray_levels
+from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
+from aomgen.core.joint_log import JointLog
+from aomgen.core.transforms import invert
+from aomgen.core.values import Array, freeze
+from aomgen.io.images import resize
+from aomgen.io.video import Video
+from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.silhouette import SilhouetteRenderer
+
+# Columns of the equations: rotation and translation of the robot before the camera, clock offset,
+# drift, bias of the outlines; the zero of each arm joint follows.
+POSE, OFFSET, RATE, BIAS = slice(0, 6), 6, 7, 8
+COLUMNS = 9
+# Readings within this time are averaged to beat encoder noise, and differentiated over twice as much, [s].
+_READING_S = 0.02
+_SPEED_S = 0.05
+# Gray-level step of an edge that counts fully.
+CLEAR_EDGE = 0.05
+# Neighbouring outline points err together: ten of them count as one.
+TOGETHER = 10.0
+# How far blur, tone curves and simple meshes widen all outlines of one camera, [px].
+BIAS_SD_PX = 1.0
+# A picture of less robot than this share says nothing, one of more has no outline.
+_SHARES = (0.002, 0.7)
+_MIN_POINTS = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Film:
+    """Chosen frames of a video.
+
+    Attributes:
+        times_s: Video times (F,).
+        grays: Gray levels (F, H, W), 0..1.
+    """
+
+    times_s: Array
+    grays: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        freeze(self, "times_s", self.times_s, (len(self.grays),))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arm:
+    """The robot with its log, what is added to each joint of it (J,) [rad], and the context that draws it."""
+
+    robot: RobotModel
+    log: JointLog
+    renderer: SilhouetteRenderer
+    zeros_rad: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "zeros_rad", self.zeros_rad, (self.log.joints.shape[1],))
+
+    def states(self, log_times_s: Array) -> tuple[Array, Array]:
+        """Joints (T, J) and gripper (T,) at log times (T,), encoder noise averaged."""
+        offsets = np.linspace(-_READING_S, _READING_S, 5)
+        readings = [self.log.at(log_times_s + offset) for offset in offsets]
+        return np.mean([q for q, _ in readings], 0) + self.zeros_rad, np.mean([g for _, g in readings], 0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rim:
+    """The arm's outline as drawn for one frame.
+
+    Attributes:
+        frame: Index into the film.
+        contour: Its points, world frame.
+        velocities: Of the points (C, 3), per second of the log, [m/s].
+        turns: How each joint moves the points (C, J, 3), [m/rad].
+        clock: The clock it was drawn under.
+        zeros_rad: The joint zeros (J,) it was drawn under.
+    """
+
+    frame: int
+    contour: Contour
+    velocities: Array
+    turns: Array
+    clock: Clock
+    zeros_rad: Array
+
+
+def no_film() -> Film:
+    """A film without frames."""
+    return Film(times_s=np.zeros(0), grays=np.zeros((0, 1, 1), np.float32))
+
+
+def film_of(video: Video, frames: NDArray[np.int64], width: int) -> Film:
+    """Some frames, at most `width` wide."""
+    if not len(frames):
+        return no_film()
+    full = video.frames_srgb.shape[2]
+    size = (min(full, width), round(video.frames_srgb.shape[1] * min(1.0, width / full)))
+    grays = [gray_levels(resize(video.frames_srgb[k], *size)) for k in frames]
+    return Film(times_s=video.times_s[frames], grays=np.stack(grays))
+
+
+def spread_frames(video: Video, arm: Arm, clock: Clock, count: int) -> NDArray[np.int64]:
+    """At most `count` frames, evenly along the end effector's path, that the log covers."""
+    covered = np.flatnonzero(arm.log.covers(clock.log_times(video.times_s)))
+    if not len(covered):
+        return covered
+    places = arm.robot.ee_poses(arm.states(clock.log_times(video.times_s[covered]))[0])[:, :3, 3]
+    # Where the arm rests, time alone parts the frames a little.
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1) + 1e-4
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    marks = (np.arange(count) + 0.5) / count * path[-1]
+    return covered[np.unique(np.searchsorted(path, marks))]
+
+
+def trace(film: Film, camera: Camera, clock: Clock, arm: Arm, points: int) -> list[Rim]:
+    """Outlines of the frames that show enough of the arm, at most `points` points each."""
+    if not len(film.times_s):
+        return []
+    times = clock.log_times(film.times_s)
+    joints, gripper = arm.states(times)
+    before, after = (arm.robot.link_poses(*arm.states(times + step)) for step in (-_SPEED_S, _SPEED_S))
+    poses = arm.robot.link_poses(joints, gripper)
+    rims = []
+    for k in range(len(times)):
+        bodies, depth = arm.renderer.draw(camera, joints[k], float(gripper[k]))
+        mask = bodies >= 0
+        if not _SHARES[0] < mask.mean() < _SHARES[1]:
+            continue
+        contour = outline(camera, mask, depth, points)
+        if len(contour.pixels) < _MIN_POINTS:
+            continue
+        # The outline runs half a pixel outside the pixels it was found on.
+        columns, rows = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
+        seen = bodies[rows, columns]
+        moves = ((after[k] - before[k]) @ invert(poses[k]) / (2 * _SPEED_S))[seen]
+        velocities = np.einsum("cij,cj->ci", moves[:, :3, :3], contour.points) + moves[:, :3, 3]
+        posture = RobotPosture(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
+        rims.append(
+            Rim(
+                frame=k,
+                contour=contour,
+                velocities=velocities,
+                turns=posture.turns(contour.points, seen),
+                clock=clock,
+                zeros_rad=arm.zeros_rad,
+            )
+        )
+    return rims
+
+
+def moved_rim(rim: Rim, time_s: float, camera: Camera, clock: Clock, zeros_rad: Array) -> Rim:
+    """The outline as another camera pose, clock and joint zeros nearby would have it, not drawn again.
+
+    Args:
+        rim: Drawn outline.
+        time_s: Video time of its frame.
+        camera: Same size, nearly the same pose.
+        clock, zeros_rad: Differ by little from the rim's.
+    """
+    delay = float(clock.log_times([time_s])[0] - rim.clock.log_times([time_s])[0])
+    turned = np.einsum("j,cjd->cd", zeros_rad - rim.zeros_rad, rim.turns)
+    points = rim.contour.points + delay * rim.velocities + turned
+    contour = replace(
+        rim.contour, points=points, pixels=camera.project(points)[0] + 0.5 * rim.contour.normals
+    )
+    return replace(rim, contour=contour, clock=clock, zeros_rad=zeros_rad)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """Equations of one outline, `jacobian @ step = shifts`.
+
+    Attributes:
+        jacobian: (C, COLUMNS + J), [px] per [rad], [m], [s], 1, [px], [rad].
+        shifts: From the drawn outline to the picture's edge, along the normals (C,), [px].
+        clearness: How far the edge is one (C,), 0..1.
+    """
+
+    jacobian: Array
+    shifts: Array
+    clearness: Array
+
+
+def evidence(film: Film, rim: Rim, camera: Camera, pivot: Array, reach: int) -> Evidence:
+    """What one frame says about pose (about `pivot`), clock, bias and joint zeros."""
+    contour = rim.contour
+    shifts, strength = edge_shifts(contour, film.grays[rim.frame], reach)
+    full = shift_jacobian(camera, contour, pivot)
+    jacobian = np.empty((len(shifts), COLUMNS + len(rim.zeros_rad)))
+    jacobian[:, POSE] = full[:, :6]
+    jacobian[:, OFFSET] = np.einsum("cd,cd->c", full[:, 3:6], rim.velocities)
+    jacobian[:, RATE] = jacobian[:, OFFSET] * (film.times_s[rim.frame] - rim.clock.middle_s)
+    jacobian[:, BIAS] = 1.0
+    jacobian[:, COLUMNS:] = np.einsum("cd,cjd->cj", full[:, 3:6], rim.turns)
+    return Evidence(jacobian=jacobian, shifts=shifts, clearness=np.minimum(strength / CLEAR_EDGE, 1.0))
+
+
+def robust_weights(residuals: Array, clearness: Array, kernel_px: float) -> Array:
+    """Geman and McClure's weights (C,) times the clearness of the edges."""
+    return clearness / (1 + (residuals / kernel_px) ** 2) ** 2
+
+
+def common_bias(shifts: Array, clearness: Array, kernel_px: float) -> float:
+    """By how much outlines are drawn too narrow, all over, [px]."""
+    bias = 0.0
+    for _ in range(5):
+        weights = robust_weights(shifts - bias, clearness, kernel_px)
+        bias = float((weights * shifts).sum() / max(weights.sum(), 1e-9))
+    return bias
+
+
+def misfits(film: Film, camera: Camera, clock: Clock, arm: Arm, reach: int = 4) -> Array:
+    """Mean robust distance (F,), 0..1, of each frame's edges from the outline drawn; one bias is free.
+
+    NaN for frames that do not show the arm.
+    """
+    rims = trace(film, camera, clock, arm, 300)
+    costs = np.full(len(film.times_s), np.nan)
+    found = [evidence(film, rim, camera, np.zeros(3), reach) for rim in rims]
+    shifts = np.concatenate([item.shifts for item in found] or [np.zeros(0)])
+    clearness = np.concatenate([item.clearness for item in found] or [np.zeros(0)])
+    bias = common_bias(shifts, clearness, 1.0)
+    for rim, item in zip(rims, found, strict=True):
+        squares = (item.shifts - bias) ** 2
+        total = max(item.clearness.sum(), 1e-9)
+        costs[rim.frame] = float((item.clearness * squares / (1 + squares)).sum() / total)
+    return costs
+
+
+def misfit(film: Film, camera: Camera, clock: Clock, arm: Arm) -> float:
+    """Mean of `misfits` over the frames; infinite when none shows the arm."""
+    costs = misfits(film, camera, clock, arm)
+    shown = costs[~np.isnan(costs)]
+    return float(shown.mean()) if len(shown) else float("inf")

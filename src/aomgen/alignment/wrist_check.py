@@ -1,0 +1,82 @@
+"""Is the hand turned as the log says? A turn of the last joint hardly moves the outline of the rest.
+
+Small errors of a joint show in where edges lie, see `outline_errors.joint_offsets`. A hand that is
+turned far leaves its edges' reach, and part of its outline is confirmed all the same; so other turns
+are drawn too.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from aomgen.alignment.confidence import ViewEvidence, look
+from aomgen.alignment.contours import View
+from aomgen.alignment.silhouette_fit import RobotDrawing
+from aomgen.core.values import Array
+
+# Beyond the reach of edges, and close enough together that one of them is near any turn. A parallel
+# gripper looks alike after half a turn.
+TURNS_DEG: Final = (-60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0)
+# Neighbors on an outline are confirmed together: ten count as one.
+CORRELATED: Final = 10
+CLEAR_SDS: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandTurn:
+    """The turn of the last joint whose hand the images confirm best, among those drawn.
+
+    Attributes:
+        turn_rad: Against the log; 0 when the log's is best.
+        gain: How much larger the share of confirmed outline is there than as logged.
+        gain_sd: Standard deviation of that.
+    """
+
+    turn_rad: float
+    gain: float
+    gain_sd: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether the images contradict the log."""
+        return self.gain > CLEAR_SDS * self.gain_sd
+
+
+def best_hand_turn(
+    S: Array, views: list[View], drawing: RobotDrawing, contour_points: int, logged: list[ViewEvidence]
+) -> HandTurn:
+    """Draw the hand turned by the last joint and compare what images confirm of it.
+
+    Args:
+        S: `S_world_recon`.
+        views: Images.
+        drawing: Draws the robot as logged.
+        contour_points: Outline points a view.
+        logged: What the images say of the robot as logged; of these views and perhaps more.
+
+    Not checked: the last joint turns (one that slides finds no better turn).
+    """
+    hand = len(drawing.posture.joints)
+
+    names = {view.name for view in views}
+
+    def confirmed(evidence: list[ViewEvidence]) -> tuple[float, int]:
+        seen = [view.confirmed[view.segments == hand] for view in evidence if view.name in names]
+        points = np.concatenate(seen) if seen else np.zeros(0, np.bool_)
+        return (float(points.mean()), len(points)) if len(points) else (0.0, 0)
+
+    def turned(turn_deg: float) -> RobotDrawing:
+        joints = drawing.posture.joints.copy()
+        joints[-1] += np.radians(turn_deg)
+        return replace(drawing, posture=replace(drawing.posture, joints=joints))
+
+    own, count = confirmed(logged)
+    shares = [confirmed(look(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
+    best = int(np.argmax(shares))
+    if count == 0 or shares[best] <= own:
+        return HandTurn(turn_rad=0.0, gain=0.0, gain_sd=0.0)
+    variance = (own * (1 - own) + shares[best] * (1 - shares[best])) * CORRELATED / count
+    return HandTurn(
+        turn_rad=float(np.radians(TURNS_DEG[best])), gain=shares[best] - own, gain_sd=float(np.sqrt(variance))
+    )

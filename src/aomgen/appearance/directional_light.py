@@ -1,0 +1,301 @@
+"""The lamp that throws the robot's shadow, found on the surface the robot works over.
+
+A fixed camera sees the same place in light and in shadow. A direction is right when the shadow
+that the posed twin would throw from there explains how the brightness of every place goes up and
+down; the places' own colors do not enter.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+from scipy.spatial import cKDTree
+
+from aomgen.appearance.surfel_observations import Film
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.rasterizer import render
+from aomgen.splatting.visibility import sphere_directions
+from aomgen.twin.lamp import MOVES, STANDS, Lamp, on_surface, shadowed, silhouette, surface_share, unshaded
+from aomgen.twin.shadow import HEIGHTS
+from aomgen.twin.twin import Twin, posed, shadow_roles
+
+# Pictures that are compared; a half of them to find the lamp, the other to judge it.
+PICTURES: Final = 16
+# Places that are watched.
+PLACES: Final = 4000
+# A place is seen when nothing that moves covers more than this of it, so many pixels around.
+COVERED: Final = 0.02
+MARGIN_PX: Final = 3
+# Lamps at least this high above the surface, as the sine of their elevation.
+MIN_SINE: Final = 0.25
+# First directions: every one has another within about 6 degrees.
+DIRECTIONS: Final = 700
+# The surface is looked for this far above and below where it was fitted, [m].
+NEAR_M: Final = HEIGHTS[-1]
+CELL_M: Final = 0.02
+# Points of the bodies that are dropped.
+POINTS: Final = 4000
+# Steps of the refinement, [rad]; the last moves a shadow of a point 1 m high by a centimeter.
+STEPS: Final = (0.06, 0.03, 0.015, 0.0075)
+ROUNDS: Final = 4
+# The shadow has to take away at least this share of the variance in pictures it was not fitted to.
+# With less, as under soft light, most of what it draws would be wrong.
+MIN_EXPLAINED: Final = 0.5
+# What is this much in shadow is wholly in it.
+CORE: Final = 0.95
+# Edges of shadows are this uncertain: twice what the last step of the search moves them, [m].
+EDGE_M: Final = 0.015
+# Gaussians that count as surface, and how many around one tell its color.
+SOLID: Final = 0.3
+NEIGHBORS: Final = 16
+# Brightness is compared above this, sRGB: below, noise counts more than light.
+DARK: Final = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Watched:
+    """Places of the surface over time, T pictures and N places.
+
+    Attributes:
+        points: World frame (N, 3).
+        logs: Logarithms of sRGB colors (T, N, 3).
+        seen: (T, N), whether nothing moving hides it.
+        moving: What throws shadows that come and go, in every picture, world frame.
+        fixed: What throws the same shadow in all of them.
+    """
+
+    points: Array
+    logs: Array
+    seen: NDArray[np.bool_]
+    moving: tuple[Gaussians, ...]
+    fixed: Gaussians
+
+    def part(self, which: slice) -> "Watched":
+        """Some of the pictures."""
+        return replace(self, logs=self.logs[which], seen=self.seen[which], moving=self.moving[which])
+
+    def dark(self, direction: Array) -> Array:
+        """Share (T, N) of a lamp's light that the moving bodies take from the places."""
+        lit = 1 - silhouette(self.fixed, direction).at(self.points)
+        return np.stack([silhouette(bodies, direction).at(self.points) * lit for bodies in self.moving])
+
+
+def found_lamp(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) -> Lamp | None:
+    """The lamp of a scene; None when no direction explains what the film shows.
+
+    Args:
+        twin: With all surfaces of its robot.
+        robot: Its robot.
+        film: A fixed camera's pictures of many postures.
+        T_world_plane: Surface (4, 4) whose brightness is watched.
+    """
+    T_world_plane = raised(T_world_plane, twin, film.camera)
+    watched = _watched(twin, robot, film, T_world_plane)
+    if watched is None:
+        return None
+    up = T_world_plane[:3, 2]
+    learned, unseen = watched.part(slice(0, None, 2)), watched.part(slice(1, None, 2))
+    directions = sphere_directions(DIRECTIONS)
+    directions = directions[directions @ up > MIN_SINE]
+    fallen = _Fallen(learned, T_world_plane)
+    scores = [explained(learned, fallen.dark(direction)) for direction in directions]
+    best = directions[int(np.argmax(scores))]
+    best = _refined(best, lambda direction: explained(learned, learned.dark(direction)))
+    if explained(unseen, unseen.dark(best)) < MIN_EXPLAINED:
+        return None
+    shade = shade_of(watched, watched.dark(best))
+    if shade is None or not (shade < 1).all():
+        return None
+    return Lamp(direction=best, T_world_plane=T_world_plane, shade=shade)
+
+
+def without_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
+    """The twin under a lamp: the surface's own colors are those in light, its shadows are cast anew."""
+    world = posed(twin, robot, twin.scan_state)
+    points = np.array(world.means, np.float64)
+    roles = shadow_roles(twin, robot)
+    on_it = surface_share(lamp.T_world_plane, points) * (twin.bodies == 0)
+
+    def taken(shift: Array) -> Array:
+        return on_it * shadowed(world, roles, lamp.direction, points + shift)
+
+    across = lamp.T_world_plane[:3, :2] * EDGE_M
+    turns = np.arange(8) * np.pi / 4
+    around = [taken(across @ np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
+    dark = taken(np.zeros(3))
+    unsure = np.max([dark, *around], 0) - np.min([dark, *around], 0) > 1 - CORE
+    looks = _by_looks(unshaded(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp)
+    dark[unsure] = np.minimum(looks, np.max([dark, *around], 0)[unsure])
+    return replace(twin, gaussians=unshaded(twin.gaussians, dark, lamp.shade), lamp=lamp)
+
+
+def _by_looks(lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: Lamp) -> Array:
+    """How much Gaussians at edges of a shadow are in it (M,), 0..1: by how dark they are beside others in light.
+
+    Args:
+        lit: All Gaussians without the shadow, right away from its edges.
+        seen: The same with it.
+        unsure: Which are at edges, M of N.
+        on_it: Share (N,) of the surface.
+        lamp: What throws the shadow.
+    """
+    sure = np.flatnonzero((on_it > CORE) & ~unsure & (seen.opacities > SOLID))
+    if not len(sure):
+        return np.zeros(int(unsure.sum()))
+    _, near = cKDTree(lit.means[sure]).query(seen.means[unsure], k=min(NEIGHBORS, len(sure)))
+    level = np.median(_level(lit)[sure][near.reshape(int(unsure.sum()), -1)], 1)
+    return np.clip((1 - _level(seen)[unsure] / level) / (1 - lamp.shade.mean()), 0, 1)
+
+
+def _level(gaussians: Gaussians) -> Array:
+    return np.maximum(0.5 + SH_C0 * gaussians.sh[:, 0].astype(np.float64), DARK).mean(1)
+
+
+def explained(watched: Watched, dark: Array) -> float:
+    """Share of the variance of brightness over time that shadows (T, N), 0..1, account for; 0 for none.
+
+    Every place has its own color, so both are compared without their means over time.
+    """
+    weight = watched.seen.astype(np.float64)
+    count = np.maximum(weight.sum(0), 1)
+    bright, shadow = (values - (weight * values).sum(0) / count for values in (watched.logs.mean(-1), dark))
+    below = (weight * shadow**2).sum() * (weight * bright**2).sum()
+    slope = (weight * shadow * bright).sum()
+    return float(slope**2 / below) if below > 0 and slope < 0 else 0.0
+
+
+class _Fallen:
+    """Points of the bodies dropped onto the surface along a direction: coarse, but quick."""
+
+    def __init__(self, watched: Watched, T_world_plane: Array) -> None:
+        to_plane = invert(T_world_plane)
+        self._turn = to_plane[:3, :3]
+        self._moving = [apply(to_plane, _some(bodies)) for bodies in watched.moving]
+        self._still = apply(to_plane, _some(watched.fixed))
+        places = apply(to_plane, watched.points)[:, :2]
+        self._low = places.min(0) - 2 * CELL_M
+        cells = ((places - self._low) / CELL_M).astype(int)
+        self._cells = cells[:, 0], cells[:, 1]
+        self._shape = tuple(cells.max(0) + 3)
+
+    def dark(self, direction: Array) -> Array:
+        """Which places are in shadow in every picture (T, N), 0 or 1."""
+        x, y, z = self._turn @ direction
+        lean = np.array([x, y]) / z
+        lit = ~self._reached(self._still, lean)
+        return np.stack([self._reached(points, lean) & lit for points in self._moving]).astype(np.float64)
+
+    def _reached(self, points: Array, lean: Array) -> NDArray[np.bool_]:
+        cells = ((points[:, :2] - points[:, 2:] * lean - self._low) / CELL_M).astype(int)
+        cells = cells[((cells >= 0) & (cells < self._shape)).all(1) & (points[:, 2] > 0)]
+        grid = np.zeros(self._shape, bool)
+        grid[cells[:, 0], cells[:, 1]] = True
+        return closed_at(grid, self._cells)
+
+
+def closed_at(grid: NDArray[np.bool_], cells: tuple[NDArray, NDArray]) -> NDArray[np.bool_]:
+    """What `scipy.ndimage.binary_closing` of a grid gives at some cells (N,), none within two of its border.
+
+    Where places lie far apart the grid is huge and nearly empty, so that only these cells are worked out.
+    """
+    cross = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+
+    def dilated(x: NDArray, y: NDArray) -> NDArray[np.bool_]:
+        return np.logical_or.reduce([grid[x + a, y + b] for a, b in cross])
+
+    return np.logical_and.reduce([dilated(cells[0] + a, cells[1] + b) for a, b in cross])
+
+
+def _some(bodies: Gaussians) -> Array:
+    return np.asarray(bodies.means[:: max(1, len(bodies) // POINTS)], np.float64)
+
+
+def _refined(direction: Array, score: Callable[[Array], float]) -> Array:
+    """The best direction around one, by ever smaller steps to four sides."""
+    best = score(direction)
+    for step in STEPS:
+        for _ in range(ROUNDS):
+            side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+            side /= np.linalg.norm(side)
+            around = [s * step * a for a in (side, np.cross(direction, side)) for s in (1, -1)]
+            tried = [(direction + a) / np.linalg.norm(direction + a) for a in around]
+            scores = [score(item) for item in tried]
+            if max(scores) <= best:
+                break
+            best = max(scores)
+            direction = tried[int(np.argmax(scores))]
+    return direction
+
+
+def shade_of(watched: Watched, dark: Array) -> Array | None:
+    """Color in shadow over color in light (3,), of places seen in both; None when there are none.
+
+    Only what is in the core of a shadow, or far from all, is compared: at edges a shadow is often
+    a little beside where it is drawn.
+    """
+    shadow, light = watched.seen & (dark > CORE), watched.seen & (dark < 1 - CORE)
+    both = shadow.any(0) & light.any(0)
+    if not both.any():
+        return None
+    mean = [
+        (watched.logs[:, both] * which[:, both, None]).sum(0) / which[:, both].sum(0)[:, None]
+        for which in (shadow, light)
+    ]
+    return np.exp(np.median(mean[0] - mean[1], 0))
+
+
+def raised(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
+    """A surface (4, 4) moved along its normal to where a camera sees it.
+
+    Centers of trained Gaussians lie below the surface that they paint.
+    """
+    scene = render(twin.gaussians.select(twin.bodies == 0), camera, with_ids=True)
+    depth = np.asarray(scene.median_depth, np.float64)
+    points = (camera.center + camera.directions() * depth[..., None])[depth > 0]
+    heights = apply(invert(T_world_plane), points)[:, 2]
+    near = np.abs(heights) < NEAR_M
+    if not near.any():
+        return T_world_plane
+    T = np.array(T_world_plane)
+    T[:3, 3] += T[:3, 2] * float(np.median(heights[near]))
+    return T
+
+
+def _watched(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) -> Watched | None:
+    """Places of the surface in some pictures of a film; None when it is hardly seen."""
+    count = len(film.states)
+    chosen = np.unique(np.linspace(0, count - 1, min(PICTURES, count)).astype(int))
+    camera, still = film.camera, twin.bodies == 0
+    roles = shadow_roles(twin, robot)
+    scene = render(twin.gaussians.select(still), camera, with_ids=True)
+    points, belongs = on_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
+    moving, free = [], []
+    for index in chosen:
+        world = posed(twin, robot, film.states[index])
+        covered = render(world, camera, features=(~still)[:, None].astype(np.float32)).features
+        moving.append(world.select(roles == MOVES))
+        free.append(binary_erosion(np.asarray(covered)[..., 0] < COVERED, iterations=MARGIN_PX))
+    seen = np.stack(free)
+    usable = np.flatnonzero((belongs > 0.99).ravel() & (seen.sum(0) > len(chosen) / 2).ravel())
+    if not len(usable):
+        return None
+    usable = usable[np.unique(np.linspace(0, len(usable) - 1, PLACES).astype(int))]
+    colors = np.stack([film.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
+    seen = seen.reshape(len(chosen), -1)[:, usable] & (colors.min(-1) > DARK)
+    logs = np.log(np.maximum(colors, DARK))
+    # Exposure changes everything at once; most places are lit most of the time.
+    logs -= np.median(logs - np.median(logs, 0), axis=1, keepdims=True)
+    return Watched(
+        points=points.reshape(-1, 3)[usable],
+        logs=logs,
+        seen=seen,
+        moving=tuple(moving),
+        fixed=posed(twin, robot, film.states[0]).select(roles == STANDS),
+    )

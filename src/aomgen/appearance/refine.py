@@ -1,0 +1,116 @@
+"""The whole twin fitted to the pictures of the scan and of the demonstration, each in its posture.
+
+The scan shows one posture. The video shows what was hidden then: the inside of what was opened,
+the other side of a door, a table without the shadow that the arm threw on it while it was scanned.
+Shapes stay opaque surfaces on their bodies; brief shadows of what moves count little, because
+the loss is an absolute difference and every picture has them elsewhere.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from aomgen.appearance.surfel_observations import Film, pixel_size
+from aomgen.core.values import Array
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.refining import Lesson, RefiningParams, refined
+from aomgen.twin.lamp import darkened, draw_lit
+from aomgen.twin.relit import Relit, Surface, surfaces_of
+from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
+
+# Gaussians move this much in a step, [px] of the usual picture at the robot.
+STEP_PX: Final = 0.1
+# Shadows are drawn a pixel or two beside where they are: nothing is learned where the share of light
+# that is taken changes by this much, on pixels that are mostly the surface.
+EDGE_PX: Final = 5
+EDGE_STEP: Final = 0.1
+MOSTLY: Final = 0.5
+
+
+def sharpened(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random.Generator) -> Twin:
+    """The twin with its Gaussians fitted to pictures.
+
+    Shape, glare and the colors of what is not lit anew are the same in all postures. Colors of
+    relit surfaces are learned for the orientations of the scan, beyond what they were given, and
+    come back as much as memories of them do.
+
+    Args:
+        twin: If something in it is lit anew, those are its last Gaussians.
+        robot: Its robot.
+        films: What to fit to; with none the twin stays as it is.
+        rng: Order of the pictures.
+    """
+    if not films:
+        return twin
+    surfaces = surfaces_of(twin.relit, twin.bodies)
+    nearest = _scan_orientations(twin, robot)
+    roles = shadow_roles(twin, robot)
+    lessons = [
+        _with_shadows(
+            _lesson(twin, body_poses(twin, robot, state), surfaces, nearest, (film, index)), twin, roles
+        )
+        for film in films
+        for index, state in enumerate(film.states)
+    ]
+    params = RefiningParams(rate_means=STEP_PX * pixel_size(robot, twin, films))
+    gaussians, difference = refined(twin.gaussians, twin.bodies, lessons, params, rng)
+    relit = None if twin.relit is None else _corrected(twin.relit, nearest, difference)
+    return replace(twin, gaussians=gaussians, relit=relit)
+
+
+def _lesson(
+    twin: Twin,
+    Ts_world_body: Array,
+    surfaces: tuple[Surface, ...],
+    nearest: dict[int, int],
+    place: tuple[Film, int],
+) -> Lesson:
+    """One picture, the n-th of a film, with the colors of relit surfaces in its posture."""
+    film, index = place
+    count = 0 if twin.relit is None else len(twin.relit.indices)
+    colors, recall = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    for surface in surfaces:
+        R = Ts_world_body[surface.body, :3, :3]
+        colors[surface.rows] = surface.colors_srgb(R)
+        if surface.remembered is not None:
+            recall[surface.rows] = surface.remembered.weights(R)[nearest[surface.body]]
+    return Lesson(
+        camera=film.camera,
+        image_srgb=film.images_srgb[index],
+        Ts_world_part=Ts_world_body,
+        colors_srgb=colors,
+        recall=recall,
+    )
+
+
+def _with_shadows(lesson: Lesson, twin: Twin, roles: NDArray[np.uint8]) -> Lesson:
+    """A lesson whose drawn picture is darkened by the shadows of its posture."""
+    if twin.lamp is None:
+        return lesson
+    world = posed_by(twin, lesson.Ts_world_part)
+    _, surface, taken = draw_lit(twin.lamp, world, roles, lesson.camera)
+    edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
+    return replace(lesson, shade=darkened(twin.lamp, surface * taken), unsure=edge & (surface > MOSTLY))
+
+
+def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
+    """Which remembered orientation of every body is nearest to the scan's."""
+    Ts = body_poses(twin, robot, twin.scan_state)
+    return {
+        item.body: int(np.argmax(np.einsum("kij,ij->k", item.Rs_world_body, Ts[item.body, :3, :3])))
+        for item in (twin.relit.remembered if twin.relit is not None else ())
+    }
+
+
+def _corrected(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:
+    """Memories of the scan's orientations with differences in color (M, 3) added."""
+    remembered = []
+    for item in relit.remembered:
+        colors = np.array(item.difference_srgb)
+        colors[nearest[item.body]] += difference[item.rows]
+        remembered.append(replace(item, difference_srgb=colors))
+    return replace(relit, remembered=tuple(remembered))

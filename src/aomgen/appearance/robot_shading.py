@@ -1,0 +1,247 @@
+"""Colors of the robot's surface that turn with its links, fitted to all that pictures show of it.
+
+A disc's color is its material's answer to its direction (nine harmonics, so that the light stays
+where it is while links turn), times what distinguishes the disc from others of its material, plus
+what was seen of it near this orientation of its link, plus glare: a function of where it is seen from.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.appearance.surfel_observations import Sightings
+from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.core.light import Light, open_transfer
+from aomgen.core.sh import sh_basis
+from aomgen.core.values import Array
+from aomgen.twin.relit import NEGLIGIBLE, Remembered, orientation_weights
+
+# Turn over which a seen color fades. A link's glare moves twice as fast as the link; halves and
+# doubles of this were worse or no better on pictures between those that were fitted.
+REACH_RAD: Final = float(np.radians(10.0))
+# Orientations are remembered this far apart, in reaches.
+SPACING: Final = 1.5
+ROUNDS: Final = 4
+# Linear colors below this are black: the slope of sRGB would give them all the weight.
+BLACK: Final = 0.003
+# Pull of a disc towards its material and of a material towards all others, in sightings of one pixel.
+DISC_PULL: Final = 1.0
+MATERIAL_PULL: Final = 1e-3
+# A disc is at most this many times as bright or dark as its material.
+MAX_RATIO: Final = 5.0
+NEIGHBORS: Final = 6
+# Pull of glare towards none, in sightings (their weight is the root of their pixels).
+GLARE_PULL: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotColors:
+    """What M discs look like.
+
+    Attributes:
+        albedo: Color of each relative to its material (M, 3).
+        lights: The answer of each material, by material.
+        remembered: Seen colors of every body that was seen.
+        glare_sh: Harmonics of bands 1 and 2 (M, 8, 3) that add to the color, body frames.
+    """
+
+    albedo: Array
+    glare_sh: Array
+    lights: tuple[Light, ...]
+    remembered: tuple[Remembered, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Discs:
+    """The discs: body, material, normal and place (M, ...), body frame."""
+
+    bodies: NDArray[np.int32]
+    materials: NDArray[np.int32]
+    normals: Array
+    means: Array
+
+
+def robot_colors(
+    sightings: Sightings,
+    bodies: NDArray[np.int32],
+    materials: NDArray[np.int32],
+    normals_body: Array,
+    means_body: Array,
+) -> RobotColors:
+    """Fit colors to sightings.
+
+    Args:
+        sightings: What pictures show.
+        bodies: Body of every disc (M,), index into the twin's `body_names`.
+        materials: Material of every disc (M,), 0..P-1.
+        normals_body, means_body: (M, 3), body frames.
+    """
+    discs = _Discs(bodies, materials, normals_body, means_body)
+    R = sightings.Ts_world_body[sightings.picture, bodies[sightings.disc], :3, :3]
+    answers = open_transfer(np.einsum("nij,nj->ni", R, normals_body[sightings.disc])).astype(np.float64)
+    seen = np.asarray(linear_from_srgb(sightings.color_srgb), np.float64)
+    ratio, radiance, lit = _fit(sightings, discs, answers, seen)
+    # Lit as the twin lights it, clipped to what a picture can show.
+    predicted = np.asarray(srgb_from_linear(np.clip(ratio[sightings.disc] * lit, 0, 1)))
+    difference = sightings.color_srgb - predicted
+    views = sh_basis(sightings.directions_body, 2)[:, 1:]
+    glare, remembered = np.zeros((len(bodies), 8, 3)), ()
+    for _ in range(ROUNDS):
+        explained = np.einsum("nk,nkc->nc", views, glare[sightings.disc])
+        remembered = _memories(sightings, discs, difference - explained)
+        left = difference - _recalled(sightings, discs, remembered)
+        glare = _glare(sightings, views, left, len(bodies))
+    seen_discs = np.bincount(sightings.disc, minlength=len(bodies)) > 0
+    return RobotColors(
+        albedo=_spread(ratio, seen_discs, discs),
+        lights=tuple(Light(radiance_sh=item) for item in radiance),
+        remembered=remembered,
+        glare_sh=glare,
+    )
+
+
+def _glare(sightings: Sightings, views: Array, left: Array, count: int) -> Array:
+    """Harmonics (M, 8, 3) that explain what is left (N, 3), each disc alone, pulled to none."""
+    weights, disc = np.sqrt(sightings.pixels), sightings.disc
+    normal, right = np.empty((count, 8, 8)), np.empty((count, 8, 3))
+    for i in range(8):
+        for j in range(i + 1):
+            moment = np.bincount(disc, weights * views[:, i] * views[:, j], count)
+            normal[:, i, j] = normal[:, j, i] = moment
+        for channel in range(3):
+            right[:, i, channel] = np.bincount(disc, weights * views[:, i] * left[:, channel], count)
+    return np.asarray(np.linalg.solve(normal + GLARE_PULL * np.eye(8), right), np.float64)
+
+
+def _recalled(sightings: Sightings, discs: _Discs, memories: tuple[Remembered, ...]) -> Array:
+    """What memories add to the color of every sighting (N, 3)."""
+    result = np.zeros((len(sightings.disc), 3))
+    owners = discs.bodies[sightings.disc]
+    for memory in memories:
+        mine = np.flatnonzero(owners == memory.body)
+        Rs = sightings.Ts_world_body[:, memory.body, :3, :3]
+        weights = orientation_weights(memory.Rs_world_body, Rs, REACH_RAD)[sightings.picture[mine]]
+        column = np.searchsorted(memory.rows, sightings.disc[mine])
+        for k in range(len(memory.Rs_world_body)):
+            near = np.flatnonzero(weights[:, k] > NEGLIGIBLE)
+            result[mine[near]] += weights[near, k, None] * memory.difference_srgb[k, column[near]]
+    return result
+
+
+def _fit(sightings: Sightings, discs: _Discs, answers: Array, seen: Array) -> tuple[Array, Array, Array]:
+    """Ratios (M, 3), radiance (P, 9, 3) and lit colors (N, 3), alternately by weighted least squares.
+
+    Errors are weighed as sRGB shows them.
+    """
+    materials = discs.materials[sightings.disc]
+    count = int(discs.materials.max()) + 1
+    ratio = np.ones((len(discs.bodies), 3))
+    predicted, radiance = seen, np.zeros((count, 9, 3))
+    lit = np.zeros_like(seen)
+    for _ in range(ROUNDS):
+        weights = _srgb_slope(predicted) ** 2 * sightings.pixels[:, None]
+        common = _radiance(answers, ratio[sightings.disc], seen, weights, np.zeros((9, 3)))
+        for material in range(count):
+            mine = materials == material
+            if not mine.any():
+                radiance[material] = common
+                continue
+            near = common * (seen[mine].mean() / max(float((answers[mine] @ common).mean()), BLACK))
+            radiance[material] = _radiance(
+                answers[mine], ratio[sightings.disc[mine]], seen[mine], weights[mine], near
+            )
+            lit[mine] = np.maximum(answers[mine] @ radiance[material], BLACK / 10)
+        above = _per_disc(sightings.disc, weights * seen * lit, len(ratio))
+        below = _per_disc(sightings.disc, weights * lit**2, len(ratio))
+        pull = DISC_PULL * np.median((weights * lit**2) / sightings.pixels[:, None], 0)
+        ratio = np.clip((above + pull) / (below + pull), 1 / MAX_RATIO, MAX_RATIO)
+        predicted = ratio[sightings.disc] * lit
+    return ratio, radiance, lit
+
+
+def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: Array) -> Array:
+    """Radiance (9, 3) that explains seen colors (N, 3), pulled a little towards another."""
+    result = np.empty((9, 3))
+    for channel in range(3):
+        A = answers * ratio[:, channel : channel + 1]
+        weighted = A * weights[:, channel : channel + 1]
+        normal = weighted.T @ A
+        pull = MATERIAL_PULL * np.trace(normal) / 9
+        right = weighted.T @ seen[:, channel] + pull * near[:, channel]
+        result[:, channel] = np.linalg.solve(normal + pull * np.eye(9), right)
+    return result
+
+
+def _memories(sightings: Sightings, discs: _Discs, difference: Array) -> tuple[Remembered, ...]:
+    """What remains of every body's sightings, averaged near a few of its orientations."""
+    memories = []
+    owners = discs.bodies[sightings.disc]
+    for body in np.unique(discs.bodies):
+        rows = np.flatnonzero(discs.bodies == body)
+        mine = np.flatnonzero(owners == body)
+        if not len(mine):
+            continue
+        Rs = sightings.Ts_world_body[:, body, :3, :3]
+        chosen = _spaced(Rs, SPACING * REACH_RAD)
+        # Not normalised: a picture far from all remembered orientations teaches none of them.
+        kernel = orientation_weights(Rs[chosen], Rs, REACH_RAD)
+        column = np.searchsorted(rows, sightings.disc[mine])
+        weights = kernel[sightings.picture[mine]] * sightings.pixels[mine, None]
+        remembered = np.zeros((len(chosen), len(rows), 3))
+        for k in range(len(chosen)):
+            below = np.bincount(column, weights[:, k], len(rows)) + DISC_PULL
+            for channel in range(3):
+                above = np.bincount(column, weights[:, k] * difference[mine, channel], len(rows))
+                remembered[k, :, channel] = above / below
+        memories.append(
+            Remembered(
+                body=int(body),
+                rows=rows,
+                Rs_world_body=Rs[chosen],
+                difference_srgb=remembered.astype(np.float32),
+                reach_rad=REACH_RAD,
+            )
+        )
+    return tuple(memories)
+
+
+def _spaced(Rs: Array, spacing_rad: float) -> NDArray[np.int64]:
+    """Orientations (T, 3, 3), the first and then the farthest from all chosen, until none is far."""
+    chosen = [0]
+    nearest = _turn(Rs, Rs[0])
+    while nearest.max() > spacing_rad:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, _turn(Rs, Rs[chosen[-1]]))
+    return np.array(chosen)
+
+
+def _turn(Rs: Array, R: Array) -> Array:
+    return np.arccos(np.clip((np.einsum("tij,ij->t", Rs, R) - 1) / 2, -1, 1))
+
+
+def _spread(ratio: Array, seen: NDArray[np.bool_], discs: _Discs) -> Array:
+    """Ratios (M, 3) where discs that no picture shows take the mean of their nearest seen neighbours."""
+    result = ratio.copy()
+    groups = np.stack([discs.bodies, discs.materials], 1)
+    for body, material in np.unique(groups[~seen], axis=0):
+        mine = (discs.bodies == body) & (discs.materials == material)
+        known, unknown = np.flatnonzero(mine & seen), np.flatnonzero(mine & ~seen)
+        if len(known):
+            k = min(NEIGHBORS, len(known))
+            _, nearest = cKDTree(discs.means[known]).query(discs.means[unknown], k=k)
+            result[unknown] = ratio[known][nearest.reshape(-1, k)].mean(1)
+    return result
+
+
+def _srgb_slope(linear: Array) -> Array:
+    """Derivative of sRGB by linear light."""
+    step = 1e-4
+    at = np.clip(linear, BLACK, 1)
+    return (np.asarray(srgb_from_linear(at + step)) - np.asarray(srgb_from_linear(at))) / step
+
+
+def _per_disc(disc: NDArray[np.int64], values: Array, count: int) -> Array:
+    return np.stack([np.bincount(disc, values[:, c], count).astype(np.float64) for c in range(3)], 1)

@@ -1,0 +1,193 @@
+"""The robot as its model's surface, colored from everything that the capture shows of it.
+
+A scan sees one side of a robot in one posture, from outside: its undersides are missing, outlines
+are ragged and light is baked in. The model's shape has none of that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.appearance.robot_shading import robot_colors
+from aomgen.appearance.surfel_observations import Film, Sightings, pixel_size, sightings_of
+from aomgen.conventions import ROBOT
+from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
+from aomgen.core.light import Light, open_transfer
+from aomgen.core.mesh import Mesh, face_normals_areas
+from aomgen.core.values import Array
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.surfels import Surfels, open_surfels_of
+from aomgen.twin.relit import Relit
+from aomgen.twin.twin import Twin
+
+# Discs lie this far apart in the pictures, [px], within limits that keep episodes fast.
+SPACING_PX: Final = 2.0
+COUNTS: Final = (12_000, 40_000)
+MIN_PER_BODY: Final = 120
+# How far discs lie beneath the surface, [px].
+INSET_PX: Final = 1.0
+# Scanned Gaussians this far outside the model, and solid, are things it does not have, like cables.
+# Nearer ones are the scan's own blur of the same surface.
+ATTACHED_M: Final = 0.012
+SOLID_OPACITY: Final = 0.5
+# Bodies of which the scan and the video show less are left as scanned.
+MIN_SIGHTINGS: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class _Cover:
+    """Discs over the whole robot (M): Gaussians in body frames, normals, body and material of each."""
+
+    gaussians: Gaussians
+    normals: Array
+    bodies: NDArray[np.int32]
+    materials: NDArray[np.int32]
+
+
+def dressed(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random.Generator) -> Twin:
+    """The twin with its robot's scanned Gaussians replaced by the model's surface.
+
+    Args:
+        twin: As bound from the scan.
+        robot: Its robot.
+        films: Pictures of the scan and of the demonstration, in one exposure.
+        rng: Chooses places on the surface.
+
+    Returns:
+        The same twin when the model has no meshes or pictures hardly show it.
+    """
+    if not robot.meshes or not films:
+        return twin
+    pixel_m = pixel_size(robot, twin, films)
+    cover = _cover(robot, pixel_m, rng)
+    bare = _with_cover(twin, cover)
+    sightings = sightings_of(bare, robot, films)
+    if not len(sightings.disc) >= MIN_SIGHTINGS:
+        return twin
+    cover = _turned(cover, sightings)
+    colors = robot_colors(
+        sightings, cover.bodies, cover.materials, cover.normals, np.asarray(cover.gaussians.means, np.float64)
+    )
+    count = len(bare.gaussians) - len(cover.bodies)
+    sh = np.array(bare.gaussians.with_sh_degree(max(bare.gaussians.sh_degree, 2)).sh)
+    sh[count:, 1:9] = colors.glare_sh
+    return replace(
+        bare,
+        gaussians=bare.gaussians.with_sh(sh),
+        relit=Relit(
+            indices=np.arange(count, count + len(cover.bodies)),
+            albedo_linear=colors.albedo.astype(np.float32),
+            transfer=open_transfer(cover.normals),
+            light_of=cover.materials,
+            lights=colors.lights,
+            remembered=colors.remembered,
+        ),
+    )
+
+
+def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cover:
+    """Discs on every body; materials are the distinct colors of the model."""
+    colors = sorted({tuple(np.round(mesh.color_srgb, 4).tolist()) for mesh in robot.meshes})
+    areas = np.array([face_normals_areas(m.vertices_body, m.faces)[1].sum() for m in robot.meshes])
+    count = np.clip(areas.sum() / (SPACING_PX * pixel_m) ** 2, *COUNTS)
+    pieces, normals, bodies, materials = [], [], [], []
+    for body in sorted({mesh.body for mesh in robot.meshes}):
+        for color in colors:
+            mine = [
+                i
+                for i, mesh in enumerate(robot.meshes)
+                if mesh.body == body and tuple(np.round(mesh.color_srgb, 4).tolist()) == color
+            ]
+            if not areas[mine].sum() > 0:
+                continue
+            share = areas[mine].sum() / areas.sum()
+            meshes = [_plain_mesh(robot, i) for i in mine]
+            surfels = open_surfels_of(meshes, max(int(count * share), MIN_PER_BODY), rng)
+            pieces.append(_inset(surfels, INSET_PX * pixel_m))
+            normals.append(surfels.normals)
+            bodies.append(np.full(len(surfels.gaussians), body + 1, np.int32))
+            materials.append(np.full(len(surfels.gaussians), colors.index(color), np.int32))
+    return _Cover(
+        gaussians=concatenate(pieces),
+        normals=np.concatenate(normals).astype(np.float64),
+        bodies=np.concatenate(bodies),
+        materials=np.concatenate(materials),
+    )
+
+
+def _inset(surfels: Surfels, depth_m: float) -> Gaussians:
+    """Discs drawn back beneath the surface, less where it is thin.
+
+    The rasterizer widens whatever it draws by about half a pixel, and many opaque discs that
+    overlap at an outline add to that.
+    """
+    places = np.asarray(surfels.gaussians.means, np.float64)
+    normals = np.asarray(surfels.normals, np.float64)
+    # The other side: discs that look the other way within reach, straight below.
+    tree = cKDTree(places)
+    room = np.full(len(places), depth_m)
+    for depth in np.array([2.0, 1.5, 1.0, 0.5]) * depth_m:
+        _, nearest = tree.query(places - normals * depth)
+        opposed = np.einsum("ni,ni->n", normals, normals[nearest]) < 0
+        room[opposed] = np.minimum(room[opposed], depth / 3)
+    return gaussians_of(
+        means=places - normals * room[:, None],
+        quats=surfels.gaussians.quats,
+        scales=surfels.gaussians.scales,
+        opacities=surfels.gaussians.opacities,
+        sh=surfels.gaussians.sh,
+    )
+
+
+def _plain_mesh(robot: RobotModel, index: int) -> Mesh:
+    mesh = robot.meshes[index]
+    return Mesh(
+        name=str(index),
+        vertices=mesh.vertices_body,
+        faces=mesh.faces,
+        uvs=np.zeros((0, 3, 2)),
+        texture_srgb=np.zeros((0, 0, 3), np.uint8),
+        color_srgb=mesh.color_srgb,
+    )
+
+
+def _with_cover(twin: Twin, cover: _Cover) -> Twin:
+    """The twin with discs, in an even light, in the place of scanned Gaussians near the model."""
+    kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _attached(twin, cover)
+    rest = twin.select(kept)
+    count, added = len(rest.gaussians), len(cover.gaussians)
+    return replace(
+        rest,
+        gaussians=concatenate([rest.gaussians, cover.gaussians]),
+        bodies=np.concatenate([rest.bodies, cover.bodies]),
+        labels=np.concatenate([rest.labels, np.full(added, ROBOT, np.uint8)]),
+        relit=Relit(
+            indices=np.arange(count, count + added),
+            albedo_linear=np.ones((added, 3), np.float32),
+            transfer=open_transfer(cover.normals),
+            light_of=cover.materials,
+            lights=tuple(Light(radiance_sh=np.eye(9, 3)) for _ in range(int(cover.materials.max()) + 1)),
+        ),
+    )
+
+
+def _attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
+    """Scanned Gaussians (N,) of a link that the model does not have."""
+    attached = np.zeros(len(twin.gaussians), bool)
+    for body in np.unique(cover.bodies):
+        mine = np.flatnonzero((twin.labels == ROBOT) & (twin.bodies == body))
+        surface = cover.gaussians.means[cover.bodies == body]
+        distances, _ = cKDTree(surface).query(twin.gaussians.means[mine])
+        attached[mine] = (distances > ATTACHED_M) & (twin.gaussians.opacities[mine] > SOLID_OPACITY)
+    return attached
+
+
+def _turned(cover: _Cover, sightings: Sightings) -> _Cover:
+    """The cover with normals on the side from which pictures see the discs."""
+    towards = np.einsum("ni,ni->n", cover.normals[sightings.disc], -sightings.directions_body)
+    sides = np.bincount(sightings.disc, towards * sightings.pixels, len(cover.normals))
+    return replace(cover, normals=np.where(sides[:, None] < 0, -cover.normals, cover.normals))

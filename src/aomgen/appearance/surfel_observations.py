@@ -1,0 +1,165 @@
+"""What pictures show of the robot's surface: a color for every disc in every picture that sees it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
+
+from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.core.camera import Camera
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array, freeze
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.rasterizer import Parts
+from aomgen.twin.layers import MovingLayer, moving_layer, static_layer
+from aomgen.twin.twin import Twin, TwinState, body_poses
+
+# Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
+MARGIN_PX: Final = 1
+# Two cameras are compared where neither is near black nor burnt out, sRGB.
+COMPARED: Final = (0.08, 0.92)
+# Gain between two cameras beyond which something else than exposure is at work.
+MAX_GAIN: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Film:
+    """Pictures from one place with one exposure.
+
+    Attributes:
+        camera: Where they were taken, world frame.
+        images_srgb: (H, W, 3) uint8 each.
+        states: What was there, one for each picture.
+    """
+
+    camera: Camera
+    images_srgb: tuple[NDArray[np.uint8], ...]
+    states: tuple[TwinState, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sightings:
+    """Colors of discs as pictures show them, N sightings in V pictures.
+
+    Attributes:
+        disc: Which disc (N,), an index into the relit Gaussians of the twin.
+        picture: Which picture (N,).
+        color_srgb: Mean color (N, 3), 0..1.
+        pixels: How many pixels show it (N,).
+        directions_body: Unit direction (N, 3) from the camera to the disc, in its body's frame.
+        Ts_world_body: Body poses in every picture (V, B, 4, 4).
+    """
+
+    disc: NDArray[np.int64]
+    picture: NDArray[np.int64]
+    color_srgb: Array
+    pixels: Array
+    directions_body: Array
+    Ts_world_body: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.disc)
+        freeze(self, "disc", self.disc, (count,), np.int64)
+        freeze(self, "picture", self.picture, (count,), np.int64)
+        freeze(self, "color_srgb", self.color_srgb, (count, 3))
+        freeze(self, "pixels", self.pixels, (count,))
+        freeze(self, "directions_body", self.directions_body, (count, 3))
+        freeze(self, "Ts_world_body", self.Ts_world_body, (None, None, 4, 4))
+
+
+def sightings_of(twin: Twin, robot: RobotModel, films: Sequence[Film]) -> Sightings:
+    """Look up every disc in every picture where nothing hides it.
+
+    Args:
+        twin: Its relit Gaussians are the discs (M); whatever else is in it may hide them.
+        robot: The twin's robot.
+        films: At least one picture.
+    """
+    moving = moving_layer(twin)
+    disc_of = _discs_of_moving(twin, moving)
+    still = twin.gaussians.select(~twin.moves)
+    pieces, poses = [], []
+    for film in films:
+        layer = static_layer(still, film.camera)
+        for image, state in zip(film.images_srgb, film.states, strict=True):
+            Ts = body_poses(twin, robot, state)
+            parts = Parts(indices=moving.bodies, Ts_world_part=Ts)
+            drawn = layer.session.draw(moving.gaussians, parts, with_ids=True)
+            ids = np.asarray(drawn.max_id).astype(np.int64) - len(still)
+            discs = np.where(ids >= 0, disc_of[np.maximum(ids, 0)], -1)
+            seen = binary_erosion(discs >= 0, iterations=MARGIN_PX)
+            which, inverse, pixels = np.unique(discs[seen], return_inverse=True, return_counts=True)
+            colors = image[seen] / 255.0
+            sums = [np.bincount(inverse, colors[:, c], len(which)) for c in range(3)]
+            mean = np.stack(sums, 1).astype(np.float64)
+            mean /= np.maximum(pixels, 1)[:, None]
+            directions = _directions(twin, which, Ts, film.camera)
+            pieces.append((which, np.full(len(which), len(poses)), mean, pixels, directions))
+            poses.append(Ts)
+    disc, picture, color, pixels, directions = (np.concatenate(items) for items in zip(*pieces, strict=True))
+    return Sightings(
+        disc=disc,
+        picture=picture,
+        color_srgb=color,
+        pixels=pixels,
+        directions_body=directions,
+        Ts_world_body=np.stack(poses),
+    )
+
+
+def matched_film(film: Film, drawn_srgb: Array, compared: NDArray[np.bool_]) -> Film:
+    """The film as the scan's camera would have exposed it.
+
+    Args:
+        film: Its first picture shows what `drawn_srgb` shows.
+        drawn_srgb: The twin from the film's camera in the state of the first picture (H, W, 3), 0..1.
+        compared: Pixels (H, W) that show the same thing in both.
+
+    Exposure and white balance are a gain for each channel in linear light.
+    """
+    first = film.images_srgb[0] / 255.0
+    usable = compared[..., None] & (np.minimum(first, drawn_srgb) > COMPARED[0])
+    usable &= np.maximum(first, drawn_srgb) < COMPARED[1]
+    gains = np.ones(3)
+    for channel in range(3):
+        mask = usable[..., channel]
+        if mask.any():
+            ratio = linear_from_srgb(drawn_srgb[..., channel][mask]) / linear_from_srgb(
+                first[..., channel][mask]
+            )
+            gains[channel] = np.clip(np.median(ratio), 1 / MAX_GAIN, MAX_GAIN)
+    table = np.arange(256) / 255.0
+    curves = np.stack([srgb_from_linear(np.minimum(linear_from_srgb(table) * gain, 1)) for gain in gains], 1)
+    lookup = np.rint(curves * 255).astype(np.uint8)
+    images = tuple(lookup[image, np.arange(3)] for image in film.images_srgb)
+    return Film(camera=film.camera, images_srgb=images, states=film.states)
+
+
+def pixel_size(robot: RobotModel, twin: Twin, films: Sequence[Film]) -> float:
+    """Size of a pixel at the robot in the usual picture, [m]."""
+    places = body_poses(twin, robot, twin.scan_state)[1 : 1 + len(robot.body_names), :3, 3]
+    sizes = [
+        np.median(np.linalg.norm(places - film.camera.center, axis=1)) / max(film.camera.fx, film.camera.fy)
+        for film in films
+    ]
+    return float(np.median(sizes))
+
+
+def _discs_of_moving(twin: Twin, moving: MovingLayer) -> NDArray[np.int64]:
+    """Row among the relit Gaussians of every Gaussian of a moving layer, -1 for what is not lit."""
+    rows = np.concatenate([surface.rows for surface in moving.surfaces] or [np.zeros(0, np.int64)])
+    plain = np.full(len(moving.gaussians) - len(rows), -1, np.int64)
+    return np.concatenate([plain, rows])
+
+
+def _directions(twin: Twin, discs: NDArray[np.int64], Ts_world_body: Array, camera: Camera) -> Array:
+    if twin.relit is None or not len(discs):
+        return np.zeros((len(discs), 3))
+    indices = twin.relit.indices[discs]
+    bodies = twin.bodies[indices]
+    eyes_body = np.stack([apply(invert(T), camera.center) for T in Ts_world_body])
+    directions = twin.gaussians.means[indices] - eyes_body[bodies]
+    return directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)

@@ -1,0 +1,3 @@
+"""The command line; `main` is the entry point."""
+
+from aomgen.cli.app import main as main

@@ -1,0 +1,267 @@
+"""The command line: `aomgen --help` teaches the rest."""
+
+import importlib.resources
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aomgen import __version__
+from aomgen.cli.bench import bench_app
+from aomgen.cli.ending import report_bug, stop_at_signals
+from aomgen.cli.run import find_project, run_project
+from aomgen.errors import AomgenError, ConfigError, InputError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
+app.add_typer(assets_app, name="assets")
+app.add_typer(bench_app, name="bench")
+
+SAMPLE = "microwave-a"
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
+
+
+def main() -> None:
+    """Entry point: runs a command; an `AomgenError` becomes one sentence and its exit code."""
+    sys.excepthook = report_bug
+    with stop_at_signals():
+        try:
+            # Not `app()`, which sets an excepthook of its own.
+            typer.main.get_command(app)()
+        except AomgenError as error:
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(error.exit_code)
+        except PermissionError as error:
+            print(f"error: {error.filename}: {error.strerror}; change who may use it", file=sys.stderr)
+            sys.exit(InputError.exit_code)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """One recorded demonstration in, many photoreal and physically verified demonstrations out."""
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Argument(help="Where the results go.")] = Path("out"),
+    poses: Annotated[
+        int, typer.Option(min=1, max=10_000, help="Verified episodes for each of the two assets.")
+    ] = 6,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same episodes.")] = 0,
+) -> None:
+    """Turn the bundled recording into a verified dataset: capture -> dataset + report, on a CPU.
+
+    Stop it whenever you like; the same command continues where it was.
+    """
+    from aomgen.pipeline.project import Project
+
+    sample = Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE
+    project = Project(
+        capture=sample.resolve(),
+        out=out.resolve(),
+        seed=seed,
+        poses=poses,
+        assets=("microwave:1", "microwave:2"),
+    )
+    run_project(project)
+
+
+@app.command()
+def check(
+    path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
+) -> None:
+    """Validate a capture, a project or an asset, with reasons; changes nothing."""
+    from aomgen.pipeline.asset_choice import asset_file, open_asset
+
+    if asset_file(str(path)) is not None:
+        joint = open_asset(str(path)).joint
+        print(f"{path}: fine; {joint.type} joint, range {joint.lower:.3f} to {joint.upper:.3f}")
+        return
+    from aomgen.capture.check import check_capture
+    from aomgen.capture.read import read_capture
+    from aomgen.pipeline.preflight import category_warnings, check_project, machine_warnings
+    from aomgen.pipeline.project import read_project
+
+    if path.suffix == ".toml" and path.name != "capture.toml":
+        project = read_project(path)
+        capture = read_capture(project.capture)
+        warnings = check_project(project, capture) + machine_warnings(project.segmenter, capture)
+        print(f"{path}: fine")
+    else:
+        capture = read_capture(path.parent if path.name == "capture.toml" else path)
+        checked = check_capture(capture)
+        warnings = checked.warnings + category_warnings(capture) + machine_warnings("auto", capture)
+        print(f"{capture.folder}: fine\n{checked.summary(capture)}")
+    for sentence in warnings:
+        print(f"  warning: {sentence}")
+
+
+@app.command()
+def masks(
+    capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
+    weights: Annotated[str, typer.Option(help="Name of installed SAM 2 weights.")],
+) -> None:
+    """Follow the prompted parts through the scan with SAM 2; writes masks/<weights>/ of the capture."""
+    from aomgen.pipeline.masks import write_masks
+
+    print(f"wrote {write_masks(capture, weights, lambda share, text: print(f'  {share:4.0%} {text}'))}")
+
+
+@app.command()
+def init(
+    capture: Annotated[Path, typer.Argument(help="Folder with a capture.toml.")],
+    project: Annotated[Path, typer.Option(help="Project file to write.")] = Path("project.toml"),
+    out: Annotated[Path, typer.Option(help="Where results will go.")] = Path("out"),
+    assets: Annotated[
+        list[str] | None, typer.Option("--asset", help="category:seed or a USD file; repeat for several.")
+    ] = None,
+) -> None:
+    """Write a project file with every choice spelled out, after checking capture and assets."""
+    from aomgen.capture.read import read_capture
+    from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
+    from aomgen.pipeline.project import write_project
+
+    if project.exists():
+        raise ConfigError(project, "exists already", "choose another name with --project")
+    recorded = read_capture(capture)
+    choices = new_project(recorded, out, assets or [])
+    warnings = check_project(choices, recorded) + machine_warnings(choices.segmenter, recorded)
+    write_project(project, choices)
+    for sentence in warnings:
+        print(f"warning: {sentence}")
+    print(f"wrote {project}; next: aomgen run {project}")
+
+
+@app.command()
+def run(
+    project: Annotated[
+        Path, typer.Argument(help="A project file, see `aomgen init`; or the folder of a run.")
+    ],
+    until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
+) -> None:
+    """Bring every stage of a project up to date; what is up to date is kept."""
+    run_project(find_project(project), until=until)
+
+
+@app.command()
+def status(out: RunFolder) -> None:
+    """List the stages of a run and what is done."""
+    from aomgen.pipeline.manifest import read_manifest
+    from aomgen.pipeline.runner import stage_states
+    from aomgen.pipeline.stages import STAGES
+
+    project = find_project(out)
+    for stage, state in stage_states(project, STAGES):
+        print(f"{state:8} {stage.folder:18} {stage.title}")
+        manifest = read_manifest(project.out / stage.folder)
+        for sentence in () if manifest is None else manifest.warnings:
+            print(f"         warning: {sentence}")
+
+
+@app.command()
+def render(
+    out: RunFolder,
+    image: Annotated[Path, typer.Argument(help="PNG to write.")],
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="A camera of demonstration or episodes (front, side), a scan image (0012.jpg), or a JSON "
+            "file: T_world_cam, fx, fy, cx, cy, width, height."
+        ),
+    ],
+    state: Annotated[
+        Path | None, typer.Option(help="JSON: joints, gripper, theta, T_world_object; each optional.")
+    ] = None,
+    labels: Annotated[Path | None, typer.Option(help="Also write the part labels to this PNG.")] = None,
+) -> None:
+    """Draw the twin of a finished run from any camera, in any state."""
+    from aomgen.io.images import write_image
+    from aomgen.io.jsonfile import read_json
+    from aomgen.pipeline.rendering import draw_twin, open_twin, parse_camera, parse_state
+    from aomgen.pipeline.run_cameras import find_camera
+
+    project = find_project(out)
+    twin, robot = open_twin(project.out)
+    if camera.endswith(".json"):
+        view = parse_camera(read_json(Path(camera)), Path(camera))
+    else:
+        view = find_camera(project, camera)
+    where = parse_state(read_json(state) if state else {}, twin, robot, state or Path("state"))
+    picture, parts = draw_twin(twin, robot, view, where)
+    write_image(image, picture)
+    if labels:
+        write_image(labels, parts)
+
+
+@app.command()
+def report(out: RunFolder) -> None:
+    """Write report.html again from what a run has made."""
+    from aomgen.report.page import write_report
+
+    print(write_report(find_project(out).out))
+
+
+@app.command()
+def doctor() -> None:
+    """Say what is installed, what is missing, and what each part is for."""
+    from aomgen.cli.doctor import diagnose
+
+    problems = 0
+    for name, state, purpose in diagnose():
+        print(f"{name:22} {state or 'ok':60} {purpose}")
+        problems += bool(state)
+    if problems:
+        sys.exit(4)
+
+
+@assets_app.command("make")
+def assets_make(
+    category: Annotated[str, typer.Argument(help="cabinet, drawer, laptop, microwave or toolbox.")],
+    path: Annotated[Path, typer.Argument(help="USD file to write, for example microwave.usda.")],
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same asset.")] = 0,
+) -> None:
+    """Make a textured, hollow, articulated asset with colliders and a joint, as USD."""
+    from aomgen.assets.make import make_asset
+    from aomgen.assets.usd_write import write_usd
+
+    write_usd(make_asset(category, seed), path)
+    print(path)
+
+
+@app.command()
+def synthetic(
+    folder: Annotated[Path, typer.Argument(help="Capture folder to write; must not exist.")],
+    category: Annotated[
+        str, typer.Option(help="cabinet, drawer, laptop, microwave or toolbox.")
+    ] = "microwave",
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same capture.")] = 0,
+    robot: Annotated[Path | None, typer.Option(help="URDF or MJCF of another arm with a gripper.")] = None,
+    closing: Annotated[bool, typer.Option("--closing", help="The part is scanned open and closed.")] = False,
+    touch: Annotated[str, typer.Option(help="How the part is moved: pinch, hook or push.")] = "pinch",
+) -> None:
+    """Make a capture with ground truth in a virtual world: simulated physics, rendered pictures."""
+    from aomgen.core.progress import silent
+    from aomgen.synthetic.world import draw_capture_manner, make_capture
+
+    if folder.exists():
+        raise ConfigError(folder, "exists already", "choose another folder")
+    manner = draw_capture_manner(category, seed, "closing" if closing else "opening", touch)
+    make_capture(folder, category=category, seed=seed, robot_file=robot, manner=manner, progress=silent)
+    print(folder)

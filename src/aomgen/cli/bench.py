@@ -1,0 +1,219 @@
+"""`aomgen bench`: every number in README and docs comes from here."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from aomgen.cli.run import run_project
+from aomgen.errors import ConfigError
+
+bench_app = typer.Typer(no_args_is_help=True, help="Measure: every number in the README comes from here.")
+
+
+@bench_app.callback()
+def find_benchmarks() -> None:
+    """Make the repository's `benchmarks` folder importable; it is no part of the installed package.
+
+    Raises:
+        ConfigError: This is no checkout of the repository.
+    """
+    root = Path(__file__).parents[3]
+    if not (root / "benchmarks" / "__init__.py").is_file():
+        raise ConfigError(
+            "aomgen bench",
+            "has no benchmarks to run: they are not part of the installed package",
+            "clone the repository, run `make` there, and use that checkout's `aomgen bench`",
+        )
+    sys.path.insert(0, str(root))
+
+
+@bench_app.command("accuracy")
+def bench_accuracy(
+    capture: Annotated[Path | None, typer.Argument(help="A capture with truth/.")] = None,
+    synthetic: Annotated[int, typer.Option(help="Instead: make and score so many synthetic captures.")] = 0,
+    synthetic_motion: Annotated[
+        int, typer.Option(help="Instead: so many cheap worlds for AOMotion alone.")
+    ] = 0,
+    category: Annotated[
+        str | None,
+        typer.Option(help="Only such synthetic captures: cabinet, drawer, laptop, microwave or toolbox."),
+    ] = None,
+    harsh: Annotated[
+        bool, typer.Option("--harsh", help="Make synthetic captures worse, as phones and labs do.")
+    ] = False,
+    seed: Annotated[int | None, typer.Option(help="First seed: 1000, of motion worlds 2000.")] = None,
+    saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
+    paper: Annotated[bool, typer.Option("--paper", help="Also score the paper's own methods.")] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
+) -> None:
+    """Run a capture up to its twin and score estimates and renders against its ground truth.
+
+    With --synthetic N, N captures of different objects, rooms, cameras and noise are made, run and
+    scored one after the other (about four minutes each): median and worst of every figure; categories
+    take turns unless --category names one.
+    With --synthetic-motion N, N demonstrations are simulated and filmed, upstream results perturbed
+    by measured errors, and the motion alone recovered (half a minute each; --out keeps the worlds).
+    """
+    if category is not None and synthetic == 0:
+        raise ConfigError("--category", "holds for --synthetic N alone", "add --synthetic or leave it out")
+    if synthetic_motion:
+        _bench_motion(synthetic_motion, seed, out, json_file)
+        return
+    from benchmarks.alignment_methods import methods_table
+    from benchmarks.command import run_accuracy
+    from benchmarks.motion_methods import motion_methods_table
+    from benchmarks.synthetic_captures import (
+        FIRST_SEED,
+        accuracy_table,
+        run_synthetic,
+        synthetic_table,
+    )
+
+    if (capture is None) == (synthetic == 0):
+        raise ConfigError("bench accuracy", "wants a capture or --synthetic N", "give one of the two")
+    if capture is None:
+        results = run_synthetic(
+            synthetic,
+            out,
+            run_project,
+            FIRST_SEED if seed is None else seed,
+            category=category,
+            harsh=harsh,
+        )
+        table = synthetic_table(results)
+    else:
+        results = run_accuracy(capture, out, run_project, saga=saga, paper=paper)
+        table = accuracy_table(results)
+    _show(results, json_file)
+    print(table)
+    if paper:
+        print(f"\n{methods_table(results)}\n\n{motion_methods_table(results)}")
+
+
+@bench_app.command("training")
+def bench_training(
+    capture: Annotated[Path, typer.Argument(help="A capture; truth/ is not needed.")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
+    iterations: Annotated[int, typer.Option(help="Training steps; 0 for the project's own number.")] = 0,
+) -> None:
+    """Train a capture's scene and print PSNR of the held-out views over the seconds of training."""
+    from benchmarks.training import run_training
+
+    _show(run_training(capture, out, run_project, iterations=iterations), json_file)
+
+
+@bench_app.command("alignment")
+def bench_alignment(
+    paths: Annotated[list[Path], typer.Argument(help="Captures with truth/, or finished runs of such.")],
+    starts: Annotated[int, typer.Option(help="Good and bad starts, over all paths; some 10 s each.")] = 200,
+    seed: Annotated[int, typer.Option(help="Same seed, same starts.")] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write figures and rows here.")] = None,
+) -> None:
+    """Disturb frames, prompts, cameras and joint values: what is answered, how well, what is refused.
+
+    Six of ten starts have an answer; in the others the robot is gone, stands elsewhere than the
+    prompts say, has other joint values than the log says, or is mirrored.
+    """
+    from benchmarks.alignment import run_alignment_bench
+
+    def tell(row: dict) -> None:
+        print("  ".join(f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()))
+
+    figures = run_alignment_bench(paths, starts, seed, run_project, tell)
+    _show({name: value for name, value in figures.items() if name != "rows"}, None)
+    if json_file:
+        from aomgen.io.atomic import write_json
+
+        write_json(json_file, figures)
+
+
+@bench_app.command("intervals")
+def bench_intervals(
+    worlds: Annotated[int, typer.Option(help="Hidden joints; half a second each.")] = 200,
+    seed: Annotated[int, typer.Option(help="First seed.")] = 5000,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Hide joints behind hand paths that slip and pivot: do the stated 95 % intervals hold them?
+
+    `held` is the share of intervals that hold the truth, `width` their median over the median error.
+    """
+    from aomgen.io.atomic import write_json
+    from benchmarks.joint_intervals import interval_figures, measure_world
+    from benchmarks.table import as_table
+
+    figures = interval_figures([measure_world(seed + number) for number in range(worlds)])
+    print(as_table(figures))
+    if json_file:
+        write_json(json_file, {"intervals": figures})
+
+
+@bench_app.command("splatting")
+def bench_splatting(
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Time the rasterizer, forward and backward, on a table-top scene, and compare it with float64."""
+    from aomgen.io.atomic import write_json
+    from benchmarks.splatting import Effort, default_cases, measure
+    from benchmarks.table import as_table
+
+    figures = measure(default_cases(), Effort())
+    for name, rows in figures.items():
+        shown = as_table(rows) if isinstance(rows, list) else json.dumps(rows, indent=1)
+        print(f"\n{name}\n{shown}")
+    if json_file:
+        write_json(json_file, figures)
+
+
+@bench_app.command("replay-exported")
+def bench_replay_exported(
+    outs: Annotated[list[Path], typer.Argument(help="Folders of finished runs.")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Replay exported actions in a scene made of the exported USD alone, by category.
+
+    Also with the object 8 cm farther along the gripper's approach, where the same actions must fail.
+    """
+    from benchmarks.replay_exported import run_replay
+
+    _show(run_replay(outs), json_file)
+
+
+def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
+    from aomgen.io.atomic import write_json
+    from benchmarks.motion_accuracy import FIRST_SEED, cases, run_motion
+    from benchmarks.motion_table import (
+        fractions_of,
+        motion_table,
+        summaries_of,
+        told,
+        unsolvable_of,
+    )
+    from benchmarks.table import as_table
+
+    wanted = cases(count, FIRST_SEED if seed is None else seed)
+    outcomes = run_motion(
+        wanted,
+        out,
+        lambda outcome: print(told(outcome), flush=True),
+        lambda case, why: print(f"{case.category}-{case.seed} {case.kind} left out: {why}", flush=True),
+    )
+    summaries = summaries_of(outcomes)
+    unsolvable, fractions = unsolvable_of(outcomes), fractions_of(outcomes)
+    print(f"\n{motion_table(summaries)}\n\n{as_table(unsolvable)}\n\n{as_table(fractions)}")
+    if json_file:
+        rows = [outcome.row() for outcome in outcomes]
+        figures = {"summaries": summaries, "unsolvable": unsolvable, "fractions": fractions, "worlds": rows}
+        write_json(json_file, figures)
+
+
+def _show(figures: dict, json_file: Path | None) -> None:
+    from aomgen.io.atomic import write_json
+
+    print(json.dumps(figures, indent=1))
+    if json_file:
+        write_json(json_file, figures)

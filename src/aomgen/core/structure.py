@@ -1,0 +1,48 @@
+"""What structure from motion gives: cameras and sparse points of a scan."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
+from aomgen.core.values import Array, freeze
+
+Figures = dict[str, object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Structure:
+    """A sparse model of the scene in the `recon` frame (no scale, no gravity).
+
+    Attributes:
+        cameras_recon: Registered scan images by file name, in name order.
+        demo_cameras_recon: Fixed cameras by name.
+        scan_lens: Optics of the scan images when they are distorted: `cameras_recon` and
+            everything else here belong to the straightened images. None = pinhole images.
+        demo_lenses: The same for the fixed cameras that are distorted.
+        dropped: Scan images that are not in the model, with the reason.
+        points_recon: Points (P, 3).
+        colors_srgb: Colors (P, 3) uint8.
+        observations: (M, 2) int32, rows of (point, index into `cameras_recon` in order).
+        reprojection_error_px: Mean over all observations, [px].
+        figures: Measured numbers for the manifest (JSON values).
+    """
+
+    cameras_recon: dict[str, Camera]
+    demo_cameras_recon: dict[str, Camera]
+    dropped: dict[str, str]
+    points_recon: Array
+    colors_srgb: NDArray[np.uint8]
+    observations: NDArray[np.int32]
+    reprojection_error_px: float
+    scan_lens: Lens | None = None
+    demo_lenses: dict[str, Lens] = field(default_factory=dict)
+    figures: Figures = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count = len(self.points_recon)
+        freeze(self, "points_recon", self.points_recon, (count, 3))
+        freeze(self, "colors_srgb", self.colors_srgb, (count, 3), np.uint8)
+        freeze(self, "observations", self.observations, (None, 2), np.int32)

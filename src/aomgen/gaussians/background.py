@@ -1,0 +1,233 @@
+"""Depth for what stereo leaves open: large planes continued, and the far background.
+
+A plain floor or a soft panorama matches equally well at many depths. Few explanations are likely,
+though: the planes already found elsewhere, or infinity. Each open pixel takes the explanation under
+which its neighbours show the same color.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from aomgen.core.values import Array
+from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, joined, thin
+
+MAX_PLANES = 5
+# Mean color difference between views that still is the same color, 0..255.
+MAX_DIFFERENCE = 11.0
+# Infinity must explain a pixel better than a plane by this much.
+INFINITY_HANDICAP = 1.5
+STRIDE = 2
+# Radius of the far sphere over the cameras' reach: a step aside moves it by less than a pixel.
+SHELL_DISTANCE = 500.0
+COARSE_DIRECTIONS = 3000
+# Weights of pixels that neighbours explain, and of those that only this view vouches for: the shell
+# behind everything may take them, but never against an explanation.
+EXPLAINED_WEIGHT, OPEN_WEIGHT = 1.5, 0.01
+# Of all views together, at least.
+RAYS_A_POINT = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plane:
+    """A plane `normal . x = offset` and points that lie on it (M, 3)."""
+
+    normal: Array
+    offset: float
+    support: Array
+
+
+def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) -> list[Plane]:
+    """Up to `MAX_PLANES` planes that hold many points, largest first.
+
+    Args:
+        points: (P, 3); thin them evenly first, or near surfaces win.
+        seed: Of the draws.
+        min_share: Share of all points a plane must hold.
+
+    Source: RANSAC (Fischler & Bolles, 1981), then least squares on the inliers.
+    """
+    rng = np.random.default_rng(seed)
+    reach = np.median(np.linalg.norm(points - np.median(points, 0), axis=1))
+    tolerance = 0.015 * reach
+    rest = points[rng.permutation(len(points))[:8000]]
+    wanted = max(30, int(min_share * len(rest)))
+    planes: list[Plane] = []
+    while len(planes) < MAX_PLANES and len(rest) >= wanted:
+        triples = rest[rng.integers(0, len(rest), (400, 3))]
+        normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+        lengths = np.linalg.norm(normals, axis=1)
+        normals = normals[lengths > 0] / lengths[lengths > 0, None]
+        offsets = (normals * triples[lengths > 0, 0]).sum(1)
+        votes = (np.abs(rest @ normals.T - offsets) < tolerance).sum(0)
+        best = int(votes.argmax())
+        inliers = np.abs(rest @ normals[best] - offsets[best]) < tolerance
+        center, normal = np.zeros(3), normals[best]
+        for _ in range(3):
+            center = rest[inliers].mean(0)
+            normal = np.linalg.svd(rest[inliers] - center, full_matrices=False)[2][2]
+            inliers = np.abs((rest - center) @ normal) < tolerance
+        if inliers.sum() < wanted:
+            break
+        planes.append(Plane(normal=normal, offset=float(normal @ center), support=rest[inliers]))
+        rest = rest[~inliers]
+    return planes
+
+
+def explain(
+    maps: list[DepthMap], votes: list[NDArray[np.int32]], planes: list[Plane]
+) -> tuple[Samples, Samples]:
+    """Samples for pixels that no neighbour confirmed: on planes, and rays to infinity.
+
+    Args:
+        maps: Depth maps of all views.
+        votes: Confirmations of each (H, W); 2 or more are settled already.
+        planes: Explanations besides infinity.
+
+    Returns:
+        Samples on planes; samples whose points are unit directions instead: seen at infinity, or
+        explained by nothing, which weighs next to nothing.
+    """
+    blurred = [ndimage.uniform_filter(m.image_srgb.astype(np.float32), (3, 3, 1)) for m in maps]  # pyright: ignore[reportArgumentType]
+    trees = [cKDTree(plane.support) for plane in planes]
+    reach = np.median([np.linalg.norm(p.support - p.support.mean(0), axis=1).mean() for p in planes] or [1.0])
+    on_planes, far = [], []
+    for index, depth_map in enumerate(maps):
+        grid = np.zeros(votes[index].shape, bool)
+        grid[STRIDE // 2 :: STRIDE, STRIDE // 2 :: STRIDE] = True
+        rows, columns = np.nonzero(grid)
+        shape = (len(np.unique(rows)), len(np.unique(columns)))
+        rays = depth_map.camera.directions()[rows, columns]
+        own = blurred[index][rows, columns]
+        costs, depths = [], []
+        for plane, tree in zip(planes, trees, strict=True):
+            depth = _depth_on(plane, depth_map, rays)
+            points = depth_map.camera.center + rays * depth[:, None]
+            near = tree.query(points, distance_upper_bound=1.5 * reach)[0] < np.inf
+            cost = _differences(points, own, depth_map, maps, blurred, votes)
+            costs.append(np.where(near & (depth > 0), cost, np.inf))
+            depths.append(depth)
+        distant = depth_map.camera.center + rays * 1e4 * reach
+        costs.append(_differences(distant, own, depth_map, maps, blurred, votes) + INFINITY_HANDICAP)
+        depths.append(np.full(len(rays), np.inf))
+        table = np.stack([_smooth(cost.reshape(shape)).reshape(-1) for cost in costs])
+        best = table.argmin(0)
+        undecided = votes[index][rows, columns] < 2
+        explained = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
+        depth = np.stack(depths)[best, np.arange(len(best))]
+        detail = contrast_detail(depth_map.image_srgb)[rows, columns]
+        at_infinity = explained & ~np.isfinite(depth)
+        # What nothing explains is taken for far when the nearest pixel with a depth is.
+        known = np.where(undecided & ~explained, 0, np.where(undecided & at_infinity, 2, 1)).reshape(shape)
+        nearest = np.asarray(
+            ndimage.distance_transform_edt(known == 0, return_distances=False, return_indices=True)
+        )
+        beyond = undecided & (known[nearest[0], nearest[1]].reshape(-1) == 2)
+        for target, which in ((on_planes, undecided & explained & np.isfinite(depth)), (far, beyond)):
+            finite = depth[which] if target is on_planes else np.ones(int(which.sum()))
+            normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best[which]]
+            facing = (normals * rays[which]).sum(1, keepdims=True) > 0
+            unit = rays[which] / np.linalg.norm(rays[which], axis=1, keepdims=True)
+            points = depth_map.camera.center + rays[which] * finite[:, None] if target is on_planes else unit
+            target.append(
+                Samples(
+                    points_recon=points,
+                    normals_recon=np.where(facing, -normals, normals),
+                    colors_srgb=depth_map.image_srgb[rows[which], columns[which]],
+                    footprints=STRIDE * finite / depth_map.camera.fx,
+                    detail=np.full(int(which.sum()), 0.6) if target is on_planes else detail[which],
+                    weights=np.where(explained[which], EXPLAINED_WEIGHT, OPEN_WEIGHT),
+                )
+            )
+    return joined(on_planes), joined(far)
+
+
+def _depth_on(plane: Plane, depth_map: DepthMap, rays: Array) -> Array:
+    """Depth (R,) at which rays from the camera meet the plane; negative behind or almost parallel."""
+    slope = rays @ plane.normal
+    distance = plane.offset - float(plane.normal @ depth_map.camera.center)
+    steep = np.abs(slope) > 0.02 * np.linalg.norm(rays, axis=1)
+    return np.where(steep, distance / np.where(steep, slope, 1.0), -1.0)
+
+
+def _differences(
+    points: Array,
+    own: NDArray[np.float32],
+    depth_map: DepthMap,
+    maps: list[DepthMap],
+    blurred: list[NDArray[np.float32]],
+    votes: list[NDArray[np.int32]],
+) -> Array:
+    """Mean color difference (R,) to the neighbours that see the points; infinite with less than two."""
+    total, count = np.zeros(len(points)), np.zeros(len(points))
+    for index in depth_map.neighbours:
+        other = maps[index]
+        pixels, depths = other.camera.project(points)
+        with np.errstate(invalid="ignore"):
+            columns, rows = np.floor(np.nan_to_num(np.clip(pixels, -1e6, 1e6))).astype(np.int64).T
+        inside = (depths > 0) & (columns >= 0) & (rows >= 0)
+        inside &= (columns < other.camera.width) & (rows < other.camera.height)
+        r, c = rows[inside], columns[inside]
+        settled = votes[index][r, c] >= 2
+        hidden = settled & (other.inverse_depth[r, c] - 1.0 / depths[inside] > 2 * other.step)
+        # A settled surface behind the point contradicts it: the neighbour looks through.
+        through = settled & (1.0 / depths[inside] - other.inverse_depth[r, c] > 2 * other.step)
+        difference = np.abs(blurred[index][r, c] - own[inside]).mean(1) + 255.0 * through
+        rows_inside = np.flatnonzero(inside)[~hidden]
+        total[rows_inside] += difference[~hidden]
+        count[rows_inside] += 1
+    return np.where(count >= 2, total / np.maximum(count, 1), np.inf)
+
+
+def _smooth(cost: Array) -> Array:
+    """Local mean over pixels with a finite cost; pixels without stay infinite."""
+    finite = np.isfinite(cost)
+    sums = ndimage.uniform_filter(np.where(finite, cost, 0.0), 5)
+    weights = ndimage.uniform_filter(finite.astype(np.float64), 5)
+    return np.where(finite, sums / np.maximum(weights, 1e-9), np.inf)
+
+
+def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) -> Samples:
+    """Points on a far sphere: fine where views saw infinity, coarse in all other directions.
+
+    Args:
+        rays: Samples whose points are unit directions and whose footprints are angles.
+        points_recon: The scene's points (P, 3); the sphere is far outside of them.
+        centers: Camera centres (V, 3).
+        limit: At most about this many fine points, more where the images have detail.
+
+    The coarse directions take the color of the nearest fine one, so that no view looks into a hole.
+    """
+    center = np.median(points_recon, axis=0)
+    radius = SHELL_DISTANCE * float(np.linalg.norm(centers - center, axis=1).max())
+    wanted = min(limit, len(rays.weights) // RAYS_A_POINT)
+    seen = thin(rays, wanted, min_weight=OPEN_WEIGHT) if wanted else rays
+    fine = seen.points_recon / np.maximum(np.linalg.norm(seen.points_recon, axis=1, keepdims=True), 1e-12)
+    colors = seen.colors_srgb.astype(np.float64)
+    coarse, coarse_edge = _sphere(COARSE_DIRECTIONS), np.sqrt(4 * np.pi / COARSE_DIRECTIONS)
+    if len(fine):
+        distances, nearest = cKDTree(fine).query(coarse)
+        coarse, coarse_colors = coarse[distances > coarse_edge], colors[nearest[distances > coarse_edge]]
+    else:
+        coarse_colors = np.full((len(coarse), 3), 128.0)
+    unit = np.concatenate([fine, coarse])
+    sizes = np.concatenate([seen.footprints, np.full(len(coarse), coarse_edge)])
+    return Samples(
+        points_recon=center + radius * unit,
+        normals_recon=-unit,
+        colors_srgb=np.round(np.concatenate([colors, coarse_colors])).astype(np.uint8),
+        footprints=radius * sizes,
+        detail=np.ones(len(unit)),
+        weights=np.ones(len(unit)),
+    )
+
+
+def _sphere(count: int) -> Array:
+    """Unit directions (count, 3), evenly spread on a Fibonacci spiral."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + np.sqrt(5)) * k
+    around = np.sqrt(1 - z * z)
+    return np.stack([around * np.cos(turn), around * np.sin(turn), z], 1)

@@ -1,0 +1,236 @@
+"""Dense colored points of the scene from a sparse model: where the Gaussians will start."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.progress import Progress
+from aomgen.core.structure import Structure
+from aomgen.core.values import Array, freeze
+from aomgen.errors import ReconstructionError
+from aomgen.gaussians.background import dominant_planes, explain, far_shell
+from aomgen.gaussians.depth_fusion import (
+    DepthMap,
+    Samples,
+    confirmations,
+    confirmed_samples,
+    settled_depth,
+    thin,
+)
+from aomgen.gaussians.plane_sweep import SweepParams, plane_sweep
+from aomgen.io.images import resize
+from aomgen.splatting.surfaces import in_free_space
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DensifyParams:
+    """Effort and limits.
+
+    Attributes:
+        target_points: Points wanted on surfaces; the result is within a few percent.
+        width: Width the images are reduced to, [px].
+        planes: Depth hypotheses a pixel, evenly spaced in inverse depth from infinity on.
+        sources: Neighbours a view is matched with.
+        shell_points: At most this many on the far sphere, where it was seen.
+        sweep: Matching parameters.
+        threads: Views worked on at once.
+    """
+
+    target_points: int = 78_000
+    width: int = 320
+    planes: int = 128
+    sources: int = 4
+    shell_points: int = 12_000
+    sweep: SweepParams = field(default_factory=SweepParams)
+    threads: int = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DensePoints:
+    """Colored surface points, and a far shell after them.
+
+    Attributes:
+        points_recon: (P, 3).
+        normals_recon: (P, 3) unit, towards the cameras; zero where unknown.
+        colors_srgb: (P, 3) uint8.
+        sizes: Width of what each point stands for (P,), recon units.
+        shell: (P,) True for points of the far shell.
+    """
+
+    points_recon: Array
+    normals_recon: Array
+    colors_srgb: NDArray[np.uint8]
+    sizes: Array
+    shell: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        count = len(self.points_recon)
+        freeze(self, "points_recon", self.points_recon, (count, 3))
+        freeze(self, "normals_recon", self.normals_recon, (count, 3))
+        freeze(self, "colors_srgb", self.colors_srgb, (count, 3), np.uint8)
+        freeze(self, "sizes", self.sizes, (count,))
+        freeze(self, "shell", self.shell, (count,), np.bool_)
+
+
+def densify(
+    structure: Structure,
+    images_srgb: dict[str, NDArray[np.uint8]],
+    params: DensifyParams,
+    progress: Progress,
+) -> DensePoints:
+    """Dense points from plane sweeps that neighbouring views confirm.
+
+    Args:
+        structure: Cameras and sparse points.
+        images_srgb: The images to use, (H, W, 3) uint8, by name; a subset of the structure's.
+        params: Effort and limits.
+        progress: Share done and a few words.
+
+    Returns:
+        Points on surfaces, thinned by their size in the nearest view and more where the image has
+        detail, the sparse points, large planes continued where stereo is undecided, and a far shell where the
+        views agree on infinity.
+
+    Not checked: mirrors and glass, which give points at the mirrored place.
+    """
+    names = [name for name in structure.cameras_recon if name in images_srgb]
+    views = [_reduced(structure.cameras_recon[name], images_srgb[name], params.width) for name in names]
+    neighbours = choose_neighbours(structure, names, params.sources)
+    nearest = nearest_depth(structure, names)
+    grays = [_gray(image) for _, image in views]
+
+    def sweep(index: int) -> DepthMap:
+        camera, image = views[index]
+        planes = np.linspace(0.0, 1.0 / nearest[index], params.planes)
+        inverse_depth, score = plane_sweep(
+            (camera, grays[index]),
+            [(views[other][0], grays[other]) for other in neighbours[index]],
+            planes,
+            params.sweep,
+        )
+        return DepthMap(
+            camera=camera,
+            image_srgb=image,
+            inverse_depth=inverse_depth,
+            score=score,
+            step=float(planes[1]),
+            neighbours=tuple(neighbours[index]),
+        )
+
+    maps: list[DepthMap] = []
+    with ThreadPoolExecutor(params.threads) as pool:
+        for depth_map in pool.map(sweep, range(len(views))):
+            maps.append(depth_map)
+            progress(0.75 * len(maps) / len(views), "sweeping planes")
+    progress(0.76, "comparing depth maps")
+    with ThreadPoolExecutor(params.threads) as pool:
+        votes = list(pool.map(lambda one: confirmations(one, maps), maps))
+    surfaces = confirmed_samples(maps, votes).with_points(_sparse(structure, names, views))
+    progress(0.85, "continuing planes")
+    planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon)
+    filled, rays = explain(maps, votes, planes)
+    kept = thin(surfaces.with_points(filled), params.target_points)
+    settled = [settled_depth(one, own) for one, own in zip(maps, votes, strict=True)]
+    kept = kept.select(~in_free_space(kept.points_recon, settled))
+    centers = np.array([camera.center for camera, _ in views])
+    shell = far_shell(rays, kept.points_recon, centers, params.shell_points)
+    return DensePoints(
+        points_recon=np.concatenate([kept.points_recon, shell.points_recon]),
+        normals_recon=np.concatenate([kept.normals_recon, shell.normals_recon]),
+        colors_srgb=np.concatenate([kept.colors_srgb, shell.colors_srgb]),
+        sizes=np.concatenate([kept.footprints, shell.footprints]),
+        shell=np.arange(len(kept.points_recon) + len(shell.points_recon)) >= len(kept.points_recon),
+    )
+
+
+def choose_neighbours(structure: Structure, names: list[str], count: int) -> list[list[int]]:
+    """For each view the views that see the same points under a useful angle.
+
+    A shared point counts fully near 8 degrees of parallax, less when the rays are nearly
+    parallel (no depth) or far apart (the views look different).
+    """
+    order = {name: index for index, name in enumerate(structure.cameras_recon)}
+    centers = np.array([structure.cameras_recon[name].center for name in names])
+    seen = [set() for _ in structure.cameras_recon]
+    for point, view in structure.observations:
+        seen[view].add(int(point))
+    result = []
+    for i, name in enumerate(names):
+        scores = np.zeros(len(names))
+        for j, other in enumerate(names):
+            shared = sorted(seen[order[name]] & seen[order[other]]) if i != j else []
+            if len(shared) < 8:
+                continue
+            points = structure.points_recon[shared]
+            a, b = points - centers[i], points - centers[j]
+            cosines = (a * b).sum(1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1))
+            angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+            scores[j] = np.exp(-0.5 * (np.log(np.maximum(angles, 0.1) / 8.0) / 0.6) ** 2).sum()
+        ranked = [int(j) for j in np.argsort(-scores, kind="stable") if scores[j] > 0][:count]
+        if not ranked:
+            distances = np.linalg.norm(centers - centers[i], axis=1)
+            ranked = [int(j) for j in np.argsort(distances, kind="stable")[1 : count + 1]]
+        result.append(ranked)
+    return result
+
+
+def nearest_depth(structure: Structure, names: list[str]) -> Array:
+    """Depth (V,) at which each view's sweep begins: 70 % of its nearest sparse points'.
+
+    Raises:
+        ReconstructionError: A view sees no point.
+    """
+    order = {name: index for index, name in enumerate(structure.cameras_recon)}
+    result = np.empty(len(names))
+    for row, name in enumerate(names):
+        mine = structure.observations[structure.observations[:, 1] == order[name], 0]
+        _, depths = structure.cameras_recon[name].project(structure.points_recon[mine])
+        if not (depths > 0).any():
+            raise ReconstructionError(
+                name, "sees no point of the sparse model", "take it out, or register it with more overlap"
+            )
+        result[row] = 0.7 * np.percentile(depths[depths > 0], 1)
+    return result
+
+
+def _reduced(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
+    height = round(camera.height * width / camera.width)
+    if width >= camera.width:
+        return camera, image
+    return camera.resized(width, height), resize(image, width, height)
+
+
+def _gray(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return (image.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)) / 255.0
+
+
+def _sparse(structure: Structure, names: list[str], views: list[tuple[Camera, NDArray[np.uint8]]]) -> Samples:
+    """Sparse points that two of the used views see, colored by these views."""
+    order = list(structure.cameras_recon)
+    used = {order.index(name): row for row, name in enumerate(names)}
+    rows: dict[int, list[int]] = {}
+    for point, view in structure.observations:
+        if int(view) in used:
+            rows.setdefault(int(point), []).append(used[int(view)])
+    points, colors, footprints = [], [], []
+    for point, seen_by in sorted(rows.items()):
+        if len(seen_by) < 2:
+            continue
+        camera, image = views[seen_by[0]]
+        pixels, depths = camera.project(structure.points_recon[point][None])
+        x, y = np.clip(np.floor(pixels[0]).astype(int), 0, [camera.width - 1, camera.height - 1])
+        points.append(structure.points_recon[point])
+        colors.append(image[y, x])
+        footprints.append(depths[0] / camera.fx)
+    count = len(points)
+    return Samples(
+        points_recon=np.array(points).reshape(-1, 3),
+        normals_recon=np.zeros((count, 3)),
+        colors_srgb=np.array(colors, np.uint8).reshape(-1, 3),
+        footprints=np.array(footprints),
+        detail=np.ones(count),
+        weights=np.full(count, 6.0),
+    )

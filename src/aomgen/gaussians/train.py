@@ -1,0 +1,248 @@
+"""The scene as Gaussians: started from dense points, trained, cleaned and judged on held-out images."""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.core.held_out import held_out
+from aomgen.core.progress import Progress, part
+from aomgen.core.structure import Structure
+from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.values import Array
+from aomgen.errors import CorruptArtifactError, ReconstructionError
+from aomgen.gaussians.dense_points import DensePoints, DensifyParams, densify
+from aomgen.splatting.checkpoint import Checkpoint
+from aomgen.splatting.metrics import psnr, ssim
+from aomgen.splatting.rasterizer import render
+from aomgen.splatting.training import TrainingParams, train
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GaussiansParams:
+    """Effort and limits.
+
+    Attributes:
+        densify: Where Gaussians start.
+        training: How they learn.
+        near_share: Gaussians nearer to a camera than this share of its nearest depth are removed.
+        min_psnr_db: Mean over the held-out images below which the scene is refused.
+        seed: Of the training's random choices.
+    """
+
+    densify: DensifyParams = field(default_factory=DensifyParams)
+    training: TrainingParams = field(
+        default_factory=lambda: TrainingParams(iterations=1400, max_gaussians=110_000)
+    )
+    near_share: float = 0.25
+    min_psnr_db: float = 15.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOut:
+    """A view that training never saw.
+
+    Attributes:
+        psnr_db, ssim: Whole image, no exposure fit.
+        rendered_srgb: (H, W, 3) uint8.
+    """
+
+    psnr_db: float
+    ssim: float
+    rendered_srgb: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedScene:
+    """Gaussians of a scan in the `recon` frame.
+
+    Attributes:
+        gaussians_recon: The scene, background included.
+        heldout: Judgement by image name.
+        figures: Measured numbers for the manifest (JSON values).
+    """
+
+    gaussians_recon: Gaussians
+    heldout: dict[str, HeldOut]
+    figures: dict[str, object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lesson:
+    """What a training starts from and learns.
+
+    Attributes:
+        dense: Points of the scene.
+        initial: A Gaussian for each.
+        cameras: Of the images to learn, recon frame.
+        images_srgb: (H, W, 3) uint8 each.
+        test: Names of the images that are held out and have a camera.
+    """
+
+    dense: DensePoints
+    initial: Gaussians
+    cameras: list[Camera]
+    images_srgb: list[NDArray[np.uint8]]
+    test: list[str]
+
+
+def lesson_of(
+    structure: Structure, images_srgb: dict[str, NDArray[np.uint8]], params: DensifyParams, progress: Progress
+) -> Lesson:
+    """Divide a scan into images to learn and to hold out, and find where Gaussians start.
+
+    Args:
+        structure: Cameras and sparse points.
+        images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
+        params: Of the dense points, which come from images to learn alone.
+        progress: Share done and a few words.
+    """
+    test = held_out(list(images_srgb))
+    known = [name for name in structure.cameras_recon if name in images_srgb]
+    learned = {name: images_srgb[name] for name in known if name not in test}
+    dense = densify(structure, learned, params, progress)
+    return Lesson(
+        dense=dense,
+        initial=initial_gaussians(dense),
+        cameras=[structure.cameras_recon[name] for name in learned],
+        images_srgb=list(learned.values()),
+        test=[name for name in test if name in structure.cameras_recon],
+    )
+
+
+def train_scene(
+    structure: Structure,
+    images_srgb: dict[str, NDArray[np.uint8]],
+    params: GaussiansParams,
+    progress: Progress,
+    *,
+    checkpoint: Checkpoint | None = None,
+) -> TrainedScene:
+    """Train Gaussians on a scan and judge them on images they never saw.
+
+    Args:
+        structure: Cameras and sparse points.
+        images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
+        params: Effort and limits.
+        progress: Share done and a few words.
+        checkpoint: Where training continues after a kill. One that cannot be used (damaged, or
+            of other inputs) is left out: it is only saved time, and progress says so.
+
+    Raises:
+        ReconstructionError: The held-out images are not reproduced at all.
+
+    Source: Kerbl et al., "3D Gaussian splatting", 2023; AOMGen, sec. 4.1.
+    """
+    lesson = lesson_of(structure, images_srgb, params.densify, part(progress, 0.0, 0.25))
+    training = partial(
+        train, lesson.initial, lesson.cameras, lesson.images_srgb, params.training, part(progress, 0.25, 0.95)
+    )
+    try:
+        trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
+    except CorruptArtifactError as error:
+        if checkpoint is None:
+            raise
+        progress(0.25, f"training starts over: {error.where} {error.problem}")
+        checkpoint.path.unlink()
+        trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
+    trained = without_floaters(trained, lesson.cameras, lesson.dense, params.near_share)
+    judged = {name: judge(trained, structure.cameras_recon[name], images_srgb[name]) for name in lesson.test}
+    mean = float(np.mean([view.psnr_db for view in judged.values()])) if judged else float("nan")
+    if judged and not mean >= params.min_psnr_db:
+        raise ReconstructionError(
+            "gaussians",
+            f"held-out images are reproduced with {mean:.1f} dB, at least {params.min_psnr_db:.1f} are needed",
+            "check for motion blur, changing light and moving things in the scan",
+        )
+    figures: dict[str, object] = {
+        "heldout_psnr": mean if judged else None,
+        "heldout_ssim": float(np.mean([view.ssim for view in judged.values()])) if judged else None,
+        "gaussians": len(trained),
+        "initial_points": len(lesson.initial),
+        "shell_points": int(lesson.dense.shell.sum()),
+        "heldout": {name: {"psnr": view.psnr_db, "ssim": view.ssim} for name, view in judged.items()},
+    }
+    return TrainedScene(gaussians_recon=trained, heldout=judged, figures=figures)
+
+
+def initial_gaussians(dense: DensePoints) -> Gaussians:
+    """One Gaussian a point: as wide as the distance to its neighbours, flat along a known normal."""
+    points = dense.points_recon
+    spacing = np.empty(len(points))
+    for which in (dense.shell, ~dense.shell):
+        if which.sum() > 3:
+            distances, _ = cKDTree(points[which]).query(points[which], k=4)
+            spacing[which] = np.sqrt((distances[:, 1:] ** 2).mean(1))
+    spacing = np.clip(spacing, 0.4 * dense.sizes, 1.6 * dense.sizes)
+    known = np.linalg.norm(dense.normals_recon, axis=1) > 0.5
+    scales = np.repeat(0.6 * spacing[:, None], 3, axis=1)
+    scales[known, 2] *= 0.3
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
+    quats[known] = quat_from_matrix(_frames(dense.normals_recon[known]))
+    colors = (dense.colors_srgb / 255.0 - 0.5) / SH_C0
+    return Gaussians(
+        means=points.astype(np.float32),
+        quats=quats.astype(np.float32),
+        scales=scales.astype(np.float32),
+        opacities=np.full(len(points), 0.6, np.float32),
+        sh=colors[:, None, :].astype(np.float32),
+    )
+
+
+def without_floaters(
+    gaussians: Gaussians, cameras: list[Camera], dense: DensePoints, near_share: float
+) -> Gaussians:
+    """Without Gaussians that hang before a camera or far from anything.
+
+    Args:
+        gaussians: A trained scene.
+        cameras: Those it was trained on.
+        dense: The points it started from; they say how near the scene comes to each camera.
+        near_share: See `GaussiansParams`.
+    """
+    keep = np.ones(len(gaussians), bool)
+    surface = dense.points_recon[~dense.shell]
+    tree = cKDTree(surface)
+    for camera in cameras:
+        nearest, _ = tree.query(camera.center)
+        keep &= np.linalg.norm(gaussians.means - camera.center, axis=1) > near_share * nearest
+    # Isolated: alone within ten times the usual spacing, faint, and inside of the cameras' reach.
+    distances, _ = cKDTree(gaussians.means).query(gaussians.means, k=6)
+    alone = distances[:, -1] > 20 * np.median(distances[:, -1])
+    inside = np.linalg.norm(gaussians.means - np.median(surface, 0), axis=1) < 2 * max(
+        float(np.linalg.norm(camera.center - np.median(surface, 0))) for camera in cameras
+    )
+    return gaussians.select(keep & ~(alone & inside & (gaussians.opacities < 0.1)))
+
+
+def judge(gaussians: Gaussians, camera: Camera, image_srgb: NDArray[np.uint8]) -> HeldOut:
+    """Compare a rendered view with its photograph; whole image, nothing fitted."""
+    drawn = np.clip(render(gaussians, camera).rgb, 0.0, 1.0)
+    photograph = image_srgb.astype(np.float32) / 255.0
+    return HeldOut(
+        psnr_db=psnr(drawn, photograph),
+        ssim=ssim(drawn, photograph),
+        rendered_srgb=np.round(drawn * 255).astype(np.uint8),
+    )
+
+
+def _frames(normals: Array) -> Array:
+    """Rotations (N, 3, 3) whose third column is the normal."""
+    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(normals, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(normals, first), normals], 2)
+
+
+def coarse(params: GaussiansParams) -> GaussiansParams:
+    """The same with a fraction of the effort, for previews and tests."""
+    return replace(
+        params,
+        densify=replace(params.densify, target_points=15_000, shell_points=2_000, planes=64),
+        training=replace(params.training, iterations=200, sh_degree=0, max_gaussians=20_000),
+    )

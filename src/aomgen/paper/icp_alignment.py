@@ -1,0 +1,214 @@
+"""The paper's alignment: robot points of the scan moved onto points of the posed model by rigid ICP.
+
+Kept beside the outlines of `alignment` to compare with. The paper takes the robot's points as
+segmented and the scan in metres; here they are what lies in all prompted boxes above the support,
+and heading and size come from the places that `align` starts from: a rigid motion cannot correct
+the size later.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aomgen.alignment.align import Alignment, unit_frame
+from aomgen.alignment.contours import View
+from aomgen.alignment.gravity import up_candidates
+from aomgen.alignment.pose_search import Scan, different, search
+from aomgen.alignment.starting_poses import RobotBox
+from aomgen.core.camera import camera_in_world
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.errors import AlignmentError
+from aomgen.paper.rigid_icp import rigid_icp
+from aomgen.robots.configuration import RobotPosture
+
+STAGE = "alignment (paper)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperParams:
+    """Effort and limits.
+
+    Attributes:
+        model_points: Points sampled on the robot model.
+        scan_points: Robot points of the scan that are moved.
+        starts: Likely places, of which one is moved best onto the model.
+        apart: They differ by more than this, as a share of the robot's size.
+        start_share: And their colors score at least this share of the best one's.
+        solid: Opacity from which a Gaussian is surface.
+        plane_trials: Triples tried in the search for supports.
+        min_points: Fewest robot points of a usable scan.
+        min_matched: Least share of them that has to lie on the model in the end.
+    """
+
+    model_points: int = 12_000
+    scan_points: int = 2_000
+    starts: int = 3
+    apart: float = 0.5
+    start_share: float = 0.5
+    solid: float = 0.3
+    plane_trials: int = 500
+    min_points: int = 200
+    min_matched: float = 0.3
+
+
+def align_as_paper(
+    views: list[View],
+    boxes: list[RobotBox],
+    gaussians_recon: Gaussians,
+    posture: RobotPosture,
+    rng: np.random.Generator,
+    params: PaperParams | None = None,
+) -> Alignment:
+    """`S_world_recon` by rigid ICP; `support` is the share of robot points that lie on the model.
+
+    Outlines are not looked at, so `residual_px` is 0 and nothing is known about chance; `ee_sd_m`
+    is the root mean square distance of the points from the model.
+
+    Args:
+        views: Scan images, for the starts only.
+        boxes: Prompted boxes around the robot, two or more.
+        gaussians_recon: The trained scene.
+        posture: Robot during the scan.
+        rng: Starts, and samples of both clouds.
+        params: Effort and limits.
+
+    Raises:
+        AlignmentError: Too few boxes or robot points, or too few of them end on the model.
+
+    Source: AOMGen, sec. 4.1, "Scene and robot alignment". Not checked: the scale.
+    """
+    params = params or PaperParams()
+    if not len(boxes) >= 2:
+        raise AlignmentError(
+            STAGE, f"{len(boxes)} prompts give a box around the robot, want 2", "add a robot box"
+        )
+    S_unit_recon = unit_frame([view.camera_recon.center for view in views], views[0].camera_recon.T_world_cam)
+    views = [replace(view, camera_recon=camera_in_world(S_unit_recon, view.camera_recon)) for view in views]
+    boxes = [replace(box, camera_recon=camera_in_world(S_unit_recon, box.camera_recon)) for box in boxes]
+    solid = gaussians_recon.means[gaussians_recon.opacities > params.solid]
+    surface = apply(S_unit_recon, np.asarray(solid, np.float64))
+    up = up_candidates([view.camera_recon for view in views], surface, rng)[0]
+    points = robot_points(surface, boxes, up, rng, params)
+    model = model_points(posture, params.model_points, rng)
+    # Samples lie about this far apart on the model.
+    spacing_m = float(np.sqrt(_area(posture) / params.model_points))
+    fits = []
+    for S in _starts(views, boxes, surface, posture, rng, params):
+        fit = rigid_icp(apply(S, points), model, np.eye(4), spacing_m)
+        fits.append((fit.matched, fit.rms_m, fit.T_target_source @ S))
+    fits.sort(key=lambda item: -item[0])
+    matched, rms_m, S = fits[0]
+    if not matched >= params.min_matched:
+        raise AlignmentError(
+            STAGE,
+            f"{matched:.0%} of {len(points)} robot points lie on the model, want {params.min_matched:.0%}",
+            "draw tighter robot boxes from other sides, or use alignment_method = 'outlines'",
+        )
+    return Alignment(
+        S_world_recon=S @ S_unit_recon,
+        support=matched,
+        chance=0.0,
+        runner_up_support=fits[1][0] if len(fits) > 1 else 0.0,
+        residual_px=0.0,
+        residual_px_of_view={},
+        ee_sd_m=rms_m,
+    )
+
+
+def robot_points(
+    surface_recon: Array,
+    boxes: list[RobotBox],
+    up_recon: Array,
+    rng: np.random.Generator,
+    params: PaperParams,
+) -> Array:
+    """Points (N, 3) of the surface that all boxes show and no level support holds, thinned evenly.
+
+    Raises:
+        AlignmentError: There are too few.
+    """
+    inside = np.ones(len(surface_recon), bool)
+    for box in boxes:
+        pixels, depths = box.camera_recon.project(surface_recon)
+        inside &= (depths > 0) & np.all((pixels >= box.box_px[:2]) & (pixels <= box.box_px[2:]), axis=1)
+    found = surface_recon[inside]
+    for _ in range(2):
+        found = _without_support(found, up_recon, rng, params.plane_trials)
+    if not len(found) >= params.min_points:
+        raise AlignmentError(
+            STAGE,
+            f"{len(found)} Gaussians lie in all robot boxes, want {params.min_points}",
+            "check the boxes",
+        )
+    found = _thinned(found, 0.02 * _spread(found))
+    return found[rng.permutation(len(found))[: params.scan_points]]
+
+
+def model_points(posture: RobotPosture, count: int, rng: np.random.Generator) -> Array:
+    """Points (about `count`, 3) spread evenly over the posed robot's meshes, world frame, [m]."""
+    poses = posture.robot.link_poses(posture.joints[None], posture.gripper)[0]
+    total, samples = _area(posture), []
+    for mesh in posture.robot.meshes:
+        area = float(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum())
+        share = round(count * area / total)
+        if share:
+            points = sample_surface(mesh.vertices_body, mesh.faces, share, rng)[0]
+            samples.append(apply(poses[mesh.body], points))
+    return np.concatenate(samples)
+
+
+def _area(posture: RobotPosture) -> float:
+    meshes = posture.robot.meshes
+    return float(sum(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in meshes))
+
+
+def _spread(points: Array) -> float:
+    """Median distance from the middle; a few strays do not change it."""
+    return float(np.median(np.linalg.norm(points - np.median(points, 0), axis=1)))
+
+
+def _thinned(points: Array, cell: float) -> Array:
+    """One point (its mean) of every cell that holds points."""
+    cells = np.unique(np.floor(points / max(cell, 1e-12)).astype(np.int64), axis=0, return_inverse=True)[
+        1
+    ].ravel()
+    counts = np.bincount(cells)
+    return np.stack([np.bincount(cells, points[:, axis]) / counts for axis in range(3)], 1)
+
+
+def _without_support(points: Array, up: Array, rng: np.random.Generator, trials: int) -> Array:
+    """The points without the level plane that holds most of them, if it holds a tenth."""
+    if len(points) < 10:
+        return points
+    triples = points[rng.integers(0, len(points), (trials, 3))]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+    # Within 15 degrees of level; other planes may be the arm's own.
+    level = np.abs(normals @ up) > np.cos(np.radians(15.0))
+    if not level.any():
+        return points
+    sample = points[rng.permutation(len(points))[:3000]]
+    offsets = np.einsum("td,td->t", normals[level], triples[level, 0])
+    tolerance = 0.03 * _spread(points)
+    counts = (np.abs(sample @ normals[level].T - offsets) < tolerance).sum(0)
+    best = int(np.argmax(counts))
+    if not counts[best] >= 0.1 * len(sample):
+        return points
+    return points[np.abs(points @ normals[level][best] - offsets[best]) > 2 * tolerance]
+
+
+def _starts(
+    views: list[View],
+    boxes: list[RobotBox],
+    points: Array,
+    posture: RobotPosture,
+    rng: np.random.Generator,
+    params: PaperParams,
+) -> Array:
+    """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
+    scan = Scan(views=views, boxes=boxes, points_recon=points)
+    found = search(scan, posture, rng).at_least(params.start_share)
+    return different(found, posture.points_world(60), params.apart, params.starts).Ss_world_recon

@@ -1,0 +1,82 @@
+"""Masks of the moving part where no video segmenter gave any: what changed since the film began.
+
+The paper follows the part with SAM 2. Without it a pixel counts as the part's when it lies on the
+part's scanned place and still looks as it did, or beside it, joined to it, and looks different.
+Rougher than SAM 2: what the part uncovered beside itself counts too, a part in the color of what it
+covers is taken for its shadow, and where it moved along its own place its texture decides.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.values import Array
+from aomgen.io.images import resize
+from aomgen.motion.filters import closed, grown, touching
+from aomgen.motion.inputs import Demonstration
+from aomgen.motion.keyframes import part_region
+from aomgen.paper.mask_keyframes import PartMasks
+from aomgen.robots.robot_masks import robot_masks
+
+# The first picture is the median of so much film, so that its own noise does not count, [s].
+REFERENCE_S = 0.25
+# A change is this many deviations of the still picture's noise, and no less than compression makes, 8 bit.
+CHANGE_SD, MIN_CHANGE = 6.0, 12.0
+SD_OF_MAD = 1.4826
+# A shadow leaves at least this share of the light.
+DARKEST_SHADE = 0.4
+# The model's outline is off by as much at this size, [px].
+ROBOT_MARGIN_PX = 2
+
+
+def masks_by_change(demonstration: Demonstration, width: int = 320) -> PartMasks:
+    """Masks of part and robot in every frame of a demonstration, `width` px wide.
+
+    Args:
+        demonstration: Its film, camera, log and scanned points are used.
+        width: Of the masks, [px]; the film's own at most.
+    """
+    demo = demonstration
+    width = min(width, demo.camera.width)
+    small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
+    frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb]
+    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
+        robot = masks_at(demo.video.times_s + demo.clock_offset_s, small.width, small.height)
+    region = part_region(demo.points_moving, small)
+    still = max(1, round(REFERENCE_S * demo.video.fps))
+    return PartMasks(moving=changed_masks(np.stack(frames), robot, region, still), robot=robot)
+
+
+def changed_masks(
+    frames_srgb: NDArray[np.uint8], robot: NDArray[np.bool_], region: NDArray[np.bool_], still: int
+) -> NDArray[np.bool_]:
+    """Masks (T, H, W) of a part, robot left out.
+
+    Args:
+        frames_srgb: Small frames (T, H, W, 3).
+        robot: The robot's masks (T, H, W) in them.
+        region: The part's pixels (H, W) at its scanned place.
+        still: Frames at the beginning in which nothing but the robot moves.
+
+    Not checked: what the robot hid in all of these counts as never changed.
+    """
+    hidden = np.stack([grown(mask, ROBOT_MARGIN_PX) for mask in robot])
+    bare = np.where(hidden[:still, ..., None], np.nan, frames_srgb[:still].astype(np.float32))
+    known = np.asarray(~hidden[:still].all(0))
+    bare[:, ~known] = 0
+    reference = np.nanmedian(bare, axis=0)
+    masks = np.empty(robot.shape, bool)
+    for k, frame in enumerate(frames_srgb):
+        compared = known & ~hidden[k]
+        changed = compared & _changed(frame, reference, compared)
+        masks[k] = touching(closed((region & ~changed) | (changed & ~region), 1), region) & ~robot[k]
+    return masks
+
+
+def _changed(frame: NDArray[np.uint8], reference: Array, compared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (H, W) that differ by more than noise, and by more than the brightness of their color."""
+    picture = frame.astype(np.float32)
+    shade = (picture * reference).sum(-1) / np.maximum((reference**2).sum(-1), 1.0)
+    shaded = np.clip(shade, DARKEST_SHADE, 1.0)[..., None] * reference
+    difference = np.abs(picture - reference).max(-1)
+    noise = SD_OF_MAD * float(np.median(difference[compared])) if compared.any() else 0.0
+    return np.asarray(np.abs(picture - shaded).max(-1) > max(CHANGE_SD * noise, MIN_CHANGE))

@@ -1,0 +1,118 @@
+"""Gaussians that a face of the fitted boxes passes through are cut in two.
+
+Gaussians on a plain front are large and lie across the seam around a drawer or a door. With one label they
+would drag a strip of the body along when the part moves. Each half is the moment match of the Gaussian
+truncated at the face: its mean and covariance, its weight kept, so that pictures of the scan stay.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
+from aomgen.core.transforms import matrix_from_quat, quat_from_matrix
+from aomgen.core.values import Array, freeze
+from aomgen.parts.panel import Panel
+
+# A face cuts Gaussians of which it leaves this share on either side, at least.
+MIN_SHARE = 0.1
+# Opacities end below 1: a Gaussian never blocks all light.
+MAX_OPACITY = 0.999
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cut:
+    """Gaussians cut, and their pieces.
+
+    Attributes:
+        sources: (M,) index of the Gaussian that each piece comes from.
+        pieces: M of them.
+    """
+
+    sources: NDArray[np.int64]
+    pieces: Gaussians
+
+    def __post_init__(self) -> None:
+        freeze(self, "sources", self.sources, (len(self.pieces),), np.int64)
+
+    def applied(self, gaussians: Gaussians) -> Gaussians:
+        """All that is whole, in order, then the pieces."""
+        return concatenate([gaussians.select(self._whole(len(gaussians))), self.pieces])
+
+    def origins(self, count: int) -> NDArray[np.int64]:
+        """For each Gaussian of `applied`, which of the `count` it is or comes from."""
+        return np.concatenate([np.flatnonzero(self._whole(count)), self.sources])
+
+    def _whole(self, count: int) -> NDArray[np.bool_]:
+        whole = np.ones(count, bool)
+        whole[self.sources] = False
+        return whole
+
+
+def no_cut(gaussians: Gaussians) -> Cut:
+    """Nothing is cut."""
+    return Cut(sources=np.zeros(0, np.int64), pieces=gaussians.select(np.zeros(0, np.int64)))
+
+
+def cut_at_faces(gaussians: Gaussians, panel: Panel, free: NDArray[np.bool_]) -> Cut:
+    """Cut Gaussians whose halves lie in different parts.
+
+    Args:
+        gaussians: World frame.
+        panel: The boxes.
+        free: Which Gaussians (N,) may be cut.
+    """
+    origins = np.flatnonzero(free)
+    pieces, cut = gaussians.select(origins), np.zeros(len(origins), bool)
+    for normal, offset in panel.faces():
+        crossed = np.flatnonzero(_least_share(pieces, normal, offset) > MIN_SHARE)
+        above, below = (_half(pieces.select(crossed), side * normal, side * offset) for side in (1, -1))
+        apart = panel.labels(above.means) != panel.labels(below.means)
+        divided = crossed[apart]
+        whole = np.ones(len(pieces), bool)
+        whole[divided] = False
+        pieces = concatenate([pieces.select(whole), above.select(apart), below.select(apart)])
+        origins = np.concatenate([origins[whole], origins[divided], origins[divided]])
+        cut = np.concatenate([cut[whole], np.ones(2 * len(divided), bool)])
+    return Cut(sources=origins[cut], pieces=pieces.select(cut))
+
+
+def _covariances(gaussians: Gaussians) -> Array:
+    axes = matrix_from_quat(gaussians.quats) * gaussians.scales[:, None, :].astype(np.float64)
+    return axes @ np.swapaxes(axes, 1, 2)
+
+
+def _least_share(gaussians: Gaussians, normal: Array, offset: float) -> Array:
+    """Share (N,) of each Gaussian on the emptier side of the plane `normal @ x = offset`."""
+    widths = np.linalg.norm(
+        gaussians.scales * (normal @ matrix_from_quat(gaussians.quats)).astype(np.float64), axis=1
+    )
+    return norm.cdf(-np.abs(gaussians.means @ normal - offset) / np.maximum(widths, 1e-12))
+
+
+def _half(gaussians: Gaussians, normal: Array, offset: float) -> Gaussians:
+    """What lies above the plane `normal @ x = offset`, as Gaussians of the same mean and covariance.
+
+    Source: moments of the truncated normal distribution, along the normal.
+    """
+    covariances = _covariances(gaussians)
+    along = covariances @ normal
+    variances = along @ normal
+    widths = np.sqrt(variances)
+    height = (gaussians.means.astype(np.float64) @ normal - offset) / widths
+    share = norm.cdf(height)
+    shift = norm.pdf(height) / share
+    narrowed = 1 - shift * (shift + height)
+    means = gaussians.means + (shift / widths)[:, None] * along
+    outer = along[:, :, None] * along[:, None, :]
+    squares, axes = np.linalg.eigh(covariances - ((1 - narrowed) / variances)[:, None, None] * outer)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    return gaussians_of(
+        means=means,
+        quats=quat_from_matrix(axes),
+        scales=np.sqrt(np.maximum(squares, 0)),
+        opacities=np.minimum(gaussians.opacities * share / np.sqrt(narrowed), MAX_OPACITY),
+        sh=gaussians.sh,
+    )

@@ -1,0 +1,279 @@
+"""Which part every Gaussian belongs to: robot, static part, moving part or background.
+
+Source: AOMGen, sec. 4.1. The robot needs no segmenter: its masks are drawn from the aligned model. The
+object's parts come from one labelling of all evidence (`evidence`, `labelling`): boxes fitted to prompts
+and masks, the masks themselves, and what the demonstration shows of each Gaussian. Method "saga", the
+paper's, takes affinity features trained from automatic masks instead (see `affinity_parts`).
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.conventions import MOVING, ROBOT, STATIC
+from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.core.part_points import SOLID_OPACITY
+from aomgen.core.progress import Progress, part
+from aomgen.core.recording import Prompt
+from aomgen.core.values import Array, freeze
+from aomgen.errors import ReconstructionError, WrongPromptError
+from aomgen.parts.affinity_parts import AffinityPartsParams, affinity_evidence, masked_scan
+from aomgen.parts.cutting import Cut, cut_at_faces, no_cut
+from aomgen.parts.likelihood import (
+    LABELS,
+    PartEvidence,
+    SurfaceView,
+    panel_evidence,
+    prompted_evidence,
+    surface_views,
+)
+from aomgen.parts.prompted_images import PromptedImage, PromptFit, ask_prompts
+from aomgen.parts.robot_labels import robot_bodies
+from aomgen.parts.scan_views import ScanView, spread
+from aomgen.parts.smoothing import smooth_posterior
+from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.link_boxes import bodies_in_boxes
+from aomgen.segmentation.interface import Segmenter
+
+STAGE = "parts"
+PartsMethod = Literal["closed_form", "saga"]
+# Views in which the boxes are drawn to label what they show.
+DRAWN_VIEWS = 20
+# Fewest Gaussians of a usable part.
+MIN_GAUSSIANS = 50
+# Boxes explained worse than this (5 % of the box a side) are worth a warning.
+DOUBTED_MISFIT = 0.2
+# Labels that overlap with the prompts' masks less than this (IoU) are worth a warning: on eleven captures
+# they overlapped with the true part by .40 to .83, all others by more.
+DOUBTED_AGREEMENT = 0.6
+# Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
+# captures with right prompts, 0.6 and more with boxes around a neighbor).
+MAX_APART_SHARE = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartsParams:
+    """Choices.
+
+    Attributes:
+        method: "closed_form" or "saga".
+        affinity: Effort of "saga".
+        robot: What labels the robot: "links", drawn masks and distance, or "boxes", the paper's way.
+        seed: Of the samples on the robot's surface and of the panel's search.
+    """
+
+    method: PartsMethod = "closed_form"
+    affinity: AffinityPartsParams = field(default_factory=AffinityPartsParams)
+    robot: Literal["links", "boxes"] = "links"
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """Labels of N Gaussians: those of the scan, some of them cut.
+
+    Attributes:
+        labels: (N,), see `conventions.PART_LABELS`.
+        confidence: (N,), probability of the label.
+        robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
+        cut: Which Gaussians of the scan were cut, and their pieces.
+        method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or "saga".
+        box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
+        static_agreement, moving_agreement: IoU of the drawn part with its masks in the prompted images, 0..1.
+    """
+
+    labels: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+    robot_bodies: NDArray[np.int32]
+    cut: Cut
+    method: str
+    box_misfit: float
+    static_agreement: float
+    moving_agreement: float
+
+    def __post_init__(self) -> None:
+        count = len(self.labels)
+        freeze(self, "labels", self.labels, (count,), np.uint8)
+        freeze(self, "confidence", self.confidence, (count,), np.float32)
+        freeze(self, "robot_bodies", self.robot_bodies, (count,), np.int32)
+
+    def warnings(self) -> list[str]:
+        """Sentences about parts that may be wrong."""
+        sentences = []
+        if not self.box_misfit <= DOUBTED_MISFIT:
+            sentences.append(
+                f"the parts found end {100 * self.box_misfit / 4:.0f} % of a box away from the prompts' boxes, "
+                f"want {100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on all four sides"
+            )
+        for name, iou in (("static", self.static_agreement), ("moving", self.moving_agreement)):
+            if not iou >= DOUBTED_AGREEMENT:
+                sentences.append(
+                    f"labels of the {name} part are doubtful: they overlap with its masks by {100 * iou:.0f} %, "
+                    f"want {100 * DOUBTED_AGREEMENT:.0f} %; look at the labels, and add prompts of '{name}' on "
+                    "images that show it from other sides"
+                )
+        return sentences
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptedScan:
+    """Everything about a scan's parts that is asked once, whatever the demonstration shows later.
+
+    Attributes:
+        gaussians: World frame, cut.
+        cut: How they were cut.
+        bodies: (N,) robot bodies, -1 where a Gaussian is not of the robot.
+        robot_share: (N,) share of the painted weight inside the robot's masks.
+        prompted: Answers to the prompts.
+        surfaces: Views in which boxes are drawn.
+        given: Log-likelihoods by method "saga", None for boxes.
+        seed: Of the panel's search.
+    """
+
+    gaussians: Gaussians
+    cut: Cut
+    bodies: NDArray[np.int32]
+    robot_share: Array
+    prompted: list[PromptedImage]
+    surfaces: list[SurfaceView]
+    given: PartEvidence | None
+    seed: int
+
+
+def prompted_scan(
+    gaussians: Gaussians,
+    views: list[ScanView],
+    prompts: tuple[Prompt, ...],
+    segmenter: Segmenter,
+    posture: RobotPosture,
+    progress: Progress,
+    params: PartsParams | None = None,
+) -> PromptedScan:
+    """Find the robot and ask the prompts.
+
+    Args:
+        gaussians: The scan, world frame.
+        views: Scan images with drawn robot masks, world frame, held-out ones left out.
+        prompts: Of the capture; boxes of "moving" and "static" are used.
+        segmenter: Turns boxes into masks.
+        posture: Robot as scanned.
+        progress: Told about each step.
+        params: See `PartsParams`.
+
+    Raises:
+        ReconstructionError: A part has no usable prompt.
+    """
+    params = params or PartsParams()
+    if params.robot == "boxes":
+        bodies = bodies_in_boxes(np.asarray(gaussians.means, np.float64), posture)
+        share = (bodies >= 0).astype(np.float64)
+    else:
+        bodies, share = robot_bodies(gaussians, views, posture, np.random.default_rng(params.seed))
+    progress(0.3, "robot labelled")
+    prompted = ask_prompts(views, prompts, segmenter)
+    progress(0.7, "prompts answered")
+    given, surfaces = None, []
+    if params.method == "saga":
+        scan = masked_scan(gaussians, views, prompted, segmenter, part(progress, 0.7, 0.85), params.affinity)
+        given = affinity_evidence(gaussians, scan, prompted, part(progress, 0.85, 1.0), params.affinity)
+    else:
+        surfaces = surface_views(gaussians, spread(views, DRAWN_VIEWS))
+    return PromptedScan(
+        gaussians=gaussians,
+        cut=no_cut(gaussians),
+        bodies=bodies,
+        robot_share=share,
+        prompted=prompted,
+        surfaces=surfaces,
+        given=given,
+        seed=params.seed,
+    )
+
+
+def part_evidence(scan: PromptedScan, motion_log_odds: Array | None = None) -> PartEvidence:
+    """What prompts, masks and the demonstration say of all Gaussians.
+
+    Args:
+        scan: See `prompted_scan`.
+        motion_log_odds: Natural logarithm of how much more likely the demonstration is if a Gaussian (N,)
+            moves than if it stands still; None before the demonstration was looked at.
+    """
+    evidence = scan.given or prompted_evidence(
+        scan.gaussians, scan.prompted, scan.surfaces, np.random.default_rng(scan.seed), motion_log_odds
+    )
+    return evidence if motion_log_odds is None else evidence.with_motion(motion_log_odds)
+
+
+def cut_scan(
+    scan: PromptedScan, evidence: PartEvidence, motion_log_odds: Array | None
+) -> tuple[PromptedScan, PartEvidence]:
+    """The scan cut where faces of the fitted boxes pass through Gaussians, and evidence of all pieces.
+
+    Args:
+        scan: Not cut yet.
+        evidence: See `part_evidence`; without boxes nothing is cut.
+        motion_log_odds: As they went into the evidence.
+    """
+    if evidence.panel is None:
+        return scan, evidence
+    cut = cut_at_faces(scan.gaussians, evidence.panel, scan.bodies < 0)
+    gaussians, origins = cut.applied(scan.gaussians), cut.origins(len(scan.gaussians))
+    known = panel_evidence(gaussians, evidence.panel, scan.surfaces)
+    if motion_log_odds is not None:
+        known = known.with_motion(motion_log_odds[origins])
+    bodies, share = scan.bodies[origins], scan.robot_share[origins]
+    return replace(scan, gaussians=gaussians, cut=cut, bodies=bodies, robot_share=share), known
+
+
+def find_parts(scan: PromptedScan, evidence: PartEvidence) -> Parts:
+    """Label all Gaussians.
+
+    Raises:
+        ReconstructionError: Almost nothing was found of a part.
+        WrongPromptError: The prompts show parts of different objects.
+    """
+    gaussians, robot = scan.gaussians, scan.bodies >= 0
+    log_likelihoods = evidence.log_likelihoods[~robot]
+    colors = np.clip(0.5 + SH_C0 * gaussians.sh[~robot, 0], 0, 1)
+    posterior = smooth_posterior(gaussians.means[~robot], colors, log_likelihoods)
+    labels, confidence = np.full(len(robot), ROBOT, np.uint8), scan.robot_share.copy()
+    labels[~robot], confidence[~robot] = LABELS[np.argmax(posterior, 1)], posterior.max(1)
+    _check(gaussians, labels)
+    fit = PromptFit.of(gaussians, labels, scan.prompted)
+    return Parts(
+        labels=labels,
+        confidence=confidence.astype(np.float32),
+        robot_bodies=np.where(robot, scan.bodies, -1),
+        cut=scan.cut,
+        method=evidence.method,
+        box_misfit=fit.misfit,
+        static_agreement=fit.agreement[STATIC],
+        moving_agreement=fit.agreement[MOVING],
+    )
+
+
+def _check(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:
+    """Refuse parts of which almost nothing was found, and a static part nowhere near the moving one."""
+    for name, value in (("static", STATIC), ("moving", MOVING)):
+        count = int((labels == value).sum())
+        if not count >= MIN_GAUSSIANS:
+            raise ReconstructionError(
+                STAGE, f"the {name} part has {count} Gaussians, want {MIN_GAUSSIANS}", "check its prompts"
+            )
+    solid = gaussians.opacities > SOLID_OPACITY
+    moving, static = (gaussians.means[solid & (labels == value)] for value in (MOVING, STATIC))
+    if not (len(moving) and len(static)):
+        return
+    low, high = np.quantile(moving, [0.02, 0.98], axis=0)
+    size = float(np.linalg.norm(high - low))
+    gap = float(np.quantile(cKDTree(static).query(moving)[0], 0.05))
+    if not gap <= MAX_APART_SHARE * size:
+        raise WrongPromptError(
+            "prompts of the static part",
+            f"what they show is {1e3 * gap:.0f} mm away from the moving part (limit "
+            f"{1e3 * MAX_APART_SHARE * size:.0f} mm), so it is another object",
+            "in capture.toml, draw 'static' around the body that the moving part hangs on",
+        )

@@ -1,0 +1,174 @@
+"""What the prompted images show: surface points, and the segmenter's answers to each box."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.recording import Prompt
+from aomgen.core.values import Array
+from aomgen.errors import BackendError, ReconstructionError
+from aomgen.parts.panel_views import PromptedView, box_misfit, iou, share_inside
+from aomgen.parts.scan_views import ScanView, drawn_parts
+from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
+from aomgen.segmentation.segmenter import MasksOnDisk
+from aomgen.splatting.rasterizer import render
+
+STAGE = "parts"
+# Accumulated alpha from which a pixel shows a surface.
+SURFACE_ALPHA = 0.5
+# Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
+MAX_MISFIT = 0.1
+# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as far
+# as this share of it is inside the box.
+GRID, MIN_INSIDE = 6, 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptedImage:
+    """One box on one scan image, and the masks that answer it; none of them is empty.
+
+    Attributes:
+        view: The image.
+        prepared: The image, ready for more questions.
+        part: `STATIC` or `MOVING`.
+        box: (4,) x0, y0, x1, y1, [px].
+        masks: Answers (H, W), robot left out.
+    """
+
+    view: ScanView
+    prepared: PreparedImage
+    part: int
+    box: Array
+    masks: tuple[Mask, ...]
+
+    @property
+    def best_mask(self) -> Mask:
+        """The answer whose extent is most like the box."""
+        empty = np.zeros_like(self.view.robot)
+        return min(self.masks, key=lambda mask: box_misfit(mask, self.box), default=empty)
+
+    def on_surface(self, gaussians: Gaussians) -> PromptedView:
+        """The same with the surface that the Gaussians show there."""
+        points = surface_seen(gaussians, self.view.camera, self.view.robot)
+        return PromptedView(
+            part=self.part, camera=self.view.camera, points_world=points, box=self.box, masks=self.masks
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptFit:
+    """How labels, drawn into the prompted images, fit what was asked there.
+
+    Attributes:
+        misfit: `box_misfit`, mean over the prompts.
+        agreement: IoU with the mask that fits best, mean over the prompts of a part, by part.
+    """
+
+    misfit: float
+    agreement: dict[int, float]
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, labels: NDArray[np.uint8], prompted: list[PromptedImage]) -> Self:
+        """Draw labels (N,) of Gaussians, world frame."""
+        misfits: list[float] = []
+        overlaps: dict[int, list[float]] = {STATIC: [], MOVING: []}
+        for item in prompted:
+            drawn = drawn_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
+            misfits.append(box_misfit(drawn, item.box))
+            overlaps[item.part].append(max((iou(drawn, mask) for mask in item.masks), default=0.0))
+        return cls(
+            misfit=float(np.mean(misfits)),
+            agreement={part: float(np.mean(values)) for part, values in overlaps.items()},
+        )
+
+
+def ask_prompts(
+    views: list[ScanView], prompts: tuple[Prompt, ...], segmenter: Segmenter
+) -> list[PromptedImage]:
+    """Ask the segmenter about every box of the object's parts, with and without its points.
+
+    A point may pull a mask to a detail (a label, a window), its absence to a neighbor.
+
+    Raises:
+        ReconstructionError: A part has no box on an image that has a camera.
+    """
+    by_name = {view.name: view for view in views}
+    prepared: dict[str, PreparedImage] = {}
+    answers = []
+    for part, value in (("static", STATIC), ("moving", MOVING)):
+        asked = [p for p in prompts if p.part == part and len(p.box) == 4 and p.image in by_name]
+        if not asked:
+            raise ReconstructionError(STAGE, f"no box prompts the {part} part", "add one to capture.toml")
+        for prompt in asked:
+            view = by_name[prompt.image]
+            if view.name not in prepared:
+                prepared[view.name] = segmenter.prepare(view.name, view.image_srgb)
+            image = prepared[view.name]
+            clicks = [np.zeros((0, 3)), prompt.points] if len(prompt.points) else [prompt.points]
+            masks = [image.mask(part, prompt.box, points) & ~view.robot for points in clicks]
+            box = np.asarray(prompt.box, np.float64)
+            if isinstance(segmenter, MasksOnDisk) and masks[0].any():
+                # Label images are edited by people, and say more than a box around them.
+                box = _extent(masks[0])
+            masks = [mask for mask in _filling(masks, image, box, view.robot) if mask.any()]
+            answers.append(PromptedImage(view=view, prepared=image, part=value, box=box, masks=tuple(masks)))
+    return answers
+
+
+def _extent(mask: Mask) -> Array:
+    """The box x0, y0, x1, y1 around a mask (H, W), [px]."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+
+
+def _filling(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -> list[Mask]:
+    """The masks (H, W) and, where none fills its box, the best one joined with other things in the box.
+
+    Parts of several colors are cut into pieces. A missing piece is inside the box and makes the mask fill it,
+    twice as well at least: details and things behind change little.
+    """
+    best = min(masks, key=lambda mask: box_misfit(mask, box))
+    if box_misfit(best, box) <= MAX_MISFIT:
+        return masks
+    height, width = robot.shape
+    columns, rows = (np.linspace(box[k], box[k + 2], GRID + 2)[1:-1].astype(int) for k in (0, 1))
+    free = [
+        (column, row)
+        for row in rows[(rows >= 0) & (rows < height)]
+        for column in columns[(columns >= 0) & (columns < width)]
+        if not (best[row, column] or robot[row, column])
+    ]
+    if not free:
+        return masks
+    pieces = [piece & ~robot for piece in image.at_points(np.array(free) + 0.5).masks]
+    pieces = [p for p in pieces if p.any() and share_inside(p, box) >= MIN_INSIDE]
+    joined = best
+    while pieces:
+        found = min(pieces, key=lambda piece: box_misfit(joined | piece, box))
+        if not box_misfit(joined | found, box) < box_misfit(joined, box):
+            break
+        joined = joined | found
+    return [*masks, joined] if box_misfit(joined, box) < box_misfit(best, box) / 2 else masks
+
+
+def surface_seen(gaussians: Gaussians, camera: Camera, robot: NDArray[np.bool_]) -> Array:
+    """World points (H, W, 3) of the surface at each pixel; NaN where there is none, and on the robot.
+
+    Args:
+        gaussians: World frame.
+        camera: World frame.
+        robot: Pixels (H, W) left out.
+    """
+    drawn = render(gaussians, camera, with_ids=True)
+    if drawn.median_depth is None:
+        raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
+    shown = (drawn.alpha > SURFACE_ALPHA) & (drawn.median_depth > 0) & ~robot
+    depth = np.where(shown, drawn.median_depth, np.nan).astype(np.float64)
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
+    return (rays * depth[..., None]) @ camera.T_world_cam[:3, :3].T + camera.center

@@ -1,1 +1,0 @@
-"""The scene in the frame of the robot, and the clocks of log and videos."""

@@ -1,1 +1,0 @@
-"""Segmenters: which pixels belong together, asked by points and boxes or everywhere."""

@@ -1,1 +1,0 @@
-"""Which Gaussians belong to robot, static and moving part."""

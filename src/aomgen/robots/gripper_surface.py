@@ -1,0 +1,97 @@
+"""The whole surface of a hand, each point with the finger that it belongs to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array, freeze
+from aomgen.robots.robot import RobotModel
+
+PALM = "palm"
+# Points on a whole hand: some 4 mm apart on a two-finger gripper.
+POINTS = 6000
+# A body that moves less than this against the palm while the hand closes is palm, [m].
+_STILL_M = 1e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandSurface:
+    """Points all over a hand, in the frames of the bodies that carry them.
+
+    Attributes:
+        points_body: (N, 3), [m].
+        normals_body: Outward unit normals (N, 3).
+        bodies: Index of each point's body (N,).
+        fingers: Name of each point's finger (N,): that of its pad, or "palm".
+    """
+
+    points_body: Array
+    normals_body: Array
+    bodies: NDArray[np.int64]
+    fingers: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        count = len(self.points_body)
+        freeze(self, "points_body", self.points_body, (count, 3))
+        freeze(self, "normals_body", self.normals_body, (count, 3))
+        freeze(self, "bodies", self.bodies, (count,), np.int64)
+
+    def posed(self, Ts_to_body: Array) -> tuple[Array, Array]:
+        """Points and normals (N, 3) for poses (B, 4, 4) of all bodies, in the frame of these."""
+        Ts = Ts_to_body[self.bodies]
+        points = np.einsum("nij,nj->ni", Ts[:, :3, :3], self.points_body) + Ts[:, :3, 3]
+        return points, np.einsum("nij,nj->ni", Ts[:, :3, :3], self.normals_body)
+
+
+def hand_surface(robot: RobotModel) -> HandSurface:
+    """Points over everything that is seen of the hand; none for an arm without one.
+
+    Not checked: that the meshes are closed; a point inside the hand is never nearest to a part.
+    """
+    sides = _sides(robot)
+    rng = np.random.default_rng(0)
+    meshes = [mesh for mesh in robot.meshes if mesh.body in sides]
+    areas = [float(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum()) for mesh in meshes]
+    points: list[Array] = [np.zeros((0, 3))]
+    normals: list[Array] = [np.zeros((0, 3))]
+    bodies: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
+    for mesh, area in zip(meshes, areas, strict=True):
+        count = round(POINTS * area / sum(areas))
+        if count == 0:
+            continue
+        where, faces, _ = sample_surface(mesh.vertices_body, mesh.faces, count, rng)
+        points.append(where)
+        normals.append(face_normals_areas(mesh.vertices_body, mesh.faces)[0][faces])
+        bodies.append(np.full(count, mesh.body))
+    owners = np.concatenate(bodies)
+    return HandSurface(
+        points_body=np.concatenate(points),
+        normals_body=np.concatenate(normals),
+        bodies=owners,
+        fingers=np.array([sides[int(body)] for body in owners], np.str_),
+    )
+
+
+def _sides(robot: RobotModel) -> dict[int, str]:
+    """Finger of every body of the hand: what moves as the hand closes, by the nearer pad."""
+    hand = [robot.body_names.index(name) for name in robot.hand_bodies]
+    if not robot.pads:
+        return dict.fromkeys(hand, PALM)
+    joints = np.repeat(robot.joint_limits.clip(-np.pi, np.pi).mean(1)[None], 2, 0)
+    T_ee_world = invert(robot.ee_poses(joints)[0])
+    opened, closed = T_ee_world @ robot.link_poses(joints, np.array([0.0, 1.0]))
+    across = {
+        pad.finger: float(apply(opened[pad.body], pad.face_body) @ robot.closing_ee) for pad in robot.pads
+    }
+    sides = {}
+    for body in hand:
+        corners = [mesh.vertices_body for mesh in robot.meshes if mesh.body == body] or [np.zeros((1, 3))]
+        vertices = np.concatenate(corners)
+        moved = np.linalg.norm(apply(closed[body], vertices) - apply(opened[body], vertices), axis=1).max()
+        middle = float(apply(opened[body], vertices).mean(0) @ robot.closing_ee)
+        nearest = min(across, key=lambda finger: abs(across[finger] - middle))
+        sides[body] = nearest if moved > _STILL_M else PALM
+    return sides | {pad.body: pad.finger for pad in robot.pads if pad.body in sides}

@@ -1,0 +1,195 @@
+"""SAM 2 through `transformers`, for users who have its weights.
+
+Pre-processing is our own: an image is stretched to the network's square and normalised; the answer is
+stretched back. (The library's own image processors need torchvision.)
+Source: Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024.
+"""
+
+import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+
+from aomgen.errors import BackendError
+from aomgen.io.jsonfile import read_json
+from aomgen.segmentation.interface import Mask, PointMasks, PreparedImage, clean, masks_of_logits
+from aomgen.segmentation.sam2_weights import Sam2Files, find_sam2
+
+# Means and spreads of the images that the published networks were trained on, 0..1.
+_MEAN: Final = np.array([0.485, 0.456, 0.406], np.float32)
+_SPREAD: Final = np.array([0.229, 0.224, 0.225], np.float32)
+# Points asked at once; the decoder's memory grows with them.
+_POINTS: Final = 16
+EXTRA: Final = 'pip install "aomgen[sam2]"'
+
+
+def transformers_module(name: str) -> ModuleType:
+    """A module of `transformers`, imported when it is used.
+
+    Raises:
+        BackendError: The extra is not installed, or is too old.
+    """
+    try:
+        return importlib.import_module(f"transformers.{name}")
+    except ImportError as error:
+        raise BackendError("transformers", f"cannot load {name} ({error})", EXTRA) from error
+
+
+def load_pretrained(module: str, model: str, files: Sam2Files, device: str) -> Any:
+    """A network with its weights, ready to be asked.
+
+    Args:
+        module: Of `transformers.models`.
+        model: Class in it.
+        files: Installed weights; their digests were checked.
+        device: "cpu" or "cuda".
+
+    Raises:
+        BackendError: transformers is missing, or the file lacks some of the network's weights.
+    """
+    kind = getattr(transformers_module(f"models.{module}"), model)
+    damaged = importlib.import_module("safetensors").SafetensorError
+
+    # Published weights call themselves "sam2_video"; the network for images takes its share of them.
+    stored = read_json(files.config) | {"model_type": kind.config_class.model_type}
+    try:
+        with _quiet():
+            network, found = kind.from_pretrained(
+                files.weights.parent,
+                config=kind.config_class.from_dict(stored),
+                local_files_only=True,
+                use_safetensors=True,
+                weights_only=True,
+                output_loading_info=True,
+            )
+    except (OSError, ValueError, RuntimeError, damaged) as error:
+        raise BackendError(files.weights, f"does not hold a {model} ({error})", "install it again") from error
+    missing = sorted({*found["missing_keys"], *(item[0] for item in found["mismatched_keys"])})
+    if missing:
+        raise BackendError(
+            files.weights,
+            f"lacks {len(missing)} weights of a {model}, {missing[0]} for example",
+            "install the published model",
+        )
+    return network.to(device).eval()
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """No progress bar of the library's own."""
+    logging = transformers_module("utils.logging")
+    shown = logging.is_progress_bar_enabled()
+    logging.disable_progress_bar()
+    try:
+        yield
+    finally:
+        if shown:
+            logging.enable_progress_bar()
+
+
+def pixel_values(image_srgb: NDArray[np.uint8], side: int) -> NDArray[np.float32]:
+    """An image (H, W, 3) as the network sees it, (3, side, side)."""
+    small = Image.fromarray(image_srgb).resize((side, side), Image.Resampling.BILINEAR)
+    values = (np.asarray(small, np.float32) / 255 - _MEAN) / _SPREAD
+    return np.ascontiguousarray(values.transpose(2, 0, 1), np.float32)
+
+
+def input_side(network: Any) -> int:
+    """Width and height [px] of the images that a network wants."""
+    return int(network.config.prompt_encoder_config.image_size)
+
+
+def input_points(points_px: ArrayLike, shape: tuple[int, ...], side: int) -> NDArray[np.float32]:
+    """Points (N, 2), [px] of an image (H, W), as the network counts: pixel centres at whole numbers."""
+    scale = [side / shape[1], side / shape[0]]
+    return (np.asarray(points_px, np.float64).reshape(-1, 2) * scale - 0.5).astype(np.float32)
+
+
+def input_prompt(
+    box_px: ArrayLike, points: ArrayLike, shape: tuple[int, ...], side: int
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """A box's corners and a part's points as the network counts them.
+
+    Args:
+        box_px: (4,), [px] of the image; may be empty.
+        points: (N, 3): x, y [px] and 1 = on the part, 0 = not on it; may be empty.
+        shape: Of the image, (H, W, ...).
+        side: Of the network's image.
+
+    Returns:
+        Coordinates (P, 2) and labels (P,); labels 2 and 3 are the corners, which come first.
+    """
+    corners = np.asarray(box_px, np.float64).reshape(-1, 2)
+    clicks = np.asarray(points, np.float64).reshape(-1, 3)
+    pixels = np.concatenate([corners, clicks[:, :2]])
+    labels = np.concatenate([[2, 3][: len(corners)], clicks[:, 2]])
+    return input_points(pixels, shape, side), labels.astype(np.int64)
+
+
+class Sam2:
+    """A `Segmenter` with installed SAM 2 weights."""
+
+    def __init__(self, name: str, folder: Path | None = None, device: str = "cpu") -> None:
+        """Load the weights of a name, see `sam2_weights`.
+
+        Raises:
+            BackendError: The extra or the weights are missing or broken.
+        """
+        self._device = device
+        self._network = load_pretrained("sam2", "Sam2Model", find_sam2(name, folder), device)
+
+    def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> PreparedImage:
+        """Encode an image; see `Segmenter`."""
+        import torch
+
+        values = torch.from_numpy(pixel_values(image_srgb, input_side(self._network))[None])
+        embeddings = self._network.get_image_embeddings(values.to(self._device))
+        height, width = image_srgb.shape[:2]
+        return _Sam2Image(network=self._network, embeddings=embeddings, shape=(height, width))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sam2Image:
+    network: Any
+    embeddings: Any
+    shape: tuple[int, int]
+
+    def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
+        coordinates, labels = input_prompt(box_px, points, self.shape, input_side(self.network))
+        logits, _ = self._ask(coordinates[None], labels[None], several=False)
+        large = masks_of_logits([logits[0, 0]], [1.0], self.shape)
+        return clean(large.masks[0])
+
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        """Three masks a point: the detail, the part and the whole."""
+        scaled = input_points(points_px, self.shape, input_side(self.network))
+        masks, quality = [], []
+        for start in range(0, len(scaled), _POINTS):
+            some = scaled[start : start + _POINTS, None]
+            logits, expected = self._ask(some, np.ones(some.shape[:2], np.int64), several=True)
+            masks.extend(logits.reshape(-1, *logits.shape[2:]))
+            quality.extend(expected.ravel())
+        return masks_of_logits(masks, quality, self.shape)
+
+    def _ask(
+        self, coordinates: NDArray[np.float32], labels: NDArray[np.int64], *, several: bool
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Scores (B, M, h, w) and expected IoUs (B, M) of B prompts (B, P, 2) with labels (B, P)."""
+        import torch
+
+        device = self.embeddings[-1].device
+        with torch.inference_mode():
+            answer = self.network(
+                image_embeddings=self.embeddings,
+                input_points=torch.from_numpy(coordinates[None]).to(device),
+                input_labels=torch.from_numpy(labels[None]).to(device),
+                multimask_output=several,
+            )
+        return answer.pred_masks[0].float().cpu().numpy(), answer.iou_scores[0].float().cpu().numpy()

@@ -1,0 +1,126 @@
+"""SAM 2's weights: where they lie, and `python -m aomgen.segmentation.sam2_weights` to put them there.
+
+A set of weights is a folder as the model's publisher offers it for `transformers`: `config.json` and
+`model.safetensors`. Installing copies the two under a name, after the SHA-256 that the publisher's page
+shows was compared, and notes it; every use checks the digest again. Other formats are refused: only
+safetensors cannot hold code.
+"""
+
+import argparse
+import hashlib
+import re
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from aomgen.errors import AomgenError, BackendError
+from aomgen.io.atomic import staged_folder, write_json
+from aomgen.io.jsonfile import read_json
+from aomgen.segmentation.weights import weights_folder
+
+FOLDER: Final = "sam2"
+CONFIG: Final = "config.json"
+WEIGHTS: Final = "model.safetensors"
+NOTE: Final = "sha256.json"
+COMMAND: Final = "python -m aomgen.segmentation.sam2_weights"
+# The largest published model has 0.9 GB.
+MAX_BYTES: Final = 4 << 30
+NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sam2Files:
+    """One installed set of weights, its digests checked."""
+
+    config: Path
+    weights: Path
+
+
+def installed_names(folder: Path | None = None) -> tuple[str, ...]:
+    """Names of the sets of weights that are installed, sorted."""
+    root = (folder or weights_folder()) / FOLDER
+    return tuple(sorted(path.parent.name for path in root.glob(f"*/{NOTE}")))
+
+
+def find_sam2(name: str, folder: Path | None = None) -> Sam2Files:
+    """The installed weights of a name.
+
+    Args:
+        name: As installed.
+        folder: Of all weights; `weights_folder()` when None.
+
+    Raises:
+        BackendError: They are missing, or not the installed ones any more.
+    """
+    known = installed_names(folder)
+    if name not in known:
+        raise BackendError(
+            name,
+            f"no SAM 2 weights of this name are installed (known: {', '.join(known) or 'none'})",
+            f"run `{COMMAND} --help`",
+        )
+    root = (folder or weights_folder()) / FOLDER / name
+    note = read_json(root / NOTE)
+    for file in (CONFIG, WEIGHTS):
+        _check(root / file, note.get(file, ""))
+    return Sam2Files(config=root / CONFIG, weights=root / WEIGHTS)
+
+
+def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = None) -> Sam2Files:
+    """Copy a downloaded model under a name.
+
+    Args:
+        source: Folder with `config.json` and `model.safetensors`.
+        name: Letters, digits, dots and dashes, "sam2.1-hiera-tiny" for example.
+        sha256: Of `model.safetensors`, as its publisher states it.
+        folder: Of all weights; `weights_folder()` when None.
+
+    Raises:
+        BackendError: The name cannot be a folder, a file is missing or too large, or the digest differs.
+    """
+    if not NAME.fullmatch(name):
+        raise BackendError(name, "is no name for weights", "use letters, digits, dots and dashes")
+    _check(source / WEIGHTS, sha256.lower())
+    if not (source / CONFIG).is_file():
+        raise BackendError(source / CONFIG, "is missing", "download it beside the weights")
+    config = _digest(source / CONFIG)
+    root = (folder or weights_folder()) / FOLDER / name
+    with staged_folder(root) as staging:
+        for file in (CONFIG, WEIGHTS):
+            shutil.copyfile(source / file, staging / file)
+        write_json(staging / NOTE, {CONFIG: config, WEIGHTS: sha256.lower()})
+    return find_sam2(name, folder)
+
+
+def _check(path: Path, sha256: str) -> None:
+    if not path.is_file():
+        raise BackendError(path, "is missing", f"install the weights with `{COMMAND}`")
+    if not path.stat().st_size <= MAX_BYTES or _digest(path) != sha256:
+        raise BackendError(path, "is not the file whose SHA-256 was given", "download and install it again")
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Install downloaded weights; the exit code says how it went."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description="Install downloaded SAM 2 weights.")
+    parser.add_argument("source", type=Path, help=f"folder with {CONFIG} and {WEIGHTS}")
+    parser.add_argument("--name", required=True, help="how projects call them, sam2.1-hiera-tiny for example")
+    parser.add_argument("--sha256", required=True, help=f"of {WEIGHTS}, from its publisher's page")
+    given = parser.parse_args(arguments)
+    try:
+        files = install_sam2(given.source, given.name, given.sha256)
+    except AomgenError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return error.exit_code
+    sys.stdout.write(f"{files.weights}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

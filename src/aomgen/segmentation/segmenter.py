@@ -1,0 +1,203 @@
+"""Masks of prompted parts: MobileSAM, label images on disk, or a plain color cut; see also `sam2`."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image
+from scipy.ndimage import gaussian_filter, label
+
+from aomgen.conventions import MOVING, PART_LABELS, STATIC
+from aomgen.errors import BackendError, MalformedFileError
+from aomgen.io.images import read_labels
+from aomgen.segmentation.interface import (
+    Mask,
+    PointMasks,
+    PreparedImage,
+    Segmenter,
+    _cells,
+    clean,
+    given_masks,
+    masks_of_logits,
+)
+from aomgen.segmentation.weights import find_weights
+
+_SIDE: Final = 1024
+_MEAN: Final = np.array([123.675, 116.28, 103.53], np.float32)
+_SPREAD: Final = np.array([58.395, 57.12, 57.375], np.float32)
+
+
+class MobileSam:
+    """The ONNX encoder and decoder; one encode takes 2 to 3 s on two cores."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Load the weights.
+
+        Raises:
+            BackendError: onnxruntime or the weights are missing or broken.
+        """
+        paths = find_weights(folder)
+        try:
+            import onnxruntime
+        except ImportError as error:
+            raise BackendError("onnxruntime", "is not installed", "pip install onnxruntime") from error
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        self._encoder, self._decoder = (
+            onnxruntime.InferenceSession(paths[name], options, providers=["CPUExecutionProvider"])
+            for name in ("encoder.onnx", "sam.onnx")
+        )
+
+    def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> "PreparedImage":
+        """Encode an image; see `Segmenter`."""
+        height, width = image_srgb.shape[:2]
+        scale = _SIDE / max(height, width)
+        size = (round(width * scale), round(height * scale))
+        resized = np.asarray(Image.fromarray(image_srgb).resize(size, Image.Resampling.BILINEAR), np.float32)
+        padded = np.zeros((1, 3, _SIDE, _SIDE), np.float32)
+        padded[0, :, : size[1], : size[0]] = ((resized - _MEAN) / _SPREAD).transpose(2, 0, 1)
+        embedding = np.asarray(self._encoder.run(None, {"input": padded})[0])
+        return _EncodedImage(
+            decoder=self._decoder, embedding=embedding, height=height, width=width, scale=scale
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _EncodedImage:
+    decoder: Any
+    embedding: NDArray[np.float32]
+    height: int
+    width: int
+    scale: float
+
+    def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
+        box = np.asarray(box_px, np.float64).reshape(2, 2)
+        clicks = np.asarray(points, np.float64).reshape(-1, 3)
+        coords = np.concatenate([clicks[:, :2], box]) * self.scale
+        # Labels of the decoder: 1 on, 0 off, 2 and 3 the corners of a box.
+        labels = np.concatenate([clicks[:, 2], [2.0, 3.0]])
+        feeds = {
+            "image_embeddings": self.embedding,
+            "point_coords": coords[None].astype(np.float32),
+            "point_labels": labels[None].astype(np.float32),
+            "mask_input": np.zeros((1, 1, 256, 256), np.float32),
+            "has_mask_input": np.zeros(1, np.float32),
+            "orig_im_size": np.array([self.height, self.width], np.float32),
+        }
+        logits = self.decoder.run(None, feeds)[0][0, 0]
+        return clean(logits > 0)
+
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        # The published decoder takes one prompt a call; its small answer is enough here.
+        logits, quality = [], []
+        for point in np.asarray(points_px, np.float64).reshape(-1, 2):
+            feeds = {
+                "image_embeddings": self.embedding,
+                "point_coords": np.array([[point * self.scale, [0.0, 0.0]]], np.float32),
+                "point_labels": np.array([[1.0, -1.0]], np.float32),
+                "mask_input": np.zeros((1, 1, 256, 256), np.float32),
+                "has_mask_input": np.zeros(1, np.float32),
+                "orig_im_size": np.array([self.height, self.width], np.float32),
+            }
+            expected, small = self.decoder.run(["iou_predictions", "low_res_masks"], feeds)
+            used = small[0, 0, : round(256 * self.height * self.scale / _SIDE)]
+            logits.append(used[:, : round(256 * self.width * self.scale / _SIDE)])
+            quality.append(expected[0, 0])
+        return masks_of_logits(logits, quality, (self.height, self.width))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasksOnDisk:
+    """Label images of a capture, named as the images; `PART_LABELS` gives the values."""
+
+    folders: Mapping[str, Path]
+
+    def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> "PreparedImage":
+        """Read the label image of one scan image, all unlabelled when it has none."""
+        labels = np.zeros(image_srgb.shape[:2], np.uint8)
+        for folder in self.folders.values():
+            path = folder / f"{Path(name).stem}.png"
+            if path.is_file():
+                labels = read_labels(path)
+                break
+        if labels.shape != image_srgb.shape[:2]:
+            raise MalformedFileError(
+                path, f"is {labels.shape[::-1]} px, its image is {image_srgb.shape[1::-1]}", "export it again"
+            )
+        return _LabelImage(labels=labels)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _LabelImage:
+    labels: NDArray[np.uint8]
+
+    def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
+        if part == "object":
+            return (self.labels == STATIC) | (self.labels == MOVING)
+        return self.labels == PART_LABELS[part]
+
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        values = self.labels[_cells(points_px, self.labels.shape)]
+        named = values[values > 0]
+        return given_masks([self.labels == value for value in named], self.labels.shape)
+
+
+class ColorCut:
+    """No network: pixels in the box whose color is more common inside than around it."""
+
+    def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> "PreparedImage":
+        """See `Segmenter`."""
+        return _PlainImage(image_srgb=image_srgb)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PlainImage:
+    image_srgb: NDArray[np.uint8]
+
+    def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
+        height, width = self.image_srgb.shape[:2]
+        box = np.round(np.asarray(box_px)).astype(int)
+        x0, y0, x1, y1 = np.clip(box, 0, [width, height, width, height])
+        inside = np.zeros((height, width), bool)
+        inside[y0:y1, x0:x1] = True
+        margin = max(4, (x1 - x0 + y1 - y0) // 8)
+        ring = np.zeros_like(inside)
+        ring[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin] = True
+        ring &= ~inside
+        bins = (self.image_srgb >> 5).astype(np.int64) @ np.array([64, 8, 1])
+        counts = [np.bincount(bins[area], minlength=512) + 0.5 for area in (inside, ring)]
+        shares = [gaussian_filter(c.reshape(8, 8, 8), 0.5).ravel() / c.sum() for c in counts]
+        return clean(inside & (shares[0] > 0.7 * shares[1])[bins])
+
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        coarse = (self.image_srgb >> 5).astype(np.int64) @ np.array([64, 8, 1])
+        masks = []
+        for row, column in zip(*_cells(points_px, coarse.shape), strict=True):
+            pieces = np.zeros(coarse.shape, np.int32)
+            label(coarse == coarse[row, column], output=pieces)
+            masks.append(pieces == pieces[row, column])
+        return given_masks(masks, coarse.shape)
+
+
+def choose_segmenter(mask_folders: Mapping[str, Path], name: str = "auto") -> Segmenter:
+    """The segmenter of a name; never another one instead.
+
+    Args:
+        mask_folders: Label images of the capture.
+        name: "auto" (label images when the capture has them, else MobileSAM), "mobile_sam", or the
+            name of installed SAM 2 weights, see `sam2_weights`.
+
+    Raises:
+        BackendError: It is not there; the message names the command that fetches it. `ColorCut`
+            is never chosen: its masks are rough.
+    """
+    if name == "auto" and mask_folders:
+        return MasksOnDisk(folders=mask_folders)
+    if name in ("auto", "mobile_sam"):
+        return MobileSam()
+    from aomgen.segmentation.sam2 import Sam2
+
+    return Sam2(name)

@@ -1,0 +1,299 @@
+"""One MuJoCo model of robot, table and articulated object, and where everything is in it."""
+
+import copy
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.assets.mjcf import AssetNames, add_asset
+from aomgen.assets.resistance import holding_friction
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.demonstration import SupportPlane
+from aomgen.core.episode import FINGERS
+from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.values import Array
+from aomgen.errors import ConfigError
+from aomgen.robots.robot import RobotModel
+
+TABLE = "table"
+TABLE_THICKNESS_M = 0.04
+# Half size of the table where its outline is unknown, about the object, [m].
+TABLE_REACH_M = 0.7
+# The arm's foot may stand beside or in the plane of the table; bodies that fewer joints move ignore it.
+FOOT_JOINTS = 3
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmDrive:
+    """Addresses of the arm and its actuators in the model (J,) and their position gains.
+
+    Attributes:
+        qpos, dofs, actuators: Addresses.
+        kp: Stiffness, [N m/rad].
+        kv: Damping, [N m s/rad].
+    """
+
+    qpos: Indices
+    dofs: Indices
+    actuators: Indices
+    kp: Array
+    kv: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripperDrive:
+    """Addresses of the gripper.
+
+    Attributes:
+        qpos: Finger joints in the order of the robot's gripper table (F,).
+        driver: Measured finger joint.
+        driver_range: Its values at gripper 0 and 1 (2,), [rad] or [m].
+        actuator: Closes the gripper.
+        control_range: Its control at gripper 0 and 1 (2,).
+    """
+
+    qpos: Indices
+    driver: int
+    driver_range: tuple[float, float]
+    actuator: int
+    control_range: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeomRoles:
+    """What each geom (G,) of the model belongs to.
+
+    Attributes:
+        robot, gripper, table, static, moving, handle: Masks; gripper is part of robot, handle of moving.
+        finger: Index of the finger whose pad it is (0 left, 1 right), else -1.
+    """
+
+    robot: Mask
+    gripper: Mask
+    table: Mask
+    static: Mask
+    moving: Mask
+    handle: Mask
+    finger: Indices
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """A compiled scene. The model is treated as a value: `placed` returns another one.
+
+    Attributes:
+        model: Robot, table, object with a passive joint.
+        robot: The robot in it.
+        asset: The object in it.
+        names: The object's names in the model.
+        arm, gripper: Drives.
+        roles: What the geoms belong to.
+        object_qpos, object_dof: Addresses of the object's joint.
+        ee_site: Id of the end effector.
+        bolted: The object's base cannot move.
+    """
+
+    model: mujoco.MjModel
+    robot: RobotModel
+    asset: ArticulatedAsset
+    names: AssetNames
+    arm: ArmDrive
+    gripper: GripperDrive
+    roles: GeomRoles
+    object_qpos: int
+    object_dof: int
+    ee_site: int
+    bolted: bool
+
+    def placed(
+        self, T_world_object: ArrayLike, *, damping: float | None = None, frictionloss: float | None = None
+    ) -> "Scene":
+        """The same scene with the object elsewhere, and with another joint resistance.
+
+        Args:
+            T_world_object: Pose (4, 4).
+            damping: [N m s/rad] or [N s/m]; None keeps it.
+            frictionloss: [N m] or [N], beyond what holds a lid's weight; None keeps it.
+        """
+        model = copy.copy(self.model)
+        T = np.asarray(T_world_object, np.float64)
+        body = model.body(self.names.static_body).id
+        model.body_pos[body] = T[:3, 3]
+        model.body_quat[body] = quat_from_matrix(T[:3, :3])
+        if self.names.free_joint:
+            address = model.joint(self.names.free_joint).qposadr[0]
+            model.qpos0[address : address + 7] = np.append(T[:3, 3], quat_from_matrix(T[:3, :3]))
+        if damping is not None:
+            model.dof_damping[self.object_dof] = damping
+        if frictionloss is not None:
+            model.dof_frictionloss[self.object_dof] = frictionloss + holding_friction(self.asset)
+        return replace(self, model=model)
+
+    def qpos(self, joints: ArrayLike, gripper: ArrayLike, thetas: ArrayLike) -> Array:
+        """Generalised positions (T, nq) of arm joints (T, J), gripper (T,) and object joint (T,)."""
+        joints = np.atleast_2d(np.asarray(joints, np.float64))
+        result = np.repeat(self.model.qpos0[None], len(joints), 0)
+        result[:, self.arm.qpos] = joints
+        if len(self.gripper.qpos):
+            result[:, self.gripper.qpos] = self.robot.gripper_table.at(np.broadcast_to(gripper, len(joints)))
+        result[:, self.object_qpos] = thetas
+        return result
+
+
+def build_scene(
+    robot: RobotModel,
+    asset: ArticulatedAsset,
+    T_world_object: ArrayLike,
+    support: SupportPlane,
+    *,
+    damping: float = 0.2,
+    frictionloss: float = 0.1,
+    bolted: bool = True,
+    visual: bool = False,
+) -> Scene:
+    """Compile robot, table and object into one model.
+
+    Every robot body is gravity compensated, as an arm's own controller does. The table is a slab
+    under the support plane, as large as it is known to be, else 1.4 m about the object; the
+    arm's foot does not collide with it.
+
+    Args:
+        robot: With position actuators on all arm joints.
+        asset: Passive; only contact moves it.
+        T_world_object: Pose (4, 4).
+        support: Plane that the object stands on.
+        damping: Of the object's joint, [N m s/rad] or [N s/m].
+        frictionloss: Dry friction of the object's joint beyond what holds a lid's weight, [N m] or [N].
+        bolted: Weld the object to the world instead of letting it stand by friction.
+        visual: Also add what is seen, for rendering.
+
+    Raises:
+        ConfigError: The robot has no position actuators.
+    """
+    spec = robot.spec(visual=visual)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    for body in spec.bodies:
+        if body.name != "world":
+            body.gravcomp = 1.0
+    T = np.asarray(T_world_object, np.float64)
+    _add_table(spec, robot, support, T[:2, 3])
+    names = add_asset(
+        spec, asset, T, damping=damping, frictionloss=frictionloss, visual=visual, bolted=bolted
+    )
+    model = spec.compile()
+    joint = model.joint(names.joint)
+    return Scene(
+        model=model,
+        robot=robot,
+        asset=asset,
+        names=names,
+        arm=_arm_drive(model, robot),
+        gripper=_gripper_drive(model, robot),
+        roles=_geom_roles(model, robot, names),
+        object_qpos=int(joint.qposadr[0]),
+        object_dof=int(joint.dofadr[0]),
+        ee_site=model.site(robot.ee_site).id,
+        bolted=bolted,
+    )
+
+
+def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, center_xy: Array) -> None:
+    low = np.where(np.isfinite(support.low_xy), support.low_xy, center_xy - TABLE_REACH_M)
+    high = np.where(np.isfinite(support.high_xy), support.high_xy, center_xy + TABLE_REACH_M)
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.05)
+    spec.worldbody.add_geom(
+        name=TABLE,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[middle[0], middle[1], support.height - TABLE_THICKNESS_M / 2],
+        size=[half[0], half[1], TABLE_THICKNESS_M / 2],
+        rgba=[0.62, 0.5, 0.38, 1.0],
+        group=3,
+    )
+    for name in _foot_bodies(spec, robot):
+        spec.add_exclude(name=f"{TABLE}_{name}", bodyname1="world", bodyname2=name)
+
+
+def _foot_bodies(spec: mujoco.MjSpec, robot: RobotModel) -> list[str]:
+    """Bodies that less than `FOOT_JOINTS` of the robot's joints move."""
+    result = []
+    for name in robot.body_names:
+        body, joints = spec.body(name), 0
+        while body.name != "world":
+            joints += len(body.joints)
+            body = body.parent
+        if joints < FOOT_JOINTS:
+            result.append(name)
+    return result
+
+
+def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:
+    joints = [model.joint(name) for name in robot.joint_names]
+    actuators = []
+    for joint in joints:
+        driving = np.flatnonzero(
+            (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint.id)
+        )
+        if len(driving) != 1 or model.actuator_biastype[driving[0]] != mujoco.mjtBias.mjBIAS_AFFINE:
+            raise ConfigError(
+                "robot.model",
+                f"joint '{joint.name}' has no position actuator",
+                "add one to the model, or use ur5e_2f85",
+            )
+        actuators.append(int(driving[0]))
+    ids = np.array(actuators, np.int64)
+    return ArmDrive(
+        qpos=np.array([joint.qposadr[0] for joint in joints], np.int64),
+        dofs=np.array([joint.dofadr[0] for joint in joints], np.int64),
+        actuators=ids,
+        kp=-model.actuator_biasprm[ids, 1],
+        kv=-model.actuator_biasprm[ids, 2],
+    )
+
+
+def _gripper_drive(model: mujoco.MjModel, robot: RobotModel) -> GripperDrive:
+    drive = robot.drive
+    if drive is None:
+        raise ConfigError(
+            "robot",
+            f"'{robot.name}' has no fingers that could hold",
+            "use the file of the arm with its gripper",
+        )
+    names = robot.gripper_table.joint_names
+    return GripperDrive(
+        qpos=np.array([model.joint(name).qposadr[0] for name in names], np.int64),
+        driver=int(model.joint(drive.driver).qposadr[0]),
+        driver_range=drive.driver_range,
+        actuator=model.actuator(drive.actuator).id,
+        control_range=drive.control_range,
+    )
+
+
+def _geom_roles(model: mujoco.MjModel, robot: RobotModel, names: AssetNames) -> GeomRoles:
+    bodies = [model.body(b).name for b in model.geom_bodyid]
+    robot_bodies = set(robot.body_names)
+    hand = set(robot.hand_bodies)
+
+    def mask(geoms: tuple[str, ...]) -> Mask:
+        result = np.zeros(model.ngeom, bool)
+        result[[model.geom(name).id for name in geoms]] = True
+        return result
+
+    finger = np.full(model.ngeom, -1, np.int64)
+    for index, side in enumerate(FINGERS):
+        for name in robot.pad_geoms.get(side, ()):
+            finger[model.geom(name).id] = index
+    finger.flags.writeable = False
+    return GeomRoles(
+        robot=np.array([name in robot_bodies for name in bodies]),
+        gripper=np.array([name in hand for name in bodies]),
+        table=mask((TABLE,)),
+        static=mask(names.static_geoms),
+        moving=mask(names.moving_geoms),
+        handle=mask(names.handle_geoms),
+        finger=finger,
+    )

@@ -1,0 +1,302 @@
+"""COLMAP through pycolmap: features, matches and mapping in a scratch folder."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+from PIL import Image
+
+from aomgen.core.lens import Lens
+from aomgen.core.recording import Intrinsics
+from aomgen.core.values import Array
+from aomgen.errors import ReconstructionError
+from aomgen.structure.misregistration import Pair
+from aomgen.structure.resection import Links
+from aomgen.structure.sparse_model import Mapped, adjust, lens_of, mapped_of, set_camera
+
+# Twice the error that verified matches may have: a lens that bends the border by more costs some.
+MAX_SHIFT_PX = 8.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageSet:
+    """Images of one camera.
+
+    Attributes:
+        group: Name of the set.
+        images: Pairs of name and (H, W, 3) uint8, all of one size.
+        intrinsics: Known intrinsics, or None to estimate one focal length.
+    """
+
+    group: str
+    images: Iterator[tuple[str, NDArray[np.uint8]]]
+    intrinsics: Intrinsics | None
+
+
+@dataclass(kw_only=True)
+class Workspace:
+    """A scratch folder with COLMAP's database; the only mutable thing of this stage.
+
+    Attributes:
+        folder: Scratch folder, empty at the start.
+        seed: Of RANSAC and of the mapper.
+        threads: -1 = all cores.
+    """
+
+    folder: Path
+    seed: int
+    threads: int = -1
+    _files: dict[str, dict[str, str]] = field(default_factory=dict)
+    _focal_known: dict[str, bool] = field(default_factory=dict)
+    _lens_known: dict[str, bool] = field(default_factory=dict)
+    _model: pycolmap.Reconstruction | None = None
+
+    def __post_init__(self) -> None:
+        pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value
+        pycolmap.set_random_seed(self.seed)
+        (self.folder / "images").mkdir(parents=True)
+
+    @property
+    def database(self) -> Path:
+        """COLMAP's database file."""
+        return self.folder / "database.db"
+
+    def extract(self, images: ImageSet, max_features: int, peak_threshold: float) -> None:
+        """Write SIFT features of a set into the database; the set becomes one camera.
+
+        Raises:
+            ReconstructionError: The images differ in size.
+        """
+        files, sizes = {}, set()
+        for index, (name, image) in enumerate(images.images):
+            file = f"{len(self._files):02d}-{index:05d}.png"
+            Image.fromarray(image).save(self.folder / "images" / file, compress_level=1)
+            files[name] = file
+            sizes.add(image.shape[1::-1])
+        if len(sizes) != 1:
+            raise ReconstructionError(
+                images.group, f"has images of {len(sizes)} sizes", "use one camera and one size"
+            )
+        options = pycolmap.FeatureExtractionOptions(num_threads=self.threads)
+        options.sift.max_num_features = max_features
+        options.sift.peak_threshold = peak_threshold
+        reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_PINHOLE")
+        if images.intrinsics is not None:
+            known = images.intrinsics
+            params = (known.fx, known.fy, known.cx, known.cy, *(known.distortion or ()))
+            reader.camera_model = "OPENCV" if known.distortion else "PINHOLE"
+            reader.camera_params = ",".join(repr(float(value)) for value in params)
+        pycolmap.extract_features(
+            self.database,
+            self.folder / "images",
+            sorted(files.values()),
+            pycolmap.CameraMode.SINGLE,
+            reader,
+            options,
+        )
+        self._files[images.group] = files
+        self._focal_known[images.group] = images.intrinsics is not None
+        self._lens_known[images.group] = images.intrinsics is not None and bool(images.intrinsics.distortion)
+
+    def match(self, exhaustive_limit: int) -> None:
+        """Match and verify pairs: all of them, or neighbours and a coarse grid for long scans."""
+        groups = [sorted(files.values()) for files in self._files.values()]
+        pairs = [(groups[0][i], groups[0][j]) for i, j in choose_pairs(len(groups[0]), exhaustive_limit)]
+        pairs += [(still, scan) for group in groups[1:] for still in group for scan in groups[0]]
+        self._listing.write_text("".join(f"{a} {b}\n" for a, b in pairs), "utf-8")
+        pycolmap.match_image_pairs(
+            self.database,
+            pycolmap.FeatureMatchingOptions(num_threads=self.threads),
+            pycolmap.ImportedPairingOptions(match_list_path=self._listing),
+            self._verification(),
+        )
+
+    def set_lens(self, group: str, lens: Lens) -> bool:
+        """Give a set's camera a known lens from now on.
+
+        Returns: Whether all matches were verified again, because it bends much otherwise than before.
+        """
+        with pycolmap.Database.open(self.database) as database:
+            camera = self._camera(database, group)
+            again = abs(lens.largest_shift_px() - lens_of(camera).largest_shift_px()) > MAX_SHIFT_PX
+            set_camera(camera, lens)
+            camera.has_prior_focal_length = True
+            database.update_camera(camera)
+            if again:
+                database.clear_two_view_geometries()
+        self._focal_known[group] = self._lens_known[group] = True
+        if again:
+            pycolmap.verify_matches(self.database, self._listing, self._verification())
+        return again
+
+    def lens(self, group: str) -> Lens:
+        """The optics that a set's matches are verified with."""
+        with pycolmap.Database.open(self.database) as database:
+            return lens_of(self._camera(database, group))
+
+    def leave_out(self, group: str, names: set[str]) -> None:
+        """Map a set without some of its images from now on."""
+        self._files[group] = {name: file for name, file in self._files[group].items() if name not in names}
+
+    def map(self, group: str) -> Mapped | None:
+        """Incremental mapping of one set; the largest model, or None."""
+        models = pycolmap.incremental_mapping(
+            self.database, self.folder / "images", self.folder / "models", self._mapper_options(group)
+        )
+        if not models:
+            return None
+        self._model = max(models.values(), key=lambda model: model.num_reg_images())
+        return self.mapped(group)
+
+    def map_globally(self, group: str) -> Mapped | None:
+        """Global mapping of one set: all rotations at once, then all places; the model, or None.
+
+        Source: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024.
+        """
+        if not self._focal_known[group]:
+            pycolmap.calibrate_view_graph(self.database)
+        models = pycolmap.global_mapping(
+            self.database, self.folder / "images", self.folder / "global", self._global_options(group)
+        )
+        if not models:
+            return None
+        self._model = max(models.values(), key=lambda model: model.num_reg_images())
+        self._model.update_point_3d_errors()
+        return self.mapped(group)
+
+    @property
+    def model(self) -> pycolmap.Reconstruction:
+        """The model as it is now.
+
+        Raises:
+            ReconstructionError: Nothing was mapped yet.
+        """
+        if self._model is None:
+            raise ReconstructionError("scan", "nothing was mapped yet", "map before using the model")
+        return self._model
+
+    def remap(self, mapped: Mapped, bad: set[str]) -> Mapped:
+        """The model without some images: points triangulated again, poses adjusted again."""
+        model = self.model
+        keep = [self._files["scan"][name] for name in mapped.Ts_recon_cam if name not in bad]
+        for image in list(model.images.values()):
+            if image.has_pose and image.name not in keep:
+                model.deregister_frame(image.frame_id)
+        folders = self.folder / "images", self.folder / "remap"
+        options = self._mapper_options("scan")
+        self._model = pycolmap.triangulate_points(model, self.database, *folders, True, options)
+        adjust(self._model)
+        return self.mapped("scan")
+
+    def pairs(self, group: str, lens: Lens) -> list[Pair]:
+        """Every pair of a set that was tried, with its verified matches, as straight pixels."""
+        names = {file: name for name, file in self._files[group].items()}
+        tried = [line.split() for line in self._listing.read_text("utf-8").splitlines()]
+        result = []
+        with pycolmap.Database.open(self.database) as database:
+            ids = {image.name: image.image_id for image in database.read_all_images()}
+            pixels = {file: lens.straightened(_pixels(database, ids[file])) for file in names}
+            for a, b in tried:
+                if a not in names or b not in names:
+                    continue
+                matches = np.zeros((0, 2), np.int64)
+                if database.exists_two_view_geometry(ids[a], ids[b]):
+                    matches = database.read_two_view_geometry(ids[a], ids[b]).inlier_matches
+                result.append(
+                    Pair(
+                        a=names[a],
+                        b=names[b],
+                        pixels_a=pixels[a][matches[:, 0]],
+                        pixels_b=pixels[b][matches[:, 1]],
+                    )
+                )
+        return result
+
+    def links(self, group: str, still: str, mapped: Mapped) -> Links:
+        """Pixels of a still, as photographed, and the scan's points they were matched to."""
+        file = self._files[group][still]
+        features, points = [], []
+        with pycolmap.Database.open(self.database) as database:
+            ids = {image.name: image.image_id for image in database.read_all_images()}
+            pixels = _pixels(database, ids[file])
+            for name, point_of_feature in mapped.point_of_feature.items():
+                other = ids[self._files["scan"][name]]
+                if not database.exists_two_view_geometry(ids[file], other):
+                    continue
+                matches = database.read_two_view_geometry(ids[file], other).inlier_matches
+                if len(matches):
+                    features.append(matches[:, 0])
+                    points.append(point_of_feature[matches[:, 1]])
+        feature = np.concatenate(features) if features else np.zeros(0, np.int64)
+        point = np.concatenate(points) if points else np.zeros(0, np.int64)
+        pairs = np.unique(np.stack([feature, point], 1)[point >= 0].astype(np.int64), axis=0)
+        return Links(pixels=pixels[pairs[:, 0]], points_recon=mapped.points_recon[pairs[:, 1]])
+
+    def _mapper_options(self, group: str) -> pycolmap.IncrementalPipelineOptions:
+        options = pycolmap.IncrementalPipelineOptions(num_threads=self.threads, random_seed=self.seed)
+        options.mapper.random_seed = self.seed
+        options.mapper.num_threads = self.threads
+        options.triangulation.random_seed = self.seed
+        options.image_names = sorted(self._files[group].values())
+        options.multiple_models = False
+        options.ba_refine_focal_length = not self._focal_known[group]
+        # Nothing to refine in a pinhole camera, which has no such parameters.
+        options.ba_refine_extra_params = not self._lens_known[group]
+        # One image alone says too little about the camera all of them share.
+        options.mapper.abs_pose_refine_focal_length = not self._focal_known[group]
+        options.mapper.abs_pose_refine_extra_params = False
+        return options
+
+    def _global_options(self, group: str) -> pycolmap.GlobalPipelineOptions:
+        options = pycolmap.GlobalPipelineOptions(num_threads=self.threads, random_seed=self.seed)
+        options.image_names = sorted(self._files[group].values())
+        options.multiple_models = False
+        mapper = options.mapper
+        for part in (mapper, mapper.rotation_averaging, mapper.global_positioning, mapper.retriangulation):
+            part.random_seed = self.seed
+        mapper.num_threads = self.threads
+        mapper.global_positioning.use_gpu = False
+        mapper.bundle_adjustment.ceres.use_gpu = False
+        mapper.bundle_adjustment.refine_focal_length = not self._focal_known[group]
+        mapper.bundle_adjustment.refine_extra_params = not self._lens_known[group]
+        return options
+
+    def _camera(self, database: pycolmap.Database, group: str) -> pycolmap.Camera:
+        files = set(self._files[group].values())
+        camera_ids = {image.camera_id for image in database.read_all_images() if image.name in files}
+        return database.read_camera(camera_ids.pop())
+
+    def _verification(self) -> pycolmap.TwoViewGeometryOptions:
+        verification = pycolmap.TwoViewGeometryOptions()
+        verification.ransac.random_seed = self.seed
+        return verification
+
+    @property
+    def _listing(self) -> Path:
+        return self.folder / "pairs.txt"
+
+    def mapped(self, group: str) -> Mapped:
+        """The model as values."""
+        return mapped_of(self.model, {file: name for name, file in self._files[group].items()})
+
+
+def _pixels(database: pycolmap.Database, image_id: int) -> Array:
+    return np.asarray(database.read_keypoints(image_id), np.float64)[:, :2]
+
+
+def choose_pairs(count: int, exhaustive_limit: int) -> list[tuple[int, int]]:
+    """Pairs (i, j), i < j, of `count` images in recording order.
+
+    All of them up to `exhaustive_limit` images; beyond, each image meets its ten successors,
+    those at power-of-two distances, and every image of a coarse grid that closes loops.
+    """
+    if count <= exhaustive_limit:
+        return [(i, j) for i in range(count) for j in range(i + 1, count)]
+    grid = set(range(0, count, max(1, count // 24)))
+    steps = set(range(1, 11)) | {1 << k for k in range(4, 12)}
+    pairs = {(i, i + step) for i in range(count) for step in steps if i + step < count}
+    pairs |= {(min(i, g), max(i, g)) for i in range(count) for g in grid if i != g}
+    return sorted(pairs)

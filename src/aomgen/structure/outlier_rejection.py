@@ -1,0 +1,69 @@
+"""Which images of a model are believed: groups first, then every image by itself."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aomgen.core.transforms import apply, invert
+from aomgen.structure.clusters import Views, wrong_groups
+from aomgen.structure.mapping import Workspace
+from aomgen.structure.misregistration import misregistered
+from aomgen.structure.sparse_model import Mapped
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vetted:
+    """A model without the images that contradict it.
+
+    Attributes:
+        mapped: The model.
+        dropped: Images taken out of it, with the reason.
+        worst_agreement: Smallest share of an image's matches that fit its pose, of those kept.
+    """
+
+    mapped: Mapped
+    dropped: dict[str, str]
+    worst_agreement: float
+
+    @property
+    def count(self) -> int:
+        """Images that are believed."""
+        return len(set(self.mapped.Ts_recon_cam) - set(self.dropped))
+
+
+def better(new: Vetted, old: Vetted, max_error_px: float) -> bool:
+    """Whether a model is the better one: within the error limit, more images, then less error."""
+    first, second = (
+        (item.mapped.error_px <= max_error_px, item.count, -item.mapped.error_px) for item in (new, old)
+    )
+    return first > second
+
+
+def vet(work: Workspace, mapped: Mapped) -> Vetted:
+    """Take out of the workspace's model what its matches contradict."""
+    pairs = work.pairs("scan", mapped.lens)
+    views = Views(Ts_recon_cam=mapped.Ts_recon_cam, depths=_depths(mapped), K=mapped.K)
+    dropped: dict[str, str] = {}
+    for group in wrong_groups(views, pairs):
+        reason = (
+            "misregistered: the other images contradict its pose"
+            if len(group) == 1
+            else f"misregistered: the other images contradict the poses of a group of {len(group)}"
+        )
+        dropped |= dict.fromkeys(group, reason)
+    poses = {name: T for name, T in mapped.Ts_recon_cam.items() if name not in dropped}
+    verdicts = misregistered(poses, mapped.K, pairs)
+    dropped |= {name: verdict.reason for name, verdict in verdicts.items() if not verdict.accepted}
+    if dropped and len(dropped) < len(mapped.Ts_recon_cam):
+        mapped = work.remap(mapped, set(dropped))
+    shares = [verdict.share for verdict in verdicts.values() if verdict.accepted]
+    return Vetted(mapped=mapped, dropped=dropped, worst_agreement=min(shares, default=0.0))
+
+
+def _depths(mapped: Mapped) -> dict[str, float]:
+    depths = {}
+    for name, T_recon_cam in mapped.Ts_recon_cam.items():
+        points = np.unique(mapped.point_of_feature[name])
+        points_cam = apply(invert(T_recon_cam), mapped.points_recon[points[points >= 0]])
+        depths[name] = float(np.median(points_cam[:, 2])) if len(points_cam) else 0.0
+    return depths

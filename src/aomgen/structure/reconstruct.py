@@ -1,0 +1,267 @@
+"""Camera poses and sparse points of the scan, with the fixed cameras in the same model.
+
+Source: AOMGen, sec. 4.1; the mapper is COLMAP's (Schoenberger & Frahm, 2016). What is ours: the
+choice of pairs, the decision about lens distortion (`lens_choice`), the search for misregistered
+images (`vetting`), the choice between two mappers, the fixed cameras (`fixed_cameras`), the gates.
+"""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.progress import Progress
+from aomgen.core.recording import Intrinsics, Prompt
+from aomgen.core.structure import Figures, Structure
+from aomgen.errors import ReconstructionError
+from aomgen.io.images import read_image
+from aomgen.structure.clusters import duplicates
+from aomgen.structure.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
+from aomgen.structure.lens_choice import choose_lens, fit_lens
+from aomgen.structure.lens_misfit import lens_misfit_px, require_lens_fits
+from aomgen.structure.mapping import ImageSet, Workspace
+from aomgen.structure.outlier_rejection import Vetted, better, vet
+from aomgen.structure.prompt_visibility import require_coverage, sightings
+from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.undistortion import straight_prompts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Photographs:
+    """What structure is recovered from.
+
+    Attributes:
+        images: Scan images by file name; all of one size and one camera.
+        intrinsics: Stated intrinsics, a prior, or None.
+        demo: Fixed cameras by name.
+        prompts: What a person clicked, in pixels of the images as they are.
+    """
+
+    images: dict[str, Path]
+    intrinsics: Intrinsics | None = None
+    demo: dict[str, DemoView] = field(default_factory=dict)
+    prompts: tuple[Prompt, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StructureParams:
+    """Limits and effort.
+
+    Attributes:
+        max_features: SIFT features kept an image.
+        peak_threshold: SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
+        exhaustive_limit: With more images than this only neighbours and a coarse grid are matched.
+        min_images: Different images without which there is no scan.
+        min_registered: Share of the different scan images that must survive.
+        retry_below: When fewer than this share survive, a second mapper tries as well.
+        max_error_px: Mean reprojection error that still counts as a reconstruction.
+        seed: Of every random choice.
+        threads: -1 = all cores.
+    """
+
+    max_features: int = 8192
+    peak_threshold: float = 0.0035
+    exhaustive_limit: int = 90
+    min_images: int = 8
+    min_registered: float = 0.8
+    retry_below: float = 0.95
+    max_error_px: float = 1.5
+    seed: int = 0
+    threads: int = -1
+
+
+def reconstruct_structure(photographs: Photographs, params: StructureParams, progress: Progress) -> Structure:
+    """Recover the cameras of a scan, and the fixed cameras in the same frame.
+
+    Args:
+        photographs: Scan, fixed cameras and prompts.
+        params: Limits and effort.
+        progress: Share done and a few words.
+
+    Returns:
+        The structure; misregistered images are dropped, never averaged in.
+
+    Raises:
+        ReconstructionError: Too few images, too few of them registered, too large an error, a
+            prompted part that the scan does not cover, or a fixed camera that cannot be placed.
+
+    Not checked: rolling shutter; a lens that changes between the images (zoom, focus).
+    """
+    names = sorted(photographs.images)
+    _require_images(len(names), 0, params)
+    with tempfile.TemporaryDirectory(prefix="aomgen-structure-") as folder:
+        work = Workspace(folder=Path(folder), seed=params.seed, threads=params.threads)
+        _extract(work, photographs, params, progress)
+        progress(0.25, "matching features")
+        work.match(params.exhaustive_limit)
+        prompted = {prompt.image for prompt in photographs.prompts}
+        same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
+        _require_images(len(names), len(same), params)
+        work.leave_out("scan", set(same))
+        vetted, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
+        progress(0.99, "placing the fixed cameras")
+        placed = {
+            name: place_fixed_camera(work, vetted.mapped, name, view, photographs.intrinsics)
+            for name, view in photographs.demo.items()
+        }
+    dropped = vetted.dropped | {name: f"shows the same as {other}" for name, other in same.items()}
+    structure = _structure(names, replace(vetted, dropped=dropped), placed, figures)
+    return _covered(structure, photographs.prompts)
+
+
+def _require_images(count: int, repeated: int, params: StructureParams) -> None:
+    if not count - repeated >= params.min_images:
+        again = f", {repeated} of them twice" if repeated else ""
+        raise ReconstructionError(
+            "scan",
+            f"has {count} images{again}, at least {params.min_images} are needed",
+            "record more images from more places",
+        )
+
+
+def _extract(work: Workspace, photographs: Photographs, params: StructureParams, progress: Progress) -> None:
+    images = photographs.images
+    scan = ((name, read_image(images[name])) for name in sorted(images))
+    sets = [ImageSet(group="scan", images=scan, intrinsics=photographs.intrinsics)]
+    for name, view in photographs.demo.items():
+        stills = iter([("first", view.first_srgb), ("median", view.median_srgb)])
+        sets.append(ImageSet(group=f"demo:{name}", images=stills, intrinsics=view.intrinsics))
+    for index, item in enumerate(sets):
+        progress(0.2 * index / len(sets), "finding features")
+        work.extract(item, params.max_features, params.peak_threshold)
+
+
+def _solve(
+    work: Workspace, intrinsics: Intrinsics | None, count: int, params: StructureParams, progress: Progress
+) -> tuple[Vetted, Figures]:
+    """The better of incremental and global mapping; the second only when the first leaves images out.
+
+    Raises:
+        ReconstructionError: Neither passes the gates.
+    """
+    progress(0.75, "mapping")
+    attempts: dict[str, tuple[Vetted, Figures]] = {}
+    for mapper, run in (("incremental", work.map), ("global", work.map_globally)):
+        mapped, lens_figures = _map(work, run, intrinsics)
+        if mapped is not None:
+            progress(0.97, "checking every image")
+            attempts[mapper] = vet(work, mapped), lens_figures
+            if attempts[mapper][0].count >= params.retry_below * count:
+                break
+        progress(0.97, "mapping in another way")
+    if not attempts:
+        raise ReconstructionError(
+            "scan", "no two images could be related", "record with more overlap and texture"
+        )
+    names = list(attempts)
+    best = names[0]
+    for other in names[1:]:
+        if better(attempts[other][0], attempts[best][0], params.max_error_px):
+            best = other
+    vetted, lens_figures = attempts[best]
+    _gate(count, vetted, params)
+    tried = {
+        name: {"registered": item.count, "reprojection_error_px": item.mapped.error_px}
+        for name, (item, _) in attempts.items()
+    }
+    return vetted, {"mapper": best, "tried": tried, "lens": lens_figures}
+
+
+def _map(
+    work: Workspace, run: Callable[[str], Mapped | None], intrinsics: Intrinsics | None
+) -> tuple[Mapped | None, Figures]:
+    """Map the scan with its stated lens, then adjust it with the one that the matches call for."""
+    mapped = run("scan")
+    if mapped is None:
+        return None, {}
+    choice = choose_lens(work.model, intrinsics, seed=work.seed)
+    lens = choice.lens
+    if work.set_lens("scan", lens):
+        run("scan")
+        lens = fit_lens(work.model, choice.model, intrinsics, seed=work.seed)
+        work.set_lens("scan", lens)
+    misfit_px = lens_misfit_px(work.model)
+    require_lens_fits(misfit_px, "scan")
+    return work.mapped("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
+
+
+def _gate(count: int, vetted: Vetted, params: StructureParams) -> None:
+    share = vetted.count / count
+    if not share >= params.min_registered:
+        raise ReconstructionError(
+            "scan",
+            f"{vetted.count} of {count} images could be registered "
+            f"({len(vetted.dropped)} contradicted their neighbours), "
+            f"at least {params.min_registered:.0%} are needed",
+            "record with more overlap, more texture and fewer repeated prints",
+        )
+    if not vetted.mapped.error_px <= params.max_error_px:
+        raise ReconstructionError(
+            "scan",
+            f"reprojection error is {vetted.mapped.error_px:.2f} px, limit {params.max_error_px:.2f} px",
+            "check the intrinsics, lens distortion and motion blur",
+        )
+
+
+def _structure(
+    names: list[str], vetted: Vetted, placed: dict[str, FixedCamera], figures: Figures
+) -> Structure:
+    mapped = vetted.mapped
+    straight, lens = mapped.lens.straight(), mapped.lens
+    cameras = {
+        name: Camera(
+            fx=straight.fx,
+            fy=straight.fy,
+            cx=straight.cx,
+            cy=straight.cy,
+            width=straight.width,
+            height=straight.height,
+            T_world_cam=mapped.Ts_recon_cam[name],
+        )
+        for name in names
+        if name in mapped.Ts_recon_cam
+    }
+    dropped = {
+        name: vetted.dropped.get(name, "not registered: too few matches to the other images")
+        for name in names
+        if name not in cameras
+    }
+    order = {name: index for index, name in enumerate(cameras)}
+    observations = [(p, order[name]) for p, name in mapped.observations]
+    return Structure(
+        cameras_recon=cameras,
+        demo_cameras_recon={name: item.camera_recon for name, item in placed.items()},
+        scan_lens=lens if lens.bends else None,
+        demo_lenses={name: item.lens for name, item in placed.items() if item.lens.bends},
+        dropped=dropped,
+        points_recon=mapped.points_recon,
+        colors_srgb=mapped.colors_srgb,
+        observations=np.array(observations, np.int32).reshape(-1, 2),
+        reprojection_error_px=mapped.error_px,
+        figures={
+            "registered": len(cameras),
+            "images": len(names),
+            "points": len(mapped.points_recon),
+            "reprojection_error_px": mapped.error_px,
+            "worst_agreement": vetted.worst_agreement,
+            "largest_shift_px": lens.largest_shift_px(),
+            "demo_cameras": {name: item.figures for name, item in placed.items()},
+        }
+        | figures,
+    )
+
+
+def _covered(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
+    """The structure with the coverage of every prompt in its figures.
+
+    Raises:
+        ReconstructionError: A prompted part was not looked at.
+    """
+    if structure.scan_lens is not None:
+        prompts = straight_prompts(prompts, structure.scan_lens)
+    found = sightings(prompts, structure.cameras_recon, structure.points_recon, structure.observations)
+    require_coverage(found)
+    return replace(structure, figures=structure.figures | {"prompts": [asdict(item) for item in found]})

@@ -1,0 +1,224 @@
+"""Placing one more image in a finished model from 2D-3D matches."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
+from aomgen.core.recording import Intrinsics
+from aomgen.core.transforms import invert, rotvec_from_matrix
+from aomgen.core.values import Array
+from aomgen.structure.lens_choice import (
+    MIN_SIGNIFICANCE,
+    LensChoice,
+    climb,
+    compare,
+    lean_on_stated,
+)
+from aomgen.structure.sparse_model import LensModel, free_lens, lens_of, set_camera
+
+MIN_INLIERS = 30
+MAX_ERROR_PX = 6.0
+FOLDS = 5
+LENS_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Links:
+    """Pixels (M, 2) of an image, as photographed, and the points (M, 3) they show, with outliers."""
+
+    pixels: Array
+    points_recon: Array
+
+    def with_links(self, other: "Links") -> "Links":
+        """Both: two stills of one camera."""
+        return Links(
+            pixels=np.concatenate([self.pixels, other.pixels]),
+            points_recon=np.concatenate([self.points_recon, other.points_recon]),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resection:
+    """A placed camera.
+
+    Attributes:
+        camera_recon: Optics of the straightened image, and pose.
+        inliers: Which matches (M,) fit.
+        depth: Median depth of these, recon units.
+        spread: Extent of these in the image: the smaller of width and height between the 5th and
+            95th percentile, as a share of the image's.
+    """
+
+    camera_recon: Camera
+    inliers: NDArray[np.bool_]
+    depth: float
+    spread: float
+
+    @property
+    def count(self) -> int:
+        """Number of matches that fit."""
+        return int(self.inliers.sum())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """How far two placements are apart; `distance_share` is relative to the scene's depth."""
+
+    angle_deg: float
+    distance_share: float
+
+
+def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resection | None:
+    """Camera from matches, or None when fewer than `MIN_INLIERS` agree on one.
+
+    Args:
+        links: Matches with outliers.
+        lens: Optics; only its distortion and image size count when the focal length is unknown.
+        focal_known: Whether to keep the focal length.
+        seed: Of RANSAC.
+
+    Source: P3P in LO-RANSAC, then robust refinement, as in COLMAP.
+    """
+    if len(links.pixels) < MIN_INLIERS:
+        return None
+    straight = lens.straight()
+    size = {"width": lens.width, "height": lens.height}
+    if focal_known:
+        params = [straight.fx, straight.fy, straight.cx, straight.cy]
+        camera = pycolmap.Camera(model="PINHOLE", params=params, **size)
+    else:
+        params = [straight.fx, straight.cx, straight.cy]
+        camera = pycolmap.Camera(model="SIMPLE_PINHOLE", params=params, **size)
+    estimation = pycolmap.AbsolutePoseEstimationOptions(estimate_focal_length=not focal_known)
+    estimation.ransac.max_error = MAX_ERROR_PX
+    estimation.ransac.random_seed = seed
+    refinement = pycolmap.AbsolutePoseRefinementOptions(refine_focal_length=not focal_known)
+    pixels = lens.straightened(links.pixels)
+    found = pycolmap.estimate_and_refine_absolute_pose(
+        pixels, links.points_recon, camera, estimation, refinement
+    )
+    if found is None or found["num_inliers"] < MIN_INLIERS:
+        return None
+    optics, inliers = lens_of(camera), np.asarray(found["inlier_mask"], bool)
+    placed = Camera(
+        fx=optics.fx,
+        fy=optics.fy,
+        cx=optics.cx,
+        cy=optics.cy,
+        T_world_cam=_T_recon_cam(found["cam_from_world"]),
+        **size,
+    )
+    low, high = np.percentile(pixels[inliers], [5, 95], axis=0)
+    return Resection(
+        camera_recon=placed,
+        inliers=inliers,
+        depth=float(np.median(placed.project(links.points_recon[inliers])[1])),
+        spread=float(((high - low) / [lens.width, lens.height]).min()),
+    )
+
+
+def agree(a: Resection, b: Resection) -> Difference:
+    """Rotation and relative distance between two placements of the same camera."""
+    turn = rotvec_from_matrix(a.camera_recon.T_world_cam[:3, :3].T @ b.camera_recon.T_world_cam[:3, :3])
+    distance = np.linalg.norm(a.camera_recon.center - b.camera_recon.center)
+    return Difference(
+        angle_deg=float(np.degrees(np.linalg.norm(turn))),
+        distance_share=float(distance / min(a.depth, b.depth)),
+    )
+
+
+def choose_view_lens(
+    links: Links, placed: Resection, stated: Intrinsics | None, scan_lens: Lens | None, *, seed: int
+) -> LensChoice:
+    """Choose the lens model of one view, by matches that each fit has not seen.
+
+    Args:
+        links: Matches.
+        placed: The camera as it was placed, with the stated optics if there are any.
+        stated: The prior, or None when nothing is known.
+        scan_lens: The scan's lens where the view may have it too; its own has to be clearly better.
+        seed: Of the folds.
+
+    The matches are told inliers under the richest lens, because a pinhole drops those near the border.
+    """
+    start = placed.camera_recon
+    plain = _pinhole(start) if stated is None or stated.distortion is None else stated_lens(stated, start)
+    inliers = placed.inliers
+    for _ in range(LENS_ROUNDS):
+        inliers = _squared(links, *_refined(links, inliers, plain, start, "full")) <= MAX_ERROR_PX**2
+    rows = np.random.default_rng(seed).permutation(np.flatnonzero(inliers))
+    folds = [np.isin(np.arange(len(inliers)), rows[k::FOLDS]) for k in range(FOLDS)]
+    fits: dict[LensModel, list[tuple[Lens, Array]]] = {}
+
+    def held_out_errors(kind: LensModel) -> list[Array]:
+        lens = scan_lens if kind == "scan" and scan_lens is not None else plain
+        if kind not in fits:
+            fits[kind] = [_refined(links, inliers & ~fold, lens, start, kind) for fold in folds]
+        return [
+            error[None]
+            for fold, fit in zip(folds, fits[kind], strict=True)
+            for error in _squared(links, *fit)[fold]
+        ]
+
+    chosen, gain, significance = climb(held_out_errors, stated)
+    if scan_lens is not None:
+        gain, significance = compare(held_out_errors("scan"), held_out_errors(chosen))
+        if significance < MIN_SIGNIFICANCE:
+            return LensChoice(lens=scan_lens, model="scan", gain=gain, significance=significance)
+    lens, _ = _refined(links, inliers, plain, start, chosen)
+    if stated is not None and chosen != "stated":
+        focals = np.log([fit.fx for fit, _ in fits[chosen]])
+        lens = lean_on_stated(lens, stated, float(np.sqrt((FOLDS - 1) * focals.var())))
+        lens, _ = _refined(links, inliers, lens, start, chosen, focal=False)
+    return LensChoice(lens=lens, model=chosen, gain=gain, significance=significance)
+
+
+def stated_lens(stated: Intrinsics, size: Camera) -> Lens:
+    """Stated optics, for images of a camera's size."""
+    k1, k2, p1, p2 = stated.distortion or (0.0, 0.0, 0.0, 0.0)
+    optics = {"fx": stated.fx, "fy": stated.fy, "cx": stated.cx, "cy": stated.cy}
+    return Lens(**optics, width=size.width, height=size.height, k1=k1, k2=k2, p1=p1, p2=p2)
+
+
+def _pinhole(camera: Camera) -> Lens:
+    optics = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    return Lens(**optics, width=camera.width, height=camera.height)
+
+
+def _refined(
+    links: Links, use: NDArray[np.bool_], lens: Lens, start: Camera, kind: LensModel, *, focal: bool = True
+) -> tuple[Lens, Array]:
+    """Lens and pose (4, 4) fitted to some matches; the focal length can be held."""
+    camera = pycolmap.Camera(model="PINHOLE", width=lens.width, height=lens.height, params=[1.0] * 4)
+    set_camera(camera, lens)
+    free_lens(camera, kind)
+    fixed = kind in ("stated", "scan")
+    refinement = pycolmap.AbsolutePoseRefinementOptions(
+        refine_focal_length=focal and not fixed,
+        refine_extra_params=kind in ("radial", "full"),
+        gradient_tolerance=1e-3,
+    )
+    T_cam_recon = start.T_cam_world
+    found = pycolmap.refine_absolute_pose(
+        pycolmap.Rigid3d(T_cam_recon[:3]), links.pixels, links.points_recon, use, camera, refinement
+    )
+    if found is None:
+        return lens, start.T_world_cam
+    return lens_of(camera), _T_recon_cam(found["cam_from_world"])
+
+
+def _squared(links: Links, lens: Lens, T_recon_cam: Array) -> Array:
+    points_cam = (links.points_recon - T_recon_cam[:3, 3]) @ T_recon_cam[:3, :3]
+    depths = np.where(np.abs(points_cam[:, 2:]) < 1e-9, 1e-9, points_cam[:, 2:])
+    errors = ((lens.pixels(points_cam[:, :2] / depths) - links.pixels) ** 2).sum(1)
+    return np.where(depths[:, 0] > 0, errors, np.inf)
+
+
+def _T_recon_cam(cam_from_recon: pycolmap.Rigid3d) -> Array:
+    T_cam_recon = np.eye(4)
+    T_cam_recon[:3] = cam_from_recon.matrix()
+    return invert(T_cam_recon)

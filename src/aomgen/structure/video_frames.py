@@ -1,0 +1,227 @@
+"""Stills out of a scan video: sharp ones, each with something new to see, none twice.
+
+A frame is wanted when the view has moved on by `step` since the last wanted one, measured on
+points that are followed from frame to frame, so that standing still (and trembling while doing
+so) gives nothing. Around each wanted place the sharpest frame is taken.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from av import VideoFrame
+from numpy.typing import NDArray
+
+from aomgen.core.progress import Progress, part
+from aomgen.core.recording import frame_name
+from aomgen.core.values import Array
+from aomgen.errors import IncompleteCaptureError
+from aomgen.io.atomic import write_json
+from aomgen.io.images import write_image
+from aomgen.io.jsonfile import read_json
+from aomgen.io.video import decoded_frames, probe_video
+from aomgen.structure.tracking import Pyramid, follow, new_tracks, pyramid
+
+FRAMES_FOLDER = "frames"
+LISTING = "frames.json"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameParams:
+    """How frames are chosen.
+
+    Attributes:
+        candidate_s: The sharpest frame of each such span is looked at, [s].
+        sharpness_width: Width at which sharpness is measured, [px]; motion at half of it.
+        step: Motion between wanted frames, as a share of the image's width: a fifth of the motion
+            at which half of the view has gone.
+        min_kept: Share of followed points below which the view counts as new.
+        target: As many frames as this are kept of a long walk; more only if their motion would
+            otherwise exceed `max_step`.
+        max_step: Motion between kept frames, as a share of the width.
+        min_frames: Fewer different views than this are no scan.
+        min_sharpness: A frame less sharp than this share of the median around it is blurred.
+        around_s: What "around" means, [s].
+    """
+
+    candidate_s: float = 0.1
+    sharpness_width: int = 640
+    step: float = 0.05
+    min_kept: float = 0.5
+    target: int = 80
+    max_step: float = 0.2
+    min_frames: int = 12
+    min_sharpness: float = 0.6
+    around_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A frame that may be chosen: the sharpest of its short span.
+
+    Attributes:
+        index: Number of the frame in the video.
+        time_s: Its time.
+        sharpness: See `sharpness_of`; compared only within one video.
+        gray: (h, w) uint8, small.
+    """
+
+    index: int
+    time_s: float
+    sharpness: float
+    gray: NDArray[np.uint8]
+
+
+def extract_frames(
+    video: Path, forced: set[str], folder: Path, progress: Progress, params: FrameParams | None = None
+) -> dict[str, Path]:
+    """Choose frames of a scan video and write them as PNG below `folder`; done once, then kept.
+
+    Args:
+        video: The scan.
+        forced: Names of frames that must be among them (prompts were made on them).
+        folder: The stage's folder; frames go to `frames/`, the choice to `frames.json`.
+        progress: Share done and a few words.
+        params: How to choose.
+
+    Returns:
+        Path by name, in the order of time.
+
+    Raises:
+        IncompleteCaptureError: Fewer different views than `min_frames`.
+        InputError: The video cannot be read.
+        StorageError: The disk refuses.
+    """
+    params = params or FrameParams()
+    if (folder / LISTING).is_file():
+        return extracted_frames(folder)
+    candidates = list(_candidates(video, params, part(progress, 0.0, 0.5)))
+    chosen = choose_frames(candidates, params)
+    if not len(chosen) >= params.min_frames:
+        raise IncompleteCaptureError(
+            video,
+            f"shows {len(chosen)} different views, at least {params.min_frames} are needed",
+            "walk around robot and object while filming",
+        )
+    wanted = set(chosen) - _as_forced(chosen, forced)
+    later = part(progress, 0.5, 1.0)
+    total = probe_video(video).frames
+    for index, (_, frame) in enumerate(decoded_frames(video)):
+        if index in wanted or frame_name(index) in forced:
+            wanted.add(index)
+            later(index / total, "writing frames")
+            write_image(folder / FRAMES_FOLDER / frame_name(index), _rgb(frame))
+    write_json(folder / LISTING, {"frames": sorted(wanted), "of": total, "looked_at": len(candidates)})
+    return _paths(folder, sorted(wanted))
+
+
+def extracted_frames(folder: Path) -> dict[str, Path]:
+    """What `extract_frames` wrote into a stage's folder: path by name, in the order of time.
+
+    Raises:
+        MissingFileError, MalformedFileError: It has not finished there.
+    """
+    return _paths(folder, [int(index) for index in read_json(folder / LISTING)["frames"]])
+
+
+def choose_frames(candidates: list[Candidate], params: FrameParams) -> list[int]:
+    """Numbers of the frames to keep, ascending; see the top of this file."""
+    if not candidates:
+        return []
+    places, ways = _moved_on(candidates, params)
+    keep = max(min(params.target, len(places)), int(np.ceil(ways[-1] / params.max_step)) + 1)
+    picks = np.abs(ways - np.linspace(0.0, ways[-1], keep)[:, None]).argmin(1)
+    wanted = [places[i] for i in np.unique(picks)]
+    sharpness = np.array([item.sharpness for item in candidates])
+    times = np.array([item.time_s for item in candidates])
+    usual = np.array([np.median(sharpness[np.abs(times - t) <= params.around_s]) for t in times])
+    kept: list[int] = []
+    for place, at in enumerate(wanted):
+        # Halfway to the neighbours on both sides, so that two places never choose the same frame.
+        low = 0 if place == 0 else (wanted[place - 1] + at) // 2 + 1
+        high = len(candidates) - 1 if place == len(wanted) - 1 else (at + wanted[place + 1]) // 2
+        best = low + int(np.argmax(_near(sharpness[low : high + 1], at - low)))
+        if sharpness[best] >= params.min_sharpness * usual[best]:
+            kept.append(candidates[best].index)
+    return kept
+
+
+def _as_forced(chosen: list[int], forced: set[str]) -> set[int]:
+    """Chosen frames with a forced one beside them: within a third of the way to a neighbour."""
+    found = set()
+    for place, number in enumerate(chosen):
+        others = [chosen[k] for k in (place - 1, place + 1) if 0 <= k < len(chosen)]
+        reach = min(abs(number - other) for other in others) // 3
+        if any(frame_name(index) in forced for index in range(number - reach, number + reach + 1)):
+            found.add(number)
+    return found
+
+
+def _near(sharpness: Array, middle: int) -> Array:
+    """Sharpness with a slight preference for the middle: one of two equals is the wanted one."""
+    distance = np.abs(np.arange(len(sharpness)) - middle) / max(1, len(sharpness))
+    return sharpness * (1 - 0.1 * distance)
+
+
+def _moved_on(candidates: list[Candidate], params: FrameParams) -> tuple[list[int], Array]:
+    """Places in `candidates` at which the view has moved on by a step each, and the way up to each.
+
+    The way is the sum of the motions, as shares of the width; a view that was lost counts as the
+    largest step.
+    """
+    width = candidates[0].gray.shape[1]
+    key = before = pyramid(candidates[0].gray)
+    tracks, wanted, ways = new_tracks(key), [0], [0.0]
+    for place, candidate in enumerate(candidates[1:], 1):
+        now: Pyramid = pyramid(candidate.gray)
+        tracks = follow(tracks, key, before, now)
+        before = now
+        if tracks.shift_px >= params.step * width or tracks.kept < params.min_kept:
+            lost = tracks.kept < params.min_kept
+            ways.append(ways[-1] + (params.max_step if lost else tracks.shift_px / width))
+            key, tracks = now, new_tracks(now)
+            wanted.append(place)
+    return wanted, np.array(ways)
+
+
+def _candidates(video: Path, params: FrameParams, progress: Progress) -> Iterator[Candidate]:
+    total = probe_video(video).frames
+    best: Candidate | None = None
+    for index, (time_s, frame) in enumerate(decoded_frames(video)):
+        progress(index / total, "looking for sharp frames")
+        gray = _gray(frame, params.sharpness_width)
+        found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halved(gray))
+        if best is not None and int(time_s / params.candidate_s) != int(best.time_s / params.candidate_s):
+            yield best
+            best = found
+        elif best is None or found.sharpness > best.sharpness:
+            best = found
+    if best is not None:
+        yield best
+
+
+def sharpness_of(gray: NDArray[np.uint8]) -> float:
+    """Energy of the second differences of a picture (H, W) of mean brightness 1."""
+    image = gray.astype(np.float32)
+    second = np.square(np.diff(image, 2, axis=0)).mean() + np.square(np.diff(image, 2, axis=1)).mean()
+    return float(second / max(float(image.mean()) ** 2, 1.0))
+
+
+def _gray(frame: VideoFrame, width: int) -> NDArray[np.uint8]:
+    width = min(width, frame.width)
+    height = round(frame.height * width / frame.width / 2) * 2
+    small = frame.reformat(width=width, height=height, format="gray8", interpolation="AREA", threads=1)
+    return np.asarray(small.to_ndarray(), np.uint8)
+
+
+def _halved(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return pyramid(gray).levels[1].round().astype(np.uint8)
+
+
+def _rgb(frame: VideoFrame) -> NDArray[np.uint8]:
+    return np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
+
+
+def _paths(folder: Path, indices: list[int]) -> dict[str, Path]:
+    return {frame_name(index): folder / FRAMES_FOLDER / frame_name(index) for index in indices}

@@ -1,0 +1,106 @@
+"""Fixed cameras come back from disk as they were settled, and damaged files are named."""
+
+import json
+
+import numpy as np
+import pytest
+
+from aomgen.alignment.bundle_adjustment import drifts
+from aomgen.alignment.bundle_equations import JointParams
+from aomgen.alignment.calibrated_cameras import (
+    CAMERAS_FILE,
+    SettledCamera,
+    load_settled_cameras,
+    save_settled_cameras,
+)
+from aomgen.alignment.scan_information import structure_rows
+from aomgen.alignment.silhouette_fit import moved_similarity
+from aomgen.core.camera import Camera, camera_in_world, look_at
+from aomgen.core.clock import Clock
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
+from aomgen.errors import MalformedFileError, MissingFileError, SyncError
+
+CAMERA = Camera(
+    fx=300.0, fy=310.0, cx=160.0, cy=121.0, width=320, height=240,
+    T_world_cam=look_at([-1.5, -1.0, 0.9], [0.0, 0.0, 0.3]),
+)  # fmt: skip
+CLOCK = Clock(offset_s=0.7, sd_s=0.002, rate=0.01, rate_sd=0.001, middle_s=4.0)
+
+
+def test_cameras_come_back_as_they_were(tmp_path) -> None:
+    good = SettledCamera(camera=CAMERA, clock=CLOCK, note="refined", figures={"moved_mm": 1.5})
+    refused = SettledCamera(camera=CAMERA, clock=None, refusal=("clock", "drifts", "export"), trusted=False)
+    save_settled_cameras({"front": good, "side": refused}, tmp_path)
+    back = load_settled_cameras(tmp_path)
+    assert list(back) == ["front", "side"]
+    assert back["front"].camera.T_world_cam == pytest.approx(CAMERA.T_world_cam)
+    assert (back["front"].clock, back["front"].figures) == (CLOCK, {"moved_mm": 1.5})
+    assert back["front"].warnings("front") == []
+    with pytest.raises(SyncError, match="drifts"):
+        back["side"].settled_clock()
+    assert len(back["side"].warnings("side")) == 2
+
+
+def test_a_folder_without_cameras_is_named(tmp_path) -> None:
+    with pytest.raises(MissingFileError):
+        load_settled_cameras(tmp_path)
+
+
+@pytest.mark.parametrize("change", ["no cameras", "no clock", "crooked pose", "list", "not JSON"])
+def test_a_damaged_file_is_malformed(tmp_path, change: str) -> None:
+    save_settled_cameras({"front": SettledCamera(camera=CAMERA, clock=CLOCK)}, tmp_path)
+    path = tmp_path / CAMERAS_FILE
+    stored = json.loads(path.read_text())
+    if change == "no cameras":
+        del stored["cameras"]
+    elif change == "no clock":
+        del stored["cameras"]["front"]["clock"]
+    elif change == "crooked pose":
+        stored["cameras"]["front"]["camera"]["T_world_cam"] = [[1.0, 2.0]]
+    elif change == "list":
+        stored["cameras"] = [1, 2]
+    path.write_text("{" if change == "not JSON" else json.dumps(stored))
+    with pytest.raises(MalformedFileError):
+        load_settled_cameras(tmp_path)
+
+
+def test_a_clock_tells_log_times_about_its_middle() -> None:
+    assert CLOCK.log_times([4.0]) == pytest.approx([4.7])
+    assert np.diff(CLOCK.log_times([0.0, 8.0])) == pytest.approx([8.08])
+
+
+def test_structure_rows_match_finite_differences() -> None:
+    rng = np.random.default_rng(1)
+    S = similarity(0.4, matrix_from_rotvec([0.3, -0.8, 1.9]), [0.2, -0.1, 0.5])
+    points_recon = apply(np.linalg.inv(S), rng.uniform([-0.4, -0.4, 0.0], [0.4, 0.4, 0.6], (30, 3)))
+    camera_recon = camera_in_world(np.array(np.linalg.inv(S), np.float64), CAMERA)
+    pivot = np.array([0.1, -0.1, 0.3])
+    J, r = structure_rows(CAMERA, camera_recon, points_recon, S, pivot)
+    assert r == pytest.approx(0, abs=1e-6)
+    for column in range(13):
+        step = np.zeros(13)
+        step[column] = 1e-6
+        R = matrix_from_rotvec(step[:3])
+        D = transform(R, pivot + step[3:6] - R @ pivot)
+        moved = CAMERA.moved(invert(D) @ CAMERA.T_world_cam)
+        shifted = structure_rows(
+            moved, camera_recon, points_recon, moved_similarity(S, step[6:], pivot), pivot
+        )[1]
+        assert (shifted - r) / 1e-6 == pytest.approx(-J[:, column], rel=1e-3, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("rate", "rate_sd", "seconds", "drifting"),
+    [
+        (0.02, 0.001, 8.0, True),
+        (-0.02, 0.001, 8.0, True),
+        # Half a step between drifts tried is no knowledge.
+        (0.0114, 0.0057, 8.7, False),
+        # Too little to shift the ends of the film.
+        (0.004, 0.0001, 8.0, False),
+        (0.0, 0.0, 8.0, False),
+    ],
+)
+def test_a_drift_counts_when_it_matters_and_is_known(rate, rate_sd, seconds, drifting) -> None:
+    clock = Clock(offset_s=0.2, sd_s=0.001, rate=rate, rate_sd=rate_sd)
+    assert drifts(clock, seconds, JointParams()) is drifting

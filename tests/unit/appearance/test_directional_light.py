@@ -1,0 +1,194 @@
+"""The lamp that throws the robot's shadow: found, taken off the table, cast anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_closing
+from scipy.spatial import cKDTree
+
+from aomgen.appearance.directional_light import EDGE_M, closed_at, found_lamp, without_shadow
+from aomgen.appearance.refine import sharpened
+from aomgen.appearance.surfel_observations import Film
+from aomgen.core.gaussians import SH_C0
+from aomgen.errors import MalformedFileError
+from aomgen.io.atomic import write_json
+from aomgen.io.jsonfile import read_json
+from aomgen.twin.lamp import Lamp, shadowed, unshaded
+from aomgen.twin.store import load_twin, save_twin
+from aomgen.twin.twin import posed, render_state, shadow_roles
+
+SHADE = np.array([0.6, 0.58, 0.55])
+PLANE = np.eye(4)
+
+
+def lamp_from(x: float, y: float) -> Lamp:
+    direction = np.array([x, y, 1.0])
+    return Lamp(direction=direction / np.linalg.norm(direction), T_world_plane=PLANE, shade=SHADE)
+
+
+def film_of(scene, lamp, rng, count=12) -> Film:
+    """The arm sweeps over the table; pictures have noise."""
+    rest = scene.twin.scan_state
+    states, images = [], []
+    for share in np.linspace(-1, 1, count):
+        joints = rest.joints + share * np.array([0.5, 0.3, -0.3, 0, 0.2, 0])
+        state = replace(rest, joints=joints)
+        rgb = render_state(replace(scene.twin, lamp=lamp), scene.robot, state, scene.camera).rgb
+        images.append(np.clip(np.rint(rgb * 255 + rng.normal(0, 2, rgb.shape)), 0, 255).astype(np.uint8))
+        states.append(state)
+    return Film(camera=scene.camera, images_srgb=tuple(images), states=tuple(states))
+
+
+@pytest.mark.parametrize(("lean", "exposure"), [((0.2, -0.3), (1.0, 1.0)), ((-0.5, 0.1), (0.8, 1.1))])
+def test_a_lamp_is_found_by_the_shadow_it_throws(toy_scene, lean, exposure):
+    true = lamp_from(*lean)
+    film = film_of(toy_scene, true, np.random.default_rng(0))
+    # Exposure that drifts does not matter.
+    gains = np.linspace(exposure[0], exposure[1], len(film.states))
+    images = tuple(
+        np.clip(gain * image, 0, 255).astype(np.uint8)
+        for gain, image in zip(gains, film.images_srgb, strict=True)
+    )
+    found = found_lamp(toy_scene.twin, toy_scene.robot, replace(film, images_srgb=images), PLANE)
+    assert found is not None
+    assert np.degrees(np.arccos(min(found.direction @ true.direction, 1.0))) < 2.0
+    np.testing.assert_allclose(found.shade, SHADE, atol=0.04)
+
+
+def test_without_a_shadow_there_is_no_lamp(toy_scene):
+    rng = np.random.default_rng(0)
+    film = film_of(toy_scene, None, rng, count=8)
+    assert found_lamp(toy_scene.twin, toy_scene.robot, film, PLANE) is None
+    # Neither when the table changes for another reason.
+    patches = [
+        np.clip(np.kron(rng.uniform(0.5, 1, (12, 16, 1)), np.ones((10, 10, 1))) * image, 0, 255)
+        for image in film.images_srgb
+    ]
+    flicker = replace(film, images_srgb=tuple(patch.astype(np.uint8) for patch in patches))
+    assert found_lamp(toy_scene.twin, toy_scene.robot, flicker, PLANE) is None
+
+
+def test_a_surface_that_is_not_seen_gives_no_lamp(toy_scene):
+    film = film_of(toy_scene, lamp_from(0.2, -0.3), np.random.default_rng(0))
+    above = np.eye(4)
+    above[2, 3] = 3.0
+    assert found_lamp(toy_scene.twin, toy_scene.robot, film, above) is None
+
+
+def baked(scene, lamp):
+    """The scene as a scan under the lamp gives it, and how much of each Gaussian is in shadow."""
+    twin = scene.twin
+    world = posed(twin, scene.robot, twin.scan_state)
+    roles = shadow_roles(twin, scene.robot)
+    flat = (twin.bodies == 0) & (np.abs(world.means[:, 2]) < 0.005)
+    dark = flat * shadowed(world, roles, lamp.direction, world.means)
+    sh = np.array(twin.gaussians.sh)
+    colors = 0.5 + SH_C0 * sh[:, 0]
+    factor = 1 - dark[:, None] * (1 - lamp.shade)
+    sh *= factor[:, None]
+    sh[:, 0] = (colors * factor - 0.5) / SH_C0
+    return replace(twin, gaussians=twin.gaussians.with_sh(sh)), dark
+
+
+def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
+    lamp = lamp_from(0.2, -0.3)
+    scanned, dark = baked(toy_scene, lamp)
+    freed = without_shadow(scanned, toy_scene.robot, lamp)
+
+    def error(twin):
+        return np.abs(twin.gaussians.sh - toy_scene.twin.gaussians.sh)[dark > 0.02, 0].mean()
+
+    assert freed.lamp is lamp
+    assert (dark > 0.9).sum() > 100
+    assert error(freed) < 0.25 * error(scanned)
+    world = posed(scanned, toy_scene.robot, scanned.scan_state)
+    away = cKDTree(world.means[dark > 0]).query(world.means)[0] > 2 * EDGE_M
+    np.testing.assert_allclose(freed.gaussians.sh[away], scanned.gaussians.sh[away], atol=1e-6)
+    # Cast anew, the posture of the scan looks as it was scanned, but for blurred edges.
+    state = toy_scene.twin.scan_state
+    was, now, lit = (
+        render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb
+        for twin in (scanned, freed, toy_scene.twin)
+    )
+    assert np.abs(now - was).mean() < 0.5 * np.abs(lit - was).mean()
+
+
+def test_unshading_undoes_a_shade(toy_scene):
+    gaussians = toy_scene.gaussians
+    none = unshaded(gaussians, np.zeros(len(gaussians)), SHADE)
+    np.testing.assert_allclose(none.sh, gaussians.sh, atol=1e-6)
+    whole = unshaded(gaussians, np.ones(len(gaussians)), SHADE)
+    np.testing.assert_allclose(
+        (0.5 + SH_C0 * whole.sh[:, 0]) * SHADE, 0.5 + SH_C0 * gaussians.sh[:, 0], atol=1e-5
+    )
+
+
+def test_training_under_a_lamp_does_not_learn_its_shadow(toy_scene):
+    lamp = lamp_from(0.2, -0.3)
+    twin = replace(toy_scene.twin, lamp=lamp)
+    film = film_of(toy_scene, lamp, np.random.default_rng(0), count=1)
+    state = film.states[0]
+    lessons = [film] * 12
+    plain = sharpened(toy_scene.twin, toy_scene.robot, lessons, np.random.default_rng(0))
+    knowing = sharpened(twin, toy_scene.robot, lessons, np.random.default_rng(0))
+    lit, learned, kept = (
+        render_state(replace(t, lamp=None), toy_scene.robot, state, toy_scene.camera).rgb
+        for t in (twin, plain, knowing)
+    )
+    shadow = render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb.mean(-1) < 0.8 * lit.mean(-1)
+    assert np.abs(kept - lit)[shadow].mean() < 0.4 * np.abs(learned - lit)[shadow].mean()
+
+
+def test_the_base_throws_no_shadow_that_moves(toy_scene):
+    lamp = lamp_from(0.5, 0.0)
+    world = posed(toy_scene.twin, toy_scene.robot, toy_scene.twin.scan_state)
+    roles = shadow_roles(toy_scene.twin, toy_scene.robot)
+    base = toy_scene.twin.body(toy_scene.robot.body_names[0])
+    assert (roles[toy_scene.twin.bodies == base] == 1).all()
+    # Right under the base only the base is in the way.
+    assert shadowed(world, roles, lamp.direction, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
+
+
+def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
+    lamp = lamp_from(0.2, -0.3)
+    for twin in (toy_scene.twin, replace(toy_scene.twin, lamp=lamp)):
+        save_twin(tmp_path, twin)
+        again = load_twin(tmp_path).lamp
+        assert (again is None) == (twin.lamp is None)
+        if again is not None:
+            np.testing.assert_array_equal(again.direction, lamp.direction)
+            np.testing.assert_array_equal(again.shade, lamp.shade)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda header: header.update(format=2),
+        lambda header: header.pop("lamp"),
+        lambda header: header["lamp"].update(shade=[2.0, 0.5, 0.5]),
+        lambda header: header["lamp"].update(direction=[0.0, 0.0, 2.0]),
+        lambda header: header["lamp"].update(T_world_plane=[1.0]),
+    ],
+)
+def test_a_spoiled_lamp_is_refused(toy_scene, tmp_path, spoil):
+    save_twin(tmp_path, replace(toy_scene.twin, lamp=lamp_from(0.2, -0.3)))
+    header = read_json(tmp_path / "twin.json")
+    spoil(header)
+    write_json(tmp_path / "twin.json", header)
+    with pytest.raises(MalformedFileError, match="twin"):
+        load_twin(tmp_path)
+
+
+def test_a_lamp_needs_a_direction_and_a_shade():
+    with pytest.raises(ValueError, match="direction"):
+        Lamp(direction=np.zeros(3), T_world_plane=PLANE, shade=SHADE)
+    with pytest.raises(ValueError, match="shade"):
+        Lamp(direction=np.array([0, 0, 1.0]), T_world_plane=PLANE, shade=np.zeros(3))
+
+
+def test_gaps_are_closed_at_single_cells_as_on_the_whole_grid() -> None:
+    rng = np.random.default_rng(5)
+    grid = rng.random((40, 30)) < 0.3
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(2, 38), np.arange(2, 28), indexing="ij"))
+    assert np.array_equal(closed_at(grid, (x, y)), binary_closing(grid)[x, y])

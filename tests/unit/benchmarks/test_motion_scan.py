@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from aomgen.assets.make import make_asset
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.mesh import sample_surface
+from aomgen.core.transforms import apply
+from aomgen.robots.robot import RobotModel
+from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.pictures import Painter
+from aomgen.synthetic.setting import Setting, build_world, draw_setting
+from aomgen.synthetic.viewpoints import scan_cameras
+from benchmarks.motion_scan import SPACING_M, Surface, raw_gaussians, seen_surface
+from benchmarks.motion_upstream import Upstream
+
+
+@pytest.fixture(scope="module")
+def scanned(robot: RobotModel) -> tuple[Setting, Surface]:
+    rng = np.random.default_rng(0)
+    setting = draw_setting(make_asset("drawer", 1), rng)
+    world = build_world(robot, setting, visual=True)
+    conditions = Conditions(size=(160, 120), scan_views=6)
+    cameras = scan_cameras(setting, conditions, rng)
+    with Painter(robot, world, *conditions.size) as painter:
+        qpos = np.zeros(world.model.nq)
+        surface, images = seen_surface(painter, cameras, qpos, setting.T_world_object[:3, 3], rng)
+    assert [image.shape for image in images] == [(120, 160, 3)] * 6
+    return setting, surface
+
+
+def test_seen_points_lie_on_the_part_that_their_label_says(scanned):
+    setting, surface = scanned
+    rng = np.random.default_rng(1)
+    for label, link in ((MOVING, setting.asset.moving), (STATIC, setting.asset.static)):
+        points = surface.points[surface.labels == label]
+        assert len(points) > 200
+        true = np.concatenate(
+            [sample_surface(mesh.vertices, mesh.faces, 60_000, rng)[0] for mesh in link.meshes]
+        )
+        distances, _ = cKDTree(apply(setting.T_world_object, true)).query(points)
+        # Samples of the true surface are up to 5 mm apart; a pixel on an outline may miss by more.
+        assert np.median(distances) < 0.0025
+        assert np.percentile(distances, 95) < 0.006
+
+
+def test_nothing_hidden_is_seen(scanned):
+    setting, surface = scanned
+    # The underside stands on its feet, the tray is in the closed body.
+    height = (surface.points - setting.T_world_object[:3, 3])[:, 2]
+    front = setting.asset.moving.bounds[0][1]
+    place = apply(np.linalg.inv(setting.T_world_object), surface.points)
+    assert height[surface.labels == STATIC].min() > -0.002
+    assert np.median(place[surface.labels == MOVING, 1]) < front + 0.06
+
+
+def test_gaussians_are_as_dense_as_asked(scanned):
+    setting, surface = scanned
+    gaussians = raw_gaussians(surface, setting.T_world_object[:3, 3], Upstream(), np.random.default_rng(2))
+    assert len(gaussians) == len(surface.points)
+    walls = surface.points[surface.labels == STATIC]
+    nearest = cKDTree(walls).query(walls, k=2)[0][:, 1]
+    assert 0.3 * SPACING_M[STATIC] < np.median(nearest) < 1.5 * SPACING_M[STATIC]

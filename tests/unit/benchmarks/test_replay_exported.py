@@ -1,0 +1,164 @@
+"""Exported files alone are enough to open every kind of object again, in a scene that is not ours."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aomgen.assets.make import make_asset
+from aomgen.assets.resistance import holding_friction
+from aomgen.assets.usd_read import read_usd
+from aomgen.assets.usd_write import write_usd
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.demonstration import Demonstration, SupportPlane
+from aomgen.core.plan import FittedAsset
+from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.transforms import apply, invert
+from aomgen.datasets.features import ee_targets, feature_columns
+from aomgen.datasets.lerobot_v3 import write_lerobot_v3
+from aomgen.episodes.stage import episode_of
+from aomgen.errors import MissingFileError
+from aomgen.generalization.generate import GenerationParams, generate_episodes
+from aomgen.generalization.planning import PlanParams
+from aomgen.generalization.variations import PoseRanges
+from aomgen.io.episode_folder import commit_episode, read_episode
+from aomgen.io.video import encode_video
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot_store import save_robot
+from aomgen.synthetic.performance import Performance, perform
+from benchmarks.replay_exported import run_replay
+
+FPS = 10
+CATEGORIES = ("cabinet", "drawer", "laptop", "microwave", "toolbox")
+
+
+def demonstration(robot: RobotModel, shown: Performance) -> Demonstration:
+    """A simulated demonstration as the pipeline recovers it, without any error."""
+    simulated, joint = shown.demonstration, shown.joint
+    frames = np.searchsorted(simulated.times_s, np.arange(int(simulated.times_s[-1] * FPS)) / FPS)
+    times, thetas = simulated.times_s[frames], shown.theta[frames]
+    moving = np.flatnonzero((thetas > 0.01 * thetas.max()) & (thetas < 0.99 * thetas.max()))
+    start, end = moving[0] - 1, moving[-1] + 1
+    poses = robot.ee_poses(simulated.joints[frames])
+    held = apply(shown.setting.T_world_object, shown.setting.asset.handle_point)
+    return Demonstration(
+        times_s=times,
+        joints=simulated.joints[frames],
+        gripper=np.clip(simulated.gripper[frames], 0, 1),
+        Ts_world_ee=poses,
+        thetas=np.clip(thetas, 0, None),
+        start_s=float(times[start]),
+        end_s=float(times[end]),
+        joint=joint,
+        grasp_ee=apply(invert(poses[start]), held),
+        ee_turn_ratio=shown.manner.follow if joint.type == "revolute" else 0.0,
+    )
+
+
+def fitted_at(shown: Performance, demo: Demonstration) -> FittedAsset:
+    """The demonstrated object itself."""
+    frames = demo.contact_frames
+    thetas = np.maximum.accumulate(demo.thetas[frames])
+    return FittedAsset(
+        asset=shown.setting.asset,
+        T_world_asset=shown.setting.T_world_object,
+        contact_asset=shown.setting.asset.handle_point,
+        shares=np.linspace(0, 1, len(frames)),
+        thetas=thetas - thetas[0],
+        scale=1.0,
+        mirrored=False,
+        mode="trajectory",
+        residual_mm=0.0,
+    )
+
+
+def export(robot: RobotModel, category: str, out: Path) -> None:
+    """One verified episode of a category, in the folders of a finished run; its pictures are grey."""
+    shown = perform(robot, make_asset(category, 1), np.random.default_rng(3))
+    demo = demonstration(robot, shown)
+    fitted = fitted_at(shown, demo)
+    params = GenerationParams(
+        count=1,
+        ranges=PoseRanges(x_m=(-0.01, 0.01), y_m=(-0.01, 0.01), yaw_deg=(-3, 3)),
+        plan=PlanParams(fps=FPS),
+    )
+    support = SupportPlane(
+        height=float(shown.setting.T_world_object[2, 3]), low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2
+    )
+    made = generate_episodes([fitted], demo, robot, support, params, lambda share, text: None)
+    T_world_cam = look_at((1, 1, 1), (0, 0, 0))
+    camera = Camera(fx=60, fy=60, cx=32, cy=32, width=64, height=64, T_world_cam=T_world_cam)
+    episode = episode_of(
+        made.episodes[0],
+        0,
+        Path("../../asset.usda"),
+        robot,
+        f"open the {category}",
+        {"front": camera},
+        np.zeros(6),
+    )
+    grey = encode_video(np.full((len(episode), 64, 64, 3), 128, np.uint8), FPS)
+    folder = commit_episode(out / "09_episodes", episode, {"front": grey})
+    write_usd(fitted.asset, out / "asset.usda")
+    write_lerobot_v3([folder], out / "dataset")
+    choice = RobotChoice(
+        model=robot.name,
+        model_file=None,
+        root=out,
+        references=(),
+        base_frame="base_link",
+        joints=robot.joint_names,
+        hand=HandChoice(),
+        scan_joints=demo.joints[0],
+        scan_gripper=0.0,
+    )
+    (out / "06_twin").mkdir()
+    save_robot(out / "06_twin", choice)
+
+
+@pytest.fixture(scope="module", params=CATEGORIES)
+def out(robot: RobotModel, tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    folder = tmp_path_factory.mktemp(request.param)
+    export(robot, request.param, folder)
+    return folder
+
+
+def test_exported_actions_open_the_exported_object(out: Path) -> None:
+    ((category, figures),) = run_replay([out]).items()
+    assert (figures["episodes"], figures["opened"]) == (1, 1), category
+    assert (figures["opened_by_ee_absolute"], figures["opened_by_ee_delta"]) == (1, 1)
+    assert figures["opened_when_moved"] == 0
+    limit = {"deg": 3.0, "mm": 5.0}[figures["unit"]]
+    assert figures["theta_worst"] < limit
+    assert figures["final_error"] < limit
+
+
+def test_a_lid_falls_where_the_file_says_nothing_of_its_friction(out: Path) -> None:
+    usd, asset = out / "asset.usda", read_usd(out / "asset.usda")
+    text = usd.read_text()
+    usd.write_text(re.sub(r"(mjc:frictionloss) = [0-9.]+", r"\1 = 0.15", text))
+    ((_, figures),) = run_replay([out]).items()
+    usd.write_text(text)
+    assert figures["opened"] == (0 if holding_friction(asset) > 0 else 1)
+
+
+def test_actions_are_what_is_reached_one_frame_later(robot: RobotModel, out: Path) -> None:
+    episode = read_episode(out / "09_episodes" / "000000").episode
+    columns = feature_columns(episode)
+    arm = slice(0, len(robot.joint_names))
+    states, actions = columns["observation.state"][:, arm], columns["action"][:, arm]
+    step = np.abs(np.diff(states, axis=0)).mean()
+    assert 0.8 < np.abs(actions - states).mean() / step < 1.2
+    tracking_mm = max(run["tracking_mm"] for run in episode.verdict["dynamic"])
+    missed = np.linalg.norm(episode.Ts_world_ee_action[:-1, :3, 3] - episode.Ts_world_ee[1:, :3, 3], axis=1)
+    assert 1000 * missed.max() <= tracking_mm + 0.5
+    poses, deltas = episode.Ts_world_ee, columns["annotation.action.ee_delta"].astype(np.float32)
+    reached = ee_targets(poses, deltas.astype(np.float64))[:, :3, 3]
+    assert 1000 * np.abs(reached - columns["annotation.action.ee_absolute"][:, :3]).max() < 0.01
+
+
+def test_an_unfinished_run_is_named(tmp_path: Path) -> None:
+    (tmp_path / "06_twin").mkdir()
+    with pytest.raises(MissingFileError):
+        run_replay([tmp_path])

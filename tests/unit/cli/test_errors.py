@@ -1,0 +1,192 @@
+"""Bad input on the command line: one sentence, an exit code by family, nothing half-written."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from subprocess import CompletedProcess
+from unittest.mock import patch
+
+import pytest
+
+from aomgen import __version__
+from aomgen.assets.make import make_asset
+from aomgen.assets.usd_write import write_usd
+from aomgen.cli.app import main
+from aomgen.cli.run import find_project
+from aomgen.pipeline.project import Project, write_project
+from aomgen.pipeline.stages import PROJECT_FILE
+
+
+def started(*arguments: object, folder: Path) -> CompletedProcess:
+    """Run the command line as a user does; shows also what native libraries write."""
+    command = [sys.executable, "-c", "from aomgen.cli.app import main; main()", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+def aomgen(*arguments: object, folder: Path) -> CompletedProcess:
+    """Run the command line in this process, which has imported everything already."""
+    words = ["aomgen", *map(str, arguments)]
+    out, err, code = StringIO(), StringIO(), 0
+    with chdir(folder), redirect_stdout(out), redirect_stderr(err), patch.object(sys, "argv", words):
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+def one_sentence(result: CompletedProcess, code: int, *words: str) -> None:
+    assert result.returncode == code, result.stderr
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("error: ")
+    for word in words:
+        assert word in lines[0]
+
+
+def test_a_good_capture_is_described(sample, tmp_path):
+    result = aomgen("check", sample, folder=tmp_path)
+    assert result.returncode == 0
+    assert "64 images, 640 x 480" in result.stdout
+    assert "95 frames" in result.stdout
+
+
+def test_a_damaged_capture_starts_nothing(capture_copy, tmp_path):
+    video = capture_copy / "demo" / "front.mp4"
+    assert aomgen("init", capture_copy, folder=tmp_path).returncode == 0
+    video.write_bytes(video.read_bytes()[:100_000])
+    result = started("run", "project.toml", folder=tmp_path)
+    one_sentence(result, 3, "front.mp4", "copy or export the video again")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("call", [aomgen, started])
+def test_init_does_not_overwrite(sample, tmp_path, call: Callable[..., CompletedProcess]):
+    (tmp_path / "project.toml").write_text("")
+    one_sentence(call("init", sample, folder=tmp_path), 2, "exists already")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("format = 1\ncaptures = 'x'", ("key 'captures' is unknown", "did you mean 'capture'")),
+        ("format = ", ("not valid TOML",)),
+        ("format = 1\ncapture = 'x'\nout = 'y'\nposes = 0", ("poses", "greater than or equal to 1")),
+    ],
+)
+def test_a_wrong_project(tmp_path, text, words):
+    (tmp_path / "project.toml").write_text(text)
+    one_sentence(aomgen("run", "project.toml", folder=tmp_path), 2, *words)
+
+
+def test_an_unknown_stage_lists_the_known(sample, tmp_path):
+    aomgen("init", sample, folder=tmp_path)
+    result = aomgen("run", "project.toml", "--until", "dreaming", folder=tmp_path)
+    one_sentence(result, 2, "dreaming", "structure, gaussians")
+
+
+@pytest.fixture
+def unfinished(sample, tmp_path) -> Path:
+    """Folder of a run in which no stage has finished."""
+    out = tmp_path / "out"
+    write_project(out / PROJECT_FILE, Project(capture=sample, out=out))
+    return out
+
+
+def test_an_unfinished_run_cannot_be_drawn(unfinished):
+    one_sentence(
+        aomgen("render", unfinished, "x.png", "--camera", "side", folder=unfinished),
+        3,
+        "06_twin",
+        "finish the run first",
+    )
+    assert not (unfinished / "x.png").exists()
+
+
+@pytest.mark.parametrize("command", ["status", "report", "render"])
+def test_a_run_is_named_by_its_folder_or_its_project_file(unfinished, tmp_path, command):
+    more = ("x.png", "--camera", "side") if command == "render" else ()
+    by_folder, by_file = (
+        aomgen(command, path, *more, folder=tmp_path) for path in (unfinished, unfinished / PROJECT_FILE)
+    )
+    assert (by_folder.returncode, by_folder.stdout, by_folder.stderr) == (
+        by_file.returncode,
+        by_file.stdout,
+        by_file.stderr,
+    )
+    for path, words in ((tmp_path / "nothing", "is missing"), (tmp_path, "holds no project.toml")):
+        one_sentence(aomgen(command, path, *more, folder=tmp_path), 3, path.name, words)
+
+
+def test_a_moved_run_is_found_where_it_is(unfinished, tmp_path):
+    (unfinished / "01_structure").mkdir()
+    moved = unfinished.rename(tmp_path / "moved")
+    assert find_project(moved).out == moved
+    assert "partial  01_structure" in aomgen("status", moved, folder=tmp_path).stdout
+
+
+def test_a_project_beside_its_run_names_the_run(sample, tmp_path):
+    aomgen("init", sample, folder=tmp_path)
+    assert find_project(tmp_path).out == tmp_path / "out"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("demo", "out", "--poses", 0), "--poses"),
+        (("demo", "out", "--seed", -1), "--seed"),
+        (("assets", "make", "drawer", "a.usda", "--seed", -1), "--seed"),
+    ],
+)
+def test_numbers_out_of_range_are_told_as_such(tmp_path, words, told):
+    result = aomgen(*words, folder=tmp_path)
+    assert result.returncode == 2
+    assert f"Invalid value for '{told}'" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_do_not_go_where_a_file_is(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    one_sentence(aomgen("demo", "out", folder=tmp_path), 2, "is a file")
+
+
+def test_what_may_not_be_read_is_named(tmp_path):
+    refusal = PermissionError(13, "Permission denied", "scan/0001.jpg")
+    with patch("aomgen.cli.app.find_project", side_effect=refusal):
+        one_sentence(aomgen("status", "out", folder=tmp_path), 3, "scan/0001.jpg: Permission denied")
+
+
+def test_every_command_has_help_and_the_program_its_version(tmp_path):
+    assert aomgen("--version", folder=tmp_path).stdout == f"{__version__}\n"
+    for words in ((), ("render",), ("assets",), ("assets", "make"), ("bench", "accuracy")):
+        result = aomgen(*words, "-h", folder=tmp_path)
+        assert result.returncode == 0
+        assert result.stdout.startswith("Usage: ")
+
+
+def test_assets_are_made_and_checked(tmp_path):
+    assert aomgen("assets", "make", "drawer", "drawer.usda", "--seed", 3, folder=tmp_path).returncode == 0
+    result = aomgen("check", "drawer.usda", folder=tmp_path)
+    assert result.returncode == 0
+    assert "prismatic joint" in result.stdout
+    one_sentence(aomgen("assets", "make", "spaceship", "a.usda", folder=tmp_path), 2, "spaceship", "drawer")
+
+
+def test_an_asset_without_a_joint(tmp_path):
+    path = tmp_path / "box.usda"
+    write_usd(make_asset("microwave", 1), path)
+    from pxr import Usd, UsdPhysics
+
+    stage = Usd.Stage.Open(str(path))
+    for prim in list(stage.Traverse()):
+        if prim.IsA(UsdPhysics.Joint):
+            stage.RemovePrim(prim.GetPath())
+    stage.Save()
+    one_sentence(started("check", "box.usda", folder=tmp_path), 3, "box.usda", "joint")
+
+
+def test_no_ground_truth_no_score(sample, tmp_path):
+    one_sentence(aomgen("bench", "accuracy", sample, folder=tmp_path), 3, "cannot be scored")

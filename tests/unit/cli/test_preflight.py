@@ -1,0 +1,158 @@
+"""`check`, `init` and `run` look at the same things before work starts, and look once."""
+
+import sys
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from io import StringIO
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+from aomgen.cli.app import main
+from aomgen.errors import BackendError, ConfigError, MalformedFileError, StorageError
+from aomgen.pipeline import preflight
+from aomgen.pipeline.project import Project
+from aomgen.pipeline.stages import run_pipeline
+from broken_captures import CAPTURES, write_tight_usd
+
+
+@pytest.fixture(autouse=True)
+def complete_machine(monkeypatch) -> None:
+    """Tests of captures do not depend on what this machine has."""
+    monkeypatch.setattr(preflight, "require_environment", lambda *_, **__: None)
+
+
+def project_of(capture: Path, out: Path, **choices) -> Project:
+    return Project(capture=capture, out=out, assets=("microwave:1",), **choices)
+
+
+class Heard:
+    """A display that keeps warnings."""
+
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+
+    def __enter__(self) -> "Heard":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def warn(self, stage, sentence: str) -> None:
+        self.warnings.append(sentence)
+
+
+@pytest.fixture
+def no_work(monkeypatch) -> list[str]:
+    """Stages are not run; what would have been started is listed."""
+    started: list[str] = []
+
+    def run_stages(project, stages, display, **_):
+        started.append("stages")
+        return []
+
+    monkeypatch.setattr("aomgen.pipeline.stages.run_stages", run_stages)
+    return started
+
+
+def test_a_run_tells_the_warnings_every_time_and_checks_once(small_copy, tmp_path, monkeypatch, no_work):
+    CAPTURES["log with 15 Hz"].damage(small_copy)
+    project, first, second = project_of(small_copy, tmp_path / "out"), Heard(), Heard()
+    run_pipeline(project, first)
+    monkeypatch.setattr(preflight, "check_capture", None)
+    run_pipeline(project, second)
+    assert "14 rows a second" in first.warnings[0]
+    assert first.warnings == second.warnings
+    assert no_work == ["stages", "stages"]
+
+
+def test_a_change_is_checked_again(small_copy, tmp_path, no_work):
+    project = project_of(small_copy, tmp_path / "out")
+    run_pipeline(project, Heard())
+    CAPTURES["truncated image"].damage(small_copy)
+    with pytest.raises(MalformedFileError):
+        run_pipeline(project, Heard())
+    assert no_work == ["stages"]
+
+
+def test_somebody_s_dataset_is_not_replaced(small_capture, tmp_path, no_work):
+    (tmp_path / "dataset").mkdir()
+    project = project_of(small_capture, tmp_path)
+    run_pipeline(project, Heard())
+    (tmp_path / "dataset" / "years_of_work.h5").write_text("")
+    with pytest.raises(StorageError, match="dataset: was not made by a run"):
+        run_pipeline(project, Heard())
+    assert no_work == ["stages"]
+
+
+def test_the_machine_is_asked_about_stages_that_are_not_done(small_capture, tmp_path, monkeypatch, no_work):
+    asked: list[list[str]] = []
+    monkeypatch.setattr(preflight, "require_environment", lambda stages, *_, **__: asked.append(list(stages)))
+    monkeypatch.setattr(
+        preflight, "stage_states", lambda project, stages: [(stage, "done") for stage in stages]
+    )
+    project = project_of(small_capture, tmp_path / "out")
+    run_pipeline(project, Heard(), until="gaussians")
+    run_pipeline(project, Heard(), until="gaussians")
+    assert asked == [["structure", "gaussians"]]
+    with pytest.raises(ConfigError, match="did you mean 'gaussians'"):
+        run_pipeline(project, Heard(), until="gaussian")
+
+
+def aomgen(*arguments: object) -> tuple[str, str]:
+    out, err = StringIO(), StringIO()
+    words = ["aomgen", *map(str, arguments)]
+    with (
+        redirect_stdout(out),
+        redirect_stderr(err),
+        patch.object(sys, "argv", words),
+        suppress(SystemExit),
+    ):
+        main()
+    return out.getvalue(), err.getvalue()
+
+
+@pytest.mark.parametrize("name", ["truncated image", "all images blurred", "log in milliseconds"])
+def test_every_command_refuses_alike(small_copy, tmp_path, monkeypatch, no_work, name):
+    monkeypatch.chdir(tmp_path)
+    aomgen("init", "capture")
+    assert Path("project.toml").is_file()
+    CAPTURES[name].damage(small_copy)
+    errors = {
+        aomgen(*words)[1]
+        for words in (
+            ("check", "capture"),
+            ("check", "project.toml"),
+            ("init", "capture", "--project", "other.toml"),
+            ("run", "project.toml"),
+        )
+    }
+    assert not Path("other.toml").exists()
+    assert not Path("out").exists()
+    assert no_work == []
+    assert len({error.replace(f"{tmp_path}/", "") for error in errors}) == 1
+    assert all(word in errors.pop() for word in CAPTURES[name].words[:1])
+
+
+def test_check_and_init_tell_warnings(small_copy, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    CAPTURES["log with 15 Hz"].damage(small_copy)
+
+    def lacking(*_, **__):
+        raise BackendError("torch", "is not installed", "pip install torch")
+
+    monkeypatch.setattr(preflight, "require_environment", lacking)
+    for words in (("check", "capture"), ("init", "capture"), ("check", "project.toml")):
+        shown = aomgen(*words)[0]
+        assert "warning: " in shown
+        assert "14 rows a second" in shown
+        assert "a run on this machine would stop: torch: is not installed" in shown
+
+
+def test_check_of_a_capture_tells_of_its_category(small_copy):
+    CAPTURES["unknown category"].damage(small_copy)
+    assert "did you mean 'toolbox'?" in aomgen("check", small_copy)[0]
+
+
+def test_check_refuses_a_usd_that_a_run_would_refuse(tmp_path):
+    write_tight_usd(tmp_path / "tight.usda")
+    assert "opens by 0.1 only" in aomgen("check", tmp_path / "tight.usda")[1]

@@ -1,0 +1,291 @@
+"""Parts of a small scene with known labels, robot binding, segmenters and their weights."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import Gaussians, gaussians_of
+from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.progress import silent
+from aomgen.core.recording import Prompt
+from aomgen.core.transforms import apply
+from aomgen.errors import BackendError, MalformedFileError, ReconstructionError, WrongPromptError
+from aomgen.io.images import read_labels, write_image
+from aomgen.parts.cutting import no_cut
+from aomgen.parts.label import (
+    Parts,
+    PromptedScan,
+    cut_scan,
+    find_parts,
+    part_evidence,
+    prompted_scan,
+)
+from aomgen.parts.robot_links import nearest_links
+from aomgen.parts.scan_views import ScanView
+from aomgen.parts.stage import load_parts, save_parts
+from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.silhouette import SilhouetteRenderer
+from aomgen.segmentation.interface import clean
+from aomgen.segmentation.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter
+from aomgen.segmentation.weights import find_weights
+from aomgen.splatting.rasterizer import render
+
+JOINTS = np.array([0.3, -1.6, 1.9, -0.4, 1.2, 0.1])
+
+
+@pytest.fixture(scope="module")
+def posture(robot: RobotModel) -> RobotPosture:
+    return RobotPosture(robot=robot, joints=JOINTS, gripper=0.0)
+
+
+def robot_points(
+    posture: RobotPosture, rng: np.random.Generator, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    poses = posture.robot.link_poses(JOINTS[None], 0.0)[0]
+    points, owners = [], []
+    areas = np.array([face_normals_areas(m.vertices_body, m.faces)[1].sum() for m in posture.robot.meshes])
+    for mesh, share in zip(posture.robot.meshes, areas / areas.sum(), strict=True):
+        chosen, _, _ = sample_surface(mesh.vertices_body, mesh.faces, int(count * share) + 1, rng)
+        points.append(apply(poses[mesh.body], chosen))
+        owners.append(np.full(len(chosen), mesh.body))
+    return np.concatenate(points), np.concatenate(owners)
+
+
+def test_points_near_a_link_are_bound_to_it(posture):
+    rng = np.random.default_rng(0)
+    points, owners = robot_points(posture, rng, 2000)
+    bodies, distances = nearest_links(points + rng.normal(0, 0.001, points.shape), posture, rng)
+    assert np.mean(bodies == owners) > 0.9
+    assert np.quantile(distances, 0.95) < 0.006
+
+
+def test_points_away_from_the_robot_are_bound_to_nothing(posture):
+    points, _ = robot_points(posture, np.random.default_rng(1), 500)
+    bodies, distances = nearest_links(points + [0, 0, 5.0], posture, np.random.default_rng(1))
+    assert np.all(bodies == -1)
+    assert np.all(np.isinf(distances))
+
+
+def grid_box(low: list[float], high: list[float], step: float) -> np.ndarray:
+    axes = [np.arange(a, b + 1e-9, step) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    faces = np.any((np.abs(points - low) < 1e-9) | (np.abs(points - high) < step / 2), 1)
+    return points[faces]
+
+
+def toy_scene(posture: RobotPosture) -> tuple[Gaussians, np.ndarray]:
+    """A box with a colored door on a table, beside the robot, as round Gaussians."""
+    rng = np.random.default_rng(2)
+    body = grid_box([0.5, 0.6, 0.0], [0.8, 0.9, 0.25], 0.012)
+    door = grid_box([0.5, 0.57, 0.0], [0.8, 0.588, 0.25], 0.009)
+    table = grid_box([0.2, 0.3, -0.02], [1.1, 1.2, -0.02], 0.02)
+    robot, _ = robot_points(posture, rng, 14000)
+    sets = [(body, STATIC, 0.4), (door, MOVING, 0.8), (table, BACKGROUND, 0.1), (robot, ROBOT, 0.6)]
+    means = np.concatenate([points for points, _, _ in sets])
+    labels = np.concatenate([np.full(len(points), value) for points, value, _ in sets])
+    colors = np.concatenate([np.full((len(points), 1, 3), gray) for points, _, gray in sets])
+    count = len(means)
+    return Gaussians(
+        means=means, quats=np.tile([1.0, 0, 0, 0], (count, 1)), scales=np.full((count, 3), 0.007),
+        opacities=np.full(count, 0.9), sh=((colors - 0.5) / 0.2820948).astype(np.float32),
+    ), labels  # fmt: skip
+
+
+def toy_views(gaussians: Gaussians, labels: np.ndarray, posture: RobotPosture, folder) -> list[ScanView]:
+    """Views with exact label images on disk."""
+    views = []
+    with SilhouetteRenderer(posture.robot, max_width=320, max_height=240) as renderer:
+        for index, angle in enumerate(np.linspace(-2.6, 0.2, 8)):
+            eye = [0.65 + 1.5 * np.cos(angle), 0.7 + 1.5 * np.sin(angle), 0.9]
+            camera = Camera(
+                fx=280.0, fy=280.0, cx=160.0, cy=120.0, width=320, height=240,
+                T_world_cam=look_at(eye, [0.6, 0.7, 0.1]),
+            )  # fmt: skip
+            rendering = render(gaussians, camera, with_ids=True)
+            seen = np.where(rendering.alpha > 0.5, labels[rendering.max_id], 0).astype(np.uint8)
+            write_image(folder / f"{index}.png", seen)
+            bodies, _ = renderer.draw(camera, JOINTS, 0.0)
+            image = (rendering.rgb * 255).astype(np.uint8)
+            views.append(ScanView(name=f"{index}.jpg", camera=camera, image_srgb=image, robot=bodies >= 0))
+    return views
+
+
+def prompt(part: str, image: str) -> Prompt:
+    return Prompt(part=part, image=image, points=np.zeros((0, 3)), box=np.array([10.0, 10, 300, 230]))
+
+
+def tight_prompt(part: str, index: int, folder) -> Prompt:
+    mask = read_labels(folder / f"{index}.png") == {"static": STATIC, "moving": MOVING}[part]
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    box = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+    return Prompt(part=part, image=f"{index}.jpg", points=np.zeros((0, 3)), box=box)
+
+
+def labelled(scan: PromptedScan) -> Parts:
+    return find_parts(scan, part_evidence(scan))
+
+
+def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
+    gaussians, labels = toy_scene(posture)
+    views = toy_views(gaussians, labels, posture, tmp_path)
+    prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
+    segmenter = MasksOnDisk(folders={"hand": tmp_path})
+    parts = labelled(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
+    votes = np.zeros(len(gaussians))
+    for view in views:
+        ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
+        votes[ids[ids >= 0]] = 1
+    seen = votes > 0
+    for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
+        assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
+    assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
+    save_parts(parts, tmp_path)
+    stored = load_parts(tmp_path)
+    assert np.array_equal(stored.labels, parts.labels)
+    assert (stored.method, stored.box_misfit) == (parts.method, parts.box_misfit)
+
+
+def test_cut_parts_are_stored_with_their_pieces(posture, tmp_path):
+    gaussians, labels = toy_scene(posture)
+    views = toy_views(gaussians, labels, posture, tmp_path)
+    prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
+    scan = prompted_scan(gaussians, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), posture, silent)
+    parts = find_parts(*cut_scan(scan, part_evidence(scan), None))
+    assert len(parts.cut.sources) > 0
+    assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
+    save_parts(parts, tmp_path)
+    stored = load_parts(tmp_path).cut
+    assert np.array_equal(stored.sources, parts.cut.sources)
+    assert np.array_equal(stored.pieces.means, parts.cut.pieces.means)
+
+
+def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
+    gaussians, labels = toy_scene(posture)
+    views = toy_views(gaussians, labels, posture, tmp_path)
+    prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
+    segmenter = MasksOnDisk(folders={"hand": tmp_path})
+    parts = labelled(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
+    assert parts.method == "boxes"
+    assert parts.box_misfit < 0.1
+    drawn = render(gaussians, views[3].camera, with_ids=True)
+    ids = np.unique(np.asarray(drawn.max_id)[drawn.alpha > 0.5])
+    for value, least in ((STATIC, 0.95), (MOVING, 0.95)):
+        agreeing = (
+            np.isin(ids, np.flatnonzero(labels == value)),
+            np.isin(ids, np.flatnonzero(parts.labels == value)),
+        )
+        assert (agreeing[0] & agreeing[1]).sum() / (agreeing[0] | agreeing[1]).sum() > least, value
+
+
+def test_parts_of_different_objects_are_refused(posture, tmp_path):
+    """The static prompts show a crate half a metre from the door."""
+    gaussians, labels = toy_scene(posture)
+    crate = gaussians.means[labels == STATIC] + [0.55, 0.1, 0.0]
+    both = Gaussians(
+        means=np.concatenate([gaussians.means, crate]),
+        quats=np.concatenate([gaussians.quats, gaussians.quats[: len(crate)]]),
+        scales=np.concatenate([gaussians.scales, gaussians.scales[: len(crate)]]),
+        opacities=np.concatenate([gaussians.opacities, gaussians.opacities[: len(crate)]]),
+        sh=np.concatenate([gaussians.sh, np.full((len(crate), *gaussians.sh.shape[1:]), 0.5, np.float32)]),
+    )
+    wrong = np.concatenate([np.where(labels == STATIC, BACKGROUND, labels), np.full(len(crate), STATIC)])
+    views = toy_views(both, wrong, posture, tmp_path)
+    shown = [k for k in range(8) if (read_labels(tmp_path / f"{k}.png") == STATIC).sum() > 500][:2]
+    prompts = tuple(tight_prompt("static", k, tmp_path) for k in shown)
+    prompts += tuple(tight_prompt("moving", k, tmp_path) for k in (2, 4))
+    segmenter = MasksOnDisk(folders={"hand": tmp_path})
+    with pytest.raises(WrongPromptError, match=r"away from the moving part.*another object.*around the body"):
+        labelled(prompted_scan(both, views, prompts, segmenter, posture, silent))
+
+
+def nothing_found() -> Parts:
+    nothing = gaussians_of(
+        means=np.zeros((0, 3)), quats=np.zeros((0, 4)), scales=np.zeros((0, 3)), opacities=[], sh=np.zeros((0, 1, 3))
+    )  # fmt: skip
+    return Parts(
+        labels=np.zeros(0, np.uint8), confidence=np.zeros(0, np.float32), robot_bodies=np.zeros(0, np.int32),
+        cut=no_cut(nothing), method="boxes", box_misfit=0.1, static_agreement=0.9, moving_agreement=0.9,
+    )  # fmt: skip
+
+
+def test_parts_that_miss_their_boxes_are_warned_about():
+    found = replace(nothing_found(), box_misfit=0.4)
+    assert found.warnings() == [
+        "the parts found end 10 % of a box away from the prompts' boxes, want 5 %; draw boxes that touch each "
+        "part on all four sides"
+    ]
+    assert replace(found, box_misfit=0.1).warnings() == []
+
+
+def test_doubtful_labels_are_warned_about():
+    found = replace(nothing_found(), moving_agreement=0.55)
+    (sentence,) = found.warnings()
+    assert (
+        "labels of the moving part are doubtful: they overlap with its masks by 55 %, want 60 %" in sentence
+    )
+
+
+def test_a_part_without_a_prompt_is_refused(posture, tmp_path):
+    gaussians, labels = toy_scene(posture)
+    views = toy_views(gaussians, labels, posture, tmp_path)[:3]
+    segmenter = MasksOnDisk(folders={"hand": tmp_path})
+    with pytest.raises(ReconstructionError, match="no box prompts the moving part"):
+        prompted_scan(gaussians, views, (prompt("static", "2.jpg"),), segmenter, posture, silent)
+
+
+def test_stored_parts_that_are_damaged_are_refused(tmp_path):
+    (tmp_path / "parts.npz").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(MalformedFileError, match=r"parts\.npz"):
+        load_parts(tmp_path)
+
+
+def test_color_cut_finds_a_colored_rectangle():
+    image = np.full((120, 160, 3), 60, np.uint8)
+    image[40:80, 50:110] = (200, 40, 40)
+    mask = ColorCut().prepare("a.jpg", image).mask("static", [45, 35, 115, 85], np.zeros((0, 3)))
+    want = np.zeros((120, 160), bool)
+    want[40:80, 50:110] = True
+    assert (mask & want).sum() / (mask | want).sum() > 0.95
+
+
+def test_clean_keeps_the_largest_piece_and_fills_its_holes():
+    mask = np.zeros((60, 60), bool)
+    mask[10:40, 10:40] = True
+    mask[20:26, 20:26] = False
+    mask[50:54, 50:54] = True
+    tidy = clean(mask)
+    assert tidy[22, 22]
+    assert not tidy[52, 52]
+
+
+def test_label_images_of_another_size_are_refused(tmp_path):
+    write_image(tmp_path / "a.png", np.zeros((10, 10), np.uint8))
+    with pytest.raises(MalformedFileError, match="10"):
+        MasksOnDisk(folders={"hand": tmp_path}).prepare("a.jpg", np.zeros((20, 20, 3), np.uint8))
+
+
+def test_missing_or_foreign_weights_name_the_command(tmp_path, monkeypatch):
+    monkeypatch.setenv("AOMGEN_WEIGHTS", str(tmp_path))
+    with pytest.raises(BackendError, match=r"python -m aomgen\.segmentation\.weights"):
+        choose_segmenter({})
+    for name in ("encoder.onnx", "sam.onnx"):
+        (tmp_path / name).write_bytes(b"something else")
+    with pytest.raises(BackendError, match="not the published file"):
+        find_weights()
+
+
+def test_mobile_sam_masks_a_disc_from_a_box():
+    try:
+        find_weights()
+    except BackendError as error:
+        pytest.skip(str(error))
+    v, u = np.mgrid[:180, :240]
+    disc = (u - 130) ** 2 + (v - 90) ** 2 < 40**2
+    image = np.where(disc[..., None], [200, 90, 40], [70, 110, 120]).astype(np.uint8)
+    prepared = MobileSam().prepare("disc.jpg", image)
+    mask = prepared.mask("static", [90, 50, 170, 130], np.zeros((0, 3)))
+    assert (mask & disc).sum() / (mask | disc).sum() > 0.9

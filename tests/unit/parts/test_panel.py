@@ -1,0 +1,307 @@
+"""A cabinet with a door, looked at by exact cameras: its panel is hidden and asked back."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.gaussians import gaussians_of
+from aomgen.core.transforms import apply, invert, transform
+from aomgen.errors import ReconstructionError
+from aomgen.parts.panel import Panel
+from aomgen.parts.panel_fit import Shapes, fit_panel
+from aomgen.parts.panel_plane import panel_frame
+from aomgen.parts.panel_views import PromptedView, box_misfit, iou
+from aomgen.parts.tracked_points import TrackedPoints
+
+# Cabinet frame: x along the front, y into the room, z up; the front is at y = 0, the body behind it.
+BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.3]])
+DOOR = np.array([[0.03, -0.02, 0.04], [0.36, 0.0, 0.27]])
+HANDLE = np.array([[0.31, -0.05, 0.1], [0.33, -0.02, 0.2]])
+CABINET = ((BODY, STATIC), (DOOR, MOVING), (HANDLE, MOVING))
+CHEST_BODY = np.array([[0.0, 0.0, 0.0], [0.5, 0.35, 0.1]])
+# The same cabinet with its door open by a quarter turn, its handle on what was the front; a drawer pulled out
+# of another one, seen from aside as well; a box whose lid stands upright.
+OPEN_DOOR = np.array([[0.01, -0.35, 0.04], [0.03, -0.02, 0.27]])
+OPEN_HANDLE = np.array([[-0.02, -0.32, 0.1], [0.01, -0.3, 0.2]])
+OPEN_CABINET = ((BODY, STATIC), (OPEN_DOOR, MOVING), (OPEN_HANDLE, MOVING))
+DRAWER = ((BODY, STATIC), *((np.array(sides), MOVING) for sides in (
+    [[0.05, -0.22, 0.05], [0.45, -0.2, 0.25]], [[0.07, -0.2, 0.06], [0.09, 0.0, 0.18]],
+    [[0.41, -0.2, 0.06], [0.43, 0.0, 0.18]], [[0.07, -0.2, 0.06], [0.43, 0.0, 0.07]],
+)))  # fmt: skip
+UPRIGHT_LID = ((CHEST_BODY, STATIC), (np.array([[0.0, 0.32, 0.1], [0.5, 0.35, 0.45]]), MOVING))
+OPEN_EYES = ([-0.7, -0.9, 0.5], [-0.6, -1.0, 0.7], [0.9, -1.0, 0.45], [0.6, -1.2, 0.6])
+EYES = ([-0.3, -1.1, 0.5], [0.5, -1.2, 0.7], [0.9, -1.0, 0.45], [0.2, -1.2, 0.3])
+
+
+def turned(yaw: float) -> np.ndarray:
+    """A place of the cabinet in the world (4, 4)."""
+    R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
+    return transform(R, [0.7, -0.4, 0.0])
+
+
+def seen_by(
+    eye: list[float], size: float = 1.0, yaw: float = 0.0, boxes: Sequence[tuple[np.ndarray, int]] = CABINET
+) -> tuple[Camera, np.ndarray, np.ndarray]:
+    """Camera, surface points (H, W, 3) and part labels (H, W) of the object on a table."""
+    T_world_cabinet = turned(yaw)
+    place = transform(T_world_cabinet[:3, :3], size * T_world_cabinet[:3, 3])
+    T_cabinet_cam = look_at(size * np.array(eye), size * np.array([0.25, 0.1, 0.15]))
+    camera = Camera(
+        fx=230.0, fy=230.0, cx=100.0, cy=75.0, width=200, height=150, T_world_cam=place @ T_cabinet_cam
+    )
+    v, u = np.mgrid[:150, :200] + 0.5
+    rays = np.stack([(u - 100) / 230, (v - 75) / 230, np.ones_like(u)], -1) @ T_cabinet_cam[:3, :3].T
+    origin = T_cabinet_cam[:3, 3]
+    nearest, labels = (
+        -origin[2] / np.where(rays[..., 2] < 0, rays[..., 2], np.nan),
+        np.zeros((150, 200), np.uint8),
+    )
+    for box, value in boxes:
+        with np.errstate(divide="ignore"):
+            hits = (size * box[:, None, None] - origin) / rays
+        enter, leave = hits.min(0).max(-1), hits.max(0).min(-1)
+        closer = (enter < leave) & (enter > 0) & ~(enter > nearest)
+        nearest, labels = np.where(closer, enter, nearest), np.where(closer, value, labels)
+    points = origin + rays * nearest[..., None]
+    return camera, apply(place, points.reshape(-1, 3)).reshape(points.shape), labels
+
+
+def drawn_box(mask: np.ndarray) -> np.ndarray:
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+
+
+def prompted(
+    size: float = 1.0,
+    yaw: float = 0.0,
+    masks: str = "none",
+    eyes: Sequence[list[float]] = EYES,
+    boxes: Sequence[tuple[np.ndarray, int]] = CABINET,
+) -> list[PromptedView]:
+    """Two boxes of each part; masks are absent, right, or show the upper half of the door only."""
+    views = []
+    for eye, part in zip(eyes, (STATIC, MOVING, STATIC, MOVING), strict=True):
+        camera, points, labels = seen_by(eye, size, yaw, boxes)
+        mask = labels == part
+        half = mask & (np.arange(150)[:, None] < drawn_box(mask)[[1, 3]].mean())
+        answers = {"none": (), "right": (mask,), "half": (half,)}[masks]
+        views.append(
+            PromptedView(part=part, camera=camera, points_world=points, box=drawn_box(mask), masks=answers)
+        )
+    return views
+
+
+def agreement(
+    panel: Panel, size: float = 1.0, yaw: float = 0.0, boxes: Sequence[tuple[np.ndarray, int]] = CABINET
+) -> dict[int, float]:
+    """IoU of each part in a view that no prompt showed."""
+    camera, points, labels = seen_by([0.35, -1.0, 0.75], size, yaw, boxes)
+    found = panel.labels_seen(points, camera.center)
+    return {value: iou(found == value, labels == value) for value in (STATIC, MOVING)}
+
+
+@pytest.mark.parametrize("masks", ["none", "right", "half"])
+def test_the_panel_of_a_cabinet_is_found_from_boxes(masks):
+    fit = fit_panel(prompted(masks=masks), np.random.default_rng(0))
+    assert np.mean(fit.misfits) < 0.06
+    assert min(agreement(fit.panel).values()) > 0.9
+    T_panel_cabinet = invert(fit.panel.T_world_panel) @ turned(0.0)
+    corners = apply(T_panel_cabinet, DOOR)
+    low, high = np.minimum(*corners), np.maximum(*corners)
+    assert np.allclose(fit.panel.low[:2], low[:2], atol=0.01)
+    assert np.allclose(fit.panel.high[:2], high[:2], atol=0.01)
+
+
+@pytest.mark.parametrize(("size", "yaw"), [(0.1, 0.0), (1.0, 2.2), (8.0, -0.9)])
+def test_size_and_place_of_the_cabinet_do_not_matter(size, yaw):
+    fit = fit_panel(prompted(size, yaw), np.random.default_rng(0))
+    assert min(agreement(fit.panel, size, yaw).values()) > 0.9
+
+
+@pytest.mark.parametrize(
+    "eyes",
+    [
+        ([0.22, -0.73, 0.3], [1.01, -1.18, 0.5], [0.79, -1.11, 0.58], [-0.65, -0.87, 0.58]),
+        ([-0.36, -1.13, 0.36], [0.81, -1.13, 0.88], [0.43, -0.91, 0.57], [-0.14, -1.12, 0.86]),
+    ],
+)
+def test_the_seam_behind_the_panel_is_found_from_wherever_it_is_looked_at(eyes):
+    """From these places a seam at twice or five times the door's thickness explains the boxes nearly as well."""
+    fit = fit_panel(prompted(masks="right", eyes=eyes), np.random.default_rng(0))
+    assert fit.panel.low[2] == pytest.approx(DOOR[0, 1], abs=0.003)
+
+
+@pytest.mark.parametrize("boxes", [OPEN_CABINET, DRAWER, UPRIGHT_LID], ids=["door", "drawer", "lid"])
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_parts_that_were_scanned_open_have_their_own_box(boxes, yaw):
+    views = prompted(yaw=yaw, masks="right", eyes=OPEN_EYES, boxes=boxes)
+    fit = fit_panel(views, np.random.default_rng(0))
+    assert np.mean(fit.misfits) < 0.08
+    assert min(agreement(fit.panel, yaw=yaw, boxes=boxes).values()) > 0.9
+
+
+def test_the_table_before_an_open_door_stays_table():
+    panel = fit_panel(
+        prompted(masks="right", eyes=OPEN_EYES, boxes=OPEN_CABINET), np.random.default_rng(0)
+    ).panel
+    around = np.random.default_rng(0).uniform([-0.1, -0.4, -0.01], [0.3, -0.1, 0.0], (500, 3))
+    assert np.mean(panel.labels(apply(turned(0.0), around)) > 0) < 0.02
+    handle = np.random.default_rng(0).uniform(*OPEN_HANDLE, (200, 3))
+    assert np.mean(panel.labels(apply(turned(0.0), handle)) == MOVING) > 0.95
+
+
+def test_boxes_drawn_a_little_wrong_still_give_the_panel():
+    rng = np.random.default_rng(3)
+    views = []
+    for view in prompted(masks="right"):
+        box = view.box + rng.uniform(-0.03, 0.03, 4) * np.tile(view.box[2:] - view.box[:2], 2)
+        views.append(
+            PromptedView(
+                part=view.part, camera=view.camera, points_world=view.points_world, box=box, masks=view.masks
+            )
+        )
+    fit = fit_panel(views, rng)
+    assert min(agreement(fit.panel).values()) > 0.88
+
+
+def test_boxes_around_different_things_are_not_explained():
+    views = prompted()
+    moving, static = views[1], views[0]
+    table = np.array([20.0, 120.0, 60.0, 145.0])
+    for right in (moving, static):
+        wrong = PromptedView(
+            part=right.part, camera=right.camera, points_world=right.points_world, box=table, masks=()
+        )
+        others = [view for view in views if view is not right]
+        assert explained([wrong, *others]) > 0.3
+
+
+def explained(views: list[PromptedView]) -> float:
+    """Mean misfit, infinite when the boxes show no common front."""
+    try:
+        return float(np.mean(fit_panel(views, np.random.default_rng(0)).misfits))
+    except ReconstructionError:
+        return np.inf
+
+
+def test_a_box_that_shows_no_surface_is_refused():
+    views = prompted()
+    empty = np.full_like(views[1].points_world, np.nan)
+    hidden = PromptedView(part=MOVING, camera=views[1].camera, points_world=empty, box=views[1].box, masks=())
+    with pytest.raises(ReconstructionError, match="0 pixels of surface"):
+        fit_panel([views[0], hidden, views[3]], np.random.default_rng(0))
+
+
+def boxes_of(T_world_panel: np.ndarray) -> Panel:
+    """A panel of 1 m before a body that stands out to the right and above."""
+    return Panel(
+        T_world_panel=T_world_panel,
+        low=np.array([0.0, 0.0, -0.05]),
+        high=np.array([1.0, 1.0, 0.1]),
+        T_panel_body=transform(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3)),
+        body_low=np.array([-0.2, 0.0, 0.0]),
+        body_high=np.array([1.2, 0.8, 1.2]),
+    )
+
+
+def test_what_shows_through_a_front_is_the_front():
+    panel = boxes_of(np.eye(4))
+    inside = np.array([[[0.5, 0.5, -0.4]], [[1.1, 0.5, -0.4]], [[0.5, 0.5, -2.0]]])
+    assert panel.labels(inside.reshape(-1, 3)).tolist() == [STATIC, STATIC, BACKGROUND]
+    front = panel.labels_seen(inside, np.array([0.5, 0.5, 3.0]))
+    assert front.ravel().tolist() == [MOVING, STATIC, BACKGROUND]
+    behind = panel.labels_seen(inside, np.array([0.5, 0.5, -3.0]))
+    assert behind.ravel().tolist() == [STATIC, STATIC, BACKGROUND]
+    unseen = panel.labels_seen(np.full((1, 1, 3), np.nan), np.array([0.5, 0.5, 3.0]))
+    assert unseen.item() == BACKGROUND
+
+
+def test_the_body_has_some_thickness_but_not_below():
+    shapes = Shapes(T_world_panel=np.eye(4), T_panel_body=np.eye(4), size=1.0)
+    shape = np.array([0, 1, 0, 1, -0.05, 0.1, 0, 0, 0, 1, 1, 1, 0.0])
+    panel = shapes.panel(shape, 0.02)
+    assert np.allclose(panel.body_low, [-0.02, -0.02, 0])
+    assert np.allclose(panel.body_high, 1.02)
+
+
+def test_points_that_were_seen_to_move_make_the_panel_reach_them():
+    """No box shows how far the handle stands out; the gripper held its end."""
+    views = [view for view in prompted(masks="none", eyes=[[0.2, -1.5, 0.15]] * 4)]
+    rng = np.random.default_rng(0)
+    held = rng.uniform([0.1, -0.12, 0.1], [0.3, -0.02, 0.2], (300, 3))
+    stands = rng.uniform([0.4, -0.12, 0.05], [0.5, 0.3, 0.3], (300, 3))
+    points = apply(turned(0.0), np.concatenate([held, stands]))
+    tracked = TrackedPoints(points=points, moves=np.arange(600) < 300, weights=np.ones(600))
+    with_them = fit_panel(views, np.random.default_rng(0), tracked).panel
+    assert np.mean(with_them.labels(points[:300]) == MOVING) > 0.95
+    assert np.mean(with_them.labels(points[300:]) == MOVING) < 0.02
+
+
+def test_few_or_doubtful_odds_are_no_points():
+    count = 40
+    gaussians = gaussians_of(
+        means=np.zeros((count, 3)), quats=np.tile([1.0, 0, 0, 0], (count, 1)), scales=np.full((count, 3), 0.01),
+        opacities=np.ones(count), sh=np.zeros((count, 1, 3)),
+    )  # fmt: skip
+    odds = np.linspace(-2, 2, count)
+    tracked = TrackedPoints.of(gaussians, odds)
+    assert len(tracked.points) == np.sum(np.abs(odds) >= 1)
+    assert tracked.moves.tolist() == (odds[np.abs(odds) >= 1] > 0).tolist()
+    assert TrackedPoints.of(gaussians, np.zeros(count)).loss(boxes_of(np.eye(4))) == 0.0
+
+
+def test_labels_move_with_the_panel():
+    points = np.random.default_rng(5).uniform(-1, 1.5, (4000, 3))
+    there = boxes_of(np.eye(4)).labels(points)
+    assert set(there.tolist()) == {BACKGROUND, STATIC, MOVING}
+    T = turned(1.1)
+    assert np.array_equal(boxes_of(T).labels(apply(T, points)), there)
+
+
+def test_misfit_is_zero_for_a_mask_that_fills_its_box_and_grows_with_what_is_wrong():
+    box = np.array([20.0, 10.0, 80.0, 50.0])
+    mask = np.zeros((60, 100), bool)
+    assert box_misfit(mask, box) == 4.0
+    mask[10:50, 20:80] = True
+    assert box_misfit(mask, box) == 0.0
+    larger = np.kron(mask, np.ones((3, 3), bool))
+    assert box_misfit(larger, 3 * box) == 0.0
+    short = mask.copy()
+    short[:, 50:] = False
+    assert box_misfit(short, box) == pytest.approx(0.5)
+    speck = mask.copy()
+    speck[55, 5] = True
+    assert box_misfit(speck, box) < 0.01
+    elsewhere = np.roll(mask, 15, axis=1)
+    assert box_misfit(elsewhere, box) == pytest.approx(0.25 + 0.25 + 2 * 0.25)
+
+
+def flat(rng: np.random.Generator, normal: list[float], noise: float) -> np.ndarray:
+    """Points (N, 3) of a 0.4 x 0.2 rectangle at (1, 0, 1), a fifth of them strays."""
+    n = np.array(normal) / np.linalg.norm(normal)
+    across = np.cross([0.1, 0.2, 0.97], n)
+    across /= np.linalg.norm(across)
+    count = 2000
+    points = rng.uniform([-0.2, -0.1], [0.2, 0.1], (count, 2)) @ np.stack([across, np.cross(n, across)])
+    points = points + rng.normal(0, noise, (count, 1)) * n + [1.0, 0.0, 1.0]
+    strays = rng.uniform([0.8, -0.2, 0.8], [1.2, 0.2, 1.2], (count // 5, 3))
+    return np.concatenate([points, strays])
+
+
+@pytest.mark.parametrize(
+    ("normal", "want"),
+    [([-1, 0.3, 0.05], [-1, 0.3, 0]), ([-1, 0.2, 0.9], [-1, 0.2, 0.9]), ([0.02, 0.03, 1], [0, 0, 1])],
+)
+def test_fronts_face_the_camera_and_are_upright_or_level_when_they_nearly_are(normal, want):
+    rng = np.random.default_rng(7)
+    points = [flat(rng, normal, 0.002), flat(rng, normal, 0.002)]
+    T, size = panel_frame(points, np.array([[1.0, 0, 1]]) + 2 * np.array([normal]), rng)
+    assert np.degrees(np.arccos(np.clip(T[:3, 2] @ want / np.linalg.norm(want), -1, 1))) < 1.0
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+    assert 0.2 < size < 0.5
+    assert abs((T[:3, 3] - [1, 0, 1]) @ T[:3, 2]) < 0.005
+    turned_away, _ = panel_frame(points, np.array([[1.0, 0, 1]]) - 2 * np.array([normal]), rng)
+    assert turned_away[:3, 2] @ T[:3, 2] < -0.99

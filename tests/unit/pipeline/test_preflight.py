@@ -1,0 +1,152 @@
+"""Broken captures, projects and assets are named in one sentence before work starts; good ones pass in silence."""
+
+from contextlib import chdir
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from aomgen.assets.make import make_asset
+from aomgen.assets.usd_write import write_usd
+from aomgen.capture import check
+from aomgen.capture.read import read_capture
+from aomgen.errors import (
+    AssetError,
+    ConfigError,
+    LimitExceededError,
+    MissingFileError,
+    StorageError,
+)
+from aomgen.io.video import VideoInfo
+from aomgen.pipeline import environment, preflight
+from aomgen.pipeline.asset_choice import assets_digest
+from aomgen.pipeline.project import Project
+from broken_captures import CAPTURES, TOML, edit, write_tight_usd
+
+SHARED = Path(__file__).parents[4] / "shared" / "captures"
+
+
+def checked(folder: Path) -> tuple[str, ...]:
+    """What `aomgen init` does with a capture, before it writes anything."""
+    recorded = read_capture(folder)
+    return preflight.check_project(preflight.new_project(recorded, folder.parent / "out", []), recorded)
+
+
+@pytest.mark.parametrize("name", CAPTURES)
+def test_a_broken_capture(small_copy, name):
+    case = CAPTURES[name]
+    case.damage(small_copy)
+    if case.kind is None:
+        sentences = [
+            sentence for sentence in checked(small_copy) if all(word in sentence for word in case.words)
+        ]
+        assert len(sentences) == 1
+        assert "\n" not in sentences[0]
+        return
+    with pytest.raises(case.kind) as caught:
+        checked(small_copy)
+    assert "\n" not in str(caught.value)
+    for word in case.words:
+        assert word in str(caught.value)
+
+
+def test_a_video_that_does_not_fit_into_memory(small_copy, monkeypatch):
+    huge = VideoInfo(width=3840, height=2160, frames=19_000, fps=60)
+    monkeypatch.setattr(check, "probe_video", lambda path: huge)
+    monkeypatch.setattr(check.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1 << 22}.__getitem__)
+    with pytest.raises(LimitExceededError, match=r"front\.mp4: takes 946 GB decoded .* has 17 GB"):
+        checked(small_copy)
+
+
+PROJECTS = {
+    "unknown maker": (("toaster:1",), ConfigError, ("'toaster:1'", "known: cabinet")),
+    "misspelled maker": (("tool box:1",), ConfigError, ("did you mean 'toolbox'?",)),
+    "no seed": (("microwave",), ConfigError, ("neither category:seed nor a USD file", "microwave:1")),
+    "missing USD": (("gone.usda",), MissingFileError, ("gone.usda", "is missing")),
+    "USD that cannot be opened far enough": (("tight.usda",), AssetError, ("opens by 0.1 only",)),
+    "two equal assets": (("microwave:1", "microwave:1"), AssetError, ("'microwave-1'", "once")),
+    "asset that opens another way": (("drawer:1",), None, ("drawer-1 slides, a microwave turns",)),
+}
+
+
+@pytest.mark.parametrize("name", PROJECTS)
+def test_assets_that_cannot_be_used(small_capture, tmp_path, name):
+    assets, kind, words = PROJECTS[name]
+    write_tight_usd(tmp_path / "tight.usda")
+    recorded = read_capture(small_capture)
+    with chdir(tmp_path):
+        project = preflight.new_project(recorded, tmp_path / "out", assets)
+    if kind is None:
+        text = "\n".join(preflight.check_project(project, recorded))
+    else:
+        with pytest.raises(kind) as caught:
+            preflight.check_project(project, recorded)
+        text = str(caught.value)
+    assert all(word in text for word in words), text
+
+
+def project_of(capture: Path, out: Path, **choices) -> Project:
+    return Project(capture=capture, out=out, assets=("microwave:1",), **choices)
+
+
+def test_images_of_another_shape(small_capture, tmp_path):
+    stretched = project_of(small_capture, tmp_path, image_size=(256, 256))
+    (sentence,) = preflight.check_project(stretched, read_capture(small_capture))
+    assert "256 x 256 stretches" in sentence
+    assert "256 x 192 keeps" in sentence
+
+
+def test_the_paper_s_alignment_needs_two_boxes(small_copy, tmp_path):
+    edit(TOML, 'part = "robot"\nimage = "0057.jpg"', 'part = "static"\nimage = "0057.jpg"')(small_copy)
+    with pytest.raises(ConfigError, match="has 1 box around the robot"):
+        preflight.check_project(
+            project_of(small_copy, tmp_path, alignment_method="paper"), read_capture(small_copy)
+        )
+
+
+def test_out_is_a_file(small_capture, tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(StorageError, match="is a file"):
+        preflight.check_project(
+            project_of(small_capture, tmp_path / "out" / "a"), read_capture(small_capture)
+        )
+
+
+def test_a_full_disk(small_capture, tmp_path, monkeypatch):
+    monkeypatch.setattr(environment.shutil, "disk_usage", lambda path: SimpleNamespace(free=90 << 20))
+    with pytest.raises(StorageError, match="90 MB left on its disk, want at least 250"):
+        preflight.check_project(project_of(small_capture, tmp_path / "out"), read_capture(small_capture))
+
+
+def test_a_folder_that_is_not_ours(small_capture, tmp_path, monkeypatch):
+    monkeypatch.setattr(environment.os, "access", lambda path, mode: False)
+    with pytest.raises(StorageError, match="not writable"):
+        preflight.check_project(project_of(small_capture, tmp_path / "out"), read_capture(small_capture))
+
+
+@pytest.mark.parametrize("name", ["sample", "microwave-a", "drawer-b"])
+def test_good_captures_pass_in_silence(sample, tmp_path, name):
+    folder = sample if name == "sample" else SHARED / name
+    if not folder.is_dir():
+        pytest.skip("the captures with ground truth lie beside the project, not in it")
+    recorded = read_capture(folder)
+    assert preflight.check_project(preflight.new_project(recorded, tmp_path / "out", []), recorded) == ()
+
+
+def test_the_small_capture_is_good_as_well(small_capture):
+    assert checked(small_capture) == ()
+
+
+def test_raw_pictures_beside_their_copies_and_hidden_files(small_copy):
+    (small_copy / "scan" / "0003.DNG").write_bytes(b"raw")
+    (small_copy / "scan" / "._0003.jpg").write_bytes(b"what an archiver of another system leaves")
+    assert checked(small_copy) == ()
+
+
+def test_an_edited_asset_file_is_another_input(tmp_path: Path) -> None:
+    path = tmp_path / "drawer.usda"
+    write_usd(make_asset("drawer", 1), path)
+    before = assets_digest(["drawer:1", str(path)])
+    path.write_text(path.read_text().replace("handle_axis = (1", "handle_axis = (0.999"))
+    assert assets_digest(["drawer:1", str(path)]) != before
+    assert assets_digest(["drawer:2"]) == assets_digest([])

@@ -1,0 +1,46 @@
+"""Cameras of a run by their names."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aomgen.alignment.calibrated_cameras import SettledCamera
+from aomgen.core.camera import Camera
+from aomgen.errors import ConfigError
+from aomgen.pipeline import run_cameras
+from aomgen.pipeline.project import Project
+
+VIDEO = Camera(fx=600, fy=600, cx=320, cy=240, width=640, height=480, T_world_cam=np.eye(4))
+EPISODES = VIDEO.resized(320, 240)
+SCAN = replace(VIDEO, fx=500)
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
+    (tmp_path / "07_replacement").mkdir()
+    monkeypatch.setattr(run_cameras, "scan_cameras_world", lambda run: {"0001.jpg": SCAN, "0000.jpg": SCAN})
+    monkeypatch.setattr(run_cameras, "stored_cameras", lambda run: {"front": EPISODES, "side": EPISODES})
+    settled = {"front": SettledCamera(camera=VIDEO, clock=None)}
+    monkeypatch.setattr(run_cameras, "load_settled_cameras", lambda folder: settled)
+    return Project(capture=tmp_path, out=tmp_path)
+
+
+def test_cameras_of_video_episodes_and_scan_have_names(project: Project) -> None:
+    assert run_cameras.find_camera(project, "front") is VIDEO
+    assert run_cameras.find_camera(project, "side") is EPISODES
+    assert run_cameras.find_camera(project, "0001.jpg") is SCAN
+
+
+def test_an_unknown_camera_lists_the_known_ones(project: Project) -> None:
+    with pytest.raises(
+        ConfigError, match=r"'back' .*known: front, side, and scan images from 0000.jpg to 0001.jpg"
+    ):
+        run_cameras.find_camera(project, "back")
+
+
+def test_before_the_replacement_there_are_the_recording_s_cameras(project: Project) -> None:
+    (project.out / "07_replacement").rmdir()
+    with pytest.raises(ConfigError, match="known: front, and scan images"):
+        run_cameras.find_camera(project, "side")

@@ -1,0 +1,65 @@
+"""A robot kept beside results must come back the same, without the capture, or not at all."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.errors import MalformedFileError, MissingFileError, UnsafePathError
+from aomgen.robots.robot import chosen_robot
+from aomgen.robots.robot_store import save_robot, stored_robot
+
+
+@pytest.fixture
+def choice(write_urdf):
+    path = write_urdf()
+    return RobotChoice(
+        model="",
+        model_file=path,
+        root=path.parent,
+        references=(),
+        base_frame="ur_base",
+        joints=("wrist", "elbow", "shoulder"),
+        hand=HandChoice(open={"slide_a": 0.04}, closed={"slide_a": 0.01}, fingers=("finger_b", "finger_a")),
+        scan_joints=np.zeros(3),
+        scan_gripper=0.0,
+    )
+
+
+def test_a_stored_robot_needs_nothing_of_the_capture(choice, tmp_path):
+    robot = chosen_robot(choice)
+    folder = tmp_path / "twin"
+    folder.mkdir()
+    save_robot(folder, choice)
+    choice.model_file.unlink()
+    shutil.move(folder, tmp_path / "elsewhere")
+    stored = stored_robot(tmp_path / "elsewhere")
+    joints, gripper = np.array([[0.2, -0.4, 1.1]]), [0.7]
+    assert stored.joint_names == robot.joint_names
+    assert stored.ee_poses(joints) == pytest.approx(robot.ee_poses(joints), abs=1e-12)
+    assert stored.link_poses(joints, gripper) == pytest.approx(robot.link_poses(joints, gripper), abs=1e-12)
+
+
+def test_damaged_headers_are_refused(choice, tmp_path):
+    save_robot(tmp_path, choice)
+    header = tmp_path / "robot.json"
+    good = json.loads(header.read_text())
+
+    def stored(**changes):
+        header.write_text(json.dumps({**good, **changes}))
+        return stored_robot(tmp_path)
+
+    with pytest.raises(UnsafePathError):
+        stored(file="../robot.urdf")
+    with pytest.raises(MissingFileError):
+        stored(file="robot/absent.urdf")
+    with pytest.raises(MalformedFileError, match="not complete"):
+        stored(hand={"thumb": 1})
+    header.write_text("{}")
+    with pytest.raises(MalformedFileError, match="not complete"):
+        stored_robot(tmp_path)
+    header.unlink()
+    with pytest.raises(MissingFileError):
+        stored_robot(tmp_path)
