@@ -8,7 +8,7 @@ CONSTRAINTS := constraints/cpu-py311.txt
 LEROBOT_VENV := .venv-lerobot
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test check install weights native sanitize neon lerobot-test robots-test clean
+.PHONY: demo test check format scores install weights native sanitize neon lerobot-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -20,6 +20,15 @@ check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python --level error
+
+format: $(VENV)/dev.stamp
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# Every figure, hours of it, resumable: make scores CAPTURES="folder folder" SCORES=out/scores BEFORE=scores.json
+SCORES ?= out/scores
+scores: $(VENV)/dev.stamp weights
+	$(BIN)/aomgen bench scores $(SCORES) $(CAPTURES:%=--capture %) $(BEFORE:%=--against %)
 
 install: $(VENV)/demo.stamp weights
 

@@ -94,6 +94,26 @@ def bench_accuracy(
         print(f"\n{methods_table(results)}\n\n{motion_methods_table(results)}")
 
 
+@bench_app.command("scores")
+def bench_scores(
+    folder: Annotated[Path, typer.Argument(help="Runs and figures; what is there is kept.")],
+    capture: Annotated[
+        list[Path] | None, typer.Option(help="A capture with truth/; may be repeated.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="First seed of captures and worlds that are made.")] = 9000,
+    against: Annotated[Path | None, typer.Option(help="A former scores.json: print what differs.")] = None,
+) -> None:
+    """Run all benches (hours) and gather their figures in FOLDER/scores.json, to compare before and after."""
+    from aomgen.io.jsonfile import read_json
+    from benchmarks.scores import differences, run_scores
+    from benchmarks.table import as_table
+
+    before = None if against is None else read_json(against)
+    figures = run_scores(folder, capture or [], seed, print)
+    if before is not None:
+        print(as_table(differences(before, figures)))
+
+
 @bench_app.command("training")
 def bench_training(
     capture: Annotated[Path, typer.Argument(help="A capture; truth/ is not needed.")],
