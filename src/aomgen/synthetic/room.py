@@ -12,6 +12,7 @@ from aomgen.assets.textures import brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
+from aomgen.synthetic import printed_textures
 from aomgen.synthetic.tabletop_objects import Thing, draw_thing, mat_mesh, thing_meshes
 
 TABLE_GEOM = "table"

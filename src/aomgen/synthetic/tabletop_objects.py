@@ -9,6 +9,7 @@ import numpy as np
 from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, dome, merged, panel, rod
 from aomgen.assets.textures import plastic, speckled
 from aomgen.core.mesh import Mesh
+from aomgen.synthetic import printed_textures
 
 # Low and high sizes along x, y and z, [m].
 SIZES: Final = {
