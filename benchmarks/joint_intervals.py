@@ -9,9 +9,9 @@ import numpy as np
 from aomgen.core.transforms import angle_between
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
-from aomgen.motion.geometry import shape_of
-from aomgen.motion.joint import JointEstimate, estimate_joint
-from aomgen.motion.path import Hold
+from aomgen.motion.axis_prior import shape_of
+from aomgen.motion.ee_path import Hold
+from aomgen.motion.joint_estimation import JointEstimate, estimate_joint
 from benchmarks.joint_worlds import GRASP_SD_M, JointWorld, draw_world
 
 

@@ -14,7 +14,7 @@ from aomgen.core.progress import silent
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.splatting.training import TrainingParams, train
-from aomgen.synthetic.pictures import FAR_M, Painter
+from aomgen.synthetic.scene_renderer import FAR_M, Painter
 from benchmarks.motion_upstream import SolidStatistics, Upstream
 
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:

@@ -24,16 +24,16 @@ from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import Demonstration as MotionInput
 from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.splatting.rasterizer import render
+from aomgen.synthetic.capture_writer import moved_range
 from aomgen.synthetic.conditions import Conditions, draw_conditions
-from aomgen.synthetic.film import Film, best_camera, draw_take, filmed
-from aomgen.synthetic.grasp import possible_touches
-from aomgen.synthetic.manner import Manner, draw_manner
-from aomgen.synthetic.performance import Performance, perform
-from aomgen.synthetic.pictures import Painter, exposed
-from aomgen.synthetic.setting import build_world
+from aomgen.synthetic.demo_video import Film, best_camera, draw_take, filmed
+from aomgen.synthetic.demonstration_search import Performance, perform
+from aomgen.synthetic.grasp_selection import possible_touches
+from aomgen.synthetic.layout import build_world
+from aomgen.synthetic.scene_renderer import Painter, exposed
+from aomgen.synthetic.style import Manner, draw_manner
 from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 from aomgen.synthetic.world import DEFAULT_ROBOT
-from aomgen.synthetic.write import moved_range
 from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
 from benchmarks.truth import Truth, read_truth

@@ -10,9 +10,9 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array
 from aomgen.io.video import Video
-from aomgen.motion.film_fit import shifted
-from aomgen.motion.hand_answer import HandAnswer
 from aomgen.motion.inputs import Demonstration
+from aomgen.motion.kinematic_prior import HandAnswer
+from aomgen.motion.photometric_residuals import shifted
 from aomgen.splatting.rasterizer import render
 
 HINGE = Joint(type="revolute", axis=np.array([0, 0, 1.0]), origin=np.zeros(3), lower=0.0, upper=1.0)

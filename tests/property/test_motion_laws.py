@@ -29,13 +29,13 @@ from aomgen.core.values import Array
 from aomgen.io.video import Video
 from aomgen.motion.contact import ContactParams
 from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.film_fit import Band
 from aomgen.motion.inputs import Demonstration
-from aomgen.motion.joint import JointParams
-from aomgen.motion.keyframe_view import KeyframeView
+from aomgen.motion.joint_estimation import JointParams
+from aomgen.motion.joint_trajectory import first_frame, poses_at, recover, touched
+from aomgen.motion.observations import KeyframeView
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
-from aomgen.motion.recovery import first_frame, poses_at, recover, touched
+from aomgen.motion.photometric_residuals import Band
 from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.robots.robot_masks import robot_masks
 from aomgen.splatting.rasterizer import Parts

@@ -7,11 +7,11 @@ import numpy as np
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.direction import direction_of
-from aomgen.motion.drift import hand_drift
+from aomgen.motion.grasp_slip import hand_drift
 from aomgen.motion.inputs import Demonstration
-from aomgen.motion.recovery import Recovery, first_frame, poses_at
-from aomgen.motion.theta import leave_of, path_values, values_at_frames
+from aomgen.motion.joint_trajectory import Recovery, first_frame, poses_at
+from aomgen.motion.joint_value import leave_of, path_values, values_at_frames
+from aomgen.motion.opening_direction import direction_of
 
 # One of so many samples of the joint is carried to the values.
 _EVERY = 8

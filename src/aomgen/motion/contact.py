@@ -15,10 +15,10 @@ from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.grip import Patch, held_patches, unseen_patches
-from aomgen.motion.hand import EMPTY_GRIP
-from aomgen.motion.path import mean_pose
-from aomgen.motion.push import MIN_WAY_M, pushing_patches
+from aomgen.motion.ee_path import mean_pose
+from aomgen.motion.grip_contact import Patch, held_patches, unseen_patches
+from aomgen.motion.gripper_signals import EMPTY_GRIP
+from aomgen.motion.push_contact import MIN_WAY_M, pushing_patches
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import RobotModel
 

@@ -7,15 +7,15 @@ from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.errors import InputError
 from aomgen.motion.answer import assemble
-from aomgen.motion.film_answer import asked_film, hand_answer
-from aomgen.motion.film_fit import Answer as FilmAnswer
-from aomgen.motion.film_type import film_margin
 from aomgen.motion.inputs import Demonstration
-from aomgen.motion.joint import Candidates, chosen_type
-from aomgen.motion.keyframe_view import KeyframeView
+from aomgen.motion.joint_estimation import Candidates, chosen_type
+from aomgen.motion.joint_trajectory import Recovery, recover, touched
+from aomgen.motion.model_selection import film_margin
+from aomgen.motion.observations import KeyframeView
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import Witness, witness
-from aomgen.motion.recovery import Recovery, recover, touched
+from aomgen.motion.photometric_estimate import asked_film, hand_answer
+from aomgen.motion.photometric_residuals import Answer as FilmAnswer
 from aomgen.robots.robot_masks import MasksAt, robot_masks
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.core.values import Array, freeze
-from aomgen.motion.path import HandPath
+from aomgen.motion.ee_path import HandPath
 
 # Distance of handles from hinges, [m]: from lids of boxes to doors at the end of an arm's reach, 0.1 to
 # 1.2 m with 95 %; and the spread of its logarithm.

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
-from aomgen.motion.ends import Moment, Sight, Way, arriving, leaving
 from aomgen.motion.filters import closed, filled, grown, smooth, touching, without_glitches
-from aomgen.motion.hand import Touch
+from aomgen.motion.gripper_signals import Touch
+from aomgen.motion.onset import Moment, Sight, Way, arriving, leaving
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from aomgen.motion.contact import ContactParams
-from aomgen.motion.joint import JointParams
+from aomgen.motion.joint_estimation import JointParams
 from aomgen.motion.keyframes import KeyframeParams
 from aomgen.motion.photometric import PhotometricParams
 

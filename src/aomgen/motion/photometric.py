@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array, freeze
-from aomgen.motion.film_fit import Band, compared
-from aomgen.motion.film_problem import FilmProblem
-from aomgen.motion.hand_answer import HandAnswer
 from aomgen.motion.inputs import Demonstration
-from aomgen.motion.part_film import PartFilm, part_film
+from aomgen.motion.kinematic_prior import HandAnswer
+from aomgen.motion.part_renderer import PartFilm, part_film
+from aomgen.motion.photometric_residuals import Band, compared
+from aomgen.motion.photometric_solver import FilmProblem
 from aomgen.robots.robot_masks import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].

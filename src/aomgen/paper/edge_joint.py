@@ -6,7 +6,7 @@ import numpy as np
 
 from aomgen.core.joint import JointType
 from aomgen.core.values import Array, freeze
-from aomgen.motion.edges import (
+from aomgen.motion.box_edges import (
     EdgeTerms,
     edge_terms,
     face_normal,

@@ -13,11 +13,11 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.io.atomic import write_json
-from aomgen.motion.direction import direction_of
 from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.hand import hand_signals
+from aomgen.motion.gripper_signals import hand_signals
 from aomgen.motion.inputs import Demonstration
-from aomgen.motion.moved_part import MIN_ODDS
+from aomgen.motion.opening_direction import direction_of
+from aomgen.motion.part_identification import MIN_ODDS
 from aomgen.motion.stage import FILE_NAME, kept_when_refused
 from aomgen.paper.contact_points import NearestPair, contact_path, nearest_pair
 from aomgen.paper.edge_joint import PairWeights, box_joint

@@ -29,7 +29,7 @@ from aomgen.gaussians.train import GaussiansParams
 from aomgen.io.atomic import write_json
 from aomgen.io.video import Video, probe_video
 from aomgen.motion.inputs import Demonstration as MotionInput
-from aomgen.motion.moved_part import doubts
+from aomgen.motion.part_identification import doubts
 from aomgen.motion.stage import load_motion, run_motion
 from aomgen.paper.motion_estimate import run_paper_motion
 from aomgen.paper.true_part_masks import part_masks

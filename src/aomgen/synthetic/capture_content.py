@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.film import Film
-from aomgen.synthetic.performance import Performance
+from aomgen.synthetic.demo_video import Film
+from aomgen.synthetic.demonstration_search import Performance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

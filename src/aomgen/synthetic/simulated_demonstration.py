@@ -9,8 +9,8 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_parts import HandDrive
-from aomgen.synthetic.setting import World
-from aomgen.synthetic.timing import CONTROL_STEP_S, Script
+from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, Script
+from aomgen.synthetic.layout import World
 
 SETTLE_S = 0.3
 

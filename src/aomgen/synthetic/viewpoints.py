@@ -6,7 +6,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.setting import Setting
+from aomgen.synthetic.layout import Setting
 
 
 def pinhole(conditions: Conditions, T_world_cam: Array) -> Camera:

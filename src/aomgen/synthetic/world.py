@@ -15,15 +15,15 @@ from aomgen.io.robot_xml import read_robot_xml
 from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.robots.robot_store import copy_robot_files
 from aomgen.synthetic.capture_content import Recording
+from aomgen.synthetic.capture_writer import write_recording, write_truth
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.film import Film, best_camera, draw_take, filmed
-from aomgen.synthetic.grasp import possible_touches
-from aomgen.synthetic.manner import Direction, Manner, Touch, draw_manner
-from aomgen.synthetic.performance import Performance, perform
-from aomgen.synthetic.pictures import Painter, exposed
-from aomgen.synthetic.setting import build_world
+from aomgen.synthetic.demo_video import Film, best_camera, draw_take, filmed
+from aomgen.synthetic.demonstration_search import Performance, perform
+from aomgen.synthetic.grasp_selection import possible_touches
+from aomgen.synthetic.layout import build_world
+from aomgen.synthetic.scene_renderer import Painter, exposed
+from aomgen.synthetic.style import Direction, Manner, Touch, draw_manner
 from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
-from aomgen.synthetic.write import write_recording, write_truth
 
 DEFAULT_ROBOT = "ur5e_2f85"
 # A robot file may name meshes in folders beside its own, as packages do.

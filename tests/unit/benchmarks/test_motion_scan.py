@@ -8,8 +8,8 @@ from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.pictures import Painter
-from aomgen.synthetic.setting import Setting, build_world, draw_setting
+from aomgen.synthetic.layout import Setting, build_world, draw_setting
+from aomgen.synthetic.scene_renderer import Painter
 from aomgen.synthetic.viewpoints import scan_cameras
 from benchmarks.motion_scan import SPACING_M, Surface, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream

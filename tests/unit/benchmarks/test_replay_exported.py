@@ -26,7 +26,7 @@ from aomgen.io.episode_folder import commit_episode, read_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import save_robot
-from aomgen.synthetic.performance import Performance, perform
+from aomgen.synthetic.demonstration_search import Performance, perform
 from benchmarks.replay_exported import run_replay
 
 FPS = 10

@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.motion.ends import Way
-from aomgen.motion.hand import HandSignals, Touch, touch_interval
+from aomgen.motion.gripper_signals import HandSignals, Touch, touch_interval
 from aomgen.motion.keyframes import Departures, Interval, departures, find_interval, part_region
+from aomgen.motion.onset import Way
 
 COUNT, FPS = 90, 10.0
 TIMES = np.arange(COUNT, dtype=np.float64) / FPS

@@ -8,9 +8,9 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import angle_between
 from aomgen.core.values import Array
-from aomgen.motion.film_fit import shifted
-from aomgen.motion.film_problem import value_lever
 from aomgen.motion.photometric import chosen_frames, refine, witness
+from aomgen.motion.photometric_residuals import shifted
+from aomgen.motion.photometric_solver import value_lever
 from filmed_panel import HELD, HINGE, SHARES, SLIDE, TIMES_S, World, world
 
 WRONG = np.array([0.02, -0.02, 0.006, -0.006])

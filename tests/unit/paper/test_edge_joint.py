@@ -8,7 +8,7 @@ import pytest
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import angle_between
 from aomgen.errors import InputError
-from aomgen.motion.edges import Box, edge_terms
+from aomgen.motion.box_edges import Box, edge_terms
 from aomgen.paper.edge_joint import PairWeights, box_joint, pair_costs
 from aomgen.paper.mask_keyframes import Variant
 

@@ -20,15 +20,15 @@ from aomgen.io.images import read_labels
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
 from aomgen.robots.robot import RobotModel
+from aomgen.synthetic.capture_writer import moved_range, prompt_of
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.grasp import usual
-from aomgen.synthetic.manner import draw_manner
-from aomgen.synthetic.performance import Performance, perform
-from aomgen.synthetic.setting import build_world, draw_setting
+from aomgen.synthetic.demonstration_search import Performance, perform
+from aomgen.synthetic.grasp_selection import usual
+from aomgen.synthetic.layout import build_world, draw_setting
 from aomgen.synthetic.simulated_demonstration import simulate
-from aomgen.synthetic.things import SIZES
+from aomgen.synthetic.style import draw_manner
+from aomgen.synthetic.tabletop_objects import SIZES
 from aomgen.synthetic.world import make_capture
-from aomgen.synthetic.write import moved_range, prompt_of
 from benchmarks.truth import read_truth
 
 SIZE = (128, 96)

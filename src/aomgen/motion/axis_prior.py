@@ -1,0 +1,209 @@
+"""What the parts' shape says about the joint: a weak belief, never a decision.
+
+Joints run along edges of things: a hinge lies along one side of the part it carries, somewhere in its
+thickness; a drawer runs along an edge. Which side, and whether the rule holds at all, the hand's path
+decides: every possibility is offered with its odds.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import minimize
+
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
+from aomgen.core.values import Array, freeze
+from aomgen.motion.box_edges import Box, face_normal, footprint_yaw, upright_box
+from aomgen.motion.joint_models import tangent_basis
+
+# How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
+SIDE, ALONG, NEITHER = 0.75, 0.15, 0.1
+# Direction of a reconstructed box against the object: alignment tilts by 0.3 deg, yaw of a partly seen
+# footprint is off by 0.2 to 1.5 deg.
+DIRECTION_SD_RAD = float(np.radians(0.8))
+# Hinges lie up to a centimeter inside the side; its reconstruction is off by about as much, [m].
+SIDE_SD_M = 0.01
+# Another box has to be this much smaller than the upright one around the whole object to be preferred.
+_CLEARLY = 0.75
+_TAIL_PERCENT = 1.0
+# A body's walls stand this far outside of its door's or drawer's sides at most, [m].
+_BESIDE_M = 0.02
+# Fewer points have no box.
+_FEWEST = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisHint:
+    """One possibility for the joint's axis, world frame.
+
+    Attributes:
+        axis: Unit direction (3,), either sign.
+        axis_sd_rad: Its standard deviation each way, [rad].
+        at: A point (3,) near the line, [m].
+        across: Directions (M, 3) in which the line's place is known; M is 0 or 2.
+        across_sds_m: Their standard deviations (M,), [m].
+        odds: Prior probability.
+    """
+
+    axis: Array
+    axis_sd_rad: float
+    at: Array
+    across: Array
+    across_sds_m: Array
+    odds: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "axis", self.axis, (3,))
+        freeze(self, "at", self.at, (3,))
+        freeze(self, "across", self.across, (None, 3))
+        freeze(self, "across_sds_m", self.across_sds_m, (len(self.across),))
+
+    def residuals(self, axes: Array, points: Array) -> Array:
+        """Distances (..., 2 + M) of lines from this possibility, in standard deviations.
+
+        Args:
+            axes: Unit directions (..., 3), either sign.
+            points: Points on the lines (..., 3), [m].
+        """
+        along = axes @ self.axis
+        side = np.where(along < 0, -1.0, 1.0)
+        tilt = (axes @ tangent_basis(self.axis).T) * side[..., None] / self.axis_sd_rad
+        offsets = points - self.at
+        steep = side * np.maximum(np.abs(along), 0.1)
+        offsets = offsets - axes * ((offsets @ self.axis) / steep)[..., None]
+        return np.concatenate([tilt, offsets @ self.across.T / self.across_sds_m], axis=-1)
+
+    @property
+    def log_density(self) -> float:
+        """Normalization of the residuals, with the odds."""
+        direction = -np.log(4 * np.pi * self.axis_sd_rad**2)
+        place = -np.log(np.sqrt(2 * np.pi) * self.across_sds_m).sum()
+        return float(np.log(self.odds) + direction + place)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """The moving part's box and what follows from it.
+
+    Attributes:
+        box: Around the part at its scanned place; its axes need not be upright.
+        face_normal: Unit direction (3,) in which the part sticks out of the static one, world frame.
+        corners: Of the upright box around both parts (8, 3), world frame, [m].
+    """
+
+    box: Box
+    face_normal: Array
+    corners: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "face_normal", self.face_normal, (3,))
+        freeze(self, "corners", self.corners, (8, 3))
+
+    def reach_m(self, point: Array) -> float:
+        """Distance of the object's farthest corner from a point (3,), [m]."""
+        return float(np.linalg.norm(self.corners - point, axis=1).max())
+
+    def hinges(self) -> list[AxisHint]:
+        """Possibilities for a revolute joint: four sides in each of three directions, or the direction alone."""
+        hints = [self._direction(k, ALONG / 3) for k in range(3)]
+        for k in range(3):
+            for side in (axis for axis in range(3) if axis != k):
+                hints += [self._side(k, side, sign) for sign in (-1.0, 1.0)]
+        return hints
+
+    def rails(self) -> list[AxisHint]:
+        """Possibilities for a prismatic joint: along one of the three directions."""
+        return [self._direction(k, (SIDE + ALONG) / 3) for k in range(3)]
+
+    def _direction(self, k: int, odds: float) -> AxisHint:
+        return AxisHint(
+            axis=self.box.T_world_box[:3, k],
+            axis_sd_rad=DIRECTION_SD_RAD,
+            at=self.box.T_world_box[:3, 3],
+            across=np.zeros((0, 3)),
+            across_sds_m=np.zeros(0),
+            odds=odds,
+        )
+
+    def _side(self, k: int, side: int, sign: float) -> AxisHint:
+        depth = 3 - k - side
+        R, half = self.box.T_world_box[:3, :3], self.box.half_extents
+        return AxisHint(
+            axis=R[:, k],
+            axis_sd_rad=DIRECTION_SD_RAD,
+            at=self.box.T_world_box[:3, 3] + sign * half[side] * R[:, side],
+            across=R[:, [side, depth]].T,
+            # Anywhere in the thickness: the deviation of an even spread.
+            across_sds_m=np.array([SIDE_SD_M, np.hypot(half[depth] / np.sqrt(3), SIDE_SD_M)]),
+            odds=SIDE / 12,
+        )
+
+
+def shape_of(points_static: Array, points_moving: Array) -> Shape:
+    """Box of the moving part and the direction it sticks out.
+
+    The box stands upright and shares its yaw with the whole object, unless another one is clearly
+    smaller: a door ajar has its own yaw, a lid or an object on a slope leans.
+
+    Args:
+        points_static: Points of the static part (N, 3), world frame, [m].
+        points_moving: Points of the moving part as scanned (M, 3), world frame, [m].
+
+    Raises:
+        InputError: A part has fewer than 20 points.
+
+    Not checked: that the points show the whole part.
+    """
+    everything = np.concatenate([points_static, points_moving])
+    yaw = footprint_yaw(everything)
+    together, around = upright_box(points_moving, yaw), upright_box(everything, yaw)
+    best = together
+    for box in (
+        upright_box(points_moving, footprint_yaw(points_moving)),
+        _leaning_box(points_moving, together),
+    ):
+        if _volume(box) < _CLEARLY * _volume(best):
+            best = box
+    static = _box_about(_beside(points_static, best), best.T_world_box[:3, :3])
+    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+    corners = apply(around.T_world_box, signs * around.half_extents)
+    return Shape(box=best, face_normal=face_normal(static, best), corners=corners)
+
+
+def _beside(points_static: Array, box: Box) -> Array:
+    """Those static points (N, 3) that lie before, behind, beside, over or under the part's box.
+
+    Another door of the same object that stands ajar says nothing of this one's face.
+    """
+    inside = np.abs(apply(invert(box.T_world_box), points_static)) <= box.half_extents + _BESIDE_M
+    near = points_static[inside.sum(1) >= 2]
+    return near if len(near) >= _FEWEST else points_static
+
+
+def _leaning_box(points: Array, upright: Box) -> Box:
+    """Small box of any orientation, found from the points' main directions."""
+    main = np.linalg.svd(points - points.mean(0), full_matrices=False)[2]
+    R_main = main.T * np.array([1.0, 1.0, np.linalg.det(main)])
+    found = []
+    for R in (R_main, upright.T_world_box[:3, :3]):
+        result = minimize(
+            lambda turn, R=R: np.log(_volume(_box_about(points, R @ matrix_from_rotvec(turn)))),
+            np.zeros(3),
+            method="Nelder-Mead",
+            options={"initial_simplex": np.vstack([np.zeros(3), 0.2 * np.eye(3)]), "maxfev": 150},
+        )
+        found.append(_box_about(points, R @ matrix_from_rotvec(result.x)))
+    return min(found, key=_volume)
+
+
+def _box_about(points: Array, R_world_box: Array) -> Box:
+    low, high = np.percentile(points @ R_world_box, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+    return Box(
+        T_world_box=transform(R_world_box, R_world_box @ ((low + high) / 2)),
+        half_extents=np.maximum((high - low) / 2, 1e-4),
+    )
+
+
+def _volume(box: Box) -> float:
+    """Of the box with a centimeter more on each side, so that noise of thin parts counts little, [m3]."""
+    return float(np.prod(box.half_extents + 0.005))

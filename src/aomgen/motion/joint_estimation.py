@@ -1,0 +1,305 @@
+"""The joint behind a demonstration: type, axis, origin and how well they are known.
+
+The part moves on a one-parameter path and the hand moves with it. A handle may turn in the fingers and
+slip through them, so the hand's pose is evidence with flaws of its own (`joint_noise`), and the parts'
+shape is a weak belief (`geometry`). Revolute and prismatic explanations compete by their evidence.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from aomgen.core.joint import Joint, JointType
+from aomgen.core.values import Array, freeze
+from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
+from aomgen.motion.axis_prior import Shape
+from aomgen.motion.ee_path import HandPath, Hold, thin
+from aomgen.motion.joint_models import Prismatic, Revolute, first_axes
+from aomgen.motion.joint_posterior import JointModel, Posterior, fitted, posterior
+from aomgen.motion.noise_model import BEND_SHARE, SCALES, Course, NoisePrior, give_rate, held_rate
+
+_REMEDY = "record a longer demonstration"
+# Sizes of flaws this many standard deviations above their medians are looked into.
+_UNUSUAL = 2.0
+_TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointParams:
+    """Limits of what is accepted as an answer.
+
+    Attributes:
+        noise: Usual flaws of the evidence.
+        nodes: Stretches the path is thinned to.
+        smooth: Samples averaged when measuring travel.
+        min_turn_rad, min_travel_m: Shortest motion that tells a joint.
+        min_margin: Smallest difference of the types' evidence, twice the logarithm as in BIC.
+        door_radius_m: A path is called straight only if an arc of this radius would stand out, [m].
+        straight_sd: How far it has to stand out, in standard deviations.
+    """
+
+    noise: NoisePrior = field(default_factory=NoisePrior)
+    nodes: int = 24
+    smooth: int = 11
+    min_turn_rad: float = float(np.radians(15.0))
+    min_travel_m: float = 0.03
+    min_margin: float = 3.0
+    door_radius_m: float = 0.6
+    straight_sd: float = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointEstimate:
+    """A joint and its quality.
+
+    Attributes:
+        joint: Value 0 at the beginning of the path; `upper` is the observed travel.
+        grasp_ee: The held point (3,), end-effector frame, refined, [m].
+        axis_sd_rad: Standard deviation of the direction (root of both ways' variances), [rad].
+        origin_sd_m: The same of the axis line near the contact, [m]; 0 for a prismatic joint.
+        axis_ci95_rad, origin_ci95_m: Radii around direction and line that hold the true ones with 95 %.
+        residual_m: Unsteadiness of the hand along the path, [m].
+        give_rate: Slip along the way of the part per travel, standard deviation, [m/m].
+        turn_ratio: Turn of the hand over turn of the part; 0 for a prismatic joint.
+        margin: Twice the log evidence of this type over the other one.
+        axes, origins, grasps: Equally likely axes (S, 3), points on them (S, 3) [m] and held points (S, 3) [m].
+    """
+
+    joint: Joint
+    grasp_ee: Array
+    axis_sd_rad: float
+    origin_sd_m: float
+    axis_ci95_rad: float
+    origin_ci95_m: float
+    residual_m: float
+    give_rate: float
+    turn_ratio: float
+    margin: float
+    axes: Array
+    origins: Array
+    grasps: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "grasp_ee", self.grasp_ee, (3,))
+        for name in ("axes", "origins", "grasps"):
+            freeze(self, name, getattr(self, name), (len(self.axes), 3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidates:
+    """What either type of joint makes of a path.
+
+    Attributes:
+        revolute, prismatic: Their best answers.
+        margin: Twice the log evidence of revolute over prismatic.
+        extent_m: Farthest that the held point came from its first place, [m].
+        unseen_bulge_m: Arcs that bulge less than this from their chord look straight in this path, [m].
+    """
+
+    revolute: JointEstimate
+    prismatic: JointEstimate
+    margin: float
+    extent_m: float
+    unseen_bulge_m: float
+
+    def of(self, joint_type: JointType) -> JointEstimate:
+        """The best answer of a type."""
+        return self.revolute if joint_type == "revolute" else self.prismatic
+
+
+def candidates(
+    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
+) -> Candidates:
+    """Explain the hand's poses while it holds the part by either type of joint.
+
+    Args:
+        Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
+        hold: Where and how the hand holds the part.
+        shape: The parts' shape, or None to use the path alone.
+        params: Limits and assumed errors.
+
+    Raises:
+        DemonstrationTooShortError: The hand moved the part less than 3 cm.
+
+    Source: AOMGen, sec. 4.2, "Articulated Object Modeling"; the path fit replaces its edge decision,
+    the edges remain as a belief. Not checked: that the hand holds the same part all the time.
+    """
+    params = params or JointParams()
+    path = thin(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
+    points = path.points_world
+    extent = float(np.linalg.norm(points - points[0], axis=1).max())
+    if not extent >= params.min_travel_m:
+        raise DemonstrationTooShortError(
+            "joint",
+            f"the hand moved the part {extent * 1e3:.0f} mm, need {params.min_travel_m * 1e3:.0f} mm",
+            _REMEDY,
+        )
+    revolute, prismatic = explanations(path, shape, params)
+    margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
+    # The middle half of the nodes against the outer half tells the bulge. Bars are along hinges, so that arcs
+    # bend in the direction that the fingers hold best.
+    unsteady = prismatic.scales[0] * np.sqrt(4 / params.nodes)
+    slip = held_rate(prismatic.scales, prismatic.model.firmness) * extent
+    return Candidates(
+        revolute=_estimate(path, revolute, "revolute", margin),
+        prismatic=_estimate(path, prismatic, "prismatic", -margin),
+        margin=margin,
+        extent_m=extent,
+        unseen_bulge_m=params.straight_sd * float(np.hypot(unsteady, BEND_SHARE * slip)),
+    )
+
+
+def chosen_type(found: Candidates, film_margin: float = 0.0, params: JointParams | None = None) -> JointType:
+    """The type of joint, by the hand's path and the film together.
+
+    Args:
+        found: From `candidates`.
+        film_margin: Twice the log evidence of the film for revolute over prismatic.
+        params: Limits.
+
+    Raises:
+        DemonstrationTooShortError: Less than 15 degrees were shown.
+        AmbiguousJointError: Both joint types explain path and film equally well.
+    """
+    params = params or JointParams()
+    margin = found.margin + film_margin
+    turn = found.revolute.joint.upper
+    # Too short is what a door would have turned too little for, unless the evidence speaks for a drawer.
+    if margin > -params.min_margin and not turn >= params.min_turn_rad:
+        limit = np.degrees(params.min_turn_rad)
+        raise DemonstrationTooShortError(
+            "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
+        )
+    if not abs(margin) >= params.min_margin:
+        raise AmbiguousJointError(
+            "joint",
+            f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.1f}, need "
+            f"{params.min_margin:.1f})",
+            "record a longer motion or give the joint's type in the project",
+        )
+    if margin > 0:
+        return "revolute"
+    if not film_margin <= -params.min_margin:
+        _refuse_hidden_arc(found, params)
+    return "prismatic"
+
+
+def estimate_joint(
+    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
+) -> JointEstimate:
+    """The joint from the hand's poses alone, axis positive in the direction of the demonstration.
+
+    See `candidates` for the arguments, and `chosen_type` for what is refused.
+    """
+    found = candidates(Ts_world_ee, hold, shape, params)
+    return found.of(chosen_type(found, params=params))
+
+
+def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tuple[Posterior, Posterior]:
+    """The path as a revolute and as a prismatic joint would make it."""
+    points = path.points_world
+    middle = points.mean(0)
+    turns = path.turns_world
+    doors: list[JointModel] = [
+        Revolute(
+            path=path,
+            turns_world=turns,
+            start=start,
+            middle=middle,
+            reach_m=np.inf if shape is None else shape.reach_m(middle),
+        )
+        for start in first_axes(path, turns)
+    ]
+    along = np.linalg.svd(points - middle)[2][0]
+    drawer = Prismatic(path=path, turns_world=turns, start=along, middle=middle)
+    course = _trusted(Course.of(points), (doors, [drawer]), params.noise)
+    hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
+    return (
+        posterior(doors, course, params.noise, hinges),
+        posterior([drawer], course, params.noise, rails),
+    )
+
+
+def _trusted(course: Course, types: tuple[list[JointModel], ...], noise: NoisePrior) -> Course:
+    """The course with those nodes at its ends doubted at which the hand did not hold the part yet or any more.
+
+    Only looked for where a path is much less steady than paths are.
+    """
+
+    def fit(course: Course) -> tuple[float, float]:
+        evidence, steps = max(
+            (fitted(models, course, noise)[:2] for models in types), key=lambda item: item[0]
+        )
+        return evidence, float(np.max(np.delete(steps, _TURNS)))
+
+    best, unsteady = fit(course)
+    if unsteady < _UNUSUAL:
+        return course
+    count = len(course.travel_m)
+    for ends in ([slice(count - k, count) for k in (1, 2, 4, 6)], [slice(0, k) for k in (1, 2, 4, 6)]):
+        tried = [(fit(course.doubted(nodes))[0], nodes) for nodes in ends]
+        evidence, nodes = max(tried, key=lambda item: item[0])
+        if evidence > best:
+            best, course = evidence, course.doubted(nodes)
+    return course
+
+
+def _refuse_hidden_arc(found: Candidates, params: JointParams) -> None:
+    """A straight path speaks for a prismatic joint only where a door's arc would be seen."""
+    bulge = found.extent_m**2 / (8 * params.door_radius_m)
+    if bulge >= found.unseen_bulge_m:
+        return
+    problem = (
+        f"the path of {found.extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
+        f"would bend it by {bulge * 1e3:.1f} mm only, need {found.unseen_bulge_m * 1e3:.1f} mm"
+    )
+    if found.extent_m < params.min_turn_rad * params.door_radius_m:
+        raise DemonstrationTooShortError("joint", problem, _REMEDY)
+    raise AmbiguousJointError("joint", problem, "hold the handle firmly or record a longer motion")
+
+
+def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: float) -> JointEstimate:
+    model, x = found.model, found.mean
+    values = model.values(x)
+    travel = float(values[-1] - values[0])
+    sign = 1.0 if travel >= 0 else -1.0
+    held = path.points_world[0]
+    revolute = joint_type == "revolute"
+    axis, origin = (row[0] for row in _near(model, x[None], held))
+    way = np.cross(axis, held - origin) if revolute else axis
+    way = way / max(float(np.linalg.norm(way)), 1e-9)
+    axes, origins = _near(model, found.draws, held)
+    angles = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
+    across = (origins - origin) * revolute
+    gaps = np.linalg.norm(across - np.outer(across @ axis, axis), axis=1)
+    return JointEstimate(
+        joint=Joint(
+            type=joint_type,
+            axis=sign * axis,
+            origin=origin if revolute else held,
+            lower=0.0,
+            upper=abs(travel),
+        ),
+        grasp_ee=model.grasp(x),
+        axis_sd_rad=_rms(angles),
+        origin_sd_m=_rms(gaps),
+        axis_ci95_rad=float(np.percentile(angles, 95)),
+        origin_ci95_m=float(np.percentile(gaps, 95)),
+        residual_m=float(found.scales[0]),
+        give_rate=give_rate(joint_type, found.scales, float(way @ path.closing_world)),
+        turn_ratio=float(x[9]) if revolute else 0.0,
+        margin=margin,
+        axes=sign * axes,
+        origins=origins,
+        grasps=np.broadcast_to(model.grasp(found.draws), axes.shape),
+    )
+
+
+def _near(model: JointModel, x: Array, point: Array) -> tuple[Array, Array]:
+    """Directions (S, 3) of the axes that unknowns (S, P) mean and their points (S, 3) nearest to a point."""
+    axes, points = model.lines(x)
+    return axes, points + axes * ((point - points) * axes).sum(1, keepdims=True)
+
+
+def _rms(distances: Array) -> float:
+    return float(np.sqrt(np.mean(distances**2)))

@@ -1,0 +1,134 @@
+"""When the arm is where: the timed script of a demonstration."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from aomgen.core.values import Array, freeze
+from aomgen.synthetic.style import Manner, progress
+
+CONTROL_STEP_S = 0.002
+# Seconds of each phase around the motion: reach, approach, take hold; let go, retreat.
+REACH_S, APPROACH_S, HOLD_S, RELEASE_S, RETREAT_S = 1.8, 1.0, 0.7, 0.6, 0.9
+# Rest of the arm at both ends, at least: the log begins before the film and ends after it.
+REST_BEFORE_S, REST_AFTER_S = 0.8, 0.5
+# The film of a "cut" demonstration ends this long before the motion.
+BEFORE_MOTION_S = 0.4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Script:
+    """What the robot is told to do.
+
+    Attributes:
+        times_s: (T,), every CONTROL_STEP_S from 0.
+        joints: Desired joints (T, J), [rad].
+        gripper: Commanded closing (T,), 0..1.
+        grip: Share of its force with which the hand closes.
+        theta_start: Joint value of the object at the beginning, [rad] or [m].
+        theta_goal: Joint value the object should reach, [rad] or [m].
+        motion_s: Beginning and end of the commanded motion of the part.
+        film_s: What may be filmed.
+    """
+
+    times_s: Array
+    joints: Array
+    gripper: Array
+    grip: float
+    theta_start: float
+    theta_goal: float
+    motion_s: tuple[float, float]
+    film_s: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("times_s", "gripper"):
+            freeze(self, name, getattr(self, name), (None,))
+        freeze(self, "joints", self.joints, (len(self.times_s), None))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """The arm's joints (N, J) in each phase, and the gripper before and while it holds.
+
+    Attributes:
+        rest: (J,).
+        approach: From before the handle to it.
+        hold: While the hand takes hold.
+        motion: While the part moves.
+        release: While the hand lets go.
+        retreat: Away from the handle.
+        gripper: Closing while it reaches and while it holds, 0..1.
+    """
+
+    rest: Array
+    approach: Array
+    hold: Array
+    motion: Array
+    release: Array
+    retreat: Array
+    gripper: tuple[float, float]
+
+
+def timed(way: Way, manner: Manner) -> Script:
+    """Smooth timing of every phase: minimum jerk, the motion itself as the manner says."""
+    rest_before = max(manner.before_s - REACH_S - APPROACH_S - HOLD_S, REST_BEFORE_S)
+    rest_after = max(manner.after_s - RELEASE_S - RETREAT_S, REST_AFTER_S)
+    away, held = way.gripper
+    stay_before, stay_after = np.repeat(way.rest[None], 2, 0), np.repeat(way.retreat[-1:], 2, 0)
+    phases = [
+        (stay_before, (away, away), _eased(rest_before)),
+        (np.stack([way.rest, way.approach[0]]), (away, away), _eased(REACH_S)),
+        (way.approach, (away, away), _eased(APPROACH_S)),
+        (way.hold, (away, held), _eased(HOLD_S)),
+        (way.motion, (held, held), _motion(manner)),
+        (way.release, (held, away), _eased(RELEASE_S)),
+        (way.retreat, (away, away), _eased(RETREAT_S)),
+        (stay_after, (away, away), _eased(rest_after)),
+    ]
+    joints, gripper, begins = [], [], [0]
+    for path, (first, last), share in phases:
+        joints.append(_along(path, share))
+        gripper.append(first + (last - first) * np.clip(np.arange(len(share)) / (0.7 * len(share)), 0, 1))
+        begins.append(begins[-1] + len(share))
+    stacked = np.concatenate([*joints, stay_after[-1:]])
+    begin, end = (CONTROL_STEP_S * begins[i] for i in (4, 5))
+    last = CONTROL_STEP_S * begins[-1]
+    return Script(
+        times_s=np.arange(len(stacked), dtype=np.float64) * CONTROL_STEP_S,
+        joints=stacked,
+        gripper=np.concatenate([*gripper, np.full(1, away)]),
+        grip=manner.grip,
+        theta_start=manner.start,
+        theta_goal=manner.goal,
+        motion_s=(begin, end),
+        film_s=(
+            begin - manner.before_s,
+            begin - BEFORE_MOTION_S if manner.outcome == "cut" else min(end + manner.after_s, last),
+        ),
+    )
+
+
+def _eased(seconds: float) -> Array:
+    return progress(_clock(seconds), 0.0)
+
+
+def _motion(manner: Manner) -> Array:
+    """Progress (N,) of the motion, with its pause."""
+    if manner.pause_s == 0.0:
+        return progress(_clock(manner.motion_s), manner.cruise)
+    first = manner.pause_at * progress(_clock(manner.pause_at * manner.motion_s), manner.cruise)
+    rest = 1.0 - manner.pause_at
+    second = manner.pause_at + rest * progress(_clock(rest * manner.motion_s), manner.cruise)
+    return np.concatenate([first, np.full(len(_clock(manner.pause_s)), manner.pause_at), second])
+
+
+def _clock(seconds: float) -> Array:
+    count = round(seconds / CONTROL_STEP_S)
+    return np.arange(count) / count
+
+
+def _along(path: Array, share: Array) -> Array:
+    if len(path) == 2:
+        return path[0] + share[:, None] * (path[1] - path[0])
+    return CubicSpline(np.linspace(0, 1, len(path)), path)(share)

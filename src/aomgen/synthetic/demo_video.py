@@ -1,0 +1,144 @@
+"""The fixed camera's film of a performance: when it runs, from where, what it shows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import MOVING
+from aomgen.core.camera import Camera
+from aomgen.core.joint_log import JointLog
+from aomgen.core.progress import Progress, silent
+from aomgen.core.values import Array
+from aomgen.robots.robot import RobotModel
+from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S
+from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.demonstration_search import Performance
+from aomgen.synthetic.layout import build_world
+from aomgen.synthetic.scene_renderer import Painter, exposed
+from aomgen.synthetic.simulated_demonstration import Demonstration
+from aomgen.synthetic.viewpoints import demo_candidates
+
+LOG_RATE_HZ = 100
+JOINT_NOISE_RAD = 0.0005
+GRIPPER_NOISE = 0.001
+# Shares of the rest phases at both ends that only the log has seen, [s].
+LEAD_S, TAIL_S = (0.2, 0.6), (0.1, 0.3)
+# A state this near to the last one looks the same, [rad] or [m]: 0.01 px at arm's length.
+SAME_STATE = 3e-5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Take:
+    """When the camera runs, and the robot's log.
+
+    Attributes:
+        steps: Simulation step of each frame.
+        log: Noisy joint log, own clock.
+        clock_offset_s: Log time = video time + offset.
+    """
+
+    steps: NDArray[np.int64]
+    log: JointLog
+    clock_offset_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Film:
+    """What the fixed camera recorded.
+
+    Attributes:
+        take: When.
+        camera: From where.
+        frames: Pictures (H, W, 3).
+        labels: Part labels (H, W) of each frame.
+    """
+
+    take: Take
+    camera: Camera
+    frames: list[NDArray[np.uint8]]
+    labels: list[NDArray[np.uint8]]
+
+
+def film(
+    robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
+) -> Film:
+    """Film a performance without scanning the scene: all that motion-level benchmarks need.
+
+    Raises:
+        BackendError: No OpenGL driver works.
+    """
+    take = draw_take(robot, performance, conditions, rng)
+    world = build_world(robot, performance.setting, visual=True)
+    with Painter(robot, world, *conditions.size) as painter:
+        camera = best_camera(
+            painter, demo_candidates(performance.setting, conditions, rng), performance.demonstration, take
+        )
+        frames, labels = filmed(painter, camera, performance.demonstration, take, conditions, rng)
+    return Film(take=take, camera=camera, frames=frames, labels=labels)
+
+
+def draw_take(
+    robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
+) -> Take:
+    """Cut the film out of the demonstration and write the log by another clock."""
+    begin, end = performance.script.film_s
+    start = max(begin + rng.uniform(*LEAD_S), 0.0)
+    frames = int((end - rng.uniform(*TAIL_S) - start) * conditions.fps)
+    frame_times = start + np.arange(frames) / conditions.fps
+    clock_shift = rng.uniform(0.0, 2.0)
+    return Take(
+        steps=np.round(frame_times / CONTROL_STEP_S).astype(np.int64),
+        log=_log(robot, performance.demonstration, clock_shift, rng),
+        clock_offset_s=float(start + clock_shift),
+    )
+
+
+def best_camera(
+    painter: Painter, candidates: list[Camera], demonstration: Demonstration, take: Take
+) -> Camera:
+    """The candidate that sees most of the moving part, at its worst moment of three."""
+    moments = take.steps[np.linspace(0, len(take.steps) - 1, 3).astype(int)]
+    seen = [
+        min(int((painter.labels(camera, demonstration.qpos[step]) == MOVING).sum()) for step in moments)
+        for camera in candidates
+    ]
+    return candidates[int(np.argmax(seen))]
+
+
+def filmed(
+    painter: Painter,
+    camera: Camera,
+    demonstration: Demonstration,
+    take: Take,
+    conditions: Conditions,
+    rng: np.random.Generator,
+    *,
+    progress: Progress = silent,
+) -> tuple[list[NDArray[np.uint8]], list[NDArray[np.uint8]]]:
+    """Frames and part labels of a take; a scene at rest is drawn once, its noise is new each time."""
+    frames, labels = [], []
+    painted: Array | None = None
+    for number, step in enumerate(take.steps):
+        state = demonstration.qpos[step]
+        if painted is None or np.abs(state - painted).max() > SAME_STATE:
+            painted = state
+            clean, marked = painter.draw(camera, state), painter.labels(camera, state)
+        frames.append(exposed(clean, 1.0, conditions.noise, rng))
+        labels.append(marked)
+        progress(number / len(take.steps), "video")
+    return frames, labels
+
+
+def _log(
+    robot: RobotModel, demonstration: Demonstration, clock_shift: float, rng: np.random.Generator
+) -> JointLog:
+    every = round(1.0 / (LOG_RATE_HZ * CONTROL_STEP_S))
+    joints: Array = demonstration.joints[::every]
+    gripper = demonstration.gripper[::every] + GRIPPER_NOISE * rng.standard_normal(len(joints))
+    return JointLog(
+        times_s=demonstration.times_s[::every] + clock_shift,
+        joints=joints + JOINT_NOISE_RAD * rng.standard_normal(joints.shape),
+        gripper=np.clip(gripper, 0.0, 1.0),
+        joint_names=robot.joint_names,
+    )

@@ -1,0 +1,227 @@
+"""How the robot of a synthetic capture moves the object: grasp, joint path, what it may touch."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.values import Array
+from aomgen.robots.robot import RobotModel
+from aomgen.synthetic.commanded_trajectory import Script, Way, timed
+from aomgen.synthetic.grasp import Hold, draw_style, hold_poses
+from aomgen.synthetic.grasp_selection import take_hold, usual
+from aomgen.synthetic.inverse_kinematics import Arm
+from aomgen.synthetic.layout import Setting, World
+from aomgen.synthetic.style import Manner
+
+PREGRASP_M = 0.09
+MAX_KNOT_STEP_RAD = 0.20
+# Gestures in the air stay this far before the handle, [m].
+AIR_M = 0.12
+KNOTS, REACH_KNOTS, SLACK_KNOTS = 40, 10, 4
+# Closing of the hand with which a pinch is checked, and how deep a pressing hand may seem to be, [m].
+PINCHING, PRESS_M = 0.6, 0.003
+# Different starts end in few different postures; the same one is not followed twice.
+SAME_RAD = 0.02
+SEEDS = 14
+# Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
+POSTURES = {
+    "ur5e_2f85": ([-np.pi, -2.4, 0.8, -2.5, -2.6, -np.pi], [np.pi, -0.7, 2.5, 1.0, 2.6, np.pi]),
+}
+
+
+def plan(
+    robot: RobotModel,
+    world: World,
+    setting: Setting,
+    rng: np.random.Generator,
+    manner: Manner | None = None,
+) -> tuple[Manner, Script] | None:
+    """Joint path and timing of one demonstration; None where this setting and style cannot be reached.
+
+    Args:
+        manner: How it is done; the usual pinch that opens the object when None.
+
+    Checked: residuals, joint steps, contact of anything but the fingers with handle. Not
+    checked: dynamics (see `demonstration.py`).
+    """
+    asset = setting.asset
+    manner, style = (manner, draw_style(rng, manner)) if manner else usual(asset, rng)
+    hold = take_hold(robot, world.model, asset, style, manner)
+    if hold is None:
+        return None
+    arm = Arm(world.model, robot)
+    path = _hand_path(robot, setting, hold, manner)
+    low, high = POSTURES.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
+    dead_ends: list[Array] = []
+    for _ in range(SEEDS):
+        start = rng.uniform(low, high)
+        grasp = arm.solve(path.motion[0], start)
+        if not grasp.exact or any(np.abs(grasp.joints - other).max() < SAME_RAD for other in dead_ends):
+            continue
+        motion = _tracked(arm, path.motion, grasp.joints)
+        to = None if motion is None else _tracked(arm, path.approach[::-1], grasp.joints)
+        if to is None or motion is None:
+            dead_ends.append(grasp.joints)
+            continue
+        off = _tracked(arm, path.retreat, motion[-1])
+        rest = _rest(arm, setting, path.approach[0], robot.approach_ee, to[-1], rng)
+        if off is None or rest is None:
+            continue
+        way = _way(rest, to[::-1], motion, off, hold)
+        if _is_free(robot, world, way, manner):
+            return manner, timed(way, manner)
+    return None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _HandPath:
+    """Poses T_world_ee (N, 4, 4) before, during and after the motion."""
+
+    approach: Array
+    motion: Array
+    retreat: Array
+
+
+def _hand_path(robot: RobotModel, setting: Setting, hold: Hold, manner: Manner) -> _HandPath:
+    """Where the hand goes; a hand that does not close comes off the part by its slack before it leaves."""
+    asset = setting.asset
+    shares = np.zeros(KNOTS) if manner.outcome == "touch" else np.linspace(0.0, 1.0, KNOTS)
+    held = setting.T_world_object @ hold_poses(asset, hold, manner, shares)
+    if manner.outcome == "nothing":
+        # The whole motion is made in the air before the part.
+        held = np.array([_withdrawn(T, robot.approach_ee, [AIR_M])[0] for T in held])
+    near, last = held[0], held[-1]
+    before, after = [], []
+    if hold.slack.any():
+        values = [manner.start, manner.start if manner.outcome == "touch" else manner.goal]
+        R = (setting.T_world_object @ asset.joint.motion(values))[:, :3, :3]
+        steps = np.linspace(1.0, 0.0, SLACK_KNOTS)
+        before = [_shifted(near, share * R[0] @ hold.slack) for share in steps]
+        after = [_shifted(last, share * R[1] @ hold.slack) for share in steps[::-1]]
+        near, last = before[0], after[-1]
+    away = _withdrawn(near, robot.approach_ee, np.linspace(PREGRASP_M, 0.0, REACH_KNOTS))
+    back = _withdrawn(last, robot.approach_ee, np.linspace(0.0, PREGRASP_M, REACH_KNOTS))
+    return _HandPath(
+        approach=np.array([*away, *before[1:]]), motion=held, retreat=np.array([*after[:-1], *back])
+    )
+
+
+def _way(rest: Array, to: Array, motion: Array, off: Array, hold: Hold) -> Way:
+    """Joints of all phases; what lies before and after `REACH_KNOTS` is slack."""
+    touching, leaving = to[REACH_KNOTS - 1 :], off[: len(off) - REACH_KNOTS + 1]
+    return Way(
+        rest=rest,
+        approach=to[:REACH_KNOTS],
+        hold=touching if len(touching) > 1 else np.repeat(touching, 2, 0),
+        motion=motion,
+        release=leaving if len(leaving) > 1 else np.repeat(motion[-1:], 2, 0),
+        retreat=off[len(off) - REACH_KNOTS :],
+        gripper=hold.gripper,
+    )
+
+
+def _is_free(robot: RobotModel, world: World, way: Way, manner: Manner) -> bool:
+    """Whether the arm touches nothing on its way but, while it holds, the part with its hand."""
+    still = manner.outcome in ("touch", "nothing")
+    values = np.linspace(manner.start, manner.start if still else manner.goal, KNOTS)
+    reach = way.rest + np.linspace(0, 1, 12)[:, None] * (way.approach[0] - way.rest)
+    away = _Free(robot, world, gripper=way.gripper[0], deepest=0.0)
+    pinching = manner.touch == "pinch"
+    holding = _Free(
+        robot,
+        world,
+        gripper=max(PINCHING, way.gripper[0]) if pinching else way.gripper[1],
+        deepest=np.inf if pinching else PRESS_M,
+    )
+    return (
+        away.along([*reach, *way.approach], values[:1])
+        and away.along(way.retreat, values[-1:])
+        and holding.along(way.motion, values)
+    )
+
+
+def _shifted(T_world_ee: Array, way: Array) -> Array:
+    T = T_world_ee.copy()
+    T[:3, 3] += way
+    return T
+
+
+def _withdrawn(T_world_ee: Array, approach_ee: Array, distances: ArrayLike) -> Array:
+    """The pose moved back along its approach direction by each distance, [m]."""
+    distances = np.asarray(distances, np.float64)
+    poses = np.repeat(T_world_ee[None], len(distances), 0)
+    poses[:, :3, 3] -= distances[:, None] * (T_world_ee[:3, :3] @ approach_ee)
+    return poses
+
+
+def _tracked(arm: Arm, poses: Array, start: Array) -> Array | None:
+    """Joints (N, J) along poses without jumps; None where they leave the reach."""
+    path, joints = [], start
+    for T in poses:
+        reach = arm.solve(T, joints, iterations=25)
+        if not reach.exact or np.abs(reach.joints - joints).max() > MAX_KNOT_STEP_RAD:
+            return None
+        joints = reach.joints
+        path.append(joints)
+    return np.array(path)
+
+
+def _rest(
+    arm: Arm,
+    setting: Setting,
+    T_world_pregrasp: Array,
+    approach_ee: Array,
+    near: Array,
+    rng: np.random.Generator,
+) -> Array | None:
+    """Joints at rest: the hand drawn back towards the robot, higher, looking down a little."""
+    T = T_world_pregrasp.copy()
+    T[:2, 3] *= rng.uniform(0.55, 0.75)
+    T[2, 3] = max(T[2, 3], setting.room.table_z + 0.15) + rng.uniform(0.10, 0.22)
+    approach = T[:3, :3] @ approach_ee
+    down = np.deg2rad(rng.uniform(15, 40)) + max(float(np.arcsin(np.clip(approach[2], -1, 1))), 0.0)
+    T[:3, :3] = matrix_from_rotvec(-down * np.cross(approach, [0.0, 0.0, 1.0])) @ T[:3, :3]
+    reach = arm.solve(T, near)
+    if not reach.exact or np.abs(reach.joints - near).max() > 1.8:
+        return None
+    return reach.joints
+
+
+class _Free:
+    """Tells whether the arm touches nothing along a path."""
+
+    def __init__(self, robot: RobotModel, world: World, *, gripper: float, deepest: float) -> None:
+        """Down to `deepest`, [m], the hand may reach into the moving part."""
+        self._robot, self._model, self._gripper = robot, world.model, gripper
+        self._deepest = deepest
+        self._joint = world.names.joint
+        bodies = [world.model.body(b).name for b in world.model.geom_bodyid]
+        self._ours = np.array([name in robot.body_names for name in bodies])
+        self._hand = np.array([name in robot.hand_bodies for name in bodies])
+        self._part = np.array([name == world.names.moving_body for name in bodies])
+
+    def along(self, path: Sequence[Array] | Array, values: ArrayLike) -> bool:
+        """Joints (N, J) and the part's joint values (N,), or one for all."""
+        data = mujoco.MjData(self._model)
+        values = np.broadcast_to(np.asarray(values, np.float64), len(path))
+        size = len(self._robot.qpos(path[0], 0.0)[0])
+        for index in range(0, len(path), 2):
+            data.qpos[:size] = self._robot.qpos(path[index], self._gripper)[0]
+            data.joint(self._joint).qpos[0] = values[index]
+            mujoco.mj_forward(self._model, data)
+            pairs = zip(data.contact.geom, -data.contact.dist, strict=True)
+            if not all(self._allowed(int(a), int(b), depth) for (a, b), depth in pairs if depth > 0):
+                return False
+        return True
+
+    def _allowed(self, a: int, b: int, depth: float) -> bool:
+        if not (self._ours[a] or self._ours[b]):
+            return True
+        if self._ours[a] and self._ours[b]:
+            return bool(self._hand[a] and self._hand[b])
+        ours, other = (a, b) if self._ours[a] else (b, a)
+        return bool(self._hand[ours] and self._part[other] and depth < self._deepest)
