@@ -38,7 +38,7 @@ from aomgen.core.values import Array, freeze
 
 # Search reach and robust kernel of each round of rendering, [px]: from the error of the start down to a pixel.
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
-# Gauss-Newton steps between two renderings; contours move by pixels only and converge in two or three.
+# Gauss-Newton steps between two renderings, so that the robust weights converge.
 _SOLVES = 4
 
 

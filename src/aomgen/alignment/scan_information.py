@@ -23,7 +23,7 @@ from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 
-# Contour points a view: one every two to three pixels of a robot's contour at 640 px.
+# Contour points a view; errors of closer points are correlated, see `TOGETHER`.
 _POINTS = 400
 # Information that fixes similarity and joints when no view is used: far above that of any data.
 _HELD = 1e12

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aomgen.alignment.calibrated_cameras import load_calibrated_cameras
 from aomgen.alignment.stage import load_alignment
-from aomgen.appearance.drawer_interior import with_tray
+from aomgen.appearance.drawer_interior import add_drawer_interior
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
@@ -289,7 +289,7 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     robot = posture.robot
     scanned = scanned_twin(*labelled_scan(run.folders), motion.joint, posture)
     film = demo_film(capture, demo_camera_world(run), motion, scanned, robot)
-    bound = with_tray(scanned, robot, film)
+    bound = add_drawer_interior(scanned, robot, film)
     films = [*scan_films(capture, scan_cameras_world(run), bound), film]
     result = with_looks(bound, robot, films, progress)
     save_twin(folder, result)
