@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
 
 from aomgen.alignment.camera_uncertainty import CameraErrors
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts
@@ -37,7 +37,7 @@ class Scene:
     """
 
     name: str
-    views: list[View]
+    views: list[AlignmentImage]
     robot_boxes: list[RobotBox]
     other_boxes: list[RobotBox]
     points_recon: Array
@@ -244,7 +244,7 @@ def _renderer(scene: Scene) -> SilhouetteRenderer:
     return SilhouetteRenderer(scene.posture.robot, max_width=width, max_height=height)
 
 
-def _robot_mask(scene: Scene, view: View, renderer: SilhouetteRenderer) -> NDArray[np.bool_]:
+def _robot_mask(scene: Scene, view: AlignmentImage, renderer: SilhouetteRenderer) -> NDArray[np.bool_]:
     """Pixels (H, W) of the robot at its true place, with a rim."""
     camera = camera_in_world(scene.S_world_recon, view.camera_recon)
     bodies, _ = renderer.draw(camera, scene.posture.joints, scene.posture.gripper)
@@ -262,7 +262,7 @@ def _painted_over(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[
     return np.where(mask[..., None], soft, image).round().astype(np.uint8)
 
 
-def _moved_view(view: View, S_new_recon: Array) -> View:
+def _moved_view(view: AlignmentImage, S_new_recon: Array) -> AlignmentImage:
     return replace(view, camera_recon=camera_in_world(S_new_recon, view.camera_recon))
 
 

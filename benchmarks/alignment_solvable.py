@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array
@@ -12,7 +12,7 @@ MIN_VIEWS, MIN_ANGLE_DEG = 6, 30.0
 
 
 def is_solvable(
-    views: list[View], boxes: list[RobotBox], posture: RobotPosture, S_world_recon: Array
+    views: list[AlignmentImage], boxes: list[RobotBox], posture: RobotPosture, S_world_recon: Array
 ) -> bool:
     """Whether images and prompts determine the answer, whatever the method.
 

@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera
 from aomgen.core.progress import silent
-from aomgen.gaussians.train import GaussiansParams, Lesson, judge, lesson_of, without_floaters
+from aomgen.gaussians.train import (
+    GaussiansParams,
+    TrainingViews,
+    evaluate_view,
+    select_training_views,
+    without_floaters,
+)
 from aomgen.io.images import read_image
 from aomgen.pipeline.project import Project
 from aomgen.splatting.metrics import psnr
@@ -82,10 +88,10 @@ def run_training(
         ),
     )
     clock = Clock()
-    lesson = lesson_of(structure, images, params.densify, silent)
+    views = select_training_views(structure, images, params.densify, silent)
     clock.stop()
-    held_out = [(structure.cameras_recon[name], images[name]) for name in lesson.test]
-    curve = training_curve(lesson, held_out, params, every_seconds)
+    held_out = [(structure.cameras_recon[name], images[name]) for name in views.test]
+    curve = training_curve(views, held_out, params, every_seconds)
     soon = [point["psnr"] for point in curve if point["seconds"] <= LIMIT_SECONDS]
     return {
         "curve": curve,
@@ -99,45 +105,45 @@ def run_training(
 
 
 def training_curve(
-    lesson: Lesson,
+    views: TrainingViews,
     held_out: list[tuple[Camera, np.ndarray]],
     params: GaussiansParams,
     every_seconds: float,
 ) -> list[dict[str, Any]]:
     """Train, and judge the held-out views every few seconds and at the end."""
-    state = started(lesson.initial, lesson.cameras, params.training, np.random.default_rng(params.seed))
-    extent = scene_extent(lesson.initial, lesson.cameras)
+    state = started(views.initial, views.cameras, params.training, np.random.default_rng(params.seed))
+    extent = scene_extent(views.initial, views.cameras)
     curve: list[dict[str, Any]] = []
     clock = Clock()
-    for _ in learning(state, lesson.cameras, lesson.images_srgb, params.training, extent):
+    for _ in learning(state, views.cameras, views.images_srgb, params.training, extent):
         clock.stop()
         if clock.wall >= every_seconds * (len(curve) + 1) or state.iteration == params.training.iterations:
-            curve.append(_point(state, lesson, held_out, params, clock))
+            curve.append(_point(state, views, held_out, params, clock))
             clock.start()
     return curve
 
 
 def _point(
     state: TrainingState,
-    lesson: Lesson,
+    views: TrainingViews,
     held_out: list[tuple[Camera, np.ndarray]],
     params: GaussiansParams,
     clock: Clock,
 ) -> dict[str, Any]:
     gaussians = finished(state, params.training)
-    gaussians = without_floaters(gaussians, lesson.cameras, lesson.dense, params.near_share)
-    views = [judge(gaussians, camera, image) for camera, image in held_out]
+    gaussians = without_floaters(gaussians, views.cameras, views.dense, params.near_share)
+    evaluated = [evaluate_view(gaussians, camera, image) for camera, image in held_out]
     fitted = [
-        gain_fitted_psnr(view.rendered_srgb, image) for view, (_, image) in zip(views, held_out, strict=True)
+        gain_fitted_psnr(view.rendered_srgb, image) for view, (_, image) in zip(evaluated, held_out, strict=True)
     ]
     return {
         "seconds": round(clock.wall, 2),
         "cpu_seconds": round(clock.cpu, 2),
         "iteration": state.iteration,
         "gaussians": len(gaussians),
-        "psnr": float(np.mean([view.psnr_db for view in views])),
+        "psnr": float(np.mean([view.psnr_db for view in evaluated])),
         "psnr_gain_fitted": float(np.mean(fitted)),
-        "ssim": float(np.mean([view.ssim for view in views])),
+        "ssim": float(np.mean([view.ssim for view in evaluated])),
     }
 
 

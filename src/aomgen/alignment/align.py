@@ -12,7 +12,7 @@ import numpy as np
 
 from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.confidence import Confirmation, ViewEvidence, confirmation, look
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Scan, SearchParams, search
 from aomgen.alignment.silhouette_fit import FINE, MIDDLE, RobotDrawing, reduced, refine, robot_drawing, spread
 from aomgen.alignment.uncertainty import (
@@ -79,7 +79,7 @@ class Alignment:
         residual_px: Median distance of confirmed outline points from image edges.
         residual_px_of_view: The same for each view that shows enough robot.
         ee_sd_m: Standard deviation of the end effector.
-        joint_zeros_rad: What to add to each joint of the log (J,), see `settle_fixed_cameras`; 0 where
+        joint_zeros_rad: What to add to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 where
             nothing speaks for it, empty before that was looked at.
         joint_zero_sds_rad: Standard deviations.
     """
@@ -205,7 +205,7 @@ def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
 
 
 def _refine_starts(
-    starts: Array, views: list[View], drawing: RobotDrawing, progress: Progress
+    starts: Array, views: list[AlignmentImage], drawing: RobotDrawing, progress: Progress
 ) -> list[tuple[Confirmation, Array]]:
     """Pull every start (H, 4, 4) onto the outlines of some views; best support first."""
     ranked = []

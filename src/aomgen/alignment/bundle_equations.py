@@ -1,4 +1,4 @@
-"""The equations behind the joint refinement: what films, structure and calibrations say of the unknowns."""
+"""Normal equations of the bundle adjustment, from videos, structure and hand-eye calibrations."""
 
 from dataclasses import dataclass, field
 
@@ -13,12 +13,12 @@ from aomgen.alignment.silhouette_residuals import (
     OFFSET,
     RATE,
     TOGETHER,
-    Arm,
-    Evidence,
-    Film,
-    Rim,
-    evidence,
-    moved_rim,
+    ContourResiduals,
+    FrameContour,
+    GrayFrames,
+    LoggedRobot,
+    contour_residuals,
+    move_contour,
     robust_weights,
 )
 from aomgen.core.camera import Camera
@@ -26,26 +26,26 @@ from aomgen.core.clock import Clock
 from aomgen.core.transforms import rotvec_from_matrix, skew
 from aomgen.core.values import Array
 
-# Stretches of a film that are left out in turn.
-_STRETCHES = 8
-# Information that holds an unknown where it is.
+# Segments of a video that are left out in turn (jackknife).
+_SEGMENTS = 8
+# Information that fixes an unknown: far above that of any data.
 FIXED = 1e12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JointParams:
-    """Beliefs and effort.
+class BundleParams:
+    """Priors and effort.
 
     Attributes:
-        frames: Frames of each film; 0 leaves cameras where the scan placed them.
-        width: Pictures wider than this are reduced, [px].
-        points: Outline points a frame.
+        frames: Frames of each video; 0 leaves cameras where the scan placed them.
+        width: Images wider than this are reduced, [px].
+        points: Contour points a frame.
         structure_points: Points that carry the camera's place in the structure.
         structure_sd_px: How far a camera placed in the structure is off, in its own picture, [px]:
             about half the reprojection error of a single image.
         calibration_sd_m, calibration_sd_rad: What a hand-eye calibration is good to.
         min_sd_s: Smallest standard deviation of a clock that is believed, [s].
-        max_drift_s: A drift that shifts the ends of the film by less than this against one another is
+        max_drift_s: A drift that shifts the ends of the video by less than this against one another is
             none: 20 ms at either end are 6 mm of an arm that moves at 0.3 m/s, [s].
         drift_sds: Standard deviations that a drift has to be away from none.
         zero_sd_rad: How far the zero of a joint of a mastered arm is off; next to 0 keeps the log's.
@@ -65,25 +65,25 @@ class JointParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FilmedCamera:
-    """One fixed camera as the refinement gets it.
+class CameraEvidence:
+    """Data of one fixed camera.
 
     Attributes:
-        camera_recon: As structure from motion placed it, recon frame, the film's size.
-        film: Frames to learn from.
+        camera_recon: As structure from motion placed it, recon frame, at the size of the frames.
+        frames: Frames to fit.
         clock: First guess; its `sd_s` 0 means that it is known.
-        T_world_cam: Hand-eye calibration to lean on, or None.
+        T_world_cam: Hand-eye calibration to use as a prior, or None.
     """
 
     camera_recon: Camera
-    film: Film
+    frames: GrayFrames
     clock: Clock
     T_world_cam: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraState:
-    """What is sought for one camera: pose, clock, bias of the outlines [px]."""
+    """Unknowns of one camera: pose, clock, bias of the contours [px]."""
 
     camera: Camera
     clock: Clock
@@ -91,24 +91,24 @@ class CameraState:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JointProblem:
-    """Everything that stays the same while it is solved.
+class BundleProblem:
+    """Data and initial values of the bundle adjustment.
 
     Attributes:
-        S_world_recon: The alignment's answer (4, 4).
+        S_world_recon: Aligned similarity (4, 4).
         scan: Views of the robot as scanned.
         points_recon: The structure's points (P, 3).
-        arm: Robot, log and drawing.
+        arm: Robot, log and renderer.
         cameras: By name.
-        params: Beliefs and effort.
+        params: Priors and effort.
     """
 
     S_world_recon: Array
     scan: Scanned
     points_recon: Array
-    arm: Arm
-    cameras: dict[str, FilmedCamera]
-    params: JointParams = field(default_factory=JointParams)
+    arm: LoggedRobot
+    cameras: dict[str, CameraEvidence]
+    params: BundleParams = field(default_factory=BundleParams)
 
     @property
     def pivot(self) -> Array:
@@ -118,7 +118,7 @@ class JointProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Columns:
-    """Where the unknowns stand: similarity (7), joint zeros (J), then COLUMNS for each camera."""
+    """Columns of the unknowns: similarity (7), joint zeros (J), then COLUMNS for each camera."""
 
     joints: int
     cameras: int
@@ -138,34 +138,34 @@ class Columns:
         start = 7 + self.joints + COLUMNS * k
         return slice(start, start + COLUMNS)
 
-    def film(self, k: int) -> NDArray[np.int64]:
-        """What the film of camera `k` tells of, in the order of `Evidence.jacobian`."""
+    def frames(self, k: int) -> NDArray[np.int64]:
+        """Those that the video of camera `k` depends on, in the order of `ContourResiduals.jacobian`."""
         every = np.arange(self.count)
         return np.concatenate([every[self.camera(k)], every[self.zeros]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Normal equations of one camera's film, and those of each stretch of it; see `Columns.film`."""
+    """Normal equations of one camera's video, and those of each segment of it; see `Columns.frames`."""
 
     A: Array
     b: Array
-    stretches: list[tuple[Array, Array]]
+    segments: list[tuple[Array, Array]]
 
 
 def camera_block(
-    problem: JointProblem,
+    problem: BundleProblem,
     name: str,
     state: CameraState,
     zeros_rad: Array,
-    rims: list[Rim],
+    contours: list[FrameContour],
     search: tuple[int, float],
 ) -> Block:
-    film, (reach, kernel) = problem.cameras[name].film, search
-    found: list[tuple[int, Evidence]] = []
-    for rim in rims:
-        here = moved_rim(rim, film.times_s[rim.frame], state.camera, state.clock, zeros_rad)
-        found.append((rim.frame, evidence(film, here, state.camera, problem.pivot, reach)))
+    frames, (reach, kernel) = problem.cameras[name].frames, search
+    found: list[tuple[int, ContourResiduals]] = []
+    for rendered in contours:
+        here = move_contour(rendered, frames.times_s[rendered.frame], state.camera, state.clock, zeros_rad)
+        found.append((rendered.frame, contour_residuals(frames, here, state.camera, problem.pivot, reach)))
     parts, squares, total = [], 0.0, 0.0
     for frame, item in found:
         residuals = item.shifts - state.bias_px
@@ -173,25 +173,25 @@ def camera_block(
         J = item.jacobian
         parts.append((frame, J.T @ (weights[:, None] * J), J.T @ (weights * residuals)))
         squares, total = squares + float(weights @ residuals**2), total + float(weights.sum())
-    # Tenths of a pixel are the least that edges are believed to.
+    # Edges are trusted to a tenth of a pixel at best (its square, [px^2]).
     scale = 1 / (TOGETHER * max(squares / max(total, 1e-9), 0.01))
-    stretch = [frame * _STRETCHES // len(film.times_s) for frame, _, _ in parts]
-    stretches = []
-    for index in range(_STRETCHES):
-        mine = [part for part, at in zip(parts, stretch, strict=True) if at == index]
+    segment = [frame * _SEGMENTS // len(frames.times_s) for frame, _, _ in parts]
+    segments = []
+    for index in range(_SEGMENTS):
+        mine = [part for part, at in zip(parts, segment, strict=True) if at == index]
         if mine:
-            stretches.append((scale * sum(A for _, A, _ in mine), scale * sum(b for _, _, b in mine)))
+            segments.append((scale * sum(A for _, A, _ in mine), scale * sum(b for _, _, b in mine)))
     size = COLUMNS + len(zeros_rad)
     zero = (np.zeros((size, size)), np.zeros(size))
     return Block(
-        A=sum((A for A, _ in stretches), zero[0]),
-        b=sum((b for _, b in stretches), zero[1]),
-        stretches=stretches,
+        A=sum((A for A, _ in segments), zero[0]),
+        b=sum((b for _, b in segments), zero[1]),
+        segments=segments,
     )
 
 
 def assemble(
-    problem: JointProblem,
+    problem: BundleProblem,
     scan: tuple[Array, Array],
     blocks: dict[str, Block],
     S: Array,
@@ -209,9 +209,9 @@ def assemble(
     b[columns.zeros] -= prior * zeros_rad
     for k, (name, block) in enumerate(blocks.items()):
         at, item, state = columns.camera(k), problem.cameras[name], states[name]
-        film = columns.film(k)
-        A[np.ix_(film, film)] += block.A
-        b[film] += block.b
+        frames = columns.frames(k)
+        A[np.ix_(frames, frames)] += block.A
+        b[frames] += block.b
         pose = np.arange(at.start, at.start + 6)
         _add(A, b, np.concatenate([pose, np.arange(7)]), _structure_prior(problem, item, state, S))
         if item.T_world_cam is not None:
@@ -232,7 +232,7 @@ def _add(A: Array, b: Array, columns: NDArray[np.int64], rows: tuple[Array, Arra
 
 
 def _structure_prior(
-    problem: JointProblem, item: FilmedCamera, state: CameraState, S: Array
+    problem: BundleProblem, item: CameraEvidence, state: CameraState, S: Array
 ) -> tuple[Array, Array]:
     camera, points = item.camera_recon, problem.points_recon
     pixels, depths = camera.project(points)
@@ -247,7 +247,7 @@ def _structure_prior(
     return scale * J, scale * r
 
 
-def _calibration_prior(problem: JointProblem, T_world_cam: Array, state: CameraState) -> tuple[Array, Array]:
+def _calibration_prior(problem: BundleProblem, T_world_cam: Array, state: CameraState) -> tuple[Array, Array]:
     params, T = problem.params, state.camera.T_world_cam
     turn = rotvec_from_matrix(T_world_cam[:3, :3] @ T[:3, :3].T)
     J, r = np.zeros((6, 6)), np.zeros(6)

@@ -1,4 +1,4 @@
-"""The fixed cameras of the demonstration as the alignment left them: pose, clock, and why."""
+"""Calibrated fixed cameras of the demonstration: pose, clock, and how they were found."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,7 @@ CAMERAS_FILE = "fixed_cameras.json"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SettledCamera:
+class CalibratedCamera:
     """One fixed camera in the world, and its video's clock.
 
     Attributes:
@@ -23,7 +23,7 @@ class SettledCamera:
         refusal: Where, problem and remedy of the refused clock; empty otherwise.
         note: How the pose was found, in words.
         trusted: Whether everything that was known of the camera agrees.
-        figures: Numbers behind it, by name.
+        figures: Metrics by name.
     """
 
     camera: Camera
@@ -33,7 +33,7 @@ class SettledCamera:
     trusted: bool = True
     figures: dict[str, float] = field(default_factory=dict)
 
-    def settled_clock(self) -> Clock:
+    def require_clock(self) -> Clock:
         """The clock.
 
         Raises:
@@ -44,24 +44,24 @@ class SettledCamera:
         return self.clock
 
     def summary(self) -> dict[str, object]:
-        """Figures for the manifest."""
+        """Metrics for the manifest."""
         clock = {} if self.clock is None else {"offset_s": self.clock.offset_s, "sd_s": self.clock.sd_s}
         return {"note": self.note, "clock": clock or "; ".join(self.refusal), **self.figures}
 
     def warnings(self, name: str) -> list[str]:
-        """What a person should know."""
+        """Sentences for the user."""
         found = [] if self.trusted else [f"camera '{name}' {self.note}"]
         return found + ([f"camera '{name}': {'; '.join(self.refusal)}"] if self.refusal else [])
 
 
-def save_settled_cameras(cameras: dict[str, SettledCamera], folder: Path) -> None:
+def save_calibrated_cameras(cameras: dict[str, CalibratedCamera], folder: Path) -> None:
     """Write `fixed_cameras.json` into a folder."""
     stored = {name: _json(item) for name, item in cameras.items()}
     write_json(folder / CAMERAS_FILE, {"format": 1, "cameras": stored})
 
 
-def load_settled_cameras(folder: Path) -> dict[str, SettledCamera]:
-    """Fixed cameras by name, world frame, as the alignment left them.
+def load_calibrated_cameras(folder: Path) -> dict[str, CalibratedCamera]:
+    """Load the calibrated fixed cameras by name, world frame.
 
     Raises:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
@@ -74,7 +74,7 @@ def load_settled_cameras(folder: Path) -> dict[str, SettledCamera]:
         raise MalformedFileError(path, f"does not hold cameras ({error})", "run the stage again") from error
 
 
-def _json(item: SettledCamera) -> dict[str, Any]:
+def _json(item: CalibratedCamera) -> dict[str, Any]:
     camera, clock = item.camera, item.clock
     return {
         "camera": {
@@ -90,9 +90,9 @@ def _json(item: SettledCamera) -> dict[str, Any]:
     }
 
 
-def _of(stored: dict[str, Any]) -> SettledCamera:
+def _of(stored: dict[str, Any]) -> CalibratedCamera:
     clock = stored["clock"]
-    return SettledCamera(
+    return CalibratedCamera(
         camera=Camera(**stored["camera"]),
         clock=None if clock is None else Clock(**clock),
         refusal=tuple(stored["refusal"]),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.core.values import Array
 from aomgen.robots.configuration import RobotPosture
 
@@ -32,7 +32,7 @@ class ColorScore:
         points_world: Points spread over the robot's surface (P, 3), [m].
     """
 
-    views: list[View]
+    views: list[AlignmentImage]
     labels: list[NDArray[np.float32]]
     points_world: Array
 
@@ -56,7 +56,7 @@ class ColorScore:
         length = np.sqrt(inside.sum(1) / sum(len(labels) for labels in self.labels))
         return divergence(inside, outside) * length * np.minimum(seen / SEEN, 1.0)
 
-    def _silhouettes(self, view: View, Ss_recon_world: Array) -> tuple[NDArray[np.bool_], Array]:
+    def _silhouettes(self, view: AlignmentImage, Ss_recon_world: Array) -> tuple[NDArray[np.bool_], Array]:
         """Masks (H, h, w), and which share of the robot is in the picture (H,)."""
         camera = view.camera_recon
         K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
@@ -79,7 +79,7 @@ class ColorScore:
 
 
 def color_score(
-    views: list[View], posture: RobotPosture, rng: np.random.Generator, points: int = 1200
+    views: list[AlignmentImage], posture: RobotPosture, rng: np.random.Generator, points: int = 1200
 ) -> ColorScore:
     """Prepare small images for quick looks.
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.contours import (
+    AlignmentImage,
     Contour,
-    View,
     color_ratio,
     edge_shifts,
     region_shifts,
@@ -79,7 +79,7 @@ class ViewEvidence:
 
 
 def look(
-    S: Array, views: list[View], drawing: RobotDrawing, contour_points: int, width: int = 640
+    S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int, width: int = 640
 ) -> list[ViewEvidence]:
     """Evidence of every view that shows enough robot.
 
@@ -99,7 +99,9 @@ def look(
     return found
 
 
-def _evidence(S: Array, number: int, view: View, drawn: Drawn, drawing: RobotDrawing) -> ViewEvidence:
+def _evidence(
+    S: Array, number: int, view: AlignmentImage, drawn: Drawn, drawing: RobotDrawing
+) -> ViewEvidence:
     camera = camera_in_world(S, view.camera_recon)
     gray = gray_levels(view.image_srgb)
     contour = drawn.contour
@@ -135,7 +137,7 @@ def _evidence(S: Array, number: int, view: View, drawn: Drawn, drawing: RobotDra
 
 
 def _confirmed(
-    contour: Contour, mask: NDArray[np.bool_], view: View, gray: NDArray[np.float32]
+    contour: Contour, mask: NDArray[np.bool_], view: AlignmentImage, gray: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
     edge, strength = edge_shifts(contour, gray, REACH_PX)
     border, _ = region_shifts(contour, color_ratio(view.image_srgb, mask, 2 * REACH_PX), REACH_PX)

@@ -20,7 +20,7 @@ BINS = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class AlignmentImage:
     """One image to align with.
 
     Attributes:

@@ -1,8 +1,8 @@
 """The fixed cameras of the demonstration: poses and clocks, refined together with the alignment.
 
 Each camera starts where structure from motion and the alignment put it; the silhouettes give a first
-guess of its clock, and the moving arm refines all of it (`joint_refinement`). What cannot be refined
-keeps its place, with the reason.
+guess of its clock, and the moving arm refines all of it (`bundle_adjustment`). A camera that cannot be
+refined keeps its pose; the reason is stored.
 """
 
 from collections.abc import Mapping
@@ -10,19 +10,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aomgen.alignment.bundle_adjustment import Refinement, drifts
-from aomgen.alignment.bundle_equations import FilmedCamera, JointParams, JointProblem
-from aomgen.alignment.calibrated_cameras import SettledCamera
+from aomgen.alignment.bundle_adjustment import BundleSolution, drifts
+from aomgen.alignment.bundle_equations import BundleParams, BundleProblem, CameraEvidence
+from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.alignment.calibration_check import deviation, refuse_gross
-from aomgen.alignment.contours import View
-from aomgen.alignment.held_out_frames import Take, judge, take_zeros
+from aomgen.alignment.contours import AlignmentImage
+from aomgen.alignment.held_out_frames import HeldOutSplit, estimate_joint_zeros, reject_unconfirmed
 from aomgen.alignment.scan_information import Scanned
 from aomgen.alignment.silhouette_fit import gray_levels, reduced, robot_drawing, spread
 from aomgen.alignment.silhouette_residuals import (
-    Arm,
-    film_of,
-    no_film,
-    spread_frames,
+    LoggedRobot,
+    choose_frames,
+    empty_frames,
+    read_gray_frames,
     trace,
 )
 from aomgen.alignment.time_offset import estimate_clock
@@ -36,20 +36,20 @@ from aomgen.io.video import Video
 from aomgen.robots.configuration import RobotPosture
 from aomgen.robots.robot_masks import robot_masks
 
-# Scan views that say how well the alignment is known.
+# Scan views that carry the information of the alignment.
 _VIEWS = 24
-# Every other frame is left out of the refinement and judges it.
-_JUDGE_EVERY = 2
+# Every second frame is held out of the refinement and validates it.
+_HOLD_OUT_EVERY = 2
 # Frames that must show the arm, of those chosen.
 _MIN_FRAMES = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Filmed:
-    """What a capture holds of one fixed camera.
+class FixedCameraVideo:
+    """One fixed camera of a capture.
 
     Attributes:
-        video: Its film of the demonstration.
+        video: Of the demonstration.
         camera_recon: As structure from motion placed it, recon frame, the video's size.
         T_world_cam: Hand-eye calibration (4, 4), or None.
     """
@@ -64,12 +64,12 @@ class Filmed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
-    """What the refinement starts from.
+class AlignedScan:
+    """Initial values of the refinement.
 
     Attributes:
-        S_world_recon: The alignment's answer (4, 4).
-        views: Scan images it may look at.
+        S_world_recon: Aligned similarity (4, 4).
+        views: Scan images that may be used.
         points_recon: Sparse points (P, 3) of the structure.
         posture: Robot during the scan.
         log: Joint log of the demonstration.
@@ -77,7 +77,7 @@ class Scene:
     """
 
     S_world_recon: Array
-    views: list[View]
+    views: list[AlignmentImage]
     points_recon: Array
     posture: RobotPosture
     log: JointLog
@@ -88,11 +88,11 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settlement:
+class FixedCameraCalibration:
     """Similarity, fixed cameras and joint zeros after the refinement; `zeros_rad` (J,) add to the log's joints."""
 
     S_world_recon: Array
-    cameras: dict[str, SettledCamera]
+    cameras: dict[str, CalibratedCamera]
     zeros_rad: Array
     zero_sds_rad: Array
 
@@ -102,58 +102,66 @@ class Settlement:
         freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
 
 
-def settle_fixed_cameras(
-    scene: Scene, filmed: Mapping[str, Filmed], progress: Progress, params: JointParams | None = None
-) -> Settlement:
+def calibrate_fixed_cameras(
+    scene: AlignedScan,
+    videos: Mapping[str, FixedCameraVideo],
+    progress: Progress,
+    params: BundleParams | None = None,
+) -> FixedCameraCalibration:
     """Pose and clock of every fixed camera, and the similarity that fits them.
 
     Args:
         scene: Alignment, scan and robot.
-        filmed: Fixed cameras by name.
-        progress: Told after each step.
-        params: Beliefs and effort.
+        videos: Fixed cameras by name.
+        progress: Called after each step.
+        params: Priors and effort.
 
     Raises:
         AlignmentError: A calibrated camera grossly contradicts the scan.
 
     A clock that is not determined, or that drifts, is kept as refused with its reason.
     """
-    params = params or JointParams()
+    params = params or BundleParams()
     S = scene.S_world_recon
-    for name, item in filmed.items():
+    for name, item in videos.items():
         if item.T_world_cam is not None:
             placed = camera_in_world(S, item.camera_recon)
             refuse_gross(name, item.T_world_cam, placed, scene.posture.points_world(300))
     clocks: dict[str, Clock | SyncError] = {}
-    for index, (name, item) in enumerate(filmed.items()):
+    for index, (name, item) in enumerate(videos.items()):
         clocks[name] = _first_clock(scene, item)
-        progress(0.5 * (index + 1) / len(filmed), f"clock of camera '{name}'")
+        progress(0.5 * (index + 1) / len(videos), f"clock of camera '{name}'")
     views = [reduced(view, params.width) for view in scene.views]
-    pictures = [view.camera_recon for view in views] + [_small(item, params) for item in filmed.values()]
+    pictures = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
     with robot_drawing(scene.posture, width, height) as drawing:
         # Without frames cameras and scan stay where they are.
         shown = spread(views, S, drawing, _VIEWS) if params.frames else []
         zeros_rad = np.zeros(len(scene.posture.joints))
-        arm = Arm(robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad)
-        takes = {name: _take(S, item, clocks[name], arm, params) for name, item in filmed.items()}
-        problem = JointProblem(
+        arm = LoggedRobot(
+            robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad
+        )
+        splits = {name: _split_frames(S, item, clocks[name], arm, params) for name, item in videos.items()}
+        problem = BundleProblem(
             S_world_recon=S,
             scan=Scanned(
                 views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing
             ),
             points_recon=scene.points_recon,
             arm=arm,
-            cameras={name: _in_problem(filmed[name], take, params) for name, take in takes.items()},
+            cameras={name: _in_problem(videos[name], split, params) for name, split in splits.items()},
             params=params,
         )
         progress(0.6, "refining cameras and clocks")
-        problem, refinement, takes = judge(problem, takes)
+        problem, refinement, splits = reject_unconfirmed(problem, splits)
         progress(0.8, "estimating joint zeros")
-        refinement = take_zeros(problem, takes, refinement)
-    cameras = {name: _settled(name, item, takes[name], refinement, params) for name, item in filmed.items()}
+        refinement = estimate_joint_zeros(problem, splits, refinement)
+    cameras = {
+        name: _calibrated_camera(name, item, splits[name], refinement, params)
+        for name, item in videos.items()
+    }
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
-    return Settlement(
+    return FixedCameraCalibration(
         S_world_recon=refinement.S_world_recon,
         cameras=cameras,
         zeros_rad=refinement.zeros_rad,
@@ -161,13 +169,13 @@ def settle_fixed_cameras(
     )
 
 
-def _small(item: Filmed, params: JointParams) -> Camera:
+def _small(item: FixedCameraVideo, params: BundleParams) -> Camera:
     camera = item.camera_recon
     width = min(camera.width, params.width)
     return camera.resized(width, round(camera.height * width / camera.width))
 
 
-def _first_clock(scene: Scene, item: Filmed) -> Clock | SyncError:
+def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncError:
     times = item.video.times_s
     if scene.clock_offset_s is not None:
         return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
@@ -179,52 +187,60 @@ def _first_clock(scene: Scene, item: Filmed) -> Clock | SyncError:
             return error
 
 
-def _take(S: Array, item: Filmed, clock: Clock | SyncError, arm: Arm, params: JointParams) -> Take:
-    """Frames to learn from and to judge by, if enough of them show the arm."""
-    empty, calibrated = no_film(), item.T_world_cam is not None
+def _split_frames(
+    S: Array, item: FixedCameraVideo, clock: Clock | SyncError, arm: LoggedRobot, params: BundleParams
+) -> HeldOutSplit:
+    """Frames to fit and frames to validate, if enough of them show the arm."""
+    empty, calibrated = empty_frames(), item.T_world_cam is not None
     if isinstance(clock, SyncError):
-        return Take(film=empty, judges=empty, clock=clock, reason=clock.problem, calibrated=calibrated)
+        return HeldOutSplit(
+            frames=empty, held_out=empty, clock=clock, reason=clock.problem, calibrated=calibrated
+        )
     if not params.frames:
-        return Take(film=empty, judges=empty, clock=clock, reason="", calibrated=calibrated)
-    frames = spread_frames(item.video, arm, clock, params.frames * _JUDGE_EVERY // (_JUDGE_EVERY - 1))
-    judging = np.arange(len(frames)) % _JUDGE_EVERY == _JUDGE_EVERY // 2
-    film, judges = (film_of(item.video, frames[chosen], params.width) for chosen in (~judging, judging))
+        return HeldOutSplit(frames=empty, held_out=empty, clock=clock, reason="", calibrated=calibrated)
+    chosen = choose_frames(item.video, arm, clock, params.frames * _HOLD_OUT_EVERY // (_HOLD_OUT_EVERY - 1))
+    validating = np.arange(len(chosen)) % _HOLD_OUT_EVERY == _HOLD_OUT_EVERY // 2
+    frames, held_out = (
+        read_gray_frames(item.video, chosen[part], params.width) for part in (~validating, validating)
+    )
     camera = camera_in_world(S, _small(item, params))
-    shown = len(trace(film, camera, clock, arm, params.points))
+    shown = len(trace(frames, camera, clock, arm, params.points))
     if shown >= _MIN_FRAMES:
-        return Take(film=film, judges=judges, clock=clock, reason="", calibrated=calibrated)
-    reason = f"{shown} of {len(film.times_s)} frames show the arm, want {_MIN_FRAMES}"
-    return Take(film=empty, judges=empty, clock=clock, reason=reason, calibrated=calibrated)
+        return HeldOutSplit(frames=frames, held_out=held_out, clock=clock, reason="", calibrated=calibrated)
+    reason = f"{shown} of {len(frames.times_s)} frames show the arm, want {_MIN_FRAMES}"
+    return HeldOutSplit(frames=empty, held_out=empty, clock=clock, reason=reason, calibrated=calibrated)
 
 
-def _in_problem(item: Filmed, take: Take, params: JointParams) -> FilmedCamera:
-    return FilmedCamera(
+def _in_problem(item: FixedCameraVideo, split: HeldOutSplit, params: BundleParams) -> CameraEvidence:
+    return CameraEvidence(
         camera_recon=_small(item, params),
-        film=take.film,
-        clock=take.clock if isinstance(take.clock, Clock) and len(take.film.times_s) else Clock(offset_s=0.0),
-        T_world_cam=item.T_world_cam if take.calibrated else None,
+        frames=split.frames,
+        clock=split.clock
+        if isinstance(split.clock, Clock) and len(split.frames.times_s)
+        else Clock(offset_s=0.0),
+        T_world_cam=item.T_world_cam if split.calibrated else None,
     )
 
 
-def _settled(
-    name: str, item: Filmed, take: Take, refinement: Refinement, params: JointParams
-) -> SettledCamera:
+def _calibrated_camera(
+    name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution, params: BundleParams
+) -> CalibratedCamera:
     state = refinement.cameras[name]
-    used = bool(len(take.film.times_s))
+    used = bool(len(split.frames.times_s))
     start = camera_in_world(refinement.S_world_recon, item.camera_recon)
-    known = used or take.calibrated
+    known = used or split.calibrated
     camera = item.camera_recon.moved(state.camera.T_world_cam) if known else start
     moved = deviation(start.T_world_cam, camera)
     figures = {"moved_mm": 1e3 * moved.distance_m, "moved_deg": float(np.degrees(moved.angle_rad))}
     note = "refined on the moving arm" if used else "as the scan placed it"
-    note += f": {take.reason}" if take.reason else ""
+    note += f": {split.reason}" if split.reason else ""
     if item.T_world_cam is not None:
         apart = deviation(item.T_world_cam, camera)
         figures |= {"calibration_mm": 1e3 * apart.distance_m}
         figures |= {"calibration_deg": float(np.degrees(apart.angle_rad))}
-        verdict = "agrees" if take.calibrated else "contradicts the evidence and is not used"
+        verdict = "agrees" if split.calibrated else "contradicts the evidence and is not used"
         note += f"; its calibration {verdict} ({apart})"
-    clock = state.clock if used else take.clock
+    clock = state.clock if used else split.clock
     refusal: tuple[str, ...] = ()
     if isinstance(clock, SyncError):
         refusal = (clock.where, clock.problem, clock.remedy)
@@ -232,12 +248,12 @@ def _settled(
         refusal = _drift_refusal(name, clock, item.video)
     else:
         clock = replace(clock, rate=0.0)
-    return SettledCamera(
+    return CalibratedCamera(
         camera=camera,
         clock=clock if isinstance(clock, Clock) and not refusal else None,
         refusal=refusal,
         note=note,
-        trusted=not take.reason and take.calibrated == (item.T_world_cam is not None),
+        trusted=not split.reason and split.calibrated == (item.T_world_cam is not None),
         figures=figures,
     )
 

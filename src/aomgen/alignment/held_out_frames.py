@@ -1,85 +1,89 @@
-"""What frames left out of the refinement say of its answer: films, calibrations and joint zeros on trial."""
+"""Validation of the bundle adjustment on held-out frames: videos, calibrations and joint zeros."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aomgen.alignment.bundle_adjustment import Refinement, refine_jointly
-from aomgen.alignment.bundle_equations import JointProblem
+from aomgen.alignment.bundle_adjustment import BundleSolution, adjust_bundle
+from aomgen.alignment.bundle_equations import BundleProblem
 from aomgen.alignment.calibration_check import deviation
-from aomgen.alignment.silhouette_residuals import Film, misfit, misfits, no_film
+from aomgen.alignment.silhouette_residuals import GrayFrames, empty_frames, misfit, misfits
 from aomgen.core.camera import camera_in_world
 from aomgen.core.clock import Clock
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError, SyncError
 
-# Edges that have nothing to do with the arm lie anywhere in reach of its outline, at a misfit of 2/3.
+# Edges unrelated to the arm lie anywhere in reach of its contour, which gives a misfit of 2/3.
 _MAX_MISFIT = 0.5
-# A joint zero with this deviation is the log's.
+# Prior deviation that fixes the joint zeros to the log, [rad].
 _AS_LOGGED_RAD = 1e-6
-# Mastered arms are within this.
+# Joint zeros of mastered arms are below this, [rad].
 _MAX_ZERO_RAD = float(np.radians(2.0))
-# Standard errors by which left-out frames must be drawn better: right zeros of a quarter of a degree give
+# Standard errors by which held-out frames must fit better: right zeros of a quarter of a degree give
 # 1.5 to 5, joints that are as logged -1.4 to 0.2; what is wrongly taken is held small by the prior.
 _CLEAR_SDS = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Take:
-    """One film, cut.
+class HeldOutSplit:
+    """Frames of one video, split into those to fit and those held out.
 
     Attributes:
-        film: Frames to learn from; empty when the film cannot be used.
-        judges: Frames that judge the answer.
+        frames: Frames to fit; empty when the video cannot be used.
+        held_out: Frames that validate the result.
         clock: First guess, or why there is none.
-        reason: Why the film cannot be used, or was not believed; empty otherwise.
-        calibrated: Whether the hand-eye calibration is leant on.
+        reason: Why the video cannot be used, or was rejected; empty otherwise.
+        calibrated: Whether the hand-eye calibration is used.
     """
 
-    film: Film
-    judges: Film
+    frames: GrayFrames
+    held_out: GrayFrames
     clock: Clock | SyncError
     reason: str
     calibrated: bool
 
 
-def judge(problem: JointProblem, takes: dict[str, Take]) -> tuple[JointProblem, Refinement, dict[str, Take]]:
-    """The refinement, joints as logged, with every film that its left-out frames confirm.
+def reject_unconfirmed(
+    problem: BundleProblem, splits: dict[str, HeldOutSplit]
+) -> tuple[BundleProblem, BundleSolution, dict[str, HeldOutSplit]]:
+    """Refine with the joints as logged and drop every video that its held-out frames do not confirm.
 
-    A calibration that the answer contradicts, or a film whose answer is no better than the question,
+    A calibration that the result contradicts, or a video whose result is no better than its start,
     is left out, and the rest is solved again.
     """
-    takes, empty = dict(takes), no_film()
+    splits, empty = dict(splits), empty_frames()
     while True:
         held = replace(problem, params=replace(problem.params, zero_sd_rad=_AS_LOGGED_RAD))
-        refinement = refine_jointly(held)
-        complaint = _complaint(problem, takes, refinement)
-        if complaint is None:
-            return problem, refinement, takes
-        name, reason, calibrated = complaint
-        take, camera = takes[name], problem.cameras[name]
+        refinement = adjust_bundle(held)
+        contradiction = _first_contradiction(problem, splits, refinement)
+        if contradiction is None:
+            return problem, refinement, splits
+        name, reason, calibrated = contradiction
+        split, camera = splits[name], problem.cameras[name]
         if calibrated:
-            takes[name] = replace(take, calibrated=False)
+            splits[name] = replace(split, calibrated=False)
             camera = replace(camera, T_world_cam=None)
         else:
-            takes[name] = replace(take, film=empty, judges=empty, reason=reason)
-            camera = replace(camera, film=empty, clock=Clock(offset_s=0.0))
+            splits[name] = replace(split, frames=empty, held_out=empty, reason=reason)
+            camera = replace(camera, frames=empty, clock=Clock(offset_s=0.0))
         problem = replace(problem, cameras=problem.cameras | {name: camera})
 
 
-def take_zeros(problem: JointProblem, takes: dict[str, Take], logged: Refinement) -> Refinement:
-    """The refinement with joint zeros where frames left out are drawn clearly better with them.
+def estimate_joint_zeros(
+    problem: BundleProblem, splits: dict[str, HeldOutSplit], logged: BundleSolution
+) -> BundleSolution:
+    """Add joint zeros to the refinement if held-out frames fit clearly better with them.
 
     Raises:
-        AlignmentError: They are, and one is larger than any mastered arm's.
+        AlignmentError: They do, and one is larger than on any mastered arm.
     """
-    if not any(len(take.judges.times_s) for take in takes.values()):
+    if not any(len(split.held_out.times_s) for split in splits.values()):
         return logged
-    found = refine_jointly(problem, logged)
+    found = adjust_bundle(problem, logged)
     gains = np.concatenate(
         [
-            _costs(problem, take, name, logged) - _costs(problem, take, name, found)
-            for name, take in takes.items()
+            _costs(problem, split, name, logged) - _costs(problem, split, name, found)
+            for name, split in splits.items()
         ]
     )
     gains = gains[~np.isnan(gains)]
@@ -96,25 +100,25 @@ def take_zeros(problem: JointProblem, takes: dict[str, Take], logged: Refinement
     return found
 
 
-def _costs(problem: JointProblem, take: Take, name: str, found: Refinement) -> Array:
+def _costs(problem: BundleProblem, split: HeldOutSplit, name: str, found: BundleSolution) -> Array:
     state = found.cameras[name]
-    return misfits(take.judges, state.camera, state.clock, replace(problem.arm, zeros_rad=found.zeros_rad))
+    return misfits(split.held_out, state.camera, state.clock, replace(problem.arm, zeros_rad=found.zeros_rad))
 
 
-def _complaint(
-    problem: JointProblem, takes: dict[str, Take], refinement: Refinement
+def _first_contradiction(
+    problem: BundleProblem, splits: dict[str, HeldOutSplit], refinement: BundleSolution
 ) -> tuple[str, str, bool] | None:
     """The first camera that has to be solved without something: name, reason, whether calibration."""
-    for name, take in takes.items():
+    for name, split in splits.items():
         camera, state = problem.cameras[name], refinement.cameras[name]
         if camera.T_world_cam is not None and not deviation(camera.T_world_cam, state.camera).within(
             3 * problem.params.calibration_sd_m, 3 * problem.params.calibration_sd_rad
         ):
             return name, "", True
-        if len(take.judges.times_s) and isinstance(take.clock, Clock):
+        if len(split.held_out.times_s) and isinstance(split.clock, Clock):
             start = camera_in_world(problem.S_world_recon, camera.camera_recon)
-            before = misfit(take.judges, start, take.clock, problem.arm)
-            after = misfit(take.judges, state.camera, state.clock, problem.arm)
+            before = misfit(split.held_out, start, split.clock, problem.arm)
+            after = misfit(split.held_out, state.camera, state.clock, problem.arm)
             if not after < before:
                 return name, f"frames left out fit worse than before ({after:.3f}, was {before:.3f})", False
             if not after <= _MAX_MISFIT:

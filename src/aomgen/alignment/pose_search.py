@@ -12,7 +12,7 @@ import numpy as np
 
 from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.color_score import color_score
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.gravity import up_candidates
 from aomgen.alignment.silhouette_fit import reduced
 from aomgen.alignment.starting_poses import RobotBox, places_in_boxes
@@ -79,7 +79,7 @@ class Scan:
         errors: How far the cameras may be off; without, they are taken as exact.
     """
 
-    views: list[View]
+    views: list[AlignmentImage]
     boxes: list[RobotBox]
     points_recon: Array
     errors: CameraErrors | None = None
@@ -192,7 +192,7 @@ def _near(Ss: Array, points_world: Array, generation: Generation, rng: np.random
     return np.asarray(np.linalg.inv(Ds) @ np.repeat(Ss, generation.children, axis=0), np.float64)
 
 
-def _views_on(views: list[View], centers: Array, count: int) -> list[View]:
+def _views_on(views: list[AlignmentImage], centers: Array, count: int) -> list[AlignmentImage]:
     """Views that show most of the likely robot centres (H, 3), from different sides, widest first."""
     shown = []
     for view in views:

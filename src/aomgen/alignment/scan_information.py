@@ -1,4 +1,4 @@
-"""What the scan says about alignment, joint zeros and fixed cameras in the joint refinement."""
+"""Normal equations of the scan for alignment, joint zeros and fixed cameras in the bundle adjustment."""
 
 from dataclasses import dataclass, replace
 
@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.contours import (
+    AlignmentImage,
     Contour,
-    View,
     edge_shifts,
     shift_jacobian,
 )
@@ -23,29 +23,30 @@ from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 
+# Contour points a view; errors of closer points are correlated, see `TOGETHER`.
 _POINTS = 400
-# Information that holds similarity and joints where they are, when no view is looked at.
+# Information that fixes similarity and joints when no view is used: far above that of any data.
 _HELD = 1e12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scanned:
-    """The scan as the joint refinement looks at it: views of the size to be drawn, with gray levels."""
+    """Scan views at the size they are rendered at, with gray levels."""
 
-    views: list[View]
+    views: list[AlignmentImage]
     grays: list[NDArray[np.float32]]
     drawing: RobotDrawing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ScanRim:
-    """The robot's outline as drawn for one scan view.
+class ScanContour:
+    """The contour of the robot as rendered for one scan view.
 
     Attributes:
         view: Index of the view.
         contour: Its points, world frame.
         turns: How each joint moves the points (C, J, 3), [m/rad].
-        zeros_rad: The joint zeros (J,) it was drawn under.
+        zeros_rad: The joint zeros (J,) it was rendered with.
     """
 
     view: int
@@ -54,36 +55,42 @@ class ScanRim:
     zeros_rad: Array
 
 
-def trace_scan(scan: Scanned, S_world_recon: Array, zeros_rad: Array) -> list[ScanRim]:
-    """Outlines of the robot as scanned, with joint zeros, in the views that show enough of it."""
+def trace_scan(scan: Scanned, S_world_recon: Array, zeros_rad: Array) -> list[ScanContour]:
+    """Contours of the robot as scanned, with joint zeros, in the views that show enough of it."""
     posture = replace(scan.drawing.posture, joints=scan.drawing.posture.joints + zeros_rad)
     drawing = replace(scan.drawing, posture=posture)
-    rims = []
+    contours = []
     for index, view in enumerate(scan.views):
         drawn = drawing.draw(camera_in_world(S_world_recon, view.camera_recon), _POINTS)
         if drawn is not None:
             turns = posture.turns(drawn.contour.points, drawn.bodies)
-            rims.append(ScanRim(view=index, contour=drawn.contour, turns=turns, zeros_rad=zeros_rad))
-    return rims
+            contours.append(ScanContour(view=index, contour=drawn.contour, turns=turns, zeros_rad=zeros_rad))
+    return contours
 
 
 def scan_block(
-    scan: Scanned, rims: list[ScanRim], S_world_recon: Array, zeros_rad: Array, search: tuple[int, float]
+    scan: Scanned,
+    contours: list[ScanContour],
+    S_world_recon: Array,
+    zeros_rad: Array,
+    search: tuple[int, float],
 ) -> tuple[Array, Array]:
     """Normal equations (7 + J) of a motion of the robot before all views, and of joint zeros.
 
-    All outlines may be drawn too wide or too narrow by one bias.
+    All contours may be too wide or too narrow by one bias.
     """
     (reach, kernel), rows, every, clear = search, [], [], []
-    for rim in rims:
-        view = scan.views[rim.view]
+    for rendered in contours:
+        view = scan.views[rendered.view]
         camera = camera_in_world(S_world_recon, view.camera_recon)
-        points = rim.contour.points + np.einsum("j,cjd->cd", zeros_rad - rim.zeros_rad, rim.turns)
-        contour = replace(rim.contour, points=points).seen_by(camera)
-        shifts, strength = edge_shifts(contour, scan.grays[rim.view], reach)
+        points = rendered.contour.points + np.einsum(
+            "j,cjd->cd", zeros_rad - rendered.zeros_rad, rendered.turns
+        )
+        contour = replace(rendered.contour, points=points).seen_by(camera)
+        shifts, strength = edge_shifts(contour, scan.grays[rendered.view], reach)
         J = np.ones((len(shifts), 8 + len(zeros_rad)))
         J[:, :7] = shift_jacobian(camera, contour, scan.drawing.pivot)
-        J[:, 7:-1] = np.einsum("cd,cjd->cj", J[:, 3:6], rim.turns)
+        J[:, 7:-1] = np.einsum("cd,cjd->cj", J[:, 3:6], rendered.turns)
         rows.append(J)
         every.append(shifts)
         clear.append(np.minimum(strength / CLEAR_EDGE, 1.0))

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.contours import (
+    AlignmentImage,
     Contour,
-    View,
     color_ratio,
     edge_shifts,
     outline,
@@ -119,7 +119,11 @@ def robot_drawing(posture: RobotPosture, width: int, height: int) -> Iterator[Ro
 
 
 def refine(
-    S: Array, views: list[View], drawing: RobotDrawing, levels: tuple[Level, ...], contour_points: int
+    S: Array,
+    views: list[AlignmentImage],
+    drawing: RobotDrawing,
+    levels: tuple[Level, ...],
+    contour_points: int,
 ) -> Array:
     """The similarity after the drawn outlines were pulled onto those of the images."""
     for level in levels:
@@ -131,8 +135,8 @@ def refine(
                 for view, gray in zip(resized, grays, strict=True)
                 if (line := _lines(S, view, gray, drawing, level, contour_points))
             ]
-            S, settled = _descend(S, lines, drawing, level)
-            if settled:
+            S, converged = _descend(S, lines, drawing, level)
+            if converged:
                 break
     return S
 
@@ -141,13 +145,13 @@ def refine(
 class _Lines:
     """What one view says about the outline drawn in it: a field of pixels to look across."""
 
-    view: View
+    view: AlignmentImage
     contour: Contour
     field: NDArray[np.float32]
 
 
 def _lines(
-    S: Array, view: View, gray: NDArray[np.float32], drawing: RobotDrawing, level: Level, limit: int
+    S: Array, view: AlignmentImage, gray: NDArray[np.float32], drawing: RobotDrawing, level: Level, limit: int
 ) -> _Lines | None:
     drawn = drawing.draw(camera_in_world(S, view.camera_recon), limit, fine=level.fine)
     if drawn is None:
@@ -202,7 +206,7 @@ def moved_similarity(S: Array, step: Array, pivot: Array) -> Array:
     return np.linalg.inv(D) @ S
 
 
-def spread(views: list[View], S: Array, drawing: RobotDrawing, count: int) -> list[View]:
+def spread(views: list[AlignmentImage], S: Array, drawing: RobotDrawing, count: int) -> list[AlignmentImage]:
     """Views that show the robot well, chosen far from one another by viewing direction."""
     robot = drawing.posture.points_world(300)
     target = robot.mean(0)
@@ -227,17 +231,17 @@ def spread(views: list[View], S: Array, drawing: RobotDrawing, count: int) -> li
     return [usable[i] for i in sorted(chosen)]
 
 
-def reduced(view: View, width: int) -> View:
+def reduced(view: AlignmentImage, width: int) -> AlignmentImage:
     """The view at most `width` pixels wide."""
     return scaled(view, min(1.0, width / view.camera_recon.width))
 
 
-def scaled(view: View, scale: float) -> View:
+def scaled(view: AlignmentImage, scale: float) -> AlignmentImage:
     if scale == 1.0:
         return view
     width = round(view.camera_recon.width * scale)
     height = round(view.camera_recon.height * scale)
-    return View(
+    return AlignmentImage(
         name=view.name,
         camera_recon=view.camera_recon.resized(width, height),
         image_srgb=resize(view.image_srgb, width, height),

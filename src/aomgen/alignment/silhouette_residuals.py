@@ -1,9 +1,9 @@
-"""Evidence of one fixed camera's film: the moving arm's outlines at many postures.
+"""Contour residuals of one fixed camera's video: the moving arm's silhouette in many configurations.
 
-An outline that is drawn from the joint log lies beside the one that a frame shows when the camera's
-pose is off, when the clocks are off, or when pictures show every outline a little too wide or too
-narrow (blur, tone curve, simplified meshes). All three are told apart, because the arm goes many
-ways: the clock's error goes with the arm's velocity, the outline's bias with neither.
+A contour rendered from the joint log differs from the observed one when the camera pose is wrong, when
+the clock offset is wrong, or when images show every contour a little too wide or too narrow (blur, tone
+curve, simplified meshes). The three can be separated because the arm moves along many directions: a
+clock error scales with the velocity of the arm, a contour bias depends on neither pose nor velocity.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 # Columns of the equations: rotation and translation of the robot before the camera, clock offset,
-# drift, bias of the outlines; the zero of each arm joint follows.
+# drift, bias of the contours; the zero of each arm joint follows.
 POSE, OFFSET, RATE, BIAS = slice(0, 6), 6, 7, 8
 COLUMNS = 9
 # Readings within this time are averaged to beat encoder noise, and differentiated over twice as much, [s].
@@ -33,18 +33,18 @@ _READING_S = 0.02
 _SPEED_S = 0.05
 # Gray-level step of an edge that counts fully.
 CLEAR_EDGE = 0.05
-# Neighbouring outline points err together: ten of them count as one.
+# Errors of neighbouring contour points are correlated: ten points count as one.
 TOGETHER = 10.0
-# How far blur, tone curves and simple meshes widen all outlines of one camera, [px].
+# How far blur, tone curves and simple meshes widen all contours of one camera, [px].
 BIAS_SD_PX = 1.0
-# A picture of less robot than this share says nothing, one of more has no outline.
+# Least and largest share of the image that the robot may cover: below is no signal, above no contour.
 _SHARES = (0.002, 0.7)
 _MIN_POINTS = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Film:
-    """Chosen frames of a video.
+class GrayFrames:
+    """Chosen frames of a video, as gray levels.
 
     Attributes:
         times_s: Video times (F,).
@@ -59,8 +59,8 @@ class Film:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Arm:
-    """The robot with its log, what is added to each joint of it (J,) [rad], and the context that draws it."""
+class LoggedRobot:
+    """The robot, its joint log, the joint zeros (J,) that are added to it [rad], and its renderer."""
 
     robot: RobotModel
     log: JointLog
@@ -78,16 +78,16 @@ class Arm:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rim:
-    """The arm's outline as drawn for one frame.
+class FrameContour:
+    """The contour of the arm as rendered for one frame.
 
     Attributes:
-        frame: Index into the film.
+        frame: Index into the frames.
         contour: Its points, world frame.
         velocities: Of the points (C, 3), per second of the log, [m/s].
         turns: How each joint moves the points (C, J, 3), [m/rad].
-        clock: The clock it was drawn under.
-        zeros_rad: The joint zeros (J,) it was drawn under.
+        clock: The clock it was rendered with.
+        zeros_rad: The joint zeros (J,) it was rendered with.
     """
 
     frame: int
@@ -98,22 +98,22 @@ class Rim:
     zeros_rad: Array
 
 
-def no_film() -> Film:
-    """A film without frames."""
-    return Film(times_s=np.zeros(0), grays=np.zeros((0, 1, 1), np.float32))
+def empty_frames() -> GrayFrames:
+    """No frames."""
+    return GrayFrames(times_s=np.zeros(0), grays=np.zeros((0, 1, 1), np.float32))
 
 
-def film_of(video: Video, frames: NDArray[np.int64], width: int) -> Film:
-    """Some frames, at most `width` wide."""
+def read_gray_frames(video: Video, frames: NDArray[np.int64], width: int) -> GrayFrames:
+    """Gray levels of some frames, at most `width` wide."""
     if not len(frames):
-        return no_film()
+        return empty_frames()
     full = video.frames_srgb.shape[2]
     size = (min(full, width), round(video.frames_srgb.shape[1] * min(1.0, width / full)))
     grays = [gray_levels(resize(video.frames_srgb[k], *size)) for k in frames]
-    return Film(times_s=video.times_s[frames], grays=np.stack(grays))
+    return GrayFrames(times_s=video.times_s[frames], grays=np.stack(grays))
 
 
-def spread_frames(video: Video, arm: Arm, clock: Clock, count: int) -> NDArray[np.int64]:
+def choose_frames(video: Video, arm: LoggedRobot, clock: Clock, count: int) -> NDArray[np.int64]:
     """At most `count` frames, evenly along the end effector's path, that the log covers."""
     covered = np.flatnonzero(arm.log.covers(clock.log_times(video.times_s)))
     if not len(covered):
@@ -126,15 +126,17 @@ def spread_frames(video: Video, arm: Arm, clock: Clock, count: int) -> NDArray[n
     return covered[np.unique(np.searchsorted(path, marks))]
 
 
-def trace(film: Film, camera: Camera, clock: Clock, arm: Arm, points: int) -> list[Rim]:
-    """Outlines of the frames that show enough of the arm, at most `points` points each."""
-    if not len(film.times_s):
+def trace(
+    frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot, points: int
+) -> list[FrameContour]:
+    """Contours in the frames that show enough of the arm, at most `points` points each."""
+    if not len(frames.times_s):
         return []
-    times = clock.log_times(film.times_s)
+    times = clock.log_times(frames.times_s)
     joints, gripper = arm.states(times)
     before, after = (arm.robot.link_poses(*arm.states(times + step)) for step in (-_SPEED_S, _SPEED_S))
     poses = arm.robot.link_poses(joints, gripper)
-    rims = []
+    contours = []
     for k in range(len(times)):
         bodies, depth = arm.renderer.draw(camera, joints[k], float(gripper[k]))
         mask = bodies >= 0
@@ -149,8 +151,8 @@ def trace(film: Film, camera: Camera, clock: Clock, arm: Arm, points: int) -> li
         moves = ((after[k] - before[k]) @ invert(poses[k]) / (2 * _SPEED_S))[seen]
         velocities = np.einsum("cij,cj->ci", moves[:, :3, :3], contour.points) + moves[:, :3, 3]
         posture = RobotPosture(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
-        rims.append(
-            Rim(
+        contours.append(
+            FrameContour(
                 frame=k,
                 contour=contour,
                 velocities=velocities,
@@ -159,35 +161,37 @@ def trace(film: Film, camera: Camera, clock: Clock, arm: Arm, points: int) -> li
                 zeros_rad=arm.zeros_rad,
             )
         )
-    return rims
+    return contours
 
 
-def moved_rim(rim: Rim, time_s: float, camera: Camera, clock: Clock, zeros_rad: Array) -> Rim:
-    """The outline as another camera pose, clock and joint zeros nearby would have it, not drawn again.
+def move_contour(
+    rendered: FrameContour, time_s: float, camera: Camera, clock: Clock, zeros_rad: Array
+) -> FrameContour:
+    """Linearly move a contour to a nearby camera pose, clock and joint zeros, without rendering again.
 
     Args:
-        rim: Drawn outline.
+        rendered: Contour to move.
         time_s: Video time of its frame.
         camera: Same size, nearly the same pose.
-        clock, zeros_rad: Differ by little from the rim's.
+        clock, zeros_rad: Close to those of `rendered`.
     """
-    delay = float(clock.log_times([time_s])[0] - rim.clock.log_times([time_s])[0])
-    turned = np.einsum("j,cjd->cd", zeros_rad - rim.zeros_rad, rim.turns)
-    points = rim.contour.points + delay * rim.velocities + turned
+    delay = float(clock.log_times([time_s])[0] - rendered.clock.log_times([time_s])[0])
+    turned = np.einsum("j,cjd->cd", zeros_rad - rendered.zeros_rad, rendered.turns)
+    points = rendered.contour.points + delay * rendered.velocities + turned
     contour = replace(
-        rim.contour, points=points, pixels=camera.project(points)[0] + 0.5 * rim.contour.normals
+        rendered.contour, points=points, pixels=camera.project(points)[0] + 0.5 * rendered.contour.normals
     )
-    return replace(rim, contour=contour, clock=clock, zeros_rad=zeros_rad)
+    return replace(rendered, contour=contour, clock=clock, zeros_rad=zeros_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
-    """Equations of one outline, `jacobian @ step = shifts`.
+class ContourResiduals:
+    """Linear equations of one contour, `jacobian @ step = shifts`.
 
     Attributes:
         jacobian: (C, COLUMNS + J), [px] per [rad], [m], [s], 1, [px], [rad].
-        shifts: From the drawn outline to the picture's edge, along the normals (C,), [px].
-        clearness: How far the edge is one (C,), 0..1.
+        shifts: From the rendered contour to the image edge, along the normals (C,), [px].
+        clearness: Strength of the edge (C,), 0..1.
     """
 
     jacobian: Array
@@ -195,18 +199,22 @@ class Evidence:
     clearness: Array
 
 
-def evidence(film: Film, rim: Rim, camera: Camera, pivot: Array, reach: int) -> Evidence:
-    """What one frame says about pose (about `pivot`), clock, bias and joint zeros."""
-    contour = rim.contour
-    shifts, strength = edge_shifts(contour, film.grays[rim.frame], reach)
+def contour_residuals(
+    frames: GrayFrames, rendered: FrameContour, camera: Camera, pivot: Array, reach: int
+) -> ContourResiduals:
+    """Residuals of one frame, linear in pose (about `pivot`), clock, bias and joint zeros."""
+    contour = rendered.contour
+    shifts, strength = edge_shifts(contour, frames.grays[rendered.frame], reach)
     full = shift_jacobian(camera, contour, pivot)
-    jacobian = np.empty((len(shifts), COLUMNS + len(rim.zeros_rad)))
+    jacobian = np.empty((len(shifts), COLUMNS + len(rendered.zeros_rad)))
     jacobian[:, POSE] = full[:, :6]
-    jacobian[:, OFFSET] = np.einsum("cd,cd->c", full[:, 3:6], rim.velocities)
-    jacobian[:, RATE] = jacobian[:, OFFSET] * (film.times_s[rim.frame] - rim.clock.middle_s)
+    jacobian[:, OFFSET] = np.einsum("cd,cd->c", full[:, 3:6], rendered.velocities)
+    jacobian[:, RATE] = jacobian[:, OFFSET] * (frames.times_s[rendered.frame] - rendered.clock.middle_s)
     jacobian[:, BIAS] = 1.0
-    jacobian[:, COLUMNS:] = np.einsum("cd,cjd->cj", full[:, 3:6], rim.turns)
-    return Evidence(jacobian=jacobian, shifts=shifts, clearness=np.minimum(strength / CLEAR_EDGE, 1.0))
+    jacobian[:, COLUMNS:] = np.einsum("cd,cjd->cj", full[:, 3:6], rendered.turns)
+    return ContourResiduals(
+        jacobian=jacobian, shifts=shifts, clearness=np.minimum(strength / CLEAR_EDGE, 1.0)
+    )
 
 
 def robust_weights(residuals: Array, clearness: Array, kernel_px: float) -> Array:
@@ -215,7 +223,7 @@ def robust_weights(residuals: Array, clearness: Array, kernel_px: float) -> Arra
 
 
 def common_bias(shifts: Array, clearness: Array, kernel_px: float) -> float:
-    """By how much outlines are drawn too narrow, all over, [px]."""
+    """By how much contours are rendered too narrow, in the mean, [px]."""
     bias = 0.0
     for _ in range(5):
         weights = robust_weights(shifts - bias, clearness, kernel_px)
@@ -223,26 +231,26 @@ def common_bias(shifts: Array, clearness: Array, kernel_px: float) -> float:
     return bias
 
 
-def misfits(film: Film, camera: Camera, clock: Clock, arm: Arm, reach: int = 4) -> Array:
-    """Mean robust distance (F,), 0..1, of each frame's edges from the outline drawn; one bias is free.
+def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot, reach: int = 4) -> Array:
+    """Mean robust distance (F,), 0..1, between image edges and rendered contour in each frame; one bias is free.
 
     NaN for frames that do not show the arm.
     """
-    rims = trace(film, camera, clock, arm, 300)
-    costs = np.full(len(film.times_s), np.nan)
-    found = [evidence(film, rim, camera, np.zeros(3), reach) for rim in rims]
+    contours = trace(frames, camera, clock, arm, 300)
+    costs = np.full(len(frames.times_s), np.nan)
+    found = [contour_residuals(frames, rendered, camera, np.zeros(3), reach) for rendered in contours]
     shifts = np.concatenate([item.shifts for item in found] or [np.zeros(0)])
     clearness = np.concatenate([item.clearness for item in found] or [np.zeros(0)])
     bias = common_bias(shifts, clearness, 1.0)
-    for rim, item in zip(rims, found, strict=True):
+    for rendered, item in zip(contours, found, strict=True):
         squares = (item.shifts - bias) ** 2
         total = max(item.clearness.sum(), 1e-9)
-        costs[rim.frame] = float((item.clearness * squares / (1 + squares)).sum() / total)
+        costs[rendered.frame] = float((item.clearness * squares / (1 + squares)).sum() / total)
     return costs
 
 
-def misfit(film: Film, camera: Camera, clock: Clock, arm: Arm) -> float:
+def misfit(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot) -> float:
     """Mean of `misfits` over the frames; infinite when none shows the arm."""
-    costs = misfits(film, camera, clock, arm)
+    costs = misfits(frames, camera, clock, arm)
     shown = costs[~np.isnan(costs)]
     return float(shown.mean()) if len(shown) else float("inf")

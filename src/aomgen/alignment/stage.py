@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from aomgen.alignment.align import Alignment, AlignmentParams, align
 from aomgen.alignment.camera_uncertainty import CameraErrors, camera_covariance
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.held_out import held_out
@@ -77,16 +77,16 @@ def camera_errors_of(structure: Structure) -> CameraErrors:
 
 def views_of(
     structure: Structure, images: Mapping[str, Path], demo_first_srgb: Mapping[str, NDArray[np.uint8]]
-) -> list[View]:
+) -> list[AlignmentImage]:
     """Scan images that are not held out, and the first frames of the fixed cameras."""
     withheld = set(held_out(list(images)))
     views = [
-        View(name=name, camera_recon=camera, image_srgb=read_image(images[name]))
+        AlignmentImage(name=name, camera_recon=camera, image_srgb=read_image(images[name]))
         for name, camera in structure.cameras_recon.items()
         if name not in withheld
     ]
     return views + [
-        View(name=name, camera_recon=structure.demo_cameras_recon[name], image_srgb=image)
+        AlignmentImage(name=name, camera_recon=structure.demo_cameras_recon[name], image_srgb=image)
         for name, image in demo_first_srgb.items()
         if name in structure.demo_cameras_recon
     ]

@@ -182,7 +182,7 @@ def _fine(
     best = _peak(offsets, table.sum(0))
     blocks = np.array_split(np.arange(len(pairs)), min(_BLOCKS, len(pairs)))
     left_out = np.array([_peak(offsets, np.delete(table, block, 0).sum(0)) for block in blocks])
-    # Jackknife over stretches of time, in which a wrong camera pose acts alike.
+    # Jackknife over segments of time, in which a wrong camera pose acts alike.
     sd = np.sqrt((len(blocks) - 1) / len(blocks) * np.sum((left_out - left_out.mean()) ** 2))
     return replace(guess, offset_s=best, sd_s=float(max(sd, _MIN_SD_S))), float(table.sum(0).max())
 

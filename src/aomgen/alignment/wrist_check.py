@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from aomgen.alignment.confidence import ViewEvidence, look
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.silhouette_fit import RobotDrawing
 from aomgen.core.values import Array
 
@@ -44,7 +44,11 @@ class HandTurn:
 
 
 def best_hand_turn(
-    S: Array, views: list[View], drawing: RobotDrawing, contour_points: int, logged: list[ViewEvidence]
+    S: Array,
+    views: list[AlignmentImage],
+    drawing: RobotDrawing,
+    contour_points: int,
+    logged: list[ViewEvidence],
 ) -> HandTurn:
     """Draw the hand turned by the last joint and compare what images confirm of it.
 

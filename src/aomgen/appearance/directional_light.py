@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import Film
+from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert
@@ -87,17 +87,19 @@ class Watched:
         return np.stack([silhouette(bodies, direction).at(self.points) * lit for bodies in self.moving])
 
 
-def found_lamp(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) -> Lamp | None:
+def find_directional_light(
+    twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array
+) -> Lamp | None:
     """The lamp of a scene; None when no direction explains what the film shows.
 
     Args:
         twin: With all surfaces of its robot.
         robot: Its robot.
-        film: A fixed camera's pictures of many postures.
+        view: A fixed camera's pictures of many postures.
         T_world_plane: Surface (4, 4) whose brightness is watched.
     """
-    T_world_plane = raised(T_world_plane, twin, film.camera)
-    watched = _watched(twin, robot, film, T_world_plane)
+    T_world_plane = raise_plane(T_world_plane, twin, view.camera)
+    watched = _watched(twin, robot, view, T_world_plane)
     if watched is None:
         return None
     up = T_world_plane[:3, 2]
@@ -105,18 +107,18 @@ def found_lamp(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) 
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions @ up > MIN_SINE]
     fallen = _Fallen(learned, T_world_plane)
-    scores = [explained(learned, fallen.dark(direction)) for direction in directions]
+    scores = [explained_variance(learned, fallen.dark(direction)) for direction in directions]
     best = directions[int(np.argmax(scores))]
-    best = _refined(best, lambda direction: explained(learned, learned.dark(direction)))
-    if explained(unseen, unseen.dark(best)) < MIN_EXPLAINED:
+    best = _refined(best, lambda direction: explained_variance(learned, learned.dark(direction)))
+    if explained_variance(unseen, unseen.dark(best)) < MIN_EXPLAINED:
         return None
-    shade = shade_of(watched, watched.dark(best))
+    shade = estimate_shadow_color(watched, watched.dark(best))
     if shade is None or not (shade < 1).all():
         return None
     return Lamp(direction=best, T_world_plane=T_world_plane, shade=shade)
 
 
-def without_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
+def remove_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
     """The twin under a lamp: the surface's own colors are those in light, its shadows are cast anew."""
     world = posed(twin, robot, twin.scan_state)
     points = np.array(world.means, np.float64)
@@ -131,12 +133,16 @@ def without_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
     around = [taken(across @ np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
     dark = taken(np.zeros(3))
     unsure = np.max([dark, *around], 0) - np.min([dark, *around], 0) > 1 - CORE
-    looks = _by_looks(unshaded(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp)
-    dark[unsure] = np.minimum(looks, np.max([dark, *around], 0)[unsure])
+    from_color = _shadow_from_color(
+        unshaded(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp
+    )
+    dark[unsure] = np.minimum(from_color, np.max([dark, *around], 0)[unsure])
     return replace(twin, gaussians=unshaded(twin.gaussians, dark, lamp.shade), lamp=lamp)
 
 
-def _by_looks(lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: Lamp) -> Array:
+def _shadow_from_color(
+    lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: Lamp
+) -> Array:
     """How much Gaussians at edges of a shadow are in it (M,), 0..1: by how dark they are beside others in light.
 
     Args:
@@ -158,7 +164,7 @@ def _level(gaussians: Gaussians) -> Array:
     return np.maximum(0.5 + SH_C0 * gaussians.sh[:, 0].astype(np.float64), DARK).mean(1)
 
 
-def explained(watched: Watched, dark: Array) -> float:
+def explained_variance(watched: Watched, dark: Array) -> float:
     """Share of the variance of brightness over time that shadows (T, N), 0..1, account for; 0 for none.
 
     Every place has its own color, so both are compared without their means over time.
@@ -197,10 +203,10 @@ class _Fallen:
         cells = cells[((cells >= 0) & (cells < self._shape)).all(1) & (points[:, 2] > 0)]
         grid = np.zeros(self._shape, bool)
         grid[cells[:, 0], cells[:, 1]] = True
-        return closed_at(grid, self._cells)
+        return close_at(grid, self._cells)
 
 
-def closed_at(grid: NDArray[np.bool_], cells: tuple[NDArray, NDArray]) -> NDArray[np.bool_]:
+def close_at(grid: NDArray[np.bool_], cells: tuple[NDArray, NDArray]) -> NDArray[np.bool_]:
     """What `scipy.ndimage.binary_closing` of a grid gives at some cells (N,), none within two of its border.
 
     Where places lie far apart the grid is huge and nearly empty, so that only these cells are worked out.
@@ -234,7 +240,7 @@ def _refined(direction: Array, score: Callable[[Array], float]) -> Array:
     return direction
 
 
-def shade_of(watched: Watched, dark: Array) -> Array | None:
+def estimate_shadow_color(watched: Watched, dark: Array) -> Array | None:
     """Color in shadow over color in light (3,), of places seen in both; None when there are none.
 
     Only what is in the core of a shadow, or far from all, is compared: at edges a shadow is often
@@ -251,7 +257,7 @@ def shade_of(watched: Watched, dark: Array) -> Array | None:
     return np.exp(np.median(mean[0] - mean[1], 0))
 
 
-def raised(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
+def raise_plane(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
     """A surface (4, 4) moved along its normal to where a camera sees it.
 
     Centers of trained Gaussians lie below the surface that they paint.
@@ -268,17 +274,17 @@ def raised(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
     return T
 
 
-def _watched(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) -> Watched | None:
+def _watched(twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array) -> Watched | None:
     """Places of the surface in some pictures of a film; None when it is hardly seen."""
-    count = len(film.states)
+    count = len(view.states)
     chosen = np.unique(np.linspace(0, count - 1, min(PICTURES, count)).astype(int))
-    camera, still = film.camera, twin.bodies == 0
+    camera, still = view.camera, twin.bodies == 0
     roles = shadow_roles(twin, robot)
     scene = render(twin.gaussians.select(still), camera, with_ids=True)
     points, belongs = on_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
     moving, free = [], []
     for index in chosen:
-        world = posed(twin, robot, film.states[index])
+        world = posed(twin, robot, view.states[index])
         covered = render(world, camera, features=(~still)[:, None].astype(np.float32)).features
         moving.append(world.select(roles == MOVES))
         free.append(binary_erosion(np.asarray(covered)[..., 0] < COVERED, iterations=MARGIN_PX))
@@ -287,7 +293,7 @@ def _watched(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) ->
     if not len(usable):
         return None
     usable = usable[np.unique(np.linspace(0, len(usable) - 1, PLACES).astype(int))]
-    colors = np.stack([film.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
+    colors = np.stack([view.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
     seen = seen.reshape(len(chosen), -1)[:, usable] & (colors.min(-1) > DARK)
     logs = np.log(np.maximum(colors, DARK))
     # Exposure changes everything at once; most places are lit most of the time.
@@ -297,5 +303,5 @@ def _watched(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) ->
         logs=logs,
         seen=seen,
         moving=tuple(moving),
-        fixed=posed(twin, robot, film.states[0]).select(roles == STANDS),
+        fixed=posed(twin, robot, view.states[0]).select(roles == STANDS),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import Film
+from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
@@ -71,23 +71,23 @@ class _Shot:
     free: NDArray[np.bool_]
 
 
-def with_tray(twin: Twin, robot: RobotModel, film: Film) -> Twin:
+def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twin:
     """The twin with walls and bottom behind the front of a drawer, colored from the film.
 
     Args:
         twin: As bound from the scan.
         robot: Its robot.
-        film: The demonstration.
+        view: The demonstration.
 
     Returns:
         The same twin when the part does not slide out of its body, or when no tray explains the film clearly better.
 
     Not checked: that the drawer's floor is level with the front's lower edge, and what it holds.
     """
-    front = _front(twin, max((state.theta for state in film.states), default=0.0))
+    front = _front(twin, max((state.theta for state in view.states), default=0.0))
     if front is None:
         return twin
-    shots = _shots(twin, robot, film, front.travel_m)
+    shots = _shots(twin, robot, view, front.travel_m)
     if len(shots) < 3:
         return twin
     spacing = _pixel_size(shots[0], front)
@@ -124,18 +124,18 @@ def _front(twin: Twin, travel_m: float) -> _Front | None:
     return _Front(axes=axes, low=low, high=high, travel_m=travel_m)
 
 
-def _shots(twin: Twin, robot: RobotModel, film: Film, travel_m: float) -> list[_Shot]:
-    opened = [k for k, state in enumerate(film.states) if state.theta >= OPEN_SHARE * travel_m]
-    thetas = np.array([film.states[k].theta for k in opened])
+def _shots(twin: Twin, robot: RobotModel, view: PosedImages, travel_m: float) -> list[_Shot]:
+    opened = [k for k, state in enumerate(view.states) if state.theta >= OPEN_SHARE * travel_m]
+    thetas = np.array([view.states[k].theta for k in opened])
     # Frames of different openings: the same picture twice says nothing new.
     wanted = np.linspace(OPEN_SHARE * travel_m, travel_m, FRAMES)
     chosen = sorted({opened[int(np.argmin(np.abs(thetas - value)))] for value in wanted}) if opened else []
-    camera = film.camera
+    camera = view.camera
     width = min(WIDTH_PX, camera.width)
     small = camera.resized(width, max(1, round(width * camera.height / camera.width)))
     shots = []
     for k in chosen:
-        Ts = body_poses(twin, robot, film.states[k])
+        Ts = body_poses(twin, robot, view.states[k])
         arm = (twin.labels == ROBOT)[:, None].astype(np.float32)
         drawn = render(posed_by(twin, Ts), small, features=arm, with_ids=True)
         if drawn.median_depth is None or drawn.features is None:
@@ -146,7 +146,7 @@ def _shots(twin: Twin, robot: RobotModel, film: Film, travel_m: float) -> list[_
             _Shot(
                 camera=small,
                 T_world_part=Ts[twin.body(PART)],
-                seen_srgb=resize(film.images_srgb[k], small.width, small.height) / 255.0,
+                seen_srgb=resize(view.images_srgb[k], small.width, small.height) / 255.0,
                 drawn_srgb=np.asarray(drawn.rgb, np.float64),
                 drawn_depth=np.asarray(depth, np.float64),
                 free=~hidden,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from aomgen.appearance.surfel_observations import Film, pixel_size
+from aomgen.appearance.surfel_observations import PosedImages, pixel_size
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.refining import Lesson, RefiningParams, refined
@@ -31,7 +31,9 @@ EDGE_STEP: Final = 0.1
 MOSTLY: Final = 0.5
 
 
-def sharpened(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random.Generator) -> Twin:
+def refine_twin(
+    twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
+) -> Twin:
     """The twin with its Gaussians fitted to pictures.
 
     Shape, glare and the colors of what is not lit anew are the same in all postures. Colors of
@@ -41,36 +43,38 @@ def sharpened(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.rand
     Args:
         twin: If something in it is lit anew, those are its last Gaussians.
         robot: Its robot.
-        films: What to fit to; with none the twin stays as it is.
+        views: What to fit to; with none the twin stays as it is.
         rng: Order of the pictures.
     """
-    if not films:
+    if not views:
         return twin
     surfaces = surfaces_of(twin.relit, twin.bodies)
     nearest = _scan_orientations(twin, robot)
     roles = shadow_roles(twin, robot)
-    lessons = [
+    training_views = [
         _with_shadows(
-            _lesson(twin, body_poses(twin, robot, state), surfaces, nearest, (film, index)), twin, roles
+            _training_view(twin, body_poses(twin, robot, state), surfaces, nearest, (view, index)),
+            twin,
+            roles,
         )
-        for film in films
-        for index, state in enumerate(film.states)
+        for view in views
+        for index, state in enumerate(view.states)
     ]
-    params = RefiningParams(rate_means=STEP_PX * pixel_size(robot, twin, films))
-    gaussians, difference = refined(twin.gaussians, twin.bodies, lessons, params, rng)
-    relit = None if twin.relit is None else _corrected(twin.relit, nearest, difference)
+    params = RefiningParams(rate_means=STEP_PX * pixel_size(robot, twin, views))
+    gaussians, difference = refined(twin.gaussians, twin.bodies, training_views, params, rng)
+    relit = None if twin.relit is None else _add_corrections(twin.relit, nearest, difference)
     return replace(twin, gaussians=gaussians, relit=relit)
 
 
-def _lesson(
+def _training_view(
     twin: Twin,
     Ts_world_body: Array,
     surfaces: tuple[Surface, ...],
     nearest: dict[int, int],
-    place: tuple[Film, int],
+    place: tuple[PosedImages, int],
 ) -> Lesson:
     """One picture, the n-th of a film, with the colors of relit surfaces in its posture."""
-    film, index = place
+    view, index = place
     count = 0 if twin.relit is None else len(twin.relit.indices)
     colors, recall = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     for surface in surfaces:
@@ -79,22 +83,24 @@ def _lesson(
         if surface.remembered is not None:
             recall[surface.rows] = surface.remembered.weights(R)[nearest[surface.body]]
     return Lesson(
-        camera=film.camera,
-        image_srgb=film.images_srgb[index],
+        camera=view.camera,
+        image_srgb=view.images_srgb[index],
         Ts_world_part=Ts_world_body,
         colors_srgb=colors,
         recall=recall,
     )
 
 
-def _with_shadows(lesson: Lesson, twin: Twin, roles: NDArray[np.uint8]) -> Lesson:
+def _with_shadows(training_view: Lesson, twin: Twin, roles: NDArray[np.uint8]) -> Lesson:
     """A lesson whose drawn picture is darkened by the shadows of its posture."""
     if twin.lamp is None:
-        return lesson
-    world = posed_by(twin, lesson.Ts_world_part)
-    _, surface, taken = draw_lit(twin.lamp, world, roles, lesson.camera)
+        return training_view
+    world = posed_by(twin, training_view.Ts_world_part)
+    _, surface, taken = draw_lit(twin.lamp, world, roles, training_view.camera)
     edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
-    return replace(lesson, shade=darkened(twin.lamp, surface * taken), unsure=edge & (surface > MOSTLY))
+    return replace(
+        training_view, shade=darkened(twin.lamp, surface * taken), unsure=edge & (surface > MOSTLY)
+    )
 
 
 def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
@@ -106,7 +112,7 @@ def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
     }
 
 
-def _corrected(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:
+def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:
     """Memories of the scan's orientations with differences in color (M, 3) added."""
     remembered = []
     for item in relit.remembered:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import Sightings
+from aomgen.appearance.surfel_observations import SurfelObservations
 from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.sh import sh_basis
@@ -34,7 +34,7 @@ MATERIAL_PULL: Final = 1e-3
 MAX_RATIO: Final = 5.0
 NEIGHBORS: Final = 6
 # Pull of glare towards none, in sightings (their weight is the root of their pixels).
-GLARE_PULL: Final = 0.3
+SPECULAR_PULL: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,11 +45,11 @@ class RobotColors:
         albedo: Color of each relative to its material (M, 3).
         lights: The answer of each material, by material.
         remembered: Seen colors of every body that was seen.
-        glare_sh: Harmonics of bands 1 and 2 (M, 8, 3) that add to the color, body frames.
+        specular_sh: Harmonics of bands 1 and 2 (M, 8, 3) that add to the color, body frames.
     """
 
     albedo: Array
-    glare_sh: Array
+    specular_sh: Array
     lights: tuple[Light, ...]
     remembered: tuple[Remembered, ...]
 
@@ -64,8 +64,8 @@ class _Discs:
     means: Array
 
 
-def robot_colors(
-    sightings: Sightings,
+def fit_robot_colors(
+    observations: SurfelObservations,
     bodies: NDArray[np.int32],
     materials: NDArray[np.int32],
     normals_body: Array,
@@ -74,38 +74,38 @@ def robot_colors(
     """Fit colors to sightings.
 
     Args:
-        sightings: What pictures show.
+        observations: What pictures show.
         bodies: Body of every disc (M,), index into the twin's `body_names`.
         materials: Material of every disc (M,), 0..P-1.
         normals_body, means_body: (M, 3), body frames.
     """
     discs = _Discs(bodies, materials, normals_body, means_body)
-    R = sightings.Ts_world_body[sightings.picture, bodies[sightings.disc], :3, :3]
-    answers = open_transfer(np.einsum("nij,nj->ni", R, normals_body[sightings.disc])).astype(np.float64)
-    seen = np.asarray(linear_from_srgb(sightings.color_srgb), np.float64)
-    ratio, radiance, lit = _fit(sightings, discs, answers, seen)
+    R = observations.Ts_world_body[observations.picture, bodies[observations.disc], :3, :3]
+    answers = open_transfer(np.einsum("nij,nj->ni", R, normals_body[observations.disc])).astype(np.float64)
+    seen = np.asarray(linear_from_srgb(observations.color_srgb), np.float64)
+    ratio, radiance, lit = _fit(observations, discs, answers, seen)
     # Lit as the twin lights it, clipped to what a picture can show.
-    predicted = np.asarray(srgb_from_linear(np.clip(ratio[sightings.disc] * lit, 0, 1)))
-    difference = sightings.color_srgb - predicted
-    views = sh_basis(sightings.directions_body, 2)[:, 1:]
-    glare, remembered = np.zeros((len(bodies), 8, 3)), ()
+    predicted = np.asarray(srgb_from_linear(np.clip(ratio[observations.disc] * lit, 0, 1)))
+    difference = observations.color_srgb - predicted
+    views = sh_basis(observations.directions_body, 2)[:, 1:]
+    specular, remembered = np.zeros((len(bodies), 8, 3)), ()
     for _ in range(ROUNDS):
-        explained = np.einsum("nk,nkc->nc", views, glare[sightings.disc])
-        remembered = _memories(sightings, discs, difference - explained)
-        left = difference - _recalled(sightings, discs, remembered)
-        glare = _glare(sightings, views, left, len(bodies))
-    seen_discs = np.bincount(sightings.disc, minlength=len(bodies)) > 0
+        from_specular = np.einsum("nk,nkc->nc", views, specular[observations.disc])
+        remembered = _fit_residual_colors(observations, discs, difference - from_specular)
+        left = difference - _predict_residual_colors(observations, discs, remembered)
+        specular = _fit_specular(observations, views, left, len(bodies))
+    seen_discs = np.bincount(observations.disc, minlength=len(bodies)) > 0
     return RobotColors(
         albedo=_spread(ratio, seen_discs, discs),
         lights=tuple(Light(radiance_sh=item) for item in radiance),
         remembered=remembered,
-        glare_sh=glare,
+        specular_sh=specular,
     )
 
 
-def _glare(sightings: Sightings, views: Array, left: Array, count: int) -> Array:
+def _fit_specular(observations: SurfelObservations, views: Array, left: Array, count: int) -> Array:
     """Harmonics (M, 8, 3) that explain what is left (N, 3), each disc alone, pulled to none."""
-    weights, disc = np.sqrt(sightings.pixels), sightings.disc
+    weights, disc = np.sqrt(observations.pixels), observations.disc
     normal, right = np.empty((count, 8, 8)), np.empty((count, 8, 3))
     for i in range(8):
         for j in range(i + 1):
@@ -113,37 +113,41 @@ def _glare(sightings: Sightings, views: Array, left: Array, count: int) -> Array
             normal[:, i, j] = normal[:, j, i] = moment
         for channel in range(3):
             right[:, i, channel] = np.bincount(disc, weights * views[:, i] * left[:, channel], count)
-    return np.asarray(np.linalg.solve(normal + GLARE_PULL * np.eye(8), right), np.float64)
+    return np.asarray(np.linalg.solve(normal + SPECULAR_PULL * np.eye(8), right), np.float64)
 
 
-def _recalled(sightings: Sightings, discs: _Discs, memories: tuple[Remembered, ...]) -> Array:
+def _predict_residual_colors(
+    observations: SurfelObservations, discs: _Discs, memories: tuple[Remembered, ...]
+) -> Array:
     """What memories add to the color of every sighting (N, 3)."""
-    result = np.zeros((len(sightings.disc), 3))
-    owners = discs.bodies[sightings.disc]
+    result = np.zeros((len(observations.disc), 3))
+    owners = discs.bodies[observations.disc]
     for memory in memories:
         mine = np.flatnonzero(owners == memory.body)
-        Rs = sightings.Ts_world_body[:, memory.body, :3, :3]
-        weights = orientation_weights(memory.Rs_world_body, Rs, REACH_RAD)[sightings.picture[mine]]
-        column = np.searchsorted(memory.rows, sightings.disc[mine])
+        Rs = observations.Ts_world_body[:, memory.body, :3, :3]
+        weights = orientation_weights(memory.Rs_world_body, Rs, REACH_RAD)[observations.picture[mine]]
+        column = np.searchsorted(memory.rows, observations.disc[mine])
         for k in range(len(memory.Rs_world_body)):
             near = np.flatnonzero(weights[:, k] > NEGLIGIBLE)
             result[mine[near]] += weights[near, k, None] * memory.difference_srgb[k, column[near]]
     return result
 
 
-def _fit(sightings: Sightings, discs: _Discs, answers: Array, seen: Array) -> tuple[Array, Array, Array]:
+def _fit(
+    observations: SurfelObservations, discs: _Discs, answers: Array, seen: Array
+) -> tuple[Array, Array, Array]:
     """Ratios (M, 3), radiance (P, 9, 3) and lit colors (N, 3), alternately by weighted least squares.
 
     Errors are weighed as sRGB shows them.
     """
-    materials = discs.materials[sightings.disc]
+    materials = discs.materials[observations.disc]
     count = int(discs.materials.max()) + 1
     ratio = np.ones((len(discs.bodies), 3))
     predicted, radiance = seen, np.zeros((count, 9, 3))
     lit = np.zeros_like(seen)
     for _ in range(ROUNDS):
-        weights = _srgb_slope(predicted) ** 2 * sightings.pixels[:, None]
-        common = _radiance(answers, ratio[sightings.disc], seen, weights, np.zeros((9, 3)))
+        weights = _srgb_slope(predicted) ** 2 * observations.pixels[:, None]
+        common = _radiance(answers, ratio[observations.disc], seen, weights, np.zeros((9, 3)))
         for material in range(count):
             mine = materials == material
             if not mine.any():
@@ -151,14 +155,14 @@ def _fit(sightings: Sightings, discs: _Discs, answers: Array, seen: Array) -> tu
                 continue
             near = common * (seen[mine].mean() / max(float((answers[mine] @ common).mean()), BLACK))
             radiance[material] = _radiance(
-                answers[mine], ratio[sightings.disc[mine]], seen[mine], weights[mine], near
+                answers[mine], ratio[observations.disc[mine]], seen[mine], weights[mine], near
             )
             lit[mine] = np.maximum(answers[mine] @ radiance[material], BLACK / 10)
-        above = _per_disc(sightings.disc, weights * seen * lit, len(ratio))
-        below = _per_disc(sightings.disc, weights * lit**2, len(ratio))
-        pull = DISC_PULL * np.median((weights * lit**2) / sightings.pixels[:, None], 0)
+        above = _per_disc(observations.disc, weights * seen * lit, len(ratio))
+        below = _per_disc(observations.disc, weights * lit**2, len(ratio))
+        pull = DISC_PULL * np.median((weights * lit**2) / observations.pixels[:, None], 0)
         ratio = np.clip((above + pull) / (below + pull), 1 / MAX_RATIO, MAX_RATIO)
-        predicted = ratio[sightings.disc] * lit
+        predicted = ratio[observations.disc] * lit
     return ratio, radiance, lit
 
 
@@ -175,21 +179,23 @@ def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: A
     return result
 
 
-def _memories(sightings: Sightings, discs: _Discs, difference: Array) -> tuple[Remembered, ...]:
+def _fit_residual_colors(
+    observations: SurfelObservations, discs: _Discs, difference: Array
+) -> tuple[Remembered, ...]:
     """What remains of every body's sightings, averaged near a few of its orientations."""
     memories = []
-    owners = discs.bodies[sightings.disc]
+    owners = discs.bodies[observations.disc]
     for body in np.unique(discs.bodies):
         rows = np.flatnonzero(discs.bodies == body)
         mine = np.flatnonzero(owners == body)
         if not len(mine):
             continue
-        Rs = sightings.Ts_world_body[:, body, :3, :3]
+        Rs = observations.Ts_world_body[:, body, :3, :3]
         chosen = _spaced(Rs, SPACING * REACH_RAD)
         # Not normalised: a picture far from all remembered orientations teaches none of them.
         kernel = orientation_weights(Rs[chosen], Rs, REACH_RAD)
-        column = np.searchsorted(rows, sightings.disc[mine])
-        weights = kernel[sightings.picture[mine]] * sightings.pixels[mine, None]
+        column = np.searchsorted(rows, observations.disc[mine])
+        weights = kernel[observations.picture[mine]] * observations.pixels[mine, None]
         remembered = np.zeros((len(chosen), len(rows), 3))
         for k in range(len(chosen)):
             below = np.bincount(column, weights[:, k], len(rows)) + DISC_PULL

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.robot_shading import robot_colors
-from aomgen.appearance.surfel_observations import Film, Sightings, pixel_size, sightings_of
+from aomgen.appearance.robot_shading import fit_robot_colors
+from aomgen.appearance.surfel_observations import PosedImages, SurfelObservations, observe_surfels, pixel_size
 from aomgen.conventions import ROBOT
 from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
 from aomgen.core.light import Light, open_transfer
@@ -35,7 +35,7 @@ INSET_PX: Final = 1.0
 ATTACHED_M: Final = 0.012
 SOLID_OPACITY: Final = 0.5
 # Bodies of which the scan and the video show less are left as scanned.
-MIN_SIGHTINGS: Final = 200
+MIN_OBSERVATIONS: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,33 +48,39 @@ class _Cover:
     materials: NDArray[np.int32]
 
 
-def dressed(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random.Generator) -> Twin:
+def replace_robot_gaussians(
+    twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
+) -> Twin:
     """The twin with its robot's scanned Gaussians replaced by the model's surface.
 
     Args:
         twin: As bound from the scan.
         robot: Its robot.
-        films: Pictures of the scan and of the demonstration, in one exposure.
+        views: Pictures of the scan and of the demonstration, in one exposure.
         rng: Chooses places on the surface.
 
     Returns:
         The same twin when the model has no meshes or pictures hardly show it.
     """
-    if not robot.meshes or not films:
+    if not robot.meshes or not views:
         return twin
-    pixel_m = pixel_size(robot, twin, films)
+    pixel_m = pixel_size(robot, twin, views)
     cover = _cover(robot, pixel_m, rng)
     bare = _with_cover(twin, cover)
-    sightings = sightings_of(bare, robot, films)
-    if not len(sightings.disc) >= MIN_SIGHTINGS:
+    observations = observe_surfels(bare, robot, views)
+    if not len(observations.disc) >= MIN_OBSERVATIONS:
         return twin
-    cover = _turned(cover, sightings)
-    colors = robot_colors(
-        sightings, cover.bodies, cover.materials, cover.normals, np.asarray(cover.gaussians.means, np.float64)
+    cover = _orient_normals(cover, observations)
+    colors = fit_robot_colors(
+        observations,
+        cover.bodies,
+        cover.materials,
+        cover.normals,
+        np.asarray(cover.gaussians.means, np.float64),
     )
     count = len(bare.gaussians) - len(cover.bodies)
     sh = np.array(bare.gaussians.with_sh_degree(max(bare.gaussians.sh_degree, 2)).sh)
-    sh[count:, 1:9] = colors.glare_sh
+    sh[count:, 1:9] = colors.specular_sh
     return replace(
         bare,
         gaussians=bare.gaussians.with_sh(sh),
@@ -107,7 +113,7 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cove
             share = areas[mine].sum() / areas.sum()
             meshes = [_plain_mesh(robot, i) for i in mine]
             surfels = open_surfels_of(meshes, max(int(count * share), MIN_PER_BODY), rng)
-            pieces.append(_inset(surfels, INSET_PX * pixel_m))
+            pieces.append(_inset_discs(surfels, INSET_PX * pixel_m))
             normals.append(surfels.normals)
             bodies.append(np.full(len(surfels.gaussians), body + 1, np.int32))
             materials.append(np.full(len(surfels.gaussians), colors.index(color), np.int32))
@@ -119,7 +125,7 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cove
     )
 
 
-def _inset(surfels: Surfels, depth_m: float) -> Gaussians:
+def _inset_discs(surfels: Surfels, depth_m: float) -> Gaussians:
     """Discs drawn back beneath the surface, less where it is thin.
 
     The rasterizer widens whatever it draws by about half a pixel, and many opaque discs that
@@ -157,7 +163,7 @@ def _plain_mesh(robot: RobotModel, index: int) -> Mesh:
 
 def _with_cover(twin: Twin, cover: _Cover) -> Twin:
     """The twin with discs, in an even light, in the place of scanned Gaussians near the model."""
-    kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _attached(twin, cover)
+    kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _is_attached(twin, cover)
     rest = twin.select(kept)
     count, added = len(rest.gaussians), len(cover.gaussians)
     return replace(
@@ -175,7 +181,7 @@ def _with_cover(twin: Twin, cover: _Cover) -> Twin:
     )
 
 
-def _attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
+def _is_attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
     """Scanned Gaussians (N,) of a link that the model does not have."""
     attached = np.zeros(len(twin.gaussians), bool)
     for body in np.unique(cover.bodies):
@@ -186,8 +192,8 @@ def _attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
     return attached
 
 
-def _turned(cover: _Cover, sightings: Sightings) -> _Cover:
+def _orient_normals(cover: _Cover, observations: SurfelObservations) -> _Cover:
     """The cover with normals on the side from which pictures see the discs."""
-    towards = np.einsum("ni,ni->n", cover.normals[sightings.disc], -sightings.directions_body)
-    sides = np.bincount(sightings.disc, towards * sightings.pixels, len(cover.normals))
+    towards = np.einsum("ni,ni->n", cover.normals[observations.disc], -observations.directions_body)
+    sides = np.bincount(observations.disc, towards * observations.pixels, len(cover.normals))
     return replace(cover, normals=np.where(sides[:, None] < 0, -cover.normals, cover.normals))

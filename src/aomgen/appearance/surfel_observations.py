@@ -26,7 +26,7 @@ MAX_GAIN: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Film:
+class PosedImages:
     """Pictures from one place with one exposure.
 
     Attributes:
@@ -41,7 +41,7 @@ class Film:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sightings:
+class SurfelObservations:
     """Colors of discs as pictures show them, N sightings in V pictures.
 
     Attributes:
@@ -70,21 +70,21 @@ class Sightings:
         freeze(self, "Ts_world_body", self.Ts_world_body, (None, None, 4, 4))
 
 
-def sightings_of(twin: Twin, robot: RobotModel, films: Sequence[Film]) -> Sightings:
+def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:
     """Look up every disc in every picture where nothing hides it.
 
     Args:
         twin: Its relit Gaussians are the discs (M); whatever else is in it may hide them.
         robot: The twin's robot.
-        films: At least one picture.
+        views: At least one picture.
     """
     moving = moving_layer(twin)
     disc_of = _discs_of_moving(twin, moving)
     still = twin.gaussians.select(~twin.moves)
     pieces, poses = [], []
-    for film in films:
-        layer = static_layer(still, film.camera)
-        for image, state in zip(film.images_srgb, film.states, strict=True):
+    for view in views:
+        layer = static_layer(still, view.camera)
+        for image, state in zip(view.images_srgb, view.states, strict=True):
             Ts = body_poses(twin, robot, state)
             parts = Parts(indices=moving.bodies, Ts_world_part=Ts)
             drawn = layer.session.draw(moving.gaussians, parts, with_ids=True)
@@ -96,11 +96,11 @@ def sightings_of(twin: Twin, robot: RobotModel, films: Sequence[Film]) -> Sighti
             sums = [np.bincount(inverse, colors[:, c], len(which)) for c in range(3)]
             mean = np.stack(sums, 1).astype(np.float64)
             mean /= np.maximum(pixels, 1)[:, None]
-            directions = _directions(twin, which, Ts, film.camera)
+            directions = _directions(twin, which, Ts, view.camera)
             pieces.append((which, np.full(len(which), len(poses)), mean, pixels, directions))
             poses.append(Ts)
     disc, picture, color, pixels, directions = (np.concatenate(items) for items in zip(*pieces, strict=True))
-    return Sightings(
+    return SurfelObservations(
         disc=disc,
         picture=picture,
         color_srgb=color,
@@ -110,17 +110,17 @@ def sightings_of(twin: Twin, robot: RobotModel, films: Sequence[Film]) -> Sighti
     )
 
 
-def matched_film(film: Film, drawn_srgb: Array, compared: NDArray[np.bool_]) -> Film:
+def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bool_]) -> PosedImages:
     """The film as the scan's camera would have exposed it.
 
     Args:
-        film: Its first picture shows what `drawn_srgb` shows.
+        view: Its first picture shows what `drawn_srgb` shows.
         drawn_srgb: The twin from the film's camera in the state of the first picture (H, W, 3), 0..1.
         compared: Pixels (H, W) that show the same thing in both.
 
     Exposure and white balance are a gain for each channel in linear light.
     """
-    first = film.images_srgb[0] / 255.0
+    first = view.images_srgb[0] / 255.0
     usable = compared[..., None] & (np.minimum(first, drawn_srgb) > COMPARED[0])
     usable &= np.maximum(first, drawn_srgb) < COMPARED[1]
     gains = np.ones(3)
@@ -134,16 +134,16 @@ def matched_film(film: Film, drawn_srgb: Array, compared: NDArray[np.bool_]) -> 
     table = np.arange(256) / 255.0
     curves = np.stack([srgb_from_linear(np.minimum(linear_from_srgb(table) * gain, 1)) for gain in gains], 1)
     lookup = np.rint(curves * 255).astype(np.uint8)
-    images = tuple(lookup[image, np.arange(3)] for image in film.images_srgb)
-    return Film(camera=film.camera, images_srgb=images, states=film.states)
+    images = tuple(lookup[image, np.arange(3)] for image in view.images_srgb)
+    return PosedImages(camera=view.camera, images_srgb=images, states=view.states)
 
 
-def pixel_size(robot: RobotModel, twin: Twin, films: Sequence[Film]) -> float:
+def pixel_size(robot: RobotModel, twin: Twin, views: Sequence[PosedImages]) -> float:
     """Size of a pixel at the robot in the usual picture, [m]."""
     places = body_poses(twin, robot, twin.scan_state)[1 : 1 + len(robot.body_names), :3, 3]
     sizes = [
-        np.median(np.linalg.norm(places - film.camera.center, axis=1)) / max(film.camera.fx, film.camera.fy)
-        for film in films
+        np.median(np.linalg.norm(places - view.camera.center, axis=1)) / max(view.camera.fx, view.camera.fy)
+        for view in views
     ]
     return float(np.median(sizes))
 

@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from aomgen.core.values import Array
-from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, joined, thin
+from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, join_samples, thin
 
 MAX_PLANES = 5
 # Mean color difference between views that still is the same color, 0..255.
@@ -142,7 +142,7 @@ def explain(
                     weights=np.where(explained[which], EXPLAINED_WEIGHT, OPEN_WEIGHT),
                 )
             )
-    return joined(on_planes), joined(far)
+    return join_samples(on_planes), join_samples(far)
 
 
 def _depth_on(plane: Plane, depth_map: DepthMap, rays: Array) -> Array:

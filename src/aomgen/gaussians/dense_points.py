@@ -15,9 +15,9 @@ from aomgen.gaussians.background import dominant_planes, explain, far_shell
 from aomgen.gaussians.depth_fusion import (
     DepthMap,
     Samples,
-    confirmations,
+    confirmed_depth,
     confirmed_samples,
-    settled_depth,
+    count_confirmations,
     thin,
 )
 from aomgen.gaussians.plane_sweep import SweepParams, plane_sweep
@@ -127,14 +127,14 @@ def densify(
             progress(0.75 * len(maps) / len(views), "sweeping planes")
     progress(0.76, "comparing depth maps")
     with ThreadPoolExecutor(params.threads) as pool:
-        votes = list(pool.map(lambda one: confirmations(one, maps), maps))
+        votes = list(pool.map(lambda one: count_confirmations(one, maps), maps))
     surfaces = confirmed_samples(maps, votes).with_points(_sparse(structure, names, views))
     progress(0.85, "continuing planes")
     planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon)
     filled, rays = explain(maps, votes, planes)
     kept = thin(surfaces.with_points(filled), params.target_points)
-    settled = [settled_depth(one, own) for one, own in zip(maps, votes, strict=True)]
-    kept = kept.select(~in_free_space(kept.points_recon, settled))
+    view_depths = [confirmed_depth(one, own) for one, own in zip(maps, votes, strict=True)]
+    kept = kept.select(~in_free_space(kept.points_recon, view_depths))
     centers = np.array([camera.center for camera, _ in views])
     shell = far_shell(rays, kept.points_recon, centers, params.shell_points)
     return DensePoints(

@@ -67,18 +67,18 @@ class Samples:
 
     def with_points(self, other: "Samples") -> "Samples":
         """Both sets, one after the other."""
-        return joined([self, other])
+        return join_samples([self, other])
 
 
 SAMPLE_FIELDS = tuple(field.name for field in fields(Samples))
 
 
-def joined(parts: list[Samples]) -> Samples:
+def join_samples(parts: list[Samples]) -> Samples:
     """All samples in order."""
     return Samples(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in SAMPLE_FIELDS})
 
 
-def settled_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
+def confirmed_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
     """What a view sees where its neighbours confirm it (H, W); unknown elsewhere."""
     known = (votes >= MIN_CONFIRMATIONS) & (depth_map.inverse_depth > depth_map.step)
     depth = np.where(known, 1.0 / np.maximum(depth_map.inverse_depth, depth_map.step), np.nan)
@@ -87,10 +87,10 @@ def settled_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
 
 def confirmed_samples(maps: list[DepthMap], votes: list[NDArray[np.int32]]) -> Samples:
     """Samples of every pixel whose depth at least `MIN_CONFIRMATIONS` neighbours share."""
-    return joined([_samples(depth_map, own) for depth_map, own in zip(maps, votes, strict=True)])
+    return join_samples([_samples(depth_map, own) for depth_map, own in zip(maps, votes, strict=True)])
 
 
-def confirmations(depth_map: DepthMap, maps: list[DepthMap]) -> NDArray[np.int32]:
+def count_confirmations(depth_map: DepthMap, maps: list[DepthMap]) -> NDArray[np.int32]:
     """Number of neighbours (H, W) whose own depth maps agree with each pixel's depth."""
     finite = depth_map.inverse_depth > depth_map.step
     points = _points(depth_map)[finite]

@@ -73,7 +73,7 @@ class TrainedScene:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lesson:
+class TrainingViews:
     """What a training starts from and learns.
 
     Attributes:
@@ -91,9 +91,9 @@ class Lesson:
     test: list[str]
 
 
-def lesson_of(
+def select_training_views(
     structure: Structure, images_srgb: dict[str, NDArray[np.uint8]], params: DensifyParams, progress: Progress
-) -> Lesson:
+) -> TrainingViews:
     """Divide a scan into images to learn and to hold out, and find where Gaussians start.
 
     Args:
@@ -106,7 +106,7 @@ def lesson_of(
     known = [name for name in structure.cameras_recon if name in images_srgb]
     learned = {name: images_srgb[name] for name in known if name not in test}
     dense = densify(structure, learned, params, progress)
-    return Lesson(
+    return TrainingViews(
         dense=dense,
         initial=initial_gaussians(dense),
         cameras=[structure.cameras_recon[name] for name in learned],
@@ -138,9 +138,9 @@ def train_scene(
 
     Source: Kerbl et al., "3D Gaussian splatting", 2023; AOMGen, sec. 4.1.
     """
-    lesson = lesson_of(structure, images_srgb, params.densify, part(progress, 0.0, 0.25))
+    views = select_training_views(structure, images_srgb, params.densify, part(progress, 0.0, 0.25))
     training = partial(
-        train, lesson.initial, lesson.cameras, lesson.images_srgb, params.training, part(progress, 0.25, 0.95)
+        train, views.initial, views.cameras, views.images_srgb, params.training, part(progress, 0.25, 0.95)
     )
     try:
         trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
@@ -150,24 +150,26 @@ def train_scene(
         progress(0.25, f"training starts over: {error.where} {error.problem}")
         checkpoint.path.unlink()
         trained = training(np.random.default_rng(params.seed), checkpoint=checkpoint)
-    trained = without_floaters(trained, lesson.cameras, lesson.dense, params.near_share)
-    judged = {name: judge(trained, structure.cameras_recon[name], images_srgb[name]) for name in lesson.test}
-    mean = float(np.mean([view.psnr_db for view in judged.values()])) if judged else float("nan")
-    if judged and not mean >= params.min_psnr_db:
+    trained = without_floaters(trained, views.cameras, views.dense, params.near_share)
+    evaluated = {
+        name: evaluate_view(trained, structure.cameras_recon[name], images_srgb[name]) for name in views.test
+    }
+    mean = float(np.mean([view.psnr_db for view in evaluated.values()])) if evaluated else float("nan")
+    if evaluated and not mean >= params.min_psnr_db:
         raise ReconstructionError(
             "gaussians",
             f"held-out images are reproduced with {mean:.1f} dB, at least {params.min_psnr_db:.1f} are needed",
             "check for motion blur, changing light and moving things in the scan",
         )
     figures: dict[str, object] = {
-        "heldout_psnr": mean if judged else None,
-        "heldout_ssim": float(np.mean([view.ssim for view in judged.values()])) if judged else None,
+        "heldout_psnr": mean if evaluated else None,
+        "heldout_ssim": float(np.mean([view.ssim for view in evaluated.values()])) if evaluated else None,
         "gaussians": len(trained),
-        "initial_points": len(lesson.initial),
-        "shell_points": int(lesson.dense.shell.sum()),
-        "heldout": {name: {"psnr": view.psnr_db, "ssim": view.ssim} for name, view in judged.items()},
+        "initial_points": len(views.initial),
+        "shell_points": int(views.dense.shell.sum()),
+        "heldout": {name: {"psnr": view.psnr_db, "ssim": view.ssim} for name, view in evaluated.items()},
     }
-    return TrainedScene(gaussians_recon=trained, heldout=judged, figures=figures)
+    return TrainedScene(gaussians_recon=trained, heldout=evaluated, figures=figures)
 
 
 def initial_gaussians(dense: DensePoints) -> Gaussians:
@@ -220,7 +222,7 @@ def without_floaters(
     return gaussians.select(keep & ~(alone & inside & (gaussians.opacities < 0.1)))
 
 
-def judge(gaussians: Gaussians, camera: Camera, image_srgb: NDArray[np.uint8]) -> HeldOut:
+def evaluate_view(gaussians: Gaussians, camera: Camera, image_srgb: NDArray[np.uint8]) -> HeldOut:
     """Compare a rendered view with its photograph; whole image, nothing fitted."""
     drawn = np.clip(render(gaussians, camera).rgb, 0.0, 1.0)
     photograph = image_srgb.astype(np.float32) / 255.0

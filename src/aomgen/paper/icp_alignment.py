@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.alignment.align import Alignment, unit_frame
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.gravity import up_candidates
 from aomgen.alignment.pose_search import Scan, different, search
 from aomgen.alignment.starting_poses import RobotBox
@@ -55,7 +55,7 @@ class PaperParams:
 
 
 def align_as_paper(
-    views: list[View],
+    views: list[AlignmentImage],
     boxes: list[RobotBox],
     gaussians_recon: Gaussians,
     posture: RobotPosture,
@@ -201,7 +201,7 @@ def _without_support(points: Array, up: Array, rng: np.random.Generator, trials:
 
 
 def _starts(
-    views: list[View],
+    views: list[AlignmentImage],
     boxes: list[RobotBox],
     points: Array,
     posture: RobotPosture,

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from aomgen.alignment.align import Alignment
-from aomgen.alignment.bundle_equations import JointParams
-from aomgen.alignment.calibrated_cameras import save_settled_cameras
-from aomgen.alignment.fixed_camera_calibration import Filmed, Scene, settle_fixed_cameras
+from aomgen.alignment.bundle_equations import BundleParams
+from aomgen.alignment.calibrated_cameras import save_calibrated_cameras
+from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
 from aomgen.alignment.stage import boxes_of, run_alignment, save_alignment, views_of
 from aomgen.capture.check import read_demo_videos
 from aomgen.core.gaussians import Gaussians
@@ -43,29 +43,29 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
             folder,
             part(progress, 0.0, 0.6),
         )
-    settlement = settle_fixed_cameras(
+    calibration = calibrate_fixed_cameras(
         _start(capture, scene, result),
-        _filmed(capture, scene, videos),
+        _fixed_camera_videos(capture, scene, videos),
         part(progress, 0.6, 1.0),
         # The paper leaves fixed cameras where the scan has them.
-        JointParams(frames=0) if paper else None,
+        BundleParams(frames=0) if paper else None,
     )
     result = replace(
         result,
-        S_world_recon=settlement.S_world_recon,
-        joint_zeros_rad=settlement.zeros_rad,
-        joint_zero_sds_rad=settlement.zero_sds_rad,
+        S_world_recon=calibration.S_world_recon,
+        joint_zeros_rad=calibration.zeros_rad,
+        joint_zero_sds_rad=calibration.zero_sds_rad,
     )
     save_alignment(result, folder)
-    save_settled_cameras(settlement.cameras, folder)
+    save_calibrated_cameras(calibration.cameras, folder)
     return {
         "support": result.support,
         "runner_up_support": result.runner_up_support,
         "residual_px": result.residual_px,
         "end_effector_sd_mm": 1e3 * result.ee_sd_m,
-        "largest_joint_zero_deg": float(np.degrees(np.abs(settlement.zeros_rad).max())),
-        "fixed_cameras": {name: camera.summary() for name, camera in settlement.cameras.items()},
-        WARNINGS: [warning for name, item in settlement.cameras.items() for warning in item.warnings(name)],
+        "largest_joint_zero_deg": float(np.degrees(np.abs(calibration.zeros_rad).max())),
+        "fixed_cameras": {name: camera.summary() for name, camera in calibration.cameras.items()},
+        WARNINGS: [warning for name, item in calibration.cameras.items() for warning in item.warnings(name)],
     }
 
 
@@ -80,8 +80,8 @@ def align_by_paper(capture: Capture, scene: Structure, gaussians_recon: Gaussian
     )
 
 
-def _start(capture: Capture, scene: Structure, result: Alignment) -> Scene:
-    return Scene(
+def _start(capture: Capture, scene: Structure, result: Alignment) -> AlignedScan:
+    return AlignedScan(
         S_world_recon=result.S_world_recon,
         views=views_of(scene, {path.name: path for path in capture.scan_images}, {}),
         points_recon=scene.points_recon,
@@ -91,9 +91,11 @@ def _start(capture: Capture, scene: Structure, result: Alignment) -> Scene:
     )
 
 
-def _filmed(capture: Capture, scene: Structure, videos: dict[str, Video]) -> dict[str, Filmed]:
+def _fixed_camera_videos(
+    capture: Capture, scene: Structure, videos: dict[str, Video]
+) -> dict[str, FixedCameraVideo]:
     return {
-        camera.name: Filmed(
+        camera.name: FixedCameraVideo(
             video=videos[camera.name],
             camera_recon=scene.demo_cameras_recon[camera.name],
             T_world_cam=camera.T_world_cam,

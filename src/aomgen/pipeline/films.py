@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.appearance.directional_light import found_lamp, without_shadow
-from aomgen.appearance.refine import sharpened
-from aomgen.appearance.robot_surfels import dressed
-from aomgen.appearance.surfel_observations import Film, matched_film
+from aomgen.appearance.directional_light import find_directional_light, remove_shadow
+from aomgen.appearance.refine import refine_twin
+from aomgen.appearance.robot_surfels import replace_robot_gaussians
+from aomgen.appearance.surfel_observations import PosedImages, match_exposure
 from aomgen.capture.check import read_demo_videos
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
@@ -31,13 +31,13 @@ DEMO_SHARE = 0.5
 MIN_DEMO_PICTURES = 16
 
 
-def scan_films(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -> list[Film]:
+def scan_films(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -> list[PosedImages]:
     """Scan images that are not held out, evenly chosen."""
     withheld = set(held_out([path.name for path in capture.scan_images]))
     usable = [p for p in capture.scan_images if p.name in cameras_world and p.name not in withheld]
     chosen = np.unique(np.linspace(0, max(len(usable) - 1, 0), SCAN_PICTURES).astype(int))
     return [
-        Film(
+        PosedImages(
             camera=cameras_world[usable[i].name],
             images_srgb=(read_image(usable[i]),),
             states=(twin.scan_state,),
@@ -54,7 +54,7 @@ def fitted_frames(capture: Capture, frames: int) -> NDArray[np.int64]:
 
 def demo_film(
     capture: Capture, camera_world: Camera, motion: MotionEstimate, twin: Twin, robot: RobotModel
-) -> Film:
+) -> PosedImages:
     """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
     video = read_demo_videos(capture)[capture.cameras[0].name]
     chosen = fitted_frames(capture, len(video.times_s))
@@ -64,12 +64,14 @@ def demo_film(
         TwinState(joints=q, gripper=float(g), theta=float(theta), T_world_object=twin.T_world_object)
         for q, g, theta in zip(joints, gripper, motion.theta_at(times), strict=True)
     )
-    film = Film(camera=camera_world, images_srgb=tuple(video.frames_srgb[i] for i in chosen), states=states)
+    view = PosedImages(
+        camera=camera_world, images_srgb=tuple(video.frames_srgb[i] for i in chosen), states=states
+    )
     first = render_state(twin, robot, states[0], camera_world, features=(~twin.moves)[:, None] * 1.0)
-    return matched_film(film, np.asarray(first.rgb, np.float64), np.asarray(first.features)[..., 0] > 0.95)
+    return match_exposure(view, np.asarray(first.rgb, np.float64), np.asarray(first.features)[..., 0] > 0.95)
 
 
-def with_looks(twin: Twin, robot: RobotModel, films: Sequence[Film], progress: Progress) -> Twin:
+def with_looks(twin: Twin, robot: RobotModel, views: Sequence[PosedImages], progress: Progress) -> Twin:
     """The twin as all pictures show it.
 
     Its robot is dressed in the model's surface, shadows that move are told from the surface they fall
@@ -78,20 +80,20 @@ def with_looks(twin: Twin, robot: RobotModel, films: Sequence[Film], progress: P
     Args:
         twin: The scan bound to its bodies.
         robot: Its robot.
-        films: Of the scan, and last of a fixed camera.
+        views: Of the scan, and last of a fixed camera.
         progress: Told how far it has come.
     """
     rng = np.random.default_rng(0)
     progress(0.1, "the robot's surface")
-    clad = dressed(twin, robot, films, rng)
+    with_surfels = replace_robot_gaussians(twin, robot, views, rng)
     progress(0.3, "the lamp that throws its shadow")
-    lamp = _lamp(clad, robot, films[-1])
-    lit = clad if lamp is None else without_shadow(clad, robot, lamp)
+    lamp = _lamp(with_surfels, robot, views[-1])
+    lit = with_surfels if lamp is None else remove_shadow(with_surfels, robot, lamp)
     progress(0.4, "pictures in every posture")
-    return sharpened(lit, robot, films, rng)
+    return refine_twin(lit, robot, views, rng)
 
 
-def _lamp(twin: Twin, robot: RobotModel, film: Film) -> Lamp | None:
+def _lamp(twin: Twin, robot: RobotModel, view: PosedImages) -> Lamp | None:
     """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
     world = posed(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))
@@ -102,4 +104,4 @@ def _lamp(twin: Twin, robot: RobotModel, film: Film) -> Lamp | None:
         )
     except ReconstructionError:
         return None
-    return found_lamp(twin, robot, film, support.T_world_plane)
+    return find_directional_light(twin, robot, view, support.T_world_plane)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.calibrated_cameras import load_settled_cameras
+from aomgen.alignment.calibrated_cameras import load_calibrated_cameras
 from aomgen.alignment.stage import load_alignment
-from aomgen.appearance.drawer_interior import with_tray
+from aomgen.appearance.drawer_interior import add_drawer_interior
 from aomgen.capture.check import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
@@ -169,8 +169,8 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     capture = aligned_capture_of(run)
     structure = load_structure(run.folders["structure"])
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
-    settled = load_settled_cameras(run.folders["alignment"])
-    cameras_world = {name: item.camera for name, item in settled.items()}
+    calibrated = load_calibrated_cameras(run.folders["alignment"])
+    cameras_world = {name: item.camera for name, item in calibrated.items()}
 
     def write_estimates(estimate: MotionEstimate | None, refusals: list[dict[str, str]]) -> None:
         content = estimates_of(
@@ -224,11 +224,11 @@ def motion_input(run: Run, scene: Gaussians, labels: NDArray[np.uint8]) -> Motio
     """
     capture = aligned_capture_of(run)
     name = capture.cameras[0].name
-    settled = load_settled_cameras(run.folders["alignment"])[name]
-    clock = settled.settled_clock()
+    calibrated = load_calibrated_cameras(run.folders["alignment"])[name]
+    clock = calibrated.require_clock()
     return MotionInput(
         video=read_demo_videos(capture)[name],
-        camera=settled.camera,
+        camera=calibrated.camera,
         log=capture.joint_log,
         robot=robot_of(capture),
         scene=scene,
@@ -289,7 +289,7 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     robot = posture.robot
     scanned = scanned_twin(*labelled_scan(run.folders), motion.joint, posture)
     film = demo_film(capture, demo_camera_world(run), motion, scanned, robot)
-    bound = with_tray(scanned, robot, film)
+    bound = add_drawer_interior(scanned, robot, film)
     films = [*scan_films(capture, scan_cameras_world(run), bound), film]
     result = with_looks(bound, robot, films, progress)
     save_twin(folder, result)
@@ -304,7 +304,7 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
 def demo_camera_world(run: Run) -> Camera:
     """The first fixed camera, as estimated."""
     name = read_capture(run.project.capture).cameras[0].name
-    return load_settled_cameras(run.folders["alignment"])[name].camera
+    return load_calibrated_cameras(run.folders["alignment"])[name].camera
 
 
 def scan_cameras_world(run: Run) -> dict[str, Camera]:

@@ -1,6 +1,6 @@
 """The cameras of a run by their names: of the demonstration, of the episodes, of the scan."""
 
-from aomgen.alignment.calibrated_cameras import load_settled_cameras
+from aomgen.alignment.calibrated_cameras import load_calibrated_cameras
 from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError
 from aomgen.pipeline.generation import stored_cameras
@@ -23,9 +23,9 @@ def find_camera(project: Project, name: str) -> Camera:
     """
     run = Run.of(project, project.out, STAGES)
     scan = scan_cameras_world(run)
-    settled = load_settled_cameras(run.folders["alignment"])
+    calibrated = load_calibrated_cameras(run.folders["alignment"])
     made = stored_cameras(run) if run.folders["replacement"].is_dir() else {}
-    fixed = made | {key: item.camera for key, item in settled.items()}
+    fixed = made | {key: item.camera for key, item in calibrated.items()}
     known = scan | fixed
     if name not in known:
         images = sorted(scan)

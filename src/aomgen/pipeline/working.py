@@ -8,7 +8,7 @@ from aomgen.capture.read import read_capture
 from aomgen.core.recording import Capture
 from aomgen.pipeline.stage import Run
 from aomgen.structure.stage import load_structure
-from aomgen.structure.undistortion import IMAGES_FOLDER, MASKS_FOLDER, straight_prompts
+from aomgen.structure.undistortion import IMAGES_FOLDER, MASKS_FOLDER, undistort_prompts
 from aomgen.structure.video_frames import extracted_frames
 
 
@@ -68,6 +68,6 @@ def working_capture(capture: Capture, structure: Path) -> Capture:
         capture,
         cameras=cameras,
         scan_images=tuple(structure / IMAGES_FOLDER / path.name for path in images),
-        prompts=straight_prompts(capture.prompts, found.scan_lens),
+        prompts=undistort_prompts(capture.prompts, found.scan_lens),
         mask_folders={name: masks / name for name in capture.mask_folders if (masks / name).is_dir()},
     )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.alignment.calibrated_cameras import load_settled_cameras
+from aomgen.alignment.calibrated_cameras import load_calibrated_cameras
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.io.images import write_image
@@ -119,7 +119,7 @@ def _coverage(run: Run) -> str:
 
 def _fixed_cameras(run: Run) -> str:
     rows: list[list[object]] = []
-    for name, item in load_settled_cameras(run.folders["alignment"]).items():
+    for name, item in load_calibrated_cameras(run.folders["alignment"]).items():
         clock = {"offset_s": item.clock.offset_s, "sd_s": item.clock.sd_s} if item.clock else {}
         figures = clock | item.figures
         shown = [

@@ -131,14 +131,14 @@ def _worst_split(evidence: Array) -> NDArray[np.bool_] | None:
     _, vectors = np.linalg.eigh(evidence)
     best, worst = None, 0.0
     for vector in vectors[:, ::-1][:, :SPLITS].T:
-        side = _settled(evidence, np.where(vector >= 0, 1.0, -1.0))
+        side = _converge_signs(evidence, np.where(vector >= 0, 1.0, -1.0))
         cut = float(evidence[np.ix_(side > 0, side < 0)].sum())
         if cut < worst:
             best, worst = side > 0, cut
     return best
 
 
-def _settled(evidence: Array, side: Array) -> Array:
+def _converge_signs(evidence: Array, side: Array) -> Array:
     for _ in range(4 * len(side)):
         gain = side * (evidence @ side)
         move = int(np.argmin(gain))

@@ -77,7 +77,7 @@ def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array)
     return numerator / np.maximum(gradient, 1e-12)
 
 
-def misregistered(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
+def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
     """Judge every registered image by the verified matches it has with the accepted ones.
 
     The worst image is dropped first and the rest judged again without it, so that a wrong image

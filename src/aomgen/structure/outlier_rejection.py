@@ -7,12 +7,12 @@ import numpy as np
 from aomgen.core.transforms import apply, invert
 from aomgen.structure.clusters import Views, wrong_groups
 from aomgen.structure.mapping import Workspace
-from aomgen.structure.misregistration import misregistered
+from aomgen.structure.misregistration import check_registration
 from aomgen.structure.sparse_model import Mapped
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vetted:
+class InlierModel:
     """A model without the images that contradict it.
 
     Attributes:
@@ -31,7 +31,7 @@ class Vetted:
         return len(set(self.mapped.Ts_recon_cam) - set(self.dropped))
 
 
-def better(new: Vetted, old: Vetted, max_error_px: float) -> bool:
+def is_better(new: InlierModel, old: InlierModel, max_error_px: float) -> bool:
     """Whether a model is the better one: within the error limit, more images, then less error."""
     first, second = (
         (item.mapped.error_px <= max_error_px, item.count, -item.mapped.error_px) for item in (new, old)
@@ -39,7 +39,7 @@ def better(new: Vetted, old: Vetted, max_error_px: float) -> bool:
     return first > second
 
 
-def vet(work: Workspace, mapped: Mapped) -> Vetted:
+def reject_outliers(work: Workspace, mapped: Mapped) -> InlierModel:
     """Take out of the workspace's model what its matches contradict."""
     pairs = work.pairs("scan", mapped.lens)
     views = Views(Ts_recon_cam=mapped.Ts_recon_cam, depths=_depths(mapped), K=mapped.K)
@@ -52,12 +52,12 @@ def vet(work: Workspace, mapped: Mapped) -> Vetted:
         )
         dropped |= dict.fromkeys(group, reason)
     poses = {name: T for name, T in mapped.Ts_recon_cam.items() if name not in dropped}
-    verdicts = misregistered(poses, mapped.K, pairs)
+    verdicts = check_registration(poses, mapped.K, pairs)
     dropped |= {name: verdict.reason for name, verdict in verdicts.items() if not verdict.accepted}
     if dropped and len(dropped) < len(mapped.Ts_recon_cam):
         mapped = work.remap(mapped, set(dropped))
     shares = [verdict.share for verdict in verdicts.values() if verdict.accepted]
-    return Vetted(mapped=mapped, dropped=dropped, worst_agreement=min(shares, default=0.0))
+    return InlierModel(mapped=mapped, dropped=dropped, worst_agreement=min(shares, default=0.0))
 
 
 def _depths(mapped: Mapped) -> dict[str, float]:

@@ -19,7 +19,7 @@ MIN_ANGLE_DEG = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sighting:
+class PromptVisibility:
     """One prompt, as the model sees it.
 
     Attributes:
@@ -37,12 +37,12 @@ class Sighting:
     angle_deg: float
 
 
-def sightings(
+def measure_prompt_visibility(
     prompts: tuple[Prompt, ...],
     cameras_recon: dict[str, Camera],
     points_recon: Array,
     observations: NDArray[np.int32],
-) -> list[Sighting]:
+) -> list[PromptVisibility]:
     """How often, and from how many sides, each prompted place was seen.
 
     Args:
@@ -58,19 +58,23 @@ def sightings(
     for prompt in prompts:
         if prompt.image not in cameras_recon:
             found.append(
-                Sighting(part=prompt.part, image=prompt.image, registered=False, views=0, angle_deg=0.0)
+                PromptVisibility(
+                    part=prompt.part, image=prompt.image, registered=False, views=0, angle_deg=0.0
+                )
             )
             continue
         seen = observations[observations[:, 1] == names.index(prompt.image), 0]
         place = _place(prompt, cameras_recon[prompt.image], points_recon[seen])
         views, angle_deg = (0, 0.0) if place is None else _views(place, list(cameras_recon.values()))
         found.append(
-            Sighting(part=prompt.part, image=prompt.image, registered=True, views=views, angle_deg=angle_deg)
+            PromptVisibility(
+                part=prompt.part, image=prompt.image, registered=True, views=views, angle_deg=angle_deg
+            )
         )
     return found
 
 
-def require_coverage(found: list[Sighting]) -> None:
+def require_coverage(found: list[PromptVisibility]) -> None:
     """Refuse when a prompted part was not looked at.
 
     Raises:

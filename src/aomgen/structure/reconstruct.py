@@ -23,10 +23,10 @@ from aomgen.structure.fixed_cameras import DemoView, FixedCamera, place_fixed_ca
 from aomgen.structure.lens_choice import choose_lens, fit_lens
 from aomgen.structure.lens_misfit import lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import ImageSet, Workspace
-from aomgen.structure.outlier_rejection import Vetted, better, vet
-from aomgen.structure.prompt_visibility import require_coverage, sightings
+from aomgen.structure.outlier_rejection import InlierModel, is_better, reject_outliers
+from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage
 from aomgen.structure.sparse_model import Mapped
-from aomgen.structure.undistortion import straight_prompts
+from aomgen.structure.undistortion import undistort_prompts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,14 +101,14 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
         _require_images(len(names), len(same), params)
         work.leave_out("scan", set(same))
-        vetted, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
+        inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
         progress(0.99, "placing the fixed cameras")
         placed = {
-            name: place_fixed_camera(work, vetted.mapped, name, view, photographs.intrinsics)
+            name: place_fixed_camera(work, inliers.mapped, name, view, photographs.intrinsics)
             for name, view in photographs.demo.items()
         }
-    dropped = vetted.dropped | {name: f"shows the same as {other}" for name, other in same.items()}
-    structure = _structure(names, replace(vetted, dropped=dropped), placed, figures)
+    dropped = inliers.dropped | {name: f"shows the same as {other}" for name, other in same.items()}
+    structure = _structure(names, replace(inliers, dropped=dropped), placed, figures)
     return _covered(structure, photographs.prompts)
 
 
@@ -136,19 +136,19 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
 
 def _solve(
     work: Workspace, intrinsics: Intrinsics | None, count: int, params: StructureParams, progress: Progress
-) -> tuple[Vetted, Figures]:
+) -> tuple[InlierModel, Figures]:
     """The better of incremental and global mapping; the second only when the first leaves images out.
 
     Raises:
         ReconstructionError: Neither passes the gates.
     """
     progress(0.75, "mapping")
-    attempts: dict[str, tuple[Vetted, Figures]] = {}
+    attempts: dict[str, tuple[InlierModel, Figures]] = {}
     for mapper, run in (("incremental", work.map), ("global", work.map_globally)):
         mapped, lens_figures = _map(work, run, intrinsics)
         if mapped is not None:
             progress(0.97, "checking every image")
-            attempts[mapper] = vet(work, mapped), lens_figures
+            attempts[mapper] = reject_outliers(work, mapped), lens_figures
             if attempts[mapper][0].count >= params.retry_below * count:
                 break
         progress(0.97, "mapping in another way")
@@ -159,15 +159,15 @@ def _solve(
     names = list(attempts)
     best = names[0]
     for other in names[1:]:
-        if better(attempts[other][0], attempts[best][0], params.max_error_px):
+        if is_better(attempts[other][0], attempts[best][0], params.max_error_px):
             best = other
-    vetted, lens_figures = attempts[best]
-    _gate(count, vetted, params)
+    inliers, lens_figures = attempts[best]
+    _gate(count, inliers, params)
     tried = {
         name: {"registered": item.count, "reprojection_error_px": item.mapped.error_px}
         for name, (item, _) in attempts.items()
     }
-    return vetted, {"mapper": best, "tried": tried, "lens": lens_figures}
+    return inliers, {"mapper": best, "tried": tried, "lens": lens_figures}
 
 
 def _map(
@@ -188,44 +188,44 @@ def _map(
     return work.mapped("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
 
 
-def _gate(count: int, vetted: Vetted, params: StructureParams) -> None:
-    share = vetted.count / count
+def _gate(count: int, inliers: InlierModel, params: StructureParams) -> None:
+    share = inliers.count / count
     if not share >= params.min_registered:
         raise ReconstructionError(
             "scan",
-            f"{vetted.count} of {count} images could be registered "
-            f"({len(vetted.dropped)} contradicted their neighbours), "
+            f"{inliers.count} of {count} images could be registered "
+            f"({len(inliers.dropped)} contradicted their neighbours), "
             f"at least {params.min_registered:.0%} are needed",
             "record with more overlap, more texture and fewer repeated prints",
         )
-    if not vetted.mapped.error_px <= params.max_error_px:
+    if not inliers.mapped.error_px <= params.max_error_px:
         raise ReconstructionError(
             "scan",
-            f"reprojection error is {vetted.mapped.error_px:.2f} px, limit {params.max_error_px:.2f} px",
+            f"reprojection error is {inliers.mapped.error_px:.2f} px, limit {params.max_error_px:.2f} px",
             "check the intrinsics, lens distortion and motion blur",
         )
 
 
 def _structure(
-    names: list[str], vetted: Vetted, placed: dict[str, FixedCamera], figures: Figures
+    names: list[str], inliers: InlierModel, placed: dict[str, FixedCamera], figures: Figures
 ) -> Structure:
-    mapped = vetted.mapped
-    straight, lens = mapped.lens.straight(), mapped.lens
+    mapped = inliers.mapped
+    undistorted, lens = mapped.lens.straight(), mapped.lens
     cameras = {
         name: Camera(
-            fx=straight.fx,
-            fy=straight.fy,
-            cx=straight.cx,
-            cy=straight.cy,
-            width=straight.width,
-            height=straight.height,
+            fx=undistorted.fx,
+            fy=undistorted.fy,
+            cx=undistorted.cx,
+            cy=undistorted.cy,
+            width=undistorted.width,
+            height=undistorted.height,
             T_world_cam=mapped.Ts_recon_cam[name],
         )
         for name in names
         if name in mapped.Ts_recon_cam
     }
     dropped = {
-        name: vetted.dropped.get(name, "not registered: too few matches to the other images")
+        name: inliers.dropped.get(name, "not registered: too few matches to the other images")
         for name in names
         if name not in cameras
     }
@@ -246,7 +246,7 @@ def _structure(
             "images": len(names),
             "points": len(mapped.points_recon),
             "reprojection_error_px": mapped.error_px,
-            "worst_agreement": vetted.worst_agreement,
+            "worst_agreement": inliers.worst_agreement,
             "largest_shift_px": lens.largest_shift_px(),
             "demo_cameras": {name: item.figures for name, item in placed.items()},
         }
@@ -261,7 +261,9 @@ def _covered(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
         ReconstructionError: A prompted part was not looked at.
     """
     if structure.scan_lens is not None:
-        prompts = straight_prompts(prompts, structure.scan_lens)
-    found = sightings(prompts, structure.cameras_recon, structure.points_recon, structure.observations)
+        prompts = undistort_prompts(prompts, structure.scan_lens)
+    found = measure_prompt_visibility(
+        prompts, structure.cameras_recon, structure.points_recon, structure.observations
+    )
     require_coverage(found)
     return replace(structure, figures=structure.figures | {"prompts": [asdict(item) for item in found]})

@@ -14,7 +14,7 @@ from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
-from aomgen.structure.undistortion import write_straight
+from aomgen.structure.undistortion import write_undistorted
 
 CAMERAS_FILE = "structure.json"
 POINTS_FILE = "points.npz"
@@ -35,7 +35,7 @@ def run_structure(
     save_structure(structure, folder)
     if structure.scan_lens is not None:
         later = part(progress, 0.97, 1.0)
-        write_straight(photographs.images, mask_folders, structure.scan_lens, folder, later)
+        write_undistorted(photographs.images, mask_folders, structure.scan_lens, folder, later)
     progress(1.0, "structure written")
     return structure
 

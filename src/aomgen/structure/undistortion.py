@@ -20,17 +20,17 @@ JPEG_QUALITY = 98
 EDGE_SAMPLES = 16
 
 
-def straight_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, ...]:
+def undistort_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, ...]:
     """The prompts in the straightened images' pixels.
 
     A box becomes the box around its straightened outline, cut at the image's border; a point that
     the straightened image no longer shows is left out, and so is a prompt of which nothing is left.
     """
-    straight = (_straight(prompt, lens) for prompt in prompts)
-    return tuple(prompt for prompt in straight if len(prompt.points) or len(prompt.box))
+    undistorted = (_undistort(prompt, lens) for prompt in prompts)
+    return tuple(prompt for prompt in undistorted if len(prompt.points) or len(prompt.box))
 
 
-def write_straight(
+def write_undistorted(
     images: dict[str, Path], mask_folders: dict[str, Path], lens: Lens, folder: Path, progress: Progress
 ) -> None:
     """Write straightened copies of scan images and their masks below `folder`, names kept.
@@ -39,10 +39,10 @@ def write_straight(
         InputError: An image or mask cannot be read.
         StorageError: The disk refuses.
     """
-    straighten = straightener(lens)
+    undistort = straightener(lens)
     for index, (name, path) in enumerate(sorted(images.items())):
         progress(index / len(images), "straightening images")
-        image = straighten(read_image(path))
+        image = undistort(read_image(path))
         lossy = path.suffix.lower() in (".jpg", ".jpeg")
         data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)
         write_bytes(folder / IMAGES_FOLDER / name, data)
@@ -55,7 +55,7 @@ def write_straight(
                 write_bytes(folder / MASKS_FOLDER / masks / path.name, encode_png(labels))
 
 
-def _straight(prompt: Prompt, lens: Lens) -> Prompt:
+def _undistort(prompt: Prompt, lens: Lens) -> Prompt:
     size = np.array([lens.width, lens.height], np.float64)
     points = prompt.points
     if len(points):

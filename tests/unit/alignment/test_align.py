@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from aomgen.alignment.align import Alignment, AlignmentParams, align
 from aomgen.alignment.confidence import ViewEvidence, look
-from aomgen.alignment.contours import Contour, View, edge_shifts, region_shifts, shift_jacobian
+from aomgen.alignment.contours import AlignmentImage, Contour, edge_shifts, region_shifts, shift_jacobian
 from aomgen.alignment.gravity import up_candidates
 from aomgen.alignment.pose_search import Scan, SearchParams
 from aomgen.alignment.silhouette_fit import robot_drawing
@@ -47,7 +47,7 @@ def recon_camera(angle: float, height: float, focal_px: float = 260.0) -> Camera
 
 def scene(
     posture: RobotPosture, rng: np.random.Generator, *, robot: bool, focal_px: float = 260.0
-) -> tuple[list[View], list[RobotBox]]:
+) -> tuple[list[AlignmentImage], list[RobotBox]]:
     """Flat-colored robot bodies before a cloudy background, with sensor noise."""
     colors = rng.uniform(60, 220, (len(posture.robot.body_names), 1)) + rng.normal(0, 15, (1, 3))
     views, boxes = [], []
@@ -60,7 +60,7 @@ def scene(
             if robot:
                 image = np.where((bodies >= 0)[..., None], colors[bodies], image)
             image = (image + rng.normal(0, 3, image.shape)).clip(0, 255).astype(np.uint8)
-            views.append(View(name=f"{index}", camera_recon=camera, image_srgb=image))
+            views.append(AlignmentImage(name=f"{index}", camera_recon=camera, image_srgb=image))
             if index in (1, 4):
                 v, u = np.nonzero(bodies >= 0)
                 box = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1]) + rng.normal(0, 3, 4)
@@ -68,7 +68,7 @@ def scene(
     return views, boxes
 
 
-def scan_of(views: list[View], boxes: list[RobotBox], points_recon: np.ndarray) -> Scan:
+def scan_of(views: list[AlignmentImage], boxes: list[RobotBox], points_recon: np.ndarray) -> Scan:
     return Scan(views=views, boxes=boxes, points_recon=points_recon)
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from aomgen.alignment.bundle_adjustment import drifts
-from aomgen.alignment.bundle_equations import JointParams
+from aomgen.alignment.bundle_equations import BundleParams
 from aomgen.alignment.calibrated_cameras import (
     CAMERAS_FILE,
-    SettledCamera,
-    load_settled_cameras,
-    save_settled_cameras,
+    CalibratedCamera,
+    load_calibrated_cameras,
+    save_calibrated_cameras,
 )
 from aomgen.alignment.scan_information import structure_rows
 from aomgen.alignment.silhouette_fit import moved_similarity
@@ -28,27 +28,29 @@ CLOCK = Clock(offset_s=0.7, sd_s=0.002, rate=0.01, rate_sd=0.001, middle_s=4.0)
 
 
 def test_cameras_come_back_as_they_were(tmp_path) -> None:
-    good = SettledCamera(camera=CAMERA, clock=CLOCK, note="refined", figures={"moved_mm": 1.5})
-    refused = SettledCamera(camera=CAMERA, clock=None, refusal=("clock", "drifts", "export"), trusted=False)
-    save_settled_cameras({"front": good, "side": refused}, tmp_path)
-    back = load_settled_cameras(tmp_path)
+    good = CalibratedCamera(camera=CAMERA, clock=CLOCK, note="refined", figures={"moved_mm": 1.5})
+    refused = CalibratedCamera(
+        camera=CAMERA, clock=None, refusal=("clock", "drifts", "export"), trusted=False
+    )
+    save_calibrated_cameras({"front": good, "side": refused}, tmp_path)
+    back = load_calibrated_cameras(tmp_path)
     assert list(back) == ["front", "side"]
     assert back["front"].camera.T_world_cam == pytest.approx(CAMERA.T_world_cam)
     assert (back["front"].clock, back["front"].figures) == (CLOCK, {"moved_mm": 1.5})
     assert back["front"].warnings("front") == []
     with pytest.raises(SyncError, match="drifts"):
-        back["side"].settled_clock()
+        back["side"].require_clock()
     assert len(back["side"].warnings("side")) == 2
 
 
 def test_a_folder_without_cameras_is_named(tmp_path) -> None:
     with pytest.raises(MissingFileError):
-        load_settled_cameras(tmp_path)
+        load_calibrated_cameras(tmp_path)
 
 
 @pytest.mark.parametrize("change", ["no cameras", "no clock", "crooked pose", "list", "not JSON"])
 def test_a_damaged_file_is_malformed(tmp_path, change: str) -> None:
-    save_settled_cameras({"front": SettledCamera(camera=CAMERA, clock=CLOCK)}, tmp_path)
+    save_calibrated_cameras({"front": CalibratedCamera(camera=CAMERA, clock=CLOCK)}, tmp_path)
     path = tmp_path / CAMERAS_FILE
     stored = json.loads(path.read_text())
     if change == "no cameras":
@@ -61,7 +63,7 @@ def test_a_damaged_file_is_malformed(tmp_path, change: str) -> None:
         stored["cameras"] = [1, 2]
     path.write_text("{" if change == "not JSON" else json.dumps(stored))
     with pytest.raises(MalformedFileError):
-        load_settled_cameras(tmp_path)
+        load_calibrated_cameras(tmp_path)
 
 
 def test_a_clock_tells_log_times_about_its_middle() -> None:
@@ -103,4 +105,4 @@ def test_structure_rows_match_finite_differences() -> None:
 )
 def test_a_drift_counts_when_it_matters_and_is_known(rate, rate_sd, seconds, drifting) -> None:
     clock = Clock(offset_s=0.2, sd_s=0.001, rate=rate, rate_sd=rate_sd)
-    assert drifts(clock, seconds, JointParams()) is drifting
+    assert drifts(clock, seconds, BundleParams()) is drifting

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from aomgen.alignment.bundle_equations import JointParams
-from aomgen.alignment.contours import View
-from aomgen.alignment.fixed_camera_calibration import Filmed, Scene, Settlement, settle_fixed_cameras
+from aomgen.alignment.bundle_equations import BundleParams
+from aomgen.alignment.contours import AlignmentImage
+from aomgen.alignment.fixed_camera_calibration import (
+    AlignedScan,
+    FixedCameraCalibration,
+    FixedCameraVideo,
+    calibrate_fixed_cameras,
+)
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import silent
@@ -24,7 +29,7 @@ S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.
 S_RECON_WORLD = np.array(np.linalg.inv(S_WORLD_RECON), np.float64)
 # Where structure from motion puts a fixed camera: some millimetres and hundredths of a degree away.
 MISPLACED = transform(matrix_from_rotvec([0.0012, -0.0009, 0.0007]), [0.003, -0.002, 0.003])
-PARAMS = JointParams(frames=20, width=320, points=200)
+PARAMS = BundleParams(frames=20, width=320, points=200)
 FPS, SECONDS = 10.0, 5.0
 
 
@@ -35,13 +40,13 @@ class Stage:
     robot: RobotModel
     log: JointLog
     colors: np.ndarray
-    views: list[View]
+    views: list[AlignmentImage]
     points_recon: np.ndarray
     scan_off_rad: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
-    def scene(self, **changes: object) -> Scene:
+    def scene(self, **changes: object) -> AlignedScan:
         posture = RobotPosture(robot=self.robot, joints=SCAN_JOINTS + self.scan_off_rad, gripper=0.1)
-        known = Scene(
+        known = AlignedScan(
             S_world_recon=S_WORLD_RECON,
             views=self.views,
             points_recon=self.points_recon,
@@ -85,12 +90,12 @@ def placed(camera: Camera, T_error: np.ndarray = MISPLACED) -> Camera:
     return camera_in_world(S_RECON_WORLD, camera.moved(camera.T_world_cam @ T_error))
 
 
-def filmed(camera: Camera, video: Video, T_world_cam: np.ndarray | None = None) -> Filmed:
-    return Filmed(video=video, camera_recon=placed(camera), T_world_cam=T_world_cam)
+def filmed(camera: Camera, video: Video, T_world_cam: np.ndarray | None = None) -> FixedCameraVideo:
+    return FixedCameraVideo(video=video, camera_recon=placed(camera), T_world_cam=T_world_cam)
 
 
-def settle(stage: Stage, cameras: dict[str, Filmed], **changes: object) -> Settlement:
-    return settle_fixed_cameras(stage.scene(**changes), cameras, silent, PARAMS)
+def settle(stage: Stage, cameras: dict[str, FixedCameraVideo], **changes: object) -> FixedCameraCalibration:
+    return calibrate_fixed_cameras(stage.scene(**changes), cameras, silent, PARAMS)
 
 
 def error_px(found: Camera, true: Camera) -> float:
@@ -122,7 +127,7 @@ def stage(robot: RobotModel) -> Stage:
             bodies, _ = renderer.draw(camera, SCAN_JOINTS, 0.1)
             image = stage.picture(bodies, clouds(rng), rng)
             recon = camera_in_world(S_RECON_WORLD, camera)
-            stage.views.append(View(name=f"{index}", camera_recon=recon, image_srgb=image))
+            stage.views.append(AlignmentImage(name=f"{index}", camera_recon=recon, image_srgb=image))
     return stage
 
 
@@ -136,7 +141,7 @@ def test_several_cameras_and_their_clocks_are_found_and_a_blind_one_is_kept(stag
     found = settle(stage, cameras)
     for name, true, offset in (("front", FRONT, 1.2), ("side", SIDE, -0.5)):
         camera = found.cameras[name]
-        assert camera.settled_clock().offset_s == pytest.approx(offset, abs=0.01)
+        assert camera.require_clock().offset_s == pytest.approx(offset, abs=0.01)
         assert error_px(camera.camera, true) < 0.3
         assert camera.warnings(name) == []
     assert "calibration agrees" in found.cameras["side"].note
@@ -146,7 +151,7 @@ def test_several_cameras_and_their_clocks_are_found_and_a_blind_one_is_kept(stag
     assert blind.camera.T_world_cam == pytest.approx(there.T_world_cam)
     assert any("as the scan placed it" in warning for warning in blind.warnings("wall"))
     with pytest.raises(SyncError, match="stands still"):
-        blind.settled_clock()
+        blind.require_clock()
     elbow = np.array([-0.3, 0.0, 0.5])
     assert np.linalg.norm(apply(found.S_world_recon @ S_RECON_WORLD, elbow) - elbow) < 0.002
 
@@ -157,7 +162,7 @@ def test_a_clock_that_drifts_is_refused_with_the_factor(stage: Stage) -> None:
     assert camera.clock is None
     assert error_px(camera.camera, FRONT) < 0.3
     with pytest.raises(SyncError, match="while the video counts 1 s") as refused:
-        camera.settled_clock()
+        camera.require_clock()
     factor = float(refused.value.remedy.rsplit(" ", 1)[1])
     assert factor == pytest.approx(1 / 1.02, abs=0.002)
 
@@ -166,7 +171,7 @@ def test_a_known_clock_is_kept_and_a_slightly_wrong_calibration_contradicted(sta
     wrong = FRONT.T_world_cam @ transform(np.eye(3), [0.02, 0.0, 0.01])
     cameras = {"front": filmed(FRONT, stage.film(FRONT, 0.2), wrong)}
     found = settle(stage, cameras, clock_offset_s=0.2).cameras["front"]
-    assert found.settled_clock().offset_s == 0.2
+    assert found.require_clock().offset_s == 0.2
     assert error_px(found.camera, FRONT) < 0.3
     assert any("contradicts" in warning for warning in found.warnings("front"))
     assert found.figures["calibration_mm"] == pytest.approx(1e3 * np.hypot(0.02, 0.01), abs=4)
@@ -185,14 +190,14 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
 
 def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> None:
     empty = Video(times_s=np.zeros(1), frames_srgb=np.zeros((1, 240, 320, 3), np.uint8), fps=FPS)
-    found = settle_fixed_cameras(
+    found = calibrate_fixed_cameras(
         stage.scene(clock_offset_s=0.2), {"front": filmed(FRONT, empty)}, silent, replace(PARAMS, frames=0)
     )
     camera = found.cameras["front"]
     there = camera_in_world(S_WORLD_RECON, placed(FRONT))
     assert camera.camera.T_world_cam == pytest.approx(there.T_world_cam, abs=1e-6)
     assert found.S_world_recon == pytest.approx(S_WORLD_RECON, abs=1e-6)
-    assert camera.settled_clock().offset_s == 0.2
+    assert camera.require_clock().offset_s == 0.2
     assert camera.warnings("front") == []
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aomgen.alignment.color_score import color_score, divergence
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Found, Scan, SearchParams, different, search
 from aomgen.alignment.starting_poses import RobotBox, places_in_boxes
 from aomgen.core.camera import Camera, camera_in_world, look_at
@@ -29,7 +29,7 @@ def posture(robot: RobotModel) -> RobotPosture:
 
 
 @pytest.fixture(scope="module")
-def views(posture: RobotPosture) -> list[View]:
+def views(posture: RobotPosture) -> list[AlignmentImage]:
     """A gray robot before a blotchy wall of other colors."""
     rng = np.random.default_rng(0)
     found = []
@@ -39,7 +39,9 @@ def views(posture: RobotPosture) -> list[View]:
             bodies, _ = renderer.draw(camera_in_world(S_WORLD_RECON, camera), JOINTS, 0.1)
             wall = np.kron(rng.uniform(0, 255, (12, 16, 3)), np.ones((10, 10, 1)))
             image = np.where((bodies >= 0)[..., None], 130 + rng.normal(0, 8, (120, 160, 1)), wall)
-            found.append(View(name=f"{index}", camera_recon=camera, image_srgb=image.astype(np.uint8)))
+            found.append(
+                AlignmentImage(name=f"{index}", camera_recon=camera, image_srgb=image.astype(np.uint8))
+            )
     return found
 
 

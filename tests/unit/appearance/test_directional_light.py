@@ -7,9 +7,9 @@ import pytest
 from scipy.ndimage import binary_closing
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.directional_light import EDGE_M, closed_at, found_lamp, without_shadow
-from aomgen.appearance.refine import sharpened
-from aomgen.appearance.surfel_observations import Film
+from aomgen.appearance.directional_light import EDGE_M, close_at, find_directional_light, remove_shadow
+from aomgen.appearance.refine import refine_twin
+from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_json
@@ -27,7 +27,7 @@ def lamp_from(x: float, y: float) -> Lamp:
     return Lamp(direction=direction / np.linalg.norm(direction), T_world_plane=PLANE, shade=SHADE)
 
 
-def film_of(scene, lamp, rng, count=12) -> Film:
+def film_of(scene, lamp, rng, count=12) -> PosedImages:
     """The arm sweeps over the table; pictures have noise."""
     rest = scene.twin.scan_state
     states, images = [], []
@@ -37,20 +37,20 @@ def film_of(scene, lamp, rng, count=12) -> Film:
         rgb = render_state(replace(scene.twin, lamp=lamp), scene.robot, state, scene.camera).rgb
         images.append(np.clip(np.rint(rgb * 255 + rng.normal(0, 2, rgb.shape)), 0, 255).astype(np.uint8))
         states.append(state)
-    return Film(camera=scene.camera, images_srgb=tuple(images), states=tuple(states))
+    return PosedImages(camera=scene.camera, images_srgb=tuple(images), states=tuple(states))
 
 
 @pytest.mark.parametrize(("lean", "exposure"), [((0.2, -0.3), (1.0, 1.0)), ((-0.5, 0.1), (0.8, 1.1))])
 def test_a_lamp_is_found_by_the_shadow_it_throws(toy_scene, lean, exposure):
     true = lamp_from(*lean)
-    film = film_of(toy_scene, true, np.random.default_rng(0))
+    view = film_of(toy_scene, true, np.random.default_rng(0))
     # Exposure that drifts does not matter.
-    gains = np.linspace(exposure[0], exposure[1], len(film.states))
+    gains = np.linspace(exposure[0], exposure[1], len(view.states))
     images = tuple(
         np.clip(gain * image, 0, 255).astype(np.uint8)
-        for gain, image in zip(gains, film.images_srgb, strict=True)
+        for gain, image in zip(gains, view.images_srgb, strict=True)
     )
-    found = found_lamp(toy_scene.twin, toy_scene.robot, replace(film, images_srgb=images), PLANE)
+    found = find_directional_light(toy_scene.twin, toy_scene.robot, replace(view, images_srgb=images), PLANE)
     assert found is not None
     assert np.degrees(np.arccos(min(found.direction @ true.direction, 1.0))) < 2.0
     np.testing.assert_allclose(found.shade, SHADE, atol=0.04)
@@ -58,22 +58,22 @@ def test_a_lamp_is_found_by_the_shadow_it_throws(toy_scene, lean, exposure):
 
 def test_without_a_shadow_there_is_no_lamp(toy_scene):
     rng = np.random.default_rng(0)
-    film = film_of(toy_scene, None, rng, count=8)
-    assert found_lamp(toy_scene.twin, toy_scene.robot, film, PLANE) is None
+    view = film_of(toy_scene, None, rng, count=8)
+    assert find_directional_light(toy_scene.twin, toy_scene.robot, view, PLANE) is None
     # Neither when the table changes for another reason.
     patches = [
         np.clip(np.kron(rng.uniform(0.5, 1, (12, 16, 1)), np.ones((10, 10, 1))) * image, 0, 255)
-        for image in film.images_srgb
+        for image in view.images_srgb
     ]
-    flicker = replace(film, images_srgb=tuple(patch.astype(np.uint8) for patch in patches))
-    assert found_lamp(toy_scene.twin, toy_scene.robot, flicker, PLANE) is None
+    flicker = replace(view, images_srgb=tuple(patch.astype(np.uint8) for patch in patches))
+    assert find_directional_light(toy_scene.twin, toy_scene.robot, flicker, PLANE) is None
 
 
 def test_a_surface_that_is_not_seen_gives_no_lamp(toy_scene):
-    film = film_of(toy_scene, lamp_from(0.2, -0.3), np.random.default_rng(0))
+    view = film_of(toy_scene, lamp_from(0.2, -0.3), np.random.default_rng(0))
     above = np.eye(4)
     above[2, 3] = 3.0
-    assert found_lamp(toy_scene.twin, toy_scene.robot, film, above) is None
+    assert find_directional_light(toy_scene.twin, toy_scene.robot, view, above) is None
 
 
 def baked(scene, lamp):
@@ -94,7 +94,7 @@ def baked(scene, lamp):
 def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
     lamp = lamp_from(0.2, -0.3)
     scanned, dark = baked(toy_scene, lamp)
-    freed = without_shadow(scanned, toy_scene.robot, lamp)
+    freed = remove_shadow(scanned, toy_scene.robot, lamp)
 
     def error(twin):
         return np.abs(twin.gaussians.sh - toy_scene.twin.gaussians.sh)[dark > 0.02, 0].mean()
@@ -127,11 +127,11 @@ def test_unshading_undoes_a_shade(toy_scene):
 def test_training_under_a_lamp_does_not_learn_its_shadow(toy_scene):
     lamp = lamp_from(0.2, -0.3)
     twin = replace(toy_scene.twin, lamp=lamp)
-    film = film_of(toy_scene, lamp, np.random.default_rng(0), count=1)
-    state = film.states[0]
-    lessons = [film] * 12
-    plain = sharpened(toy_scene.twin, toy_scene.robot, lessons, np.random.default_rng(0))
-    knowing = sharpened(twin, toy_scene.robot, lessons, np.random.default_rng(0))
+    view = film_of(toy_scene, lamp, np.random.default_rng(0), count=1)
+    state = view.states[0]
+    training_views = [view] * 12
+    plain = refine_twin(toy_scene.twin, toy_scene.robot, training_views, np.random.default_rng(0))
+    knowing = refine_twin(twin, toy_scene.robot, training_views, np.random.default_rng(0))
     lit, learned, kept = (
         render_state(replace(t, lamp=None), toy_scene.robot, state, toy_scene.camera).rgb
         for t in (twin, plain, knowing)
@@ -191,4 +191,4 @@ def test_gaps_are_closed_at_single_cells_as_on_the_whole_grid() -> None:
     rng = np.random.default_rng(5)
     grid = rng.random((40, 30)) < 0.3
     x, y = (part.ravel() for part in np.meshgrid(np.arange(2, 38), np.arange(2, 28), indexing="ij"))
-    assert np.array_equal(closed_at(grid, (x, y)), binary_closing(grid)[x, y])
+    assert np.array_equal(close_at(grid, (x, y)), binary_closing(grid)[x, y])

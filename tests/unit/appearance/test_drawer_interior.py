@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.appearance.drawer_interior import with_tray
-from aomgen.appearance.surfel_observations import Film
+from aomgen.appearance.drawer_interior import add_drawer_interior
+from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
@@ -81,20 +81,20 @@ def slide() -> Joint:
     )
 
 
-def filmed(twin: Twin, robot: RobotModel) -> Film:
+def filmed(twin: Twin, robot: RobotModel) -> PosedImages:
     thetas = [0.0, 0.0, *np.linspace(0, TRAVEL, 9)]
     states = tuple(replace(twin.scan_state, theta=float(theta)) for theta in thetas)
     images = [np.clip(render_state(twin, robot, state, CAMERA).rgb, 0, 1) for state in states]
-    return Film(
+    return PosedImages(
         camera=CAMERA, images_srgb=tuple((255 * image).astype(np.uint8) for image in images), states=states
     )
 
 
 def test_a_hidden_tray_is_found_in_the_film(robot):
     front = box(*FRONT, [0.7, 0.2, 0.2])
-    film = filmed(cabinet(robot, [front, tray()], slide()), robot)
+    view = filmed(cabinet(robot, [front, tray()], slide()), robot)
     scanned = cabinet(robot, [front], slide())
-    found = with_tray(scanned, robot, film)
+    found = add_drawer_interior(scanned, robot, view)
     count = len(scanned.gaussians)
     added = found.gaussians.select(np.arange(len(found.gaussians)) >= count)
     assert len(added) > 500
@@ -103,9 +103,9 @@ def test_a_hidden_tray_is_found_in_the_film(robot):
     assert np.all(found.bodies[count:] == found.body("part"))
     places = apply(scanned.T_world_object, np.asarray(added.means, np.float64))
     assert np.all((places > [0.49, 0.28, 0.05]) & (places < [0.81, 0.51, 0.24]))
-    opened = film.states[-1]
+    opened = view.states[-1]
     before, after = (
-        np.square(np.clip(render_state(twin, robot, opened, CAMERA).rgb, 0, 1) - film.images_srgb[-1] / 255.0)
+        np.square(np.clip(render_state(twin, robot, opened, CAMERA).rgb, 0, 1) - view.images_srgb[-1] / 255.0)
         for twin in (scanned, found)
     )
     assert after.mean() < 0.35 * before.mean()
@@ -114,14 +114,14 @@ def test_a_hidden_tray_is_found_in_the_film(robot):
 def test_a_closed_drawer_looks_as_before(robot):
     front = box(*FRONT, [0.7, 0.2, 0.2])
     scanned = cabinet(robot, [front], slide())
-    found = with_tray(scanned, robot, filmed(cabinet(robot, [front, tray()], slide()), robot))
+    found = add_drawer_interior(scanned, robot, filmed(cabinet(robot, [front, tray()], slide()), robot))
     one, two = (render_state(twin, robot, scanned.scan_state, CAMERA).rgb for twin in (scanned, found))
     assert np.mean(np.abs(one - two).max(-1) > 0.05) < 0.002
 
 
 def test_a_front_without_a_tray_gets_none(robot):
     scanned = cabinet(robot, [box(*FRONT, [0.7, 0.2, 0.2])], slide())
-    assert with_tray(scanned, robot, filmed(scanned, robot)) is scanned
+    assert add_drawer_interior(scanned, robot, filmed(scanned, robot)) is scanned
 
 
 def test_doors_get_no_tray(robot):
@@ -129,7 +129,7 @@ def test_doors_get_no_tray(robot):
         type="revolute", axis=np.array([0.0, 0, 1]), origin=np.array([0.5, 0.3, 0.1]), lower=0, upper=TRAVEL
     )
     twin = cabinet(robot, [box(*FRONT, [0.7, 0.2, 0.2])], hinge)
-    assert with_tray(twin, robot, filmed(twin, robot)) is twin
+    assert add_drawer_interior(twin, robot, filmed(twin, robot)) is twin
 
 
 def sliding(axis: list[float]) -> Joint:
@@ -141,7 +141,10 @@ def test_a_panel_that_slides_along_its_body_gets_no_tray(robot, axis):
     """What it uncovers would look like a tray that it takes along."""
     panel = box([0.5, 0.285, 0.06], [0.65, 0.3, 0.24], [0.7, 0.2, 0.2])
     scanned = cabinet(robot, [panel], sliding(axis))
-    assert with_tray(scanned, robot, filmed(cabinet(robot, [panel, tray()], sliding(axis)), robot)) is scanned
+    assert (
+        add_drawer_interior(scanned, robot, filmed(cabinet(robot, [panel, tray()], sliding(axis)), robot))
+        is scanned
+    )
 
 
 def test_a_drawer_that_closes_gets_no_tray(robot):
@@ -149,12 +152,12 @@ def test_a_drawer_that_closes_gets_no_tray(robot):
     front = box([0.5, 0.085, 0.06], [0.8, 0.1, 0.24], [0.7, 0.2, 0.2])
     scanned = cabinet(robot, [front], sliding([0.0, 1, 0]))
     with_it = cabinet(robot, [front, tray()], sliding([0.0, 1, 0]))
-    assert with_tray(scanned, robot, filmed(with_it, robot)) is scanned
+    assert add_drawer_interior(scanned, robot, filmed(with_it, robot)) is scanned
 
 
 def test_a_film_that_never_shows_it_open_gives_no_tray(robot):
     front = box(*FRONT, [0.7, 0.2, 0.2])
-    film = filmed(cabinet(robot, [front, tray()], slide()), robot)
+    view = filmed(cabinet(robot, [front, tray()], slide()), robot)
     scanned = cabinet(robot, [front], slide())
-    short = replace(film, images_srgb=film.images_srgb[:2], states=film.states[:2])
-    assert with_tray(scanned, robot, short) is scanned
+    short = replace(view, images_srgb=view.images_srgb[:2], states=view.states[:2])
+    assert add_drawer_interior(scanned, robot, short) is scanned

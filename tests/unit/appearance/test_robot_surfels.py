@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.appearance.refine import sharpened
-from aomgen.appearance.robot_shading import robot_colors
-from aomgen.appearance.robot_surfels import dressed
-from aomgen.appearance.surfel_observations import Film, Sightings, matched_film
+from aomgen.appearance.refine import refine_twin
+from aomgen.appearance.robot_shading import fit_robot_colors
+from aomgen.appearance.robot_surfels import replace_robot_gaussians
+from aomgen.appearance.surfel_observations import PosedImages, SurfelObservations, match_exposure
 from aomgen.conventions import MOVING, ROBOT
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0
@@ -20,19 +20,19 @@ BEHIND = look_at((0.5, 1.1, 0.7), (0.2, 0.0, 0.3))
 EYES = [(-0.4, -0.9, 0.7), (0.4, -1.1, 0.5), (-0.7, -0.2, 0.6), (0.9, -0.8, 0.8), (-0.3, -1.0, 0.2)]
 
 
-def pictures(toy_scene, state, eyes) -> list[Film]:
+def pictures(toy_scene, state, eyes) -> list[PosedImages]:
     """What cameras around the robot see of the scanned Gaussians, which have no light baked in."""
-    films = []
+    views = []
     for eye in eyes:
         camera = Camera(
             fx=150, fy=150, cx=80, cy=60, width=160, height=120, T_world_cam=look_at(eye, (0.2, 0, 0.3))
         )
-        films.append(
-            Film(
+        views.append(
+            PosedImages(
                 camera=camera, images_srgb=(drawn(toy_scene.twin, toy_scene, state, camera),), states=(state,)
             )
         )
-    return films
+    return views
 
 
 def drawn(twin, toy_scene, state, camera) -> np.ndarray:
@@ -41,23 +41,23 @@ def drawn(twin, toy_scene, state, camera) -> np.ndarray:
     )
 
 
-def error(twin, toy_scene, film) -> float:
-    image = drawn(twin, toy_scene, film.states[0], film.camera)
-    return float(np.mean((image.astype(float) - film.images_srgb[0]) ** 2))
+def error(twin, toy_scene, view) -> float:
+    image = drawn(twin, toy_scene, view.states[0], view.camera)
+    return float(np.mean((image.astype(float) - view.images_srgb[0]) ** 2))
 
 
 @pytest.fixture(scope="module")
 def dressing(toy_scene):
-    films = pictures(toy_scene, toy_scene.twin.scan_state, EYES)
-    clad = dressed(toy_scene.twin, toy_scene.robot, films, np.random.default_rng(0))
-    return films, clad, sharpened(clad, toy_scene.robot, films, np.random.default_rng(1))
+    views = pictures(toy_scene, toy_scene.twin.scan_state, EYES)
+    with_surfels = replace_robot_gaussians(toy_scene.twin, toy_scene.robot, views, np.random.default_rng(0))
+    return views, with_surfels, refine_twin(with_surfels, toy_scene.robot, views, np.random.default_rng(1))
 
 
 def test_a_dressed_robot_looks_like_its_pictures(toy_scene, dressing):
-    films, _, twin = dressing
+    views, _, twin = dressing
     bare = toy_scene.twin.select(toy_scene.twin.labels != ROBOT)
-    for film in films:
-        assert error(twin, toy_scene, film) < 0.3 * error(bare, toy_scene, film)
+    for view in views:
+        assert error(twin, toy_scene, view) < 0.3 * error(bare, toy_scene, view)
 
 
 def test_a_dressed_robot_is_closed_where_no_picture_looked(toy_scene, dressing):
@@ -87,8 +87,8 @@ def test_dressing_leaves_everything_else_alone(toy_scene, dressing):
 
 
 def test_dressing_repeats_itself(toy_scene, dressing):
-    films, clad, twin = dressing
-    again = sharpened(clad, toy_scene.robot, films, np.random.default_rng(1))
+    views, with_surfels, twin = dressing
+    again = refine_twin(with_surfels, toy_scene.robot, views, np.random.default_rng(1))
     np.testing.assert_array_equal(again.bodies, twin.bodies)
     np.testing.assert_allclose(again.gaussians.means, twin.gaussians.means, atol=1e-5)
 
@@ -106,14 +106,14 @@ def test_a_dressed_twin_survives_storage(dressing, tmp_path):
         np.testing.assert_array_equal(one.difference_srgb, other.difference_srgb)
 
 
-@pytest.mark.parametrize("films", [0, 1])
-def test_without_pictures_of_the_robot_the_scan_stays(toy_scene, films):
+@pytest.mark.parametrize("views", [0, 1])
+def test_without_pictures_of_the_robot_the_scan_stays(toy_scene, views):
     away = Camera(
         fx=150, fy=150, cx=80, cy=60, width=160, height=120, T_world_cam=look_at((2.0, 0, 0.5), (4.0, 0, 0.5))
     )
     image = np.zeros((120, 160, 3), np.uint8)
-    film = Film(camera=away, images_srgb=(image,), states=(toy_scene.twin.scan_state,))
-    twin = dressed(toy_scene.twin, toy_scene.robot, [film] * films, np.random.default_rng(0))
+    view = PosedImages(camera=away, images_srgb=(image,), states=(toy_scene.twin.scan_state,))
+    twin = replace_robot_gaussians(toy_scene.twin, toy_scene.robot, [view] * views, np.random.default_rng(0))
     assert twin is toy_scene.twin
 
 
@@ -123,14 +123,16 @@ def test_a_cable_that_the_model_does_not_have_stays(toy_scene):
     means = np.array(twin.gaussians.means)
     means[cable] += 0.3
     changed = replace(twin, gaussians=replace(twin.gaussians, means=means))
-    films = pictures(toy_scene, twin.scan_state, EYES[:2])
-    result = dressed(changed, toy_scene.robot, films, np.random.default_rng(0))
+    views = pictures(toy_scene, twin.scan_state, EYES[:2])
+    result = replace_robot_gaussians(changed, toy_scene.robot, views, np.random.default_rng(0))
     kept = {tuple(row) for row in result.gaussians.means.tolist()}
     assert all(tuple(row) in kept for row in means[cable].tolist())
 
 
-def film_of(image: np.ndarray, toy_scene) -> Film:
-    return Film(camera=toy_scene.camera, images_srgb=(image, image), states=(toy_scene.twin.scan_state,) * 2)
+def film_of(image: np.ndarray, toy_scene) -> PosedImages:
+    return PosedImages(
+        camera=toy_scene.camera, images_srgb=(image, image), states=(toy_scene.twin.scan_state,) * 2
+    )
 
 
 def test_exposure_of_a_film_is_taken_back(toy_scene):
@@ -138,7 +140,7 @@ def test_exposure_of_a_film_is_taken_back(toy_scene):
     scan = rng.uniform(0.3, 0.7, (24, 32, 3))
     gains = np.array([0.7, 0.8, 1.1])
     darker = np.rint(255 * scan * gains ** (1 / 2.2)).astype(np.uint8)
-    matched = matched_film(film_of(darker, toy_scene), scan, np.ones((24, 32), bool))
+    matched = match_exposure(film_of(darker, toy_scene), scan, np.ones((24, 32), bool))
     for image in matched.images_srgb:
         assert np.abs(image / 255 - scan).mean() < 0.02
 
@@ -149,11 +151,11 @@ def test_what_does_not_show_the_same_is_not_compared(toy_scene):
     image[:, :20] = 40
     compared = np.zeros((24, 32), bool)
     compared[:, 20:] = True
-    matched = matched_film(film_of(image, toy_scene), scan, compared)
+    matched = match_exposure(film_of(image, toy_scene), scan, compared)
     assert np.abs(matched.images_srgb[0][:, 20:].astype(int) - 128).max() <= 1
 
 
-def sightings_of_a_ball(light, albedo, pictures) -> tuple[Sightings, np.ndarray]:
+def sightings_of_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np.ndarray]:
     """A ball that turns about z under a light, half of it seen in every picture."""
     rng = np.random.default_rng(2)
     normals = rng.normal(size=(400, 3))
@@ -168,18 +170,18 @@ def sightings_of_a_ball(light, albedo, pictures) -> tuple[Sightings, np.ndarray]
         rows.append((seen, np.full(len(seen), t), colors[seen], np.tile([0, 1.0, -0.3] @ R, (len(seen), 1))))
     disc, picture, color, directions = (np.concatenate(items) for items in zip(*rows, strict=True))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    sightings = Sightings(
+    observations = SurfelObservations(
         disc=disc, picture=picture, color_srgb=color, pixels=np.full(len(disc), 4.0),
         directions_body=directions, Ts_world_body=Ts,
     )  # fmt: skip
-    return sightings, normals
+    return observations, normals
 
 
 def test_light_is_told_from_paint_by_turning(toy_scene):
     albedo = np.array([0.2, 0.3, 0.4])
-    sightings, normals = sightings_of_a_ball(toy_scene.light, albedo, 12)
+    observations, normals = sightings_of_a_ball(toy_scene.light, albedo, 12)
     ones = np.ones(400, np.int32)
-    colors = robot_colors(sightings, ones, 0 * ones, normals, 0.1 * normals)
+    colors = fit_robot_colors(observations, ones, 0 * ones, normals, 0.1 * normals)
     # Orientations between those seen, without their memories.
     R = matrix_from_rotvec(np.array([0, 0, 0.4]))
     want = shaded_srgb(np.tile(albedo, (400, 1)), open_transfer(normals), toy_scene.light.seen_from(R))
@@ -223,11 +225,11 @@ def test_the_video_teaches_what_the_scan_could_not_see(toy_scene):
     sh[inside, 0] = (np.array([0.8, 0.1, 0.1]) - 0.5) / SH_C0
     red = replace(twin, gaussians=twin.gaussians.with_sh(sh))
     camera = toy_scene.camera
-    film = Film(
+    view = PosedImages(
         camera=camera, images_srgb=(drawn(red, toy_scene, opened, camera),) * 30, states=(opened,) * 30
     )
-    taught = sharpened(twin, toy_scene.robot, [film], np.random.default_rng(0))
-    before, after = (error(item, toy_scene, film) for item in (twin, taught))
+    taught = refine_twin(twin, toy_scene.robot, [view], np.random.default_rng(0))
+    before, after = (error(item, toy_scene, view) for item in (twin, taught))
     assert after < 0.5 * before
     np.testing.assert_array_equal(taught.bodies, twin.bodies)
     np.testing.assert_array_equal(taught.gaussians.opacities, twin.gaussians.opacities)
@@ -235,10 +237,10 @@ def test_the_video_teaches_what_the_scan_could_not_see(toy_scene):
 
 def test_a_good_twin_is_hardly_changed(toy_scene):
     twin = toy_scene.twin
-    (film,) = pictures(toy_scene, twin.scan_state, EYES[:1])
-    taught = sharpened(twin, toy_scene.robot, [film] * 20, np.random.default_rng(0))
-    assert error(taught, toy_scene, film) < 4.0
-    assert sharpened(twin, toy_scene.robot, [], np.random.default_rng(0)) is twin
+    (view,) = pictures(toy_scene, twin.scan_state, EYES[:1])
+    taught = refine_twin(twin, toy_scene.robot, [view] * 20, np.random.default_rng(0))
+    assert error(taught, toy_scene, view) < 4.0
+    assert refine_twin(twin, toy_scene.robot, [], np.random.default_rng(0)) is twin
 
 
 def test_a_shadow_that_is_elsewhere_in_every_picture_is_not_learned(toy_scene):
@@ -249,7 +251,7 @@ def test_a_shadow_that_is_elsewhere_in_every_picture_is_not_learned(toy_scene):
         image = np.array(clean)
         image[:, 20 * i : 20 * i + 20] //= 2
         images.append(image)
-    film = Film(camera=camera, images_srgb=tuple(images), states=(twin.scan_state,) * 8)
-    taught = sharpened(twin, toy_scene.robot, [film], np.random.default_rng(0))
+    view = PosedImages(camera=camera, images_srgb=tuple(images), states=(twin.scan_state,) * 8)
+    taught = refine_twin(twin, toy_scene.robot, [view], np.random.default_rng(0))
     difference = drawn(taught, toy_scene, twin.scan_state, camera).astype(float) - clean
     assert abs(difference.mean()) < 0.5 * abs(np.mean([i.astype(float) - clean for i in images]))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import matrix_from_rotvec, similarity, similarity_parts
@@ -38,7 +38,7 @@ def scene(robot: RobotModel) -> Scene:
             camera = recon_camera(0.25 * index)
             bodies, _ = renderer.draw(camera_in_world(S_WORLD_RECON, camera), JOINTS, 0.1)
             image = np.where((bodies >= 0)[..., None], ROBOT_SRGB, WALL_SRGB).astype(np.uint8).repeat(3, 2)
-            views.append(View(name=f"{index}", camera_recon=camera, image_srgb=image))
+            views.append(AlignmentImage(name=f"{index}", camera_recon=camera, image_srgb=image))
             if index in (2, 8):
                 v, u = np.nonzero(bodies >= 0)
                 sides = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], np.float64)

@@ -10,13 +10,13 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
 from aomgen.gaussians.dense_points import DensePoints
-from aomgen.gaussians.train import GaussiansParams, Lesson, coarse, initial_gaussians, judge
+from aomgen.gaussians.train import GaussiansParams, TrainingViews, coarse, evaluate_view, initial_gaussians
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.training import train
 from benchmarks.training import Clock, gain_fitted_psnr, training_curve
 
 
-def lesson_and_held_out() -> tuple[Lesson, list[tuple[Camera, np.ndarray]]]:
+def views_and_held_out() -> tuple[TrainingViews, list[tuple[Camera, np.ndarray]]]:
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(300, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -40,24 +40,26 @@ def lesson_and_held_out() -> tuple[Lesson, list[tuple[Camera, np.ndarray]]]:
         for eye in ([2, 0, 0.6], [1.6, 1, 0.6], [1, 1.7, 0.6], [0, 2, 0.6], [1.8, 0.5, 0.7])
     ]
     images = [(render(ball, camera).rgb * 255).round().astype(np.uint8) for camera in cameras]
-    lesson = Lesson(dense=dense, initial=initial, cameras=cameras[:4], images_srgb=images[:4], test=["4"])
-    return lesson, [(cameras[4], images[4])]
+    views = TrainingViews(
+        dense=dense, initial=initial, cameras=cameras[:4], images_srgb=images[:4], test=["4"]
+    )
+    return views, [(cameras[4], images[4])]
 
 
 def test_the_curve_ends_where_training_does() -> None:
-    lesson, held_out = lesson_and_held_out()
+    views, held_out = views_and_held_out()
     params = coarse(GaussiansParams())
     training = replace(params.training, iterations=60, max_gaussians=400)
     params = replace(params, training=training, near_share=0.0)
-    curve = training_curve(lesson, held_out, params, every_seconds=0.02)
+    curve = training_curve(views, held_out, params, every_seconds=0.02)
     assert len(curve) > 2
     assert [point["iteration"] for point in curve] == sorted({point["iteration"] for point in curve})
     assert [point["seconds"] for point in curve] == sorted(point["seconds"] for point in curve)
     assert curve[-1]["iteration"] == 60
     assert curve[-1]["psnr"] > curve[0]["psnr"]
     rng = np.random.default_rng(params.seed)
-    trained = train(lesson.initial, lesson.cameras, lesson.images_srgb, training, silent, rng)
-    assert curve[-1]["psnr"] == pytest.approx(judge(trained, *held_out[0]).psnr_db, abs=1e-6)
+    trained = train(views.initial, views.cameras, views.images_srgb, training, silent, rng)
+    assert curve[-1]["psnr"] == pytest.approx(evaluate_view(trained, *held_out[0]).psnr_db, abs=1e-6)
 
 
 def test_a_gain_is_fitted_for_every_channel() -> None:

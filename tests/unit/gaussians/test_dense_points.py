@@ -19,7 +19,7 @@ from aomgen.gaussians.background import (
     far_shell,
 )
 from aomgen.gaussians.dense_points import DensePoints, nearest_depth
-from aomgen.gaussians.depth_fusion import DepthMap, Samples, confirmations, thin
+from aomgen.gaussians.depth_fusion import DepthMap, Samples, count_confirmations, thin
 from aomgen.gaussians.plane_sweep import SweepParams, plane_sweep
 from aomgen.gaussians.train import initial_gaussians
 from aomgen.structure.mapping import choose_pairs
@@ -86,7 +86,7 @@ def test_only_depths_that_neighbours_share_are_confirmed():
     wrong = good.copy()
     wrong[:, 64:] = 0.8
     maps = [_map(cameras[0], wrong, (1, 2)), _map(cameras[1], good, (0, 2)), _map(cameras[2], good, (0, 1))]
-    votes = confirmations(maps[0], maps)
+    votes = count_confirmations(maps[0], maps)
     assert (votes[10:-10, 20:60] == 2).all()
     assert (votes[:, 68:] == 0).all()
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.alignment.contours import View
+from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
@@ -45,9 +45,11 @@ def cameras_recon() -> list[Camera]:
     return cameras
 
 
-def views() -> list[View]:
+def views() -> list[AlignmentImage]:
     image = np.zeros((240, 320, 3), np.uint8)
-    return [View(name=f"{k}", camera_recon=c, image_srgb=image) for k, c in enumerate(cameras_recon())]
+    return [
+        AlignmentImage(name=f"{k}", camera_recon=c, image_srgb=image) for k, c in enumerate(cameras_recon())
+    ]
 
 
 def boxes(posture: RobotPosture) -> list[RobotBox]:
@@ -77,12 +79,12 @@ def scan(robot_world: np.ndarray) -> Gaussians:
 def near_right(monkeypatch: pytest.MonkeyPatch, scale: float = 1.0) -> None:
     """Starts some centimetres, seven degrees and a size off, before the scan's unit frame is left."""
 
-    def starts(views: list[View], *_: object) -> np.ndarray:
+    def starts(views: list[AlignmentImage], *_: object) -> np.ndarray:
         S_unit_recon = camera_frame(views)
         size = similarity(scale, np.eye(3), [0.0, 0.0, 0.0])
         return (size @ OFF @ S_WORLD_RECON @ np.linalg.inv(S_unit_recon))[None]
 
-    def camera_frame(views_unit: list[View]) -> np.ndarray:
+    def camera_frame(views_unit: list[AlignmentImage]) -> np.ndarray:
         T_unit, T_recon = (item.camera_recon.T_world_cam for item in (views_unit[0], views()[0]))
         centers = [np.array([v.camera_recon.center for v in item]) for item in (views_unit, views())]
         sizes = [np.linalg.norm(c[0] - c[1]) for c in centers]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.alignment.calibrated_cameras import SettledCamera
+from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError
 from aomgen.pipeline import run_cameras
@@ -22,8 +22,8 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     (tmp_path / "07_replacement").mkdir()
     monkeypatch.setattr(run_cameras, "scan_cameras_world", lambda run: {"0001.jpg": SCAN, "0000.jpg": SCAN})
     monkeypatch.setattr(run_cameras, "stored_cameras", lambda run: {"front": EPISODES, "side": EPISODES})
-    settled = {"front": SettledCamera(camera=VIDEO, clock=None)}
-    monkeypatch.setattr(run_cameras, "load_settled_cameras", lambda folder: settled)
+    settled = {"front": CalibratedCamera(camera=VIDEO, clock=None)}
+    monkeypatch.setattr(run_cameras, "load_calibrated_cameras", lambda folder: settled)
     return Project(capture=tmp_path, out=tmp_path)
 
 

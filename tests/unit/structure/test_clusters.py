@@ -6,7 +6,7 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.structure.clusters import Views, duplicates, wrong_groups
-from aomgen.structure.misregistration import Pair, misregistered
+from aomgen.structure.misregistration import Pair, check_registration
 
 COUNT = 24
 
@@ -83,7 +83,7 @@ def test_a_group_that_is_wrong_as_a_whole_is_found(seed, size):
     assert found == [group]
     if size == 9:
         # Each image by itself is held up by its group.
-        verdicts = misregistered(views.Ts_recon_cam, views.K, pairs)
+        verdicts = check_registration(views.Ts_recon_cam, views.K, pairs)
         dropped = {name for name, verdict in verdicts.items() if not verdict.accepted}
         assert dropped != group
 

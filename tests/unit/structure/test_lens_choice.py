@@ -18,7 +18,7 @@ from aomgen.structure.resection import (
     resect,
 )
 from aomgen.structure.sparse_model import adjust
-from aomgen.structure.undistortion import straight_prompts
+from aomgen.structure.undistortion import undistort_prompts
 
 SIZE = {"width": 640, "height": 480}
 OPTICS = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0}
@@ -185,11 +185,11 @@ def test_prompts_move_with_the_image():
     lens = Lens(**OPTICS, **SIZE, k1=-0.2)
     points = np.array([[320.0, 240.0, 1.0], [1.0, 1.0, 0.0]])
     box = np.array([0.0, 100.0, 200.0, 300.0])
-    (moved,) = straight_prompts((Prompt(part="moving", image="a", points=points, box=box),), lens)
+    (moved,) = undistort_prompts((Prompt(part="moving", image="a", points=points, box=box),), lens)
     assert np.allclose(moved.points[0], [320, 240, 1])
     corners = lens.straightened([[200.0, 100.0], [200.0, 300.0]])
     assert moved.box[0] == 0
     assert moved.box[2] >= corners[:, 0].max() - 1e-9
     assert not np.allclose(moved.box[2], 200, atol=2)
     gone = Prompt(part="moving", image="a", points=np.array([[0.0, 0.0, 1.0]]), box=np.zeros(0))
-    assert straight_prompts((gone,), lens) == () or lens.straightened([[0.0, 0.0]]).min() >= 0
+    assert undistort_prompts((gone,), lens) == () or lens.straightened([[0.0, 0.0]]).min() >= 0

@@ -5,7 +5,7 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import transform
-from aomgen.structure.misregistration import Pair, epipolar_errors_px, misregistered
+from aomgen.structure.misregistration import Pair, check_registration, epipolar_errors_px
 
 
 def _world(seed: int, views: int = 12):
@@ -56,7 +56,7 @@ def test_two_images_a_metre_off_are_found_and_no_other(seed):
     for name in wrong:
         step = rng.normal(size=3)
         poses[name] = transform(np.eye(3), step / np.linalg.norm(step)) @ poses[name]
-    verdicts = misregistered(poses, next(iter(cameras.values())).K, pairs)
+    verdicts = check_registration(poses, next(iter(cameras.values())).K, pairs)
     assert {name for name, verdict in verdicts.items() if not verdict.accepted} == wrong
     assert all("misregistered" in verdicts[name].reason for name in wrong)
 
@@ -69,7 +69,7 @@ def test_false_pairs_from_repeated_prints_do_not_outvote_true_neighbours():
         junk = rng.uniform([0, 0], [640, 480], (2, 30, 2))
         pairs.append(Pair(a=names[0], b=other, pixels_a=junk[0], pixels_b=junk[1]))
     poses = {name: camera.T_world_cam for name, camera in cameras.items()}
-    verdicts = misregistered(poses, cameras[names[0]].K, pairs)
+    verdicts = check_registration(poses, cameras[names[0]].K, pairs)
     assert all(verdict.accepted for verdict in verdicts.values())
 
 
@@ -77,6 +77,6 @@ def test_an_image_without_matches_is_not_accepted():
     points, cameras, rng = _world(5)
     pairs = [pair for pair in _pairs(points, cameras, rng) if "03.png" not in (pair.a, pair.b)]
     poses = {name: camera.T_world_cam for name, camera in cameras.items()}
-    verdicts = misregistered(poses, cameras["00.png"].K, pairs)
+    verdicts = check_registration(poses, cameras["00.png"].K, pairs)
     assert not verdicts["03.png"].accepted
     assert "no other image" in verdicts["03.png"].reason

@@ -19,7 +19,7 @@ from aomgen.io.images import read_image, write_image
 from aomgen.splatting.rasterizer import render
 from aomgen.structure.fixed_cameras import DemoView
 from aomgen.structure.mapping import Workspace
-from aomgen.structure.outlier_rejection import Vetted, better
+from aomgen.structure.outlier_rejection import InlierModel, is_better
 from aomgen.structure.reconstruct import Photographs, StructureParams
 from aomgen.structure.sparse_model import Mapped
 from aomgen.structure.stage import POINTS_FILE, load_structure, run_structure, save_structure
@@ -187,7 +187,7 @@ def test_a_result_of_half_the_images_is_refused(photographs, tmp_path, monkeypat
         _run(images, tmp_path)
 
 
-def _vetted(count: int, error_px: float) -> Vetted:
+def _inlier_model(count: int, error_px: float) -> InlierModel:
     mapped = Mapped(
         Ts_recon_cam={str(i): np.eye(4) for i in range(count)},
         lens=Lens(fx=1, fy=1, cx=1, cy=1, width=2, height=2),
@@ -197,15 +197,15 @@ def _vetted(count: int, error_px: float) -> Vetted:
         point_of_feature={},
         error_px=error_px,
     )
-    return Vetted(mapped=mapped, dropped={"0": "wrong"}, worst_agreement=1.0)
+    return InlierModel(mapped=mapped, dropped={"0": "wrong"}, worst_agreement=1.0)
 
 
 def test_more_images_win_then_less_error_and_never_one_beyond_the_limit():
-    assert better(_vetted(10, 1.0), _vetted(9, 0.5), 1.5)
-    assert better(_vetted(10, 0.4), _vetted(10, 0.5), 1.5)
-    assert not better(_vetted(10, 0.5), _vetted(10, 0.5), 1.5)
-    assert not better(_vetted(10, 1.6), _vetted(2, 0.5), 1.5)
-    assert better(_vetted(2, 0.5), _vetted(10, float("nan")), 1.5)
+    assert is_better(_inlier_model(10, 1.0), _inlier_model(9, 0.5), 1.5)
+    assert is_better(_inlier_model(10, 0.4), _inlier_model(10, 0.5), 1.5)
+    assert not is_better(_inlier_model(10, 0.5), _inlier_model(10, 0.5), 1.5)
+    assert not is_better(_inlier_model(10, 1.6), _inlier_model(2, 0.5), 1.5)
+    assert is_better(_inlier_model(2, 0.5), _inlier_model(10, float("nan")), 1.5)
 
 
 def test_too_few_images_are_refused(photographs, tmp_path):
