@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Part labels of Gaussians, masks and label images.
-BACKGROUND: Final = 0
-ROBOT: Final = 1
-STATIC: Final = 2
-MOVING: Final = 3
+BACKGROUND: Final = 0  # everything else
+ROBOT: Final = 1  # arm and gripper
+STATIC: Final = 2  # body of the object
+MOVING: Final = 3  # its door, drawer or lid
 PART_LABELS: Final = {"background": BACKGROUND, "robot": ROBOT, "static": STATIC, "moving": MOVING}
 
 

@@ -15,6 +15,7 @@ from aomgen.core.mesh import Mesh
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 
+# Largest archive read, [bytes]: far above a usual asset, but fits in memory.
 MAX_BYTES = 2 << 30
 _MESH_ARRAYS = ("vertices", "faces", "uvs", "texture_srgb", "color_srgb")
 

@@ -7,14 +7,13 @@ import numpy as np
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, carcass, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, carcass, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 
 # Free space around the sliding panel, [m].
 GAP = 0.003
-PRINT = 0.0006
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,11 +156,11 @@ def _body(
             "fixed_panel", [fixed], Surface(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
         ),
         boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.10, 0.09, 0.08))),
-        panel("label", (x, y, z1 + PRINT), (0.10, 0, 0), (0, 0.0625, 0), plate),
-        panel("label_side", (w + PRINT, -0.03, z0 + 0.06), (0, 0.08, 0), (0, 0, 0.05), plate),
+        panel("label", (x, y, z1 + PRINT_GAP), (0.10, 0, 0), (0, 0.0625, 0), plate),
+        panel("label_side", (w + PRINT_GAP, -0.03, z0 + 0.06), (0, 0.08, 0), (0, 0, 0.05), plate),
         panel(
             "fixed_print",
-            (left, y0 - PRINT, z0 + 0.06),
+            (left, y0 - PRINT_GAP, z0 + 0.06),
             (right - left, 0, 0),
             (0, 0, 0.7 * (right - left)),
             art,
@@ -211,7 +210,7 @@ def _door(
     size = min(0.5 * (x1 - x0), 0.6 * (z1 - z0))
     # The print stands on the half of the panel without the handle.
     left = x0 + 0.015 if shape.slides_left else x1 - 0.015 - size
-    corner = (left, front - PRINT, (z0 + z1 - size) / 2)
+    corner = (left, front - PRINT_GAP, (z0 + z1 - size) / 2)
     meshes = (
         boxes_mesh("door", [slab], face),
         panel("print", corner, (size, 0, 0), (0, 0, size), art),

@@ -17,6 +17,7 @@ HANDLE_WORDS = ("handle", "knob", "grip", "pull")
 LAYER = 0.008
 # A revolute part's handle lies in the outer share of its reach.
 OUTER_SHARE = 0.5
+# Surface points that the handle is searched in: many on each handle of usual size.
 SAMPLES = 20_000
 
 

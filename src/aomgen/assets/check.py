@@ -13,10 +13,13 @@ from aomgen.errors import AssetError
 FINGER_BALL = 0.012
 # Half the stroke of the widest supported gripper is left for the fingers themselves, [m].
 MAX_HANDLE_THICKNESS = 0.06
+# An asset has to open at least this far to be worth opening, [rad] and [m].
 MIN_OPENING = {"revolute": np.deg2rad(30.0), "prismatic": 0.10}
+# Longest side of household furniture and appliances, [m]; a wrong unit is outside.
 SIZE_RANGE = (0.05, 3.0)
 # Colliders that touch by less than this do not block a joint, [m].
 TOUCH = 2e-4
+# Joint values at which overlaps are looked for: a step is about 4 degrees of a door that opens by 100.
 RANGE_SAMPLES = 25
 
 

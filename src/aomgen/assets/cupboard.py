@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import Surface, box, boxes_mesh, carcass, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Surface, box, boxes_mesh, carcass, merged, panel, rod
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -15,7 +15,6 @@ from aomgen.core.mesh import Mesh
 
 # Free space between cupboard, drawer and door, [m].
 GAP = 0.003
-PRINT = 0.0006
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,9 +134,9 @@ def _body(shape: CupboardShape, wood: Surface, rng: np.random.Generator) -> Asse
     meshes = (
         boxes_mesh("boards", list(boards.values()), wood),
         boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.10, 0.09, 0.08))),
-        panel("label", (x, y, z1 + PRINT), (0.10, 0, 0), (0, 0.0625, 0), plate),
-        panel("label_left", (-w - PRINT, 0.05, z0 + 0.09), (0, -0.08, 0), (0, 0, 0.05), plate),
-        panel("label_right", (w + PRINT, -0.03, z0 + 0.12), (0, 0.08, 0), (0, 0, 0.05), plate),
+        panel("label", (x, y, z1 + PRINT_GAP), (0.10, 0, 0), (0, 0.0625, 0), plate),
+        panel("label_left", (-w - PRINT_GAP, 0.05, z0 + 0.09), (0, -0.08, 0), (0, 0, 0.05), plate),
+        panel("label_right", (w + PRINT_GAP, -0.03, z0 + 0.12), (0, 0.08, 0), (0, 0, 0.05), plate),
         *_crockery(shape, rng),
     )
     colliders = tuple(solid.collider(key) for key, solid in {**boards, **feet}.items())
@@ -191,7 +190,7 @@ def _drawer(
     meshes = (
         boxes_mesh("front", [face], sheet),
         boxes_mesh("tray", list(tray.values()), ply),
-        panel("sign", (-w + 0.02, shape.face - PRINT, top - 0.03), (0.07, 0, 0), (0, 0, 0.0175), sign),
+        panel("sign", (-w + 0.02, shape.face - PRINT_GAP, top - 0.03), (0.07, 0, 0), (0, 0, 0.0175), sign),
         handle.mesh(bar),
     )
     colliders = tuple(solid.collider(key) for key, solid in {"front": face, **tray}.items())
@@ -213,7 +212,7 @@ def _door(
     sheet = Surface(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
     art = Surface(texture_srgb=printed.stickers(rng, paint, 320, 320, 5), roughness=0.6)
     size = 0.55 * min(2 * w, top - low)
-    corner = (-free * 0.3 * w - size / 2, shape.face - PRINT, (low + top - size) / 2)
+    corner = (-free * 0.3 * w - size / 2, shape.face - PRINT_GAP, (low + top - size) / 2)
     meshes = (
         boxes_mesh("door", [slab], sheet),
         panel("print", corner, (size, 0, 0), (0, 0, size), art),

@@ -7,14 +7,13 @@ import numpy as np
 from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import Surface, box, boxes_mesh, panel
+from aomgen.assets.shapes import PRINT_GAP, Surface, box, boxes_mesh, panel
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 
 # Free space between cabinet and drawer, [m].
 GAP = 0.003
-PRINT = 0.0006
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,8 +120,8 @@ def _cabinet(shape: DrawerShape, wood: Surface, rng: np.random.Generator) -> Ass
     meshes = (
         boxes_mesh("boards", list(boards.values()), wood),
         boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.10, 0.09, 0.08))),
-        panel("label", (x, y, z1 + PRINT), (0.10, 0, 0), (0, 0.0625, 0), plate),
-        panel("label_side", (w + PRINT, -0.03, z0 + 0.06), (0, 0.08, 0), (0, 0, 0.05), plate),
+        panel("label", (x, y, z1 + PRINT_GAP), (0.10, 0, 0), (0, 0.0625, 0), plate),
+        panel("label_side", (w + PRINT_GAP, -0.03, z0 + 0.06), (0, 0.08, 0), (0, 0, 0.05), plate),
     )
     colliders = tuple(solid.collider(key) for key, solid in {**boards, **feet}.items())
     return AssetLink(name="cabinet", meshes=meshes, colliders=colliders, mass=shape.body_mass)
@@ -141,7 +140,7 @@ def _drawer(shape: DrawerShape, front: Surface, handle: BarHandle, rng: np.rando
     metal = METALS[rng.integers(len(METALS))]
     bar = Surface(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
     sign = Surface(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 256, 64))
-    corner = (-w + 0.02, face.lower[1] - PRINT, face.upper[2] - 0.034)
+    corner = (-w + 0.02, face.lower[1] - PRINT_GAP, face.upper[2] - 0.034)
     meshes = (
         boxes_mesh("front", [face], front),
         boxes_mesh("tray", list(tray.values()), ply),

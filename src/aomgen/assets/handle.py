@@ -10,6 +10,7 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 
+# Canonical assets have their front towards -y.
 OUTWARD = np.array([0.0, -1.0, 0.0])
 
 

@@ -6,11 +6,11 @@ import numpy as np
 
 from aomgen.assets import printed, textures
 from aomgen.assets.lid import SEAL, back_hinge
-from aomgen.assets.shapes import Surface, box, boxes_mesh, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Surface, box, boxes_mesh, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
 
-PRINT = 0.0006
+# Colors of usual cases (silver, black, blue, copper), sRGB 0..1; the maker's taste.
 CASES = ((0.66, 0.67, 0.69), (0.20, 0.21, 0.23), (0.34, 0.40, 0.48), (0.72, 0.62, 0.54))
 # Height of the rubber strips below the base, [m].
 FEET = 0.002
@@ -99,7 +99,11 @@ def _base(shape: LaptopShape, color: tuple[float, float, float], rng: np.random.
         boxes_mesh("base", list(slabs.values()), case),
         boxes_mesh("feet", list(feet.values()), black),
         panel(
-            "keys", (-w + 0.006, front, top + PRINT), (2 * w - 0.012, 0, 0), (0, d - 0.006 - front, 0), keys
+            "keys",
+            (-w + 0.006, front, top + PRINT_GAP),
+            (2 * w - 0.012, 0, 0),
+            (0, d - 0.006 - front, 0),
+            keys,
         ),
         *(
             rod(
@@ -124,13 +128,13 @@ def _lid(shape: LaptopShape, color: tuple[float, float, float], rng: np.random.G
     case = Surface(texture_srgb=textures.brushed_metal(rng, color, 512), roughness=0.4, metallic=0.4)
     display = Surface(texture_srgb=printed.screen(rng), roughness=0.2)
     frame = Surface(color_srgb=(0.05, 0.05, 0.06))
-    bezel, below = shape.bezel, low - PRINT
+    bezel, below = shape.bezel, low - PRINT_GAP
     size = (2 * (w - bezel), 2 * d - 2 * bezel)
     meshes = (
         boxes_mesh("lid", [slab, rim], case),
-        _print(shape, color, top + PRINT, rng),
+        _print(shape, color, top + PRINT_GAP, rng),
         # Upright for the user once the lid is open: its top is the free edge.
-        panel("bezel", (-w, d, low - PRINT / 2), (2 * w, 0, 0), (0, -2 * d, 0), frame),
+        panel("bezel", (-w, d, low - PRINT_GAP / 2), (2 * w, 0, 0), (0, -2 * d, 0), frame),
         panel("screen", (-w + bezel, d - bezel, below), (size[0], 0, 0), (0, -size[1], 0), display),
     )
     colliders = (slab.collider("lid"), rim.collider("handle_rim"))

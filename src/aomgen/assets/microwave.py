@@ -6,17 +6,16 @@ import numpy as np
 
 from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 
 # Free depth between body and closed door, [m]: the seal that keeps colliders apart.
 SEAL = 0.002
-# Prints lie this far in front of the surface they are on, [m].
-PRINT = 0.0006
 Span = tuple[float, float]
 Color = tuple[float, float, float]
+# Colors of usual bodies, sRGB 0..1; the maker's taste.
 BODY_COLORS = (
     (0.72, 0.73, 0.74),
     (0.88, 0.87, 0.84),
@@ -24,6 +23,7 @@ BODY_COLORS = (
     (0.62, 0.16, 0.14),
     (0.55, 0.66, 0.70),
 )
+# Colors of usual doors (black, grey, white), sRGB 0..1.
 DOOR_COLORS = ((0.10, 0.10, 0.11), (0.16, 0.17, 0.19), (0.80, 0.80, 0.79))
 
 
@@ -182,19 +182,19 @@ def _prints(
     left = min(_sided(shape, column), _sided(shape, w)) + edge
     keys = panel(
         "keypad",
-        (left, front - PRINT, z0 + edge),
+        (left, front - PRINT_GAP, z0 + edge),
         (w - column - 2 * edge, 0, 0),
         (0, 0, z1 - z0 - 2 * edge),
         Surface(texture_srgb=textures.keypad(rng, panel_color), roughness=0.35),
     )
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.0)
     plate = Surface(texture_srgb=textures.label(rng))
-    label = panel("label", (x, y, z1 + PRINT), (0.12, 0, 0), (0, 0.075, 0), plate)
+    label = panel("label", (x, y, z1 + PRINT_GAP), (0.12, 0, 0), (0, 0.075, 0), plate)
     slots = Surface(texture_srgb=textures.vents(rng, color))
     y, z = rng.uniform(-0.10, 0.0), z0 + rng.uniform(0.06, 0.10)
-    right_vents = panel("vents_right", (w + PRINT, y, z), (0, 0.13, 0), (0, 0, 0.08), slots)
-    left_vents = panel("vents_left", (-w - PRINT, y + 0.13, z), (0, -0.13, 0), (0, 0, 0.08), slots)
-    side = panel("label_side", (-w - PRINT, -0.04, z0 + 0.02), (0, -0.07, 0), (0, 0, 0.035), plate)
+    right_vents = panel("vents_right", (w + PRINT_GAP, y, z), (0, 0.13, 0), (0, 0, 0.08), slots)
+    left_vents = panel("vents_left", (-w - PRINT_GAP, y + 0.13, z), (0, -0.13, 0), (0, 0, 0.08), slots)
+    side = panel("label_side", (-w - PRINT_GAP, -0.04, z0 + 0.02), (0, -0.07, 0), (0, 0, 0.035), plate)
     return [keys, label, right_vents, left_vents, side]
 
 
@@ -224,7 +224,7 @@ def _door(shape: MicrowaveShape, color: Color, handle: BarHandle, rng: np.random
         boxes_mesh("frame", rim, grain),
         panel("window", (left, front + inset, z0 + frame), (size, 0, 0), up, glass),
         panel("window_inside", (left + size, back - inset, z0 + frame), (-size, 0, 0), up, glass),
-        panel("brand", (name_x, front - PRINT, z0 + 0.009), (0.10, 0, 0), (0, 0, 0.022), print_surface),
+        panel("brand", (name_x, front - PRINT_GAP, z0 + 0.009), (0.10, 0, 0), (0, 0, 0.022), print_surface),
         handle.mesh(metal),
     )
     slab = _side_box(shape, x0, x1, depth, (z0, z1)).collider("door")

@@ -11,7 +11,9 @@ from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix, transform
 
+# MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
 COLLIDER_GROUP = 3
+# See above.
 VISUAL_GROUP = 2
 
 

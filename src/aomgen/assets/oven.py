@@ -6,15 +6,16 @@ import numpy as np
 
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, merged, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 
 # Free depth between body and closed door, [m]: the seal that keeps colliders apart.
 SEAL = 0.002
-PRINT = 0.0006
+# Colors of usual bodies and doors, sRGB 0..1; the maker's taste.
 BODIES = ((0.72, 0.73, 0.74), (0.20, 0.21, 0.22), (0.86, 0.85, 0.82), (0.58, 0.18, 0.15), (0.40, 0.52, 0.50))
+# Dark glass, steel, grey.
 DOORS = ((0.12, 0.12, 0.13), (0.66, 0.67, 0.68), (0.18, 0.20, 0.22))
 
 
@@ -122,15 +123,15 @@ def _body(shape: OvenShape, color: tuple[float, float, float], rng: np.random.Ge
         boxes_mesh("shell", list(shell.values()), painted),
         panel(
             "dials",
-            (-w + edge, shape.front - PRINT, z1 - shape.strip + edge),
+            (-w + edge, shape.front - PRINT_GAP, z1 - shape.strip + edge),
             (2 * (w - edge), 0, 0),
             (0, 0, shape.strip - 2 * edge),
             dials,
         ),
-        panel("label", (x, y, z1 + PRINT), (0.12, 0, 0), (0, 0.075, 0), plate),
-        panel("vents_left", (-w - PRINT, 0.06, z), (0, -0.13, 0), (0, 0, 0.08), slots),
-        panel("vents_right", (w + PRINT, -0.06, z), (0, 0.13, 0), (0, 0, 0.08), slots),
-        panel("brand", (-0.05, y0 - PRINT, 0.02), (0.10, 0, 0), (0, 0, 0.022), _name(rng, color)),
+        panel("label", (x, y, z1 + PRINT_GAP), (0.12, 0, 0), (0, 0.075, 0), plate),
+        panel("vents_left", (-w - PRINT_GAP, 0.06, z), (0, -0.13, 0), (0, 0, 0.08), slots),
+        panel("vents_right", (w + PRINT_GAP, -0.06, z), (0, 0.13, 0), (0, 0, 0.08), slots),
+        panel("brand", (-0.05, y0 - PRINT_GAP, 0.02), (0.10, 0, 0), (0, 0, 0.022), _name(rng, color)),
         *_cavity(shape, rng),
     )
     colliders = tuple(solid.collider(key) for key, solid in shell.items())
@@ -182,7 +183,7 @@ def _door(
         boxes_mesh("frame", rim, sheet),
         panel("window", (-w + frame, y[0] + inset, z0 + frame), (size, 0, 0), up, glass),
         panel("window_inside", (w - frame, y[1] - inset, z0 + frame), (-size, 0, 0), up, glass),
-        panel("name", (-0.045, y[0] - PRINT, z0 + 0.006), (0.09, 0, 0), (0, 0, 0.02), _name(rng, color)),
+        panel("name", (-0.045, y[0] - PRINT_GAP, z0 + 0.006), (0.09, 0, 0), (0, 0, 0.02), _name(rng, color)),
         handle.mesh(steel),
     )
     slab = box(-w, w, *y, z0, z1).collider("door")

@@ -7,13 +7,13 @@ import numpy as np
 from aomgen.assets import printed, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.lid import SEAL, back_hinge
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, merged, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
 
-# Prints lie this far in front of the surface they are on, [m].
-PRINT = 0.0006
+# Colors of plastic boxes and their brighter lids, sRGB 0..1; the maker's taste.
 BODIES = ((0.16, 0.17, 0.18), (0.30, 0.31, 0.33), (0.12, 0.16, 0.24), (0.24, 0.20, 0.17))
+# Red, yellow, blue, green, orange.
 LIDS = ((0.72, 0.13, 0.10), (0.86, 0.62, 0.10), (0.12, 0.32, 0.60), (0.20, 0.46, 0.26), (0.80, 0.38, 0.10))
 
 
@@ -120,10 +120,10 @@ def _body(
     meshes = (
         boxes_mesh("body", list(walls.values()), sheet),
         boxes_mesh("catches", list(latches.values()), steel),
-        panel("label", (x, y0 - PRINT, z), (0.10, 0, 0), (0, 0, 0.0625), sticker),
-        panel("brand", (0.03, y0 - PRINT, z), (0.11, 0, 0), (0, 0, 0.024), brand),
-        panel("label_left", (-w - PRINT, 0.05, z), (0, -0.09, 0), (0, 0, 0.056), sticker),
-        panel("label_right", (w + PRINT, -0.05, z), (0, 0.09, 0), (0, 0, 0.056), sticker),
+        panel("label", (x, y0 - PRINT_GAP, z), (0.10, 0, 0), (0, 0, 0.0625), sticker),
+        panel("brand", (0.03, y0 - PRINT_GAP, z), (0.11, 0, 0), (0, 0, 0.024), brand),
+        panel("label_left", (-w - PRINT_GAP, 0.05, z), (0, -0.09, 0), (0, 0, 0.056), sticker),
+        panel("label_right", (w + PRINT_GAP, -0.05, z), (0, 0.09, 0), (0, 0, 0.056), sticker),
         *_tray(shape, y0, y1, rng),
     )
     colliders = tuple(solid.collider(key) for key, solid in {**walls, **latches}.items())
@@ -175,12 +175,12 @@ def _lid(
         merged("carry", arch),
         panel(
             "stickers",
-            (grip + 0.02, y0 + inset, top + PRINT),
+            (grip + 0.02, y0 + inset, top + PRINT_GAP),
             (span[0], 0, 0),
             (0, span[1], 0),
             sheet_of_stickers,
         ),
-        panel("name", (-w + inset, -0.02, top + PRINT), (0.10, 0, 0), (0, 0.035, 0), brand),
+        panel("name", (-w + inset, -0.02, top + PRINT_GAP), (0.10, 0, 0), (0, 0.035, 0), brand),
         handle.mesh(steel),
     )
     carry = box(-grip - 0.01, grip + 0.01, -0.01, 0.01, top, top + 0.04)

@@ -13,7 +13,9 @@ from aomgen.assets.archive import save_asset
 from aomgen.assets.usd_parse import parse_usd
 from aomgen.errors import AomgenError
 
+# Address space of the child, [bytes]: the largest asset that is read needs a part of it.
 MAX_MEMORY_BYTES = 8 << 30
+# Exit code of an asset that is refused with a message; 1 and 2 are the interpreter's own.
 REFUSED = 3
 
 

@@ -16,7 +16,9 @@ from aomgen.core.transforms import apply, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
 
+# Far above any asset that renders well; more would fill the memory.
 MAX_FACES = 3_000_000
+# Texture coordinates (F, 3, 2) of a mesh without any.
 NO_UVS = np.zeros((0, 3, 2))
 
 

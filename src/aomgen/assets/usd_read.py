@@ -14,7 +14,9 @@ from aomgen.assets.usd_child import REFUSED
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, MissingFileError
 
+# Largest USD file read, [bytes]: far above usual assets.
 MAX_BYTES = 512 << 20
+# Usual assets take a few seconds, [s]; a parser that hangs is stopped.
 TIMEOUT_S = 120.0
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 

@@ -21,6 +21,7 @@ from aomgen.io.straighten import straightener
 from aomgen.io.video import Video, decoded_frames, probe_video, read_video
 from aomgen.robots.robot import RobotModel, chosen_robot
 
+# A demonstration shorter than this shows no motion that could be fitted.
 MIN_FRAMES = 20
 # A real joint may stand this far past the limit that its file states, [rad] or [m].
 LIMIT_SLACK = 0.05

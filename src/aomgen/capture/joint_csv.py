@@ -15,11 +15,13 @@ from aomgen.errors import (
     UnitsError,
 )
 
+# Half an hour at 1 kHz, far above any demonstration.
 MAX_ROWS = 2_000_000
 # A gap of up to two missing rows is interpolated; a longer one hides motion.
 MAX_GAP_PERIODS = 3.5
 # No joint of a table-top arm passes these; logs in degrees do at once.
 MAX_ANGLE_RAD = 2 * np.pi * 1.02
+# See above; the fastest wrists reach some 6 rad/s.
 MAX_SPEED_RAD_S = 12.0
 
 

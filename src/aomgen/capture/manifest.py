@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.schema import complaint
 
+# Largest capture.toml read, [bytes]; a usual one has a few kB.
 MAX_BYTES = 1 << 20
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
 

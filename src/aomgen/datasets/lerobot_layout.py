@@ -10,9 +10,9 @@ from aomgen.core.episode import Episode
 from aomgen.datasets.features import feature_names
 
 VERSION: Final = "v3.0"
-CHUNK_FILES: Final = 1000
-DATA_FILE_MB: Final = 100
-VIDEO_FILE_MB: Final = 200
+CHUNK_FILES: Final = 1000  # files in a folder, the default of the format
+DATA_FILE_MB: Final = 100  # [MB], the default of the format
+VIDEO_FILE_MB: Final = 200  # [MB], the default of the format
 DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 INDEX_TYPES: Final = {

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.values import Array
 
+# Those that LeRobot v3.0 stores for each feature.
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 

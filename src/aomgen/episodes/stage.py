@@ -23,6 +23,7 @@ from aomgen.simulation.assumptions import assumptions
 from aomgen.twin.layers import StaticLayer
 from aomgen.twin.twin import Twin
 
+# Episodes rendered at a time, each on one thread; usual machines have more cores.
 WORKERS: Final = 2
 
 

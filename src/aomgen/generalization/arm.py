@@ -19,6 +19,7 @@ from aomgen.generalization.retarget import CONTACT, HandMotion
 FreeWay = Literal["cartesian", "joints"]
 # The Cartesian way has to end where the demonstration began, on the same branch, [rad].
 START_TOLERANCE_RAD = 0.05
+# Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
 SEED_STEPS = 12
 
 

@@ -38,6 +38,7 @@ def hand_of(robot: RobotModel) -> HandConventions:
     return HandConventions(approach=robot.approach_ee, closing=robot.closing_ee)
 
 
+# Rotations of the gripper about the handle that are tried, the smallest first, [deg].
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
 # How far beyond the end effector point a bar may lie and still be between the pads, [m].
 DEPTHS_M = (-0.005, 0.012)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 
+# Largest array file read, [bytes]: far above what a run writes, but fits in memory.
 MAX_BYTES: Final = 2 << 30
 
 

@@ -26,8 +26,11 @@ from aomgen.errors import (
 from aomgen.io.images import image_size
 from aomgen.io.paths import resolve_inside
 
+# Largest file of a model read, [bytes].
 MAX_BYTES: Final = 4 << 30
+# Longest side of an image, [px]: above that of any camera.
 MAX_SIDE: Final = 1 << 16
+# Longest image name: four times a file system's limit.
 MAX_NAME_BYTES: Final = 1024
 # The order of COLMAP's camera models; the first two have no distortion.
 _MODELS = (

@@ -24,7 +24,9 @@ from aomgen.io.arrays import arrays_from_bytes, npz_bytes
 from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 
+# Raised when the files of an episode change.
 FORMAT: Final = 2
+# Largest frames.npz read, [bytes]: far above a usual one.
 MAX_FRAMES_BYTES: Final = 256 << 20
 _ARRAYS: Final = (
     "joints",

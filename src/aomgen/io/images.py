@@ -10,6 +10,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes
 
+# Largest image decoded, [px]: above those of usual cameras.
 MAX_PIXELS = 100_000_000
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 
+# Largest JSON file read, [bytes]: far above what a run writes.
 MAX_BYTES = 64 << 20
 
 

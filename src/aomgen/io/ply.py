@@ -16,12 +16,16 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, NonFiniteError
 from aomgen.io.atomic import write_bytes
 
+# More fill the memory: 250 bytes each at degree 3.
 MAX_GAUSSIANS: Final = 10_000_000
+# A header with all properties of degree 3 has 2 kB, [bytes].
 MAX_HEADER_BYTES: Final = 64 << 10
+# Gaussians of degree 3 have 62; others are skipped.
 MAX_PROPERTIES: Final = 256
 # Gaussians converted at a time, so that the temporary arrays stay in the cache.
 BLOCK: Final = 1 << 13
 _END = re.compile(rb"\nend_header *\r?\n")
+# Number of f_rest properties -> degree of the spherical harmonics.
 _REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),

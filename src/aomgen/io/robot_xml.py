@@ -10,8 +10,11 @@ from xml.parsers import expat
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.paths import find_inside
 
+# Largest description read, [bytes]; usual ones have some 100 kB.
 MAX_BYTES: Final = 16 << 20
+# Largest mesh of a robot, [bytes]: an STL of some 2 million triangles.
 MAX_MESH_BYTES: Final = 128 << 20
+# Files that a description may include; also ends circles.
 MAX_INCLUDES: Final = 64
 MESH_SUFFIXES: Final = (".obj", ".stl", ".msh")
 PACKAGE: Final = "package://"

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from aomgen.core.values import Array, freeze
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 
+# Eleven minutes at 30 fps; a demonstration takes less than one.
 MAX_FRAMES = 20_000
+# Decoded frames stay in memory: 24 GB at three bytes a pixel.
 MAX_PIXELS_TOTAL = 8_000_000_000
 
 

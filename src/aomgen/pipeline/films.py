@@ -28,6 +28,7 @@ SCAN_PICTURES = 80
 # Pictures of the video for each of the scan: more of one place make all others worse. But the whole
 # motion has to be seen.
 DEMO_SHARE = 0.5
+# Fewer frames skip parts of the motion.
 MIN_DEMO_PICTURES = 16
 
 

@@ -47,12 +47,16 @@ from aomgen.twin.binding import with_object
 from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import Twin, TwinState
 
+# Surfels of an asset, half on each link: one every 7 mm on a surface of 1.5 m2.
 SURFELS = 30_000
 ASSET_FILE = "asset.usda"
 # How far around the object the table is looked for, in which cells, and what counts as seen.
 TABLE_REACH_M = 1.0
+# Cell of the picture in which the table is found, [m]: finer than its outline has to be known.
 TABLE_CELL_M = 0.01
+# A cell with less accumulated alpha than this was not seen.
 SURFACE_ALPHA = 0.15
+# Holes of this many cells between Gaussians are closed.
 GAP_CELLS = 3
 
 

@@ -16,6 +16,7 @@ from aomgen.twin.store import load_twin
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
+# Where less than half of the light comes from Gaussians, the background is seen.
 LABEL_MIN_ALPHA = 0.5
 CAMERA_KEYS = ("T_world_cam", "fx", "fy", "cx", "cy", "width", "height")
 STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")

@@ -18,10 +18,12 @@ from aomgen.core.transforms import angle_between, transform
 from aomgen.core.values import Array, freeze
 from aomgen.errors import EstimationError
 
+# World frame, z up.
 UP: Final = np.array([0.0, 0.0, 1.0])
 # Part of the motion's first step that must be level for the front to be read from it; below it
 # the part opens upwards (a lid).
 MIN_LEVEL: Final = 0.5
+# A box's side further than this from the opening direction is not the front; below 45 degrees, where the next side is as near, [rad].
 MAX_FRONT_CORRECTION_RAD: Final = np.deg2rad(25.0)
 # Fewer surface points do not say where the sides of an object are.
 MIN_BOX_POINTS: Final = 20

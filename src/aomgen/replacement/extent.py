@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.values import Array
 
+# Cells of the table, [m]: finer than its outline has to be known.
 CELL: float = 0.02
 # A strip of new cells counts as free table when no run of hidden cells in it is longer than this.
 MAX_GAP_CELLS: int = 3

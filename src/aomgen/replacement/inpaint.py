@@ -11,9 +11,11 @@ from scipy.sparse.linalg import spsolve
 
 from aomgen.core.values import Array
 
-# Patch side and step [px]; neighbouring patches overlap by more than half.
+# Patch side, [px].
 PATCH: Final = 17
+# Neighbouring patches overlap by more than half, [px].
 STEP: Final = 8
+# Random patches compared at each place; the neighbourhood of the best is searched after.
 CANDIDATES: Final = 600
 # Structure wider than this [px] is color, finer is texture.
 SMOOTHING: Final = 9.0

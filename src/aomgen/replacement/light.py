@@ -25,7 +25,9 @@ from aomgen.twin.twin import Twin, body_poses, posed
 
 # Robot surfaces darker than this say nothing about the light, linear.
 MIN_ALBEDO: Final = 0.12
+# Fewer Gaussians on the robot do not constrain the nine coefficients of the light.
 MIN_SAMPLES: Final = 200
+# A Gaussian farther than this from the posed meshes is not on their surface, [m].
 MAX_DISTANCE: Final = 0.008
 # Points drawn on each body of the robot.
 POINTS_PER_BODY: Final = 3000

@@ -23,6 +23,7 @@ HALO: Final = 0.025
 MARGIN: Final = 0.03
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
+# Cell of the picture from above and of the new surface, one Gaussian each, [m].
 CELL: Final = 0.004
 # New surface lies this far below the old one, so that the old covers it where it is sound, [m].
 BELOW: Final = 0.0015
@@ -34,6 +35,7 @@ MIN_ALPHA: Final = 0.6
 MIN_TINT: Final = 0.07
 # A cast shadow is lifted up to this factor, and only where it is this grey.
 MAX_GAIN: Final = 2.0
+# In log color; wood or cloth is allowed more where the shadow is deep.
 MAX_TINT: Final = 0.04
 
 

@@ -13,10 +13,11 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError
 from aomgen.splatting.rasterizer import render
 
-# Height above the plane up to which a Gaussian belongs to its surface, [m]. Trained surfaces
-# have a tail of Gaussians below, which show through the upper ones and belong to it too.
+# Height above the plane up to which a Gaussian belongs to its surface, [m].
 SURFACE: Final = 0.012
+# Trained surfaces have a tail of Gaussians below, down to here, which show through the upper ones, [m].
 TAIL: Final = 0.035
+# Fewer Gaussians do not tell a plane from its outliers.
 MIN_SUPPORT: Final = 40
 # This share of the object's height stands on the surface, without handles that reach out.
 LOWER_SHARE: Final = 0.2

@@ -8,6 +8,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 
+# sRGB: blue, orange, pink.
 LABEL_COLORS = {ROBOT: (64, 128, 255), STATIC: (255, 176, 32), MOVING: (230, 60, 120)}
 Image8 = NDArray[np.uint8]
 

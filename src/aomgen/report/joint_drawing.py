@@ -17,6 +17,7 @@ AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
 # How strongly the space in which the axis lies covers the picture.
 VEIL = 110
 STATIONS, SIDES = 9, 24
+# What is nearer to the camera is not drawn, [m].
 NEAR_M = 0.05
 # A contact is drawn no smaller than a finger's pad, and its normal as long as a finger, [m].
 PATCH_M, NORMAL_M = 0.008, 0.05

@@ -17,7 +17,9 @@ from aomgen.report.pictures import Recovered
 
 # Half a 95 % interval in standard deviations.
 NORMAL_95 = 1.96
+# sRGB; a color that scenes seldom have.
 PART_OUTLINE = (255, 60, 200)
+# Width of an image in the page, [px].
 WIDTH_PX = 420
 
 

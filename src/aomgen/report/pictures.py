@@ -24,6 +24,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 from aomgen.twin.twin import Twin, TwinState
 
+# sRGB; a color that scenes seldom have.
 OUTLINE = (255, 60, 200)
 # Colors of places that no view, few views and enough views saw.
 SEEN = np.array([(205, 45, 45), (235, 180, 40), (60, 150, 90)], np.uint8)

@@ -9,6 +9,7 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 
+# Step of the numeric derivative, [rad]: its error is far below a pixel.
 _TURN_RAD = 1e-4
 
 

@@ -18,6 +18,7 @@ from aomgen.core.values import Array
 from aomgen.robots.arm_chain import ArmChain
 from aomgen.robots.geom_meshes import geom_surface
 
+# Sample points on all fingers together; a pad has far more than MIN_FACE_POINTS of them.
 POINTS = 6000
 # A pair of fingers moves at least this share of what the pair that moves most does.
 TRAVEL_SHARE = 0.7
@@ -27,7 +28,9 @@ SOFT_M = 0.002
 MIN_TRAVEL_M = 0.004
 # A face looks at the other finger when it is turned less than 45 degrees away.
 FACING = 0.7
+# Least half size of the box behind a face, [m]; less than the half thickness of any finger.
 HALF_THICKNESS_M = 0.002
+# Fewer sample points are no face.
 MIN_FACE_POINTS = 12
 
 

@@ -10,7 +10,9 @@ from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
 from aomgen.robots.arm_chain import ArmChain
 
+# Rows of the table from open to closed; between them positions are linear to far below a millimetre.
 STEPS = 33
+# Time in which the held joints come to rest, [s]; loops that stay open after it are refused.
 SETTLE_S = 0.3
 # A loop whose ends stay farther apart than this at the end is not closed, [m].
 OPEN_LOOP_M = 0.002

@@ -17,6 +17,7 @@ from aomgen.core.values import Array
 END_STIFFNESS: Final = 5000.0
 # Joints whose axes pass near the end effector hold like this far lever, [m].
 LEAST_LEVER_M: Final = 0.3
+# Stiffness of a joint that slides, [N/m]: 1 kg of load moves it by half a millimetre.
 SLIDE_STIFFNESS: Final = 20_000.0
 # Rotors and gears keep each servo slower than this, well below the simulation's step rate, [rad/s].
 MAX_RATE: Final = 100.0
@@ -24,6 +25,7 @@ MAX_RATE: Final = 100.0
 GRIP_FORCE_N: Final = 50.0
 # The force is reached when this share of the stroke is missing.
 GRIP_GIVE: Final = 0.05
+# Random arm configurations from which levers, inertias and overlaps are read.
 SAMPLES: Final = 40
 
 

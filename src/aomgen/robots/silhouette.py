@@ -15,7 +15,9 @@ from aomgen.robots.robot import RobotModel
 from aomgen.robots.segmentation_ids import values_of_geoms
 from aomgen.robots.visuals import add_robot_looks
 
+# Nothing of a robot is nearer to a camera, [m].
 NEAR_M: Final = 0.02
+# Nor farther, [m].
 FAR_M: Final = 50.0
 # Outlines move by some tenths of a millimetre, and drawing is several times faster.
 CELL_M: Final = 0.001

@@ -18,6 +18,7 @@ from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 
 TABLE = "table"
+# So thick that nothing passes through in one step of the simulation, [m].
 TABLE_THICKNESS_M = 0.04
 # Half size of the table where its outline is unknown, about the object, [m].
 TABLE_REACH_M = 0.7

@@ -19,7 +19,9 @@ from aomgen.io.atomic import write_bytes
 from aomgen.splatting.state import TrainingState, state_arrays, state_of_arrays
 
 FORMAT: Final = b"aomgen training 1"
+# Largest checkpoint read, [bytes]: above that of the largest training.
 MAX_BYTES: Final = 8 << 30
+# Hexadecimal digits of a SHA-256.
 DIGEST_LENGTH: Final = 64
 
 

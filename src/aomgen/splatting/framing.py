@@ -10,8 +10,9 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.splatting.rasterizer import render
 
-# The camera goes nearer by this factor, so many times, while something is in its way.
+# The camera goes nearer by this factor while something is in its way.
 STEP: Final = 0.8
+# At most so many times, to 7 % of the distance.
 STEPS: Final = 12
 # Width of the picture in which that is judged, [px].
 LOOK_WIDTH: Final = 64

@@ -18,6 +18,7 @@ from aomgen.splatting.gsplat_loading import load_gsplat
 from aomgen.splatting.pixel_lists import median_depth_and_max_id
 from aomgen.splatting.placement import placed_in_world, view_directions
 
+# gsplat's own limit on the alpha of one Gaussian.
 MAX_ALPHA = 0.999
 _DILATION = 0.3  # [px^2]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from aomgen.errors import BackendError
 
+# `AOMGEN_ABI_VERSION` of the engine that the structures below describe.
 ABI_VERSION = 2
 LIBRARY_NAME = "libaomgen_splatting.so"
 _REMEDY = "reinstall aomgen, or build in place: cmake -S . -B build && cmake --build build"

@@ -11,7 +11,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.splatting.compute import Compute
 
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh")
-MAX_LOGIT = 12.0
+# Keeps logarithms finite; far below any real scale, [m].
 MIN_SCALE = 1e-9
 
 

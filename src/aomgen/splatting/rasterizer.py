@@ -14,7 +14,9 @@ from aomgen.splatting import native
 
 # Accumulated alpha below which a pixel has no depth.
 MIN_ALPHA = 1e-3
+# Longest side of an image, [px]; the engine's indices hold it.
 MAX_SIDE = 16384
+# Gaussians nearer to the camera than this are not drawn, [m].
 NEAR_DEPTH = 0.01
 
 

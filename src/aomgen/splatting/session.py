@@ -22,6 +22,7 @@ from aomgen.splatting.rasterizer import (
     settle,
 )
 
+# Side of the engine's tiles, [px].
 TILE = 16
 
 

@@ -31,6 +31,7 @@ DISC_DENSITY: Final = 0.7
 SPREAD: Final = 0.8
 # Thickness of a disc over its radius.
 THICKNESS: Final = 0.05
+# The most that the engine blends for one Gaussian: a surface hides what is behind it.
 OPACITY: Final = 0.99
 # Discs are this much finer where the texture changes or an edge is near.
 FINER: Final = 0.5

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
 
+# Directions on the sphere that are tested: many for each of the nine coefficients.
 DIRECTIONS: Final = 96
+# Cells along the longest side of the occluding surface.
 CELLS: Final = 64
 # Light that comes back from the walls of a cavity, as a share of what they block.
 BOUNCE: Final = 0.25

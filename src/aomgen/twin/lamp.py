@@ -22,11 +22,10 @@ from aomgen.twin.shadow import HEIGHTS
 FAR: Final = 60.0
 # Longer side of the picture from the lamp, [px]: a few millimeters each for an arm's shadow.
 MAP_SIDE: Final = 384
-# What Gaussians do for shadows: they are what shadows fall on, what always throws the same shadow,
-# or what throws shadows that come and go.
-SCENE: Final = 0
-STANDS: Final = 1
-MOVES: Final = 2
+# The role of Gaussians for shadows.
+SCENE: Final = 0  # what shadows fall on
+STANDS: Final = 1  # throws a shadow that is always the same
+MOVES: Final = 2  # throws a shadow that comes and goes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

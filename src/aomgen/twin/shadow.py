@@ -17,10 +17,13 @@ from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 
+# Cell of the height field, [m]: soft light leaves no finer detail in a shadow.
 CELL: Final = 0.015
 # Shadow is followed this far from the object, and fades out over the last third, [m].
 REACH: Final = 0.35
+# Directions of light on the hemisphere above the plane; the map is smoothed after.
 AZIMUTHS: Final = 16
+# See above: 80 directions in all.
 ELEVATIONS: Final = 5
 # Heights over which a seen point fades in and out of the surface, [m]. Depth of trained
 # surfaces is uncertain, mostly downwards, because lower Gaussians shine through.

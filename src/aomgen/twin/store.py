@@ -17,6 +17,7 @@ from aomgen.twin.lamp import Lamp
 from aomgen.twin.relit import Relit, Remembered
 from aomgen.twin.twin import Twin, TwinState
 
+# Raised when the files of a twin change.
 FORMAT: Final = 3
 _GAUSSIANS: Final = ("means", "quats", "scales", "opacities", "sh")
 _RELIT: Final = ("indices", "albedo_linear", "transfer", "light_of")
