@@ -13,12 +13,18 @@ NAMED = re.compile(r"`([\w./-]+\.py)`")
 def exists(name: str, document: Path) -> bool:
     """A path from the repository, the package, or the end of one: `panel.py`, `parts/panel.py`."""
     roots = (PACKAGE, REPOSITORY / "benchmarks", REPOSITORY / "tests", REPOSITORY / "examples")
-    found = any(path.as_posix().endswith("/" + name) for root in roots for path in root.rglob(Path(name).name))
+    found = any(
+        path.as_posix().endswith("/" + name) for root in roots for path in root.rglob(Path(name).name)
+    )
     return found or (REPOSITORY / name).exists() or (document.parent / name).exists()
 
 
 def test_named_files_exist():
-    documents = [REPOSITORY / "README.md", REPOSITORY / "CONTRIBUTING.md", *(REPOSITORY / "docs").glob("*.md")]
+    documents = [
+        REPOSITORY / "README.md",
+        REPOSITORY / "CONTRIBUTING.md",
+        *(REPOSITORY / "docs").glob("*.md"),
+    ]
     missing = [
         f"{document.name}: {name}"
         for document in documents

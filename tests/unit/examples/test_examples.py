@@ -117,3 +117,22 @@ def test_fit_pose(tmp_path: Path) -> None:
     last = said.strip().splitlines()[-1]
     assert float(last.split("rotation ")[1].split()[0]) < 0.2
     assert float(last.split("position ")[1].split("%")[0]) < 0.4
+
+
+def test_make_capture(tmp_path: Path) -> None:
+    said = run("01_make_capture.py", tmp_path / "capture", "--scan-views", 12, "--size", 160, 120)
+    assert "12 scan images" in said
+    assert (tmp_path / "capture" / "truth" / "truth.json").is_file()
+
+
+def test_recover_joint() -> None:
+    assert "revolute: axis" in run("02_recover_joint.py")
+
+
+def test_make_asset(tmp_path: Path) -> None:
+    assert "revolute about" in run("03_make_asset.py", tmp_path / "microwave.usda")
+
+
+def test_generate_episodes(tmp_path: Path) -> None:
+    assert "1 episodes verified" in run("04_generate_episodes.py", tmp_path, "--episodes", 1)
+    assert (tmp_path / "dataset" / "meta" / "info.json").is_file()
