@@ -7,7 +7,7 @@ import numpy as np
 
 from aomgen.core.joint import JointType
 from aomgen.errors import EstimationError
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.inputs import MotionInput
 from aomgen.paper.mask_keyframes import PartMasks
 from aomgen.paper.motion_estimate import PaperParams, estimate_motion_paper
 from aomgen.pipeline.estimates import NO_MOTION, motion_estimates
@@ -40,7 +40,7 @@ def paper_variants(joint_type: JointType) -> dict[str, PaperParams]:
 
 
 def paper_estimates(
-    demonstration: Demonstration, masks: PartMasks, joint_type: JointType
+    demonstration: MotionInput, masks: PartMasks, joint_type: JointType
 ) -> dict[str, dict[str, Any]]:
     """What each variant answers, as entries of estimates.json; refused ones say why under "refusal"."""
     answers = {}

@@ -21,7 +21,7 @@ from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import encode_video, read_video
-from aomgen.motion.inputs import Demonstration as MotionInput
+from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.capture_writer import moved_range

@@ -7,29 +7,29 @@ import numpy as np
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.grasp_slip import hand_drift
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.joint_trajectory import Recovery, first_frame, poses_at
-from aomgen.motion.joint_value import leave_of, path_values, values_at_frames
-from aomgen.motion.opening_direction import direction_of
+from aomgen.motion.grasp_slip import measure_slip
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.joint_trajectory import RecoveredMotion, ee_poses_at, find_first_frame
+from aomgen.motion.joint_value import compute_path_values, find_motion_tolerance, sample_at_frames
+from aomgen.motion.opening_direction import infer_direction
 
 # One of so many samples of the joint is carried to the values.
 _EVERY = 8
 
 
-def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: float) -> MotionEstimate:
+def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, odds: float) -> MotionEstimate:
     """The estimate as the rest of the pipeline reads it."""
     frames = demo.video.times_s
     estimate, course = recovery.estimate, recovery.course
-    thetas = values_at_frames(frames, course, leave_of(estimate.joint.type))
+    thetas = sample_at_frames(frames, course, find_motion_tolerance(estimate.joint.type))
     moving = (frames >= course.interval[0]) & (frames <= course.interval[1])
     joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
-    poses = poses_at(demo, frames + demo.clock_offset_s)
-    drift = hand_drift(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
+    poses = ee_poses_at(demo, frames + demo.clock_offset_s)
+    drift = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
     return MotionEstimate(
         clock_offset_s=demo.clock_offset_s,
         clock_offset_sd_s=demo.clock_sd_s,
-        start_s=first_frame(frames, course.interval[0]),
+        start_s=find_first_frame(frames, course.interval[0]),
         end_s=_last_frame(frames, course.interval[1]),
         curve=curve,
         contacts=recovery.contacts.patches,
@@ -46,21 +46,23 @@ def assemble(demo: Demonstration, curve: MotionCurve, recovery: Recovery, odds: 
         theta_sd=_theta_sd(demo, recovery, thetas, frames),
         slip_m=np.where(moving, drift.slip_m, 0.0),
         pivot_rad=np.where(moving, drift.pivot_rad, 0.0),
-        direction=direction_of(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
+        direction=infer_direction(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
         part_odds=odds,
     )
 
 
-def _theta_sd(demo: Demonstration, recovery: Recovery, thetas: Array, frames: Array) -> Array:
+def _theta_sd(demo: MotionInput, recovery: RecoveredMotion, thetas: Array, frames: Array) -> Array:
     """Standard deviation (F,) of the values, [rad] or [m]: of the joint, the grasp, the clock and the level at rest."""
     estimate, course = recovery.estimate, recovery.course
     joint = estimate.joint
     first, last = course.interval
     moments = np.clip(frames, first, last)
-    poses = poses_at(demo, np.concatenate([[first], moments]) + demo.clock_offset_s)
+    poses = ee_poses_at(demo, np.concatenate([[first], moments]) + demo.clock_offset_s)
     draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
     values = [
-        path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal).values
+        compute_path_values(
+            replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal
+        ).values
         for axis, origin, grasp in draws
     ]
     offset = apply(poses[0], estimate.grasp_ee) - joint.origin

@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
-from aomgen.motion.box_edges import Box, face_normal, footprint_yaw, upright_box
-from aomgen.motion.joint_models import tangent_basis
+from aomgen.motion.box_edges import OrientedBox, find_face_normal, find_footprint_yaw, fit_upright_box
+from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
 SIDE, ALONG, NEITHER = 0.75, 0.15, 0.1
@@ -67,7 +67,7 @@ class AxisHint:
         """
         along = axes @ self.axis
         side = np.where(along < 0, -1.0, 1.0)
-        tilt = (axes @ tangent_basis(self.axis).T) * side[..., None] / self.axis_sd_rad
+        tilt = (axes @ make_tangent_basis(self.axis).T) * side[..., None] / self.axis_sd_rad
         offsets = points - self.at
         steep = side * np.maximum(np.abs(along), 0.1)
         offsets = offsets - axes * ((offsets @ self.axis) / steep)[..., None]
@@ -82,7 +82,7 @@ class AxisHint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shape:
+class PartShape:
     """The moving part's box and what follows from it.
 
     Attributes:
@@ -91,7 +91,7 @@ class Shape:
         corners: Of the upright box around both parts (8, 3), world frame, [m].
     """
 
-    box: Box
+    box: OrientedBox
     face_normal: Array
     corners: Array
 
@@ -139,7 +139,7 @@ class Shape:
         )
 
 
-def shape_of(points_static: Array, points_moving: Array) -> Shape:
+def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
     """Box of the moving part and the direction it sticks out.
 
     The box stands upright and shares its yaw with the whole object, unless another one is clearly
@@ -155,11 +155,11 @@ def shape_of(points_static: Array, points_moving: Array) -> Shape:
     Not checked: that the points show the whole part.
     """
     everything = np.concatenate([points_static, points_moving])
-    yaw = footprint_yaw(everything)
-    together, around = upright_box(points_moving, yaw), upright_box(everything, yaw)
+    yaw = find_footprint_yaw(everything)
+    together, around = fit_upright_box(points_moving, yaw), fit_upright_box(everything, yaw)
     best = together
     for box in (
-        upright_box(points_moving, footprint_yaw(points_moving)),
+        fit_upright_box(points_moving, find_footprint_yaw(points_moving)),
         _leaning_box(points_moving, together),
     ):
         if _volume(box) < _CLEARLY * _volume(best):
@@ -167,10 +167,10 @@ def shape_of(points_static: Array, points_moving: Array) -> Shape:
     static = _box_about(_beside(points_static, best), best.T_world_box[:3, :3])
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
     corners = apply(around.T_world_box, signs * around.half_extents)
-    return Shape(box=best, face_normal=face_normal(static, best), corners=corners)
+    return PartShape(box=best, face_normal=find_face_normal(static, best), corners=corners)
 
 
-def _beside(points_static: Array, box: Box) -> Array:
+def _beside(points_static: Array, box: OrientedBox) -> Array:
     """Those static points (N, 3) that lie before, behind, beside, over or under the part's box.
 
     Another door of the same object that stands ajar says nothing of this one's face.
@@ -180,7 +180,7 @@ def _beside(points_static: Array, box: Box) -> Array:
     return near if len(near) >= _FEWEST else points_static
 
 
-def _leaning_box(points: Array, upright: Box) -> Box:
+def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
     """Small box of any orientation, found from the points' main directions."""
     main = np.linalg.svd(points - points.mean(0), full_matrices=False)[2]
     R_main = main.T * np.array([1.0, 1.0, np.linalg.det(main)])
@@ -196,14 +196,14 @@ def _leaning_box(points: Array, upright: Box) -> Box:
     return min(found, key=_volume)
 
 
-def _box_about(points: Array, R_world_box: Array) -> Box:
+def _box_about(points: Array, R_world_box: Array) -> OrientedBox:
     low, high = np.percentile(points @ R_world_box, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
-    return Box(
+    return OrientedBox(
         T_world_box=transform(R_world_box, R_world_box @ ((low + high) / 2)),
         half_extents=np.maximum((high - low) / 2, 1e-4),
     )
 
 
-def _volume(box: Box) -> float:
+def _volume(box: OrientedBox) -> float:
     """Of the box with a centimeter more on each side, so that noise of thin parts counts little, [m3]."""
     return float(np.prod(box.half_extents + 0.005))

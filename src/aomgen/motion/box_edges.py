@@ -17,7 +17,7 @@ _EDGE_SAMPLES = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class OrientedBox:
     """An upright box: its third axis is the world's z.
 
     Attributes:
@@ -50,7 +50,7 @@ class Box:
         return apply(self.T_world_box, np.array(ends) * self.half_extents)
 
 
-def footprint_yaw(points_world: Array) -> float:
+def find_footprint_yaw(points_world: Array) -> float:
     """Yaw of the smallest upright rectangle around points (N, 3), [rad], in 0..pi/2.
 
     Extents are taken between the 1st and 99th percentile, so that stray points do not count.
@@ -65,7 +65,7 @@ def footprint_yaw(points_world: Array) -> float:
     return float(yaws[int(np.argmin(areas))])
 
 
-def upright_box(points_world: Array, yaw: float) -> Box:
+def fit_upright_box(points_world: Array, yaw: float) -> OrientedBox:
     """Box with the given yaw around points (N, 3), world frame, tails of one percent cut.
 
     Raises:
@@ -79,13 +79,13 @@ def upright_box(points_world: Array, yaw: float) -> Box:
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     local = points_world @ R
     low, high = np.percentile(local, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
-    return Box(
+    return OrientedBox(
         T_world_box=transform(R, R @ ((low + high) / 2)), half_extents=np.maximum((high - low) / 2, 1e-4)
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeTerms:
+class EdgePairTerms:
     """What is measured of every pair (static edge, moving edge), as costs are made of it.
 
     Attributes:
@@ -104,7 +104,9 @@ class EdgeTerms:
         freeze(self, "reach", self.reach, (12,))
 
 
-def edge_terms(static: Box, moving: Box, contact_world: Array, direction_world: Array) -> EdgeTerms:
+def measure_edge_pairs(
+    static: OrientedBox, moving: OrientedBox, contact_world: Array, direction_world: Array
+) -> EdgePairTerms:
     """Measure every pair of edges; distances are divided by the moving part's diagonal.
 
     Args:
@@ -123,14 +125,14 @@ def edge_terms(static: Box, moving: Box, contact_world: Array, direction_world: 
     samples_static, samples_moving = (_samples(edges) for edges in (edges_static, edges_moving))
     gaps = samples_static[:, None, :, None] - samples_moving[None, :, None, :]
     distance = np.linalg.norm(gaps, axis=-1).min(-1).mean(-1) / size
-    return EdgeTerms(
+    return EdgePairTerms(
         score=(1 - parallel) * 0.8 + distance * 0.2,
         along=np.abs(unit_moving @ direction_world),
         reach=_line_distances(contact_world, edges_moving) / size,
     )
 
 
-def face_normal(static: Box, moving: Box) -> Array:
+def find_face_normal(static: OrientedBox, moving: OrientedBox) -> Array:
     """Box axis along which the moving part sticks out of the static one most, for its size."""
     offset = apply(invert(moving.T_world_box), static.T_world_box[:3, 3])
     depth = np.abs(offset) / (static.half_extents + moving.half_extents)
@@ -138,7 +140,7 @@ def face_normal(static: Box, moving: Box) -> Array:
     return -np.sign(offset[axis]) * moving.T_world_box[:3, axis]
 
 
-def pair_center(
+def find_pair_center(
     points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array, count: int
 ) -> Array:
     """Mean midpoint (3,) of the `count` nearest point pairs near a pair of edges; the edges' middle without any.

@@ -7,15 +7,15 @@ from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.errors import InputError
 from aomgen.motion.answer import assemble
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.joint_estimation import Candidates, chosen_type
-from aomgen.motion.joint_trajectory import Recovery, recover, touched
-from aomgen.motion.model_selection import film_margin
-from aomgen.motion.observations import KeyframeView
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.joint_estimation import JointCandidates, choose_type
+from aomgen.motion.joint_trajectory import RecoveredMotion, prepare_recovery, recover_motion
+from aomgen.motion.model_selection import compute_type_margin
+from aomgen.motion.observations import VideoObservations
 from aomgen.motion.params import MotionParams
-from aomgen.motion.photometric import Witness, witness
-from aomgen.motion.photometric_estimate import asked_film, hand_answer
-from aomgen.motion.photometric_residuals import Answer as FilmAnswer
+from aomgen.motion.photometric import PhotometricFrames, select_frames
+from aomgen.motion.photometric_estimate import make_kinematic_prior, refine_estimate
+from aomgen.motion.photometric_residuals import JointMotion as FilmAnswer
 from aomgen.robots.robot_masks import MasksAt, robot_masks
 
 
@@ -24,7 +24,7 @@ def _unheard(curve: MotionCurve) -> None:
 
 
 def estimate_motion(
-    demonstration: Demonstration,
+    demonstration: MotionInput,
     params: MotionParams | None = None,
     progress: Progress = silent,
     on_curve: Callable[[MotionCurve], None] = _unheard,
@@ -52,29 +52,29 @@ def estimate_motion(
             raise InputError(f"'{name}' part", f"has {len(points)} points, need 20", "correct its prompts")
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         progress(0.0, "keyframes")
-        view = KeyframeView.of(demo, masks_at, params)
+        view = VideoObservations.of(demo, masks_at, params)
         seen, interval = view.interval(params.keyframes)
         curve = view.curve(seen, interval)
         on_curve(curve)
         signs = view.signs(demo, interval, params.keyframes)
-        moved = view.moved_part(demo, params.keyframes)
+        moved = view.identify_part(demo, params.keyframes)
         if moved.gripped or signs.log_odds > 0:
             moved.check()
         signs.check()
         progress(0.4, "joint")
-        first = touched(demo, view, seen, interval, params)
+        first = prepare_recovery(demo, view, seen, interval, params)
         doors, drawers = (
-            _answer(demo, masks_at, curve, moved.odds, recover(first, joint_type, params), params)
+            _answer(demo, masks_at, curve, moved.odds, recover_motion(first, joint_type, params), params)
             for joint_type in ("revolute", "prismatic")
         )
     progress(0.9, "type of the joint")
-    film = film_margin(doors.seen, (doors.as_filmed, drawers.as_filmed), params.photometric)
+    film = compute_type_margin(doors.seen, (doors.as_filmed, drawers.as_filmed), params.photometric)
     found = min((doors.found, drawers.found), key=lambda item: abs(item.margin))
-    answer = doors if chosen_type(found, film, params.joint) == "revolute" else drawers
+    answer = doors if choose_type(found, film, params.joint) == "revolute" else drawers
     return replace(answer.refined, type_margin=abs(found.margin + film))
 
 
-def first_motion(demo: Demonstration, params: MotionParams | None = None) -> MotionEstimate:
+def first_motion(demo: MotionInput, params: MotionParams | None = None) -> MotionEstimate:
     """The motion by the hand's path alone, not refined on the film, and nothing of it judged.
 
     It tells which Gaussians move, also where labels are too poor for `estimate_motion`.
@@ -83,19 +83,19 @@ def first_motion(demo: Demonstration, params: MotionParams | None = None) -> Mot
     """
     params = params or MotionParams()
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        view = KeyframeView.of(demo, masks_at, params)
+        view = VideoObservations.of(demo, masks_at, params)
         seen, interval = view.interval(params.keyframes)
-        first = touched(demo, view, seen, interval, params)
+        first = prepare_recovery(demo, view, seen, interval, params)
     joint_type = "revolute" if first.found.margin > 0 else "prismatic"
-    return assemble(demo, view.curve(seen, interval), recover(first, joint_type, params), odds=1.0)
+    return assemble(demo, view.curve(seen, interval), recover_motion(first, joint_type, params), odds=1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
     """The answer if the joint is of a type: by the hand's path, the film as read for it, and refined on it."""
 
-    found: Candidates
-    seen: Witness | None
+    found: JointCandidates
+    seen: PhotometricFrames | None
     refined: MotionEstimate
 
     @property
@@ -105,16 +105,16 @@ class _Answer:
 
 
 def _answer(
-    demo: Demonstration,
+    demo: MotionInput,
     masks_at: MasksAt,
     curve: MotionCurve,
     odds: float,
-    recovery: Recovery,
+    recovery: RecoveredMotion,
     params: MotionParams,
 ) -> _Answer:
     lines = (recovery.estimate.axes, recovery.estimate.origins)
     estimate = assemble(demo, curve, recovery, odds)
-    hand = hand_answer(demo, estimate, lines)
-    seen = witness(demo, masks_at, hand, params.photometric)
-    refined = asked_film(seen, estimate, hand, params.photometric)
+    hand = make_kinematic_prior(demo, estimate, lines)
+    seen = select_frames(demo, masks_at, hand, params.photometric)
+    refined = refine_estimate(seen, estimate, hand, params.photometric)
     return _Answer(found=recovery.found, seen=seen, refined=refined)

@@ -32,7 +32,7 @@ class MatchedFrames:
     bad: NDArray[np.bool_]
 
 
-def matched_frames(
+def match_exposure(
     frames_srgb: NDArray[np.uint8], hidden: NDArray[np.bool_], region: NDArray[np.bool_]
 ) -> MatchedFrames:
     """Scale the colors of every frame so that what stands still keeps its color.

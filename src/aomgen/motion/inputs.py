@@ -16,7 +16,7 @@ from aomgen.robots.robot import RobotModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Demonstration:
+class MotionInput:
     """What AOMotion looks at.
 
     Attributes:

@@ -12,11 +12,18 @@ import numpy as np
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
-from aomgen.motion.axis_prior import Shape
-from aomgen.motion.ee_path import HandPath, Hold, thin
-from aomgen.motion.joint_models import Prismatic, Revolute, first_axes
-from aomgen.motion.joint_posterior import JointModel, Posterior, fitted, posterior
-from aomgen.motion.noise_model import BEND_SHARE, SCALES, Course, NoisePrior, give_rate, held_rate
+from aomgen.motion.axis_prior import PartShape
+from aomgen.motion.ee_path import EePath, GraspGuess, thin_path
+from aomgen.motion.joint_models import Prismatic, Revolute, guess_axes
+from aomgen.motion.joint_posterior import JointModel, Posterior, compute_posterior, fit_path
+from aomgen.motion.noise_model import (
+    BEND_SHARE,
+    SCALES,
+    NoisePrior,
+    PathNodes,
+    compute_give_rate,
+    compute_held_rate,
+)
 
 _REMEDY = "record a longer demonstration"
 # Sizes of flaws this many standard deviations above their medians are looked into.
@@ -86,7 +93,7 @@ class JointEstimate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidates:
+class JointCandidates:
     """What either type of joint makes of a path.
 
     Attributes:
@@ -107,9 +114,9 @@ class Candidates:
         return self.revolute if joint_type == "revolute" else self.prismatic
 
 
-def candidates(
-    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
-) -> Candidates:
+def fit_candidates(
+    Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None, params: JointParams | None = None
+) -> JointCandidates:
     """Explain the hand's poses while it holds the part by either type of joint.
 
     Args:
@@ -125,7 +132,7 @@ def candidates(
     the edges remain as a belief. Not checked: that the hand holds the same part all the time.
     """
     params = params or JointParams()
-    path = thin(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
+    path = thin_path(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
     points = path.points_world
     extent = float(np.linalg.norm(points - points[0], axis=1).max())
     if not extent >= params.min_travel_m:
@@ -134,13 +141,13 @@ def candidates(
             f"the hand moved the part {extent * 1e3:.0f} mm, need {params.min_travel_m * 1e3:.0f} mm",
             _REMEDY,
         )
-    revolute, prismatic = explanations(path, shape, params)
+    revolute, prismatic = explain_path(path, shape, params)
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
     # The middle half of the nodes against the outer half tells the bulge. Bars are along hinges, so that arcs
     # bend in the direction that the fingers hold best.
     unsteady = prismatic.scales[0] * np.sqrt(4 / params.nodes)
-    slip = held_rate(prismatic.scales, prismatic.model.firmness) * extent
-    return Candidates(
+    slip = compute_held_rate(prismatic.scales, prismatic.model.firmness) * extent
+    return JointCandidates(
         revolute=_estimate(path, revolute, "revolute", margin),
         prismatic=_estimate(path, prismatic, "prismatic", -margin),
         margin=margin,
@@ -149,11 +156,13 @@ def candidates(
     )
 
 
-def chosen_type(found: Candidates, film_margin: float = 0.0, params: JointParams | None = None) -> JointType:
+def choose_type(
+    found: JointCandidates, film_margin: float = 0.0, params: JointParams | None = None
+) -> JointType:
     """The type of joint, by the hand's path and the film together.
 
     Args:
-        found: From `candidates`.
+        found: From `fit_candidates`.
         film_margin: Twice the log evidence of the film for revolute over prismatic.
         params: Limits.
 
@@ -185,17 +194,17 @@ def chosen_type(found: Candidates, film_margin: float = 0.0, params: JointParams
 
 
 def estimate_joint(
-    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
+    Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None, params: JointParams | None = None
 ) -> JointEstimate:
     """The joint from the hand's poses alone, axis positive in the direction of the demonstration.
 
-    See `candidates` for the arguments, and `chosen_type` for what is refused.
+    See `fit_candidates` for the arguments, and `choose_type` for what is refused.
     """
-    found = candidates(Ts_world_ee, hold, shape, params)
-    return found.of(chosen_type(found, params=params))
+    found = fit_candidates(Ts_world_ee, hold, shape, params)
+    return found.of(choose_type(found, params=params))
 
 
-def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tuple[Posterior, Posterior]:
+def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> tuple[Posterior, Posterior]:
     """The path as a revolute and as a prismatic joint would make it."""
     points = path.points_world
     middle = points.mean(0)
@@ -208,27 +217,27 @@ def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tu
             middle=middle,
             reach_m=np.inf if shape is None else shape.reach_m(middle),
         )
-        for start in first_axes(path, turns)
+        for start in guess_axes(path, turns)
     ]
     along = np.linalg.svd(points - middle)[2][0]
     drawer = Prismatic(path=path, turns_world=turns, start=along, middle=middle)
-    course = _trusted(Course.of(points), (doors, [drawer]), params.noise)
+    course = _trusted(PathNodes.of(points), (doors, [drawer]), params.noise)
     hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
     return (
-        posterior(doors, course, params.noise, hinges),
-        posterior([drawer], course, params.noise, rails),
+        compute_posterior(doors, course, params.noise, hinges),
+        compute_posterior([drawer], course, params.noise, rails),
     )
 
 
-def _trusted(course: Course, types: tuple[list[JointModel], ...], noise: NoisePrior) -> Course:
+def _trusted(course: PathNodes, types: tuple[list[JointModel], ...], noise: NoisePrior) -> PathNodes:
     """The course with those nodes at its ends doubted at which the hand did not hold the part yet or any more.
 
     Only looked for where a path is much less steady than paths are.
     """
 
-    def fit(course: Course) -> tuple[float, float]:
+    def fit(course: PathNodes) -> tuple[float, float]:
         evidence, steps = max(
-            (fitted(models, course, noise)[:2] for models in types), key=lambda item: item[0]
+            (fit_path(models, course, noise)[:2] for models in types), key=lambda item: item[0]
         )
         return evidence, float(np.max(np.delete(steps, _TURNS)))
 
@@ -244,7 +253,7 @@ def _trusted(course: Course, types: tuple[list[JointModel], ...], noise: NoisePr
     return course
 
 
-def _refuse_hidden_arc(found: Candidates, params: JointParams) -> None:
+def _refuse_hidden_arc(found: JointCandidates, params: JointParams) -> None:
     """A straight path speaks for a prismatic joint only where a door's arc would be seen."""
     bulge = found.extent_m**2 / (8 * params.door_radius_m)
     if bulge >= found.unseen_bulge_m:
@@ -258,7 +267,7 @@ def _refuse_hidden_arc(found: Candidates, params: JointParams) -> None:
     raise AmbiguousJointError("joint", problem, "hold the handle firmly or record a longer motion")
 
 
-def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: float) -> JointEstimate:
+def _estimate(path: EePath, found: Posterior, joint_type: JointType, margin: float) -> JointEstimate:
     model, x = found.model, found.mean
     values = model.values(x)
     travel = float(values[-1] - values[0])
@@ -286,7 +295,7 @@ def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: f
         axis_ci95_rad=float(np.percentile(angles, 95)),
         origin_ci95_m=float(np.percentile(gaps, 95)),
         residual_m=float(found.scales[0]),
-        give_rate=give_rate(joint_type, found.scales, float(way @ path.closing_world)),
+        give_rate=compute_give_rate(joint_type, found.scales, float(way @ path.closing_world)),
         turn_ratio=float(x[9]) if revolute else 0.0,
         margin=margin,
         axes=sign * axes,

@@ -7,31 +7,31 @@ import numpy as np
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.motion.axis_prior import Shape, shape_of
+from aomgen.motion.axis_prior import PartShape, measure_shape
 from aomgen.motion.contact import Contacts, PartPath, find_contacts
-from aomgen.motion.ee_path import Hold
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.joint_estimation import Candidates, JointEstimate, JointParams, candidates
+from aomgen.motion.ee_path import GraspGuess
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
 from aomgen.motion.joint_value import (
-    ValueCourse,
-    leave_of,
-    leaving_and_arriving,
-    path_values,
-    resting,
+    ValueTrajectory,
+    compute_path_values,
+    find_motion_tolerance,
+    refine_interval,
+    select_resting,
     smooth_within,
 )
 from aomgen.motion.keyframes import Departures, Interval
-from aomgen.motion.observations import KeyframeView
-from aomgen.motion.onset import Sight
+from aomgen.motion.observations import VideoObservations
+from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
-from aomgen.motion.push_trajectory import Picture, loose, pushed_course
+from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
 
 _DENSE_STEP_S = 0.01
 _SMOOTH_S = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recovery:
+class RecoveredMotion:
     """Joint and values along the touch, with the refined interval.
 
     Attributes:
@@ -43,15 +43,15 @@ class Recovery:
     """
 
     contacts: Contacts
-    found: Candidates
+    found: JointCandidates
     estimate: JointEstimate
-    course: ValueCourse
+    course: ValueTrajectory
     level_sd: float
     face_normal: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touched:
+class RecoveryInput:
     """What a recovery starts from, whichever type the joint is of.
 
     Attributes:
@@ -66,21 +66,25 @@ class Touched:
         picture: What the film shows of start and end.
     """
 
-    demo: Demonstration
+    demo: MotionInput
     seen: tuple[float, float]
     touch_s: tuple[float, float]
     gripped: bool
     joint: JointParams
-    shape: Shape
+    shape: PartShape
     surface: Array
     contacts: Contacts
-    found: Candidates
-    picture: Picture
+    found: JointCandidates
+    picture: TouchObservation
 
 
-def touched(
-    demo: Demonstration, view: KeyframeView, departures: Departures, interval: Interval, params: MotionParams
-) -> Touched:
+def prepare_recovery(
+    demo: MotionInput,
+    view: VideoObservations,
+    departures: Departures,
+    interval: Interval,
+    params: MotionParams,
+) -> RecoveryInput:
     """Contact, and either type's joint, by the interval seen and the departures that it was read from.
 
     Raises:
@@ -90,8 +94,8 @@ def touched(
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     inside = slice(touch.first, touch.last + 1)
-    joint = params.joint if touch.gripped else replace(params.joint, noise=loose(params.joint.noise))
-    shape = shape_of(demo.points_static, demo.points_moving)
+    joint = params.joint if touch.gripped else replace(params.joint, noise=loosen_prior(params.joint.noise))
+    shape = measure_shape(demo.points_static, demo.points_moving)
     surface = demo.surface_moving(params.contact.spacing_m)
     begin = PartPath.carried(
         demo.robot,
@@ -100,7 +104,7 @@ def touched(
         _begin(seen, demo, params),
     )
     contacts, found = _explained(demo, shape, surface, begin, seen, joint)
-    return Touched(
+    return RecoveryInput(
         demo=demo,
         seen=seen,
         touch_s=touch_s,
@@ -110,15 +114,15 @@ def touched(
         surface=surface,
         contacts=contacts,
         found=found,
-        picture=Picture(
+        picture=TouchObservation(
             times_s=frame_times[inside],
             seen=Departures(left=departures.left[inside], ahead=departures.ahead[inside]),
-            sight=Sight(noise=interval.threshold / 3, pixel_m=0.0),
+            sight=Detectability(noise=interval.threshold / 3, pixel_m=0.0),
         ),
     )
 
 
-def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Recovery:
+def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionParams) -> RecoveredMotion:
     """Contact, joint and values, if the joint is of a type.
 
     Twice: the second round uses the interval that the first one felt.
@@ -128,23 +132,23 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
     """
     demo, shape, seen, offset_s = first.demo, first.shape, first.seen, first.demo.clock_offset_s
     times = _dense(first.touch_s)
-    poses = poses_at(demo, times + offset_s)
-    leave = leave_of(joint_type)
+    poses = ee_poses_at(demo, times + offset_s)
+    leave = find_motion_tolerance(joint_type)
 
-    def along(found: Candidates, interval: tuple[float, float]) -> ValueCourse:
+    def along(found: JointCandidates, interval: tuple[float, float]) -> ValueTrajectory:
         estimate = found.of(joint_type)
         reference = int(np.argmin(np.abs(times - interval[0])))
-        path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
+        path = compute_path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
         values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
         if not first.gripped:
             points = apply(poses, estimate.grasp_ee[None])
             hand = (points, apply(invert(estimate.joint.motion(values)), points))
-            return pushed_course(times, values, hand, interval, leave, first.picture)
-        felt, levels = leaving_and_arriving(times, values, seen, leave)
+            return follow_pushed_part(times, values, hand, interval, leave, first.picture)
+        felt, levels = refine_interval(times, values, seen, leave)
         start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
-        return ValueCourse(times_s=times, values=values, interval=(start, end), levels=levels)
+        return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
-    def beginning(found: Candidates, course: ValueCourse) -> PartPath:
+    def beginning(found: JointCandidates, course: ValueTrajectory) -> PartPath:
         moments = _begin(course.interval, demo, params)
         thetas = np.interp(moments - offset_s, times, course.values) - course.levels[0]
         return PartPath(times_log_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
@@ -155,8 +159,8 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
     course = along(found, course.interval)
     contacts = _contacts(demo, shape, first.surface, beginning(found, course))
     # A part that creeps off does not tell where it rested.
-    rest = resting(times, course.values, seen[0])
-    return Recovery(
+    rest = select_resting(times, course.values, seen[0])
+    return RecoveredMotion(
         contacts=contacts,
         found=found,
         estimate=found.of(joint_type),
@@ -167,35 +171,35 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
 
 
 def _explained(
-    demo: Demonstration,
-    shape: Shape,
+    demo: MotionInput,
+    shape: PartShape,
     surface: Array,
     begin: PartPath,
     interval: tuple[float, float],
     params: JointParams,
-) -> tuple[Contacts, Candidates]:
+) -> tuple[Contacts, JointCandidates]:
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
     contacts = _contacts(demo, shape, surface, begin)
-    held = poses_at(demo, _dense(interval) + demo.clock_offset_s)
+    held = ee_poses_at(demo, _dense(interval) + demo.clock_offset_s)
     # Fingers that do not stand against each other push, and hold in no direction.
     normals = [patch.normal for patch in contacts.patches]
     pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
-    hold = Hold(point_ee=contacts.grasp_ee, closing_ee=demo.robot.closing_ee if pinched else None)
-    return contacts, candidates(held, hold, shape, params)
+    hold = GraspGuess(point_ee=contacts.grasp_ee, closing_ee=demo.robot.closing_ee if pinched else None)
+    return contacts, fit_candidates(held, hold, shape, params)
 
 
-def _contacts(demo: Demonstration, shape: Shape, surface: Array, begin: PartPath) -> Contacts:
+def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: PartPath) -> Contacts:
     return find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
 
 
-def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:
+def _begin(interval: tuple[float, float], demo: MotionInput, params: MotionParams) -> Array:
     """First moments of the motion from its first frame on, log clock (K,), [s]."""
     contact = params.contact
     steps = np.linspace(0.0, contact.window_s, contact.steps, dtype=np.float64)
-    return steps + (first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
+    return steps + (find_first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
 
 
-def first_frame(frames: Array, moment_s: float) -> float:
+def find_first_frame(frames: Array, moment_s: float) -> float:
     """Time of the first of the frames (F,) at a moment or after it; the last one's where none is."""
     later = frames[frames >= moment_s - 1e-6]
     return float(later[0]) if len(later) else float(frames[-1])
@@ -211,6 +215,6 @@ def _dense(interval: tuple[float, float]) -> Array:
     return np.linspace(interval[0], interval[1], count, dtype=np.float64)
 
 
-def poses_at(demo: Demonstration, log_times_s: Array) -> Array:
+def ee_poses_at(demo: MotionInput, log_times_s: Array) -> Array:
     """End-effector poses (T, 4, 4), world frame, at times (T,) of the log's clock."""
     return np.asarray(demo.robot.ee_poses(demo.log.at(log_times_s)[0]), np.float64)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
-from aomgen.motion.filters import closed, filled, grown, smooth, touching, without_glitches
-from aomgen.motion.gripper_signals import Touch
-from aomgen.motion.onset import Moment, Sight, Way, arriving, leaving
+from aomgen.motion.filters import close_gaps, dilate, fill_holes, keep_touching, remove_glitches, smooth
+from aomgen.motion.gripper_signals import TouchInterval
+from aomgen.motion.onset import Detectability, GripperPath, UncertainTime, detect_offset, detect_onset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,27 +66,27 @@ class Interval:
         threshold: Score that stillness hardly ever reaches.
     """
 
-    start: Moment
-    end: Moment
+    start: UncertainTime
+    end: UncertainTime
     smoothed: Array
     threshold: float
 
 
-def part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
+def find_part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
     """Pixels (H, W) that the part's points (N, 3) cover, small gaps closed."""
     pixels, depths = camera.project(points_world)
     columns, rows = np.floor(pixels[:, 0]).astype(int), np.floor(pixels[:, 1]).astype(int)
     seen = (depths > 0) & (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
     region = np.zeros((camera.height, camera.width), bool)
     region[rows[seen], columns[seen]] = True
-    return filled(closed(region, 3))
+    return fill_holes(close_gaps(region, 3))
 
 
-def departures(
+def measure_departures(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     region: NDArray[np.bool_],
-    touch: Touch,
+    touch: TouchInterval,
     reference_frames: int,
     params: KeyframeParams | None = None,
 ) -> Departures:
@@ -107,21 +107,21 @@ def departures(
     params = params or KeyframeParams()
     inside = slice(touch.first, touch.last + 1)
     frames = frames_srgb[inside]
-    hidden = np.stack([grown(mask, params.dilate_px) for mask in robot[inside]])
+    hidden = np.stack([dilate(mask, params.dilate_px) for mask in robot[inside]])
     before, before_seen = _reference(frames[:reference_frames], hidden[:reference_frames])
     after, after_seen = _reference(frames[-reference_frames:], hidden[-reference_frames:])
     moved = before_seen & after_seen & (_change(before, after, params) > 0.5)
-    footprint = touching(closed(moved, 1) | region, region)
+    footprint = keep_touching(close_gaps(moved, 1) | region, region)
     left, ahead = np.zeros(len(frames_srgb)), np.zeros(len(frames_srgb))
     left[inside] = _departures(frames, hidden, before, footprint & before_seen, params)
     ahead[inside] = _departures(frames, hidden, after, footprint & after_seen, params)
     return Departures(left=left, ahead=ahead)
 
 
-def change_over(
+def measure_change(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
-    touch: Touch,
+    touch: TouchInterval,
     reference_frames: int,
     params: KeyframeParams,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -132,7 +132,7 @@ def change_over(
     )
     pictures = []
     for end in ends:
-        hidden = np.stack([grown(mask, params.dilate_px) for mask in robot[end]])
+        hidden = np.stack([dilate(mask, params.dilate_px) for mask in robot[end]])
         pictures.append(_reference(frames_srgb[end], hidden))
     (before, before_seen), (after, after_seen) = pictures
     return _change(before, after, params), before_seen & after_seen
@@ -141,8 +141,8 @@ def change_over(
 def find_interval(
     times_s: Array,
     seen: Departures,
-    way: Way,
-    touch: Touch,
+    way: GripperPath,
+    touch: TouchInterval,
     pixel_m: float,
     params: KeyframeParams | None = None,
 ) -> Interval:
@@ -165,13 +165,13 @@ def find_interval(
     inside = slice(touch.first, touch.last + 1)
     times = times_s[inside]
     sights = [
-        Sight(noise=max(params.least_noise, _noise(values[inside], step, params)), pixel_m=pixel_m)
+        Detectability(noise=max(params.least_noise, _noise(values[inside], step, params)), pixel_m=pixel_m)
         for values in (seen.left, seen.ahead)
     ]
     held = way.between(float(times[0]), float(times[-1]))
-    start = leaving(held, times, seen.left[inside], sights[0], held=touch.gripped)
-    end = arriving(held, times, seen.ahead[inside], sights[1], held=touch.gripped)
-    smoothed = smooth(without_glitches(seen.scores), step, params.smooth_s)
+    start = detect_onset(held, times, seen.left[inside], sights[0], held=touch.gripped)
+    end = detect_offset(held, times, seen.ahead[inside], sights[1], held=touch.gripped)
+    smoothed = smooth(remove_glitches(seen.scores), step, params.smooth_s)
     return Interval(
         start=start, end=end, smoothed=smoothed, threshold=3.0 * max(sight.noise for sight in sights)
     )
@@ -183,7 +183,7 @@ def _noise(values: Array, step_s: float, params: KeyframeParams) -> float:
     return 1.4826 * float(np.median(np.abs(rough - np.median(rough))))
 
 
-def reference_count(times_s: Array, params: KeyframeParams) -> int:
+def count_reference_frames(times_s: Array, params: KeyframeParams) -> int:
     """Frames in a still stretch, at least three, so that a bad one does not count."""
     return max(3, round(params.reference_s / float(np.median(np.diff(times_s)))))
 

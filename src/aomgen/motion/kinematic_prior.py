@@ -7,7 +7,7 @@ from aomgen.core.values import Array, freeze
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HandAnswer:
+class KinematicPrior:
     """What the hand's path says.
 
     Attributes:

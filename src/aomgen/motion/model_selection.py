@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from aomgen.motion.photometric import MIN_FRAMES, PhotometricParams, Witness
-from aomgen.motion.photometric_residuals import Answer, compared
+from aomgen.motion.photometric import MIN_FRAMES, PhotometricFrames, PhotometricParams
+from aomgen.motion.photometric_residuals import JointMotion, compare_frames
 
 
-def film_margin(
-    seen: Witness | None, answers: tuple[Answer, Answer], params: PhotometricParams | None = None
+def compute_type_margin(
+    seen: PhotometricFrames | None,
+    answers: tuple[JointMotion, JointMotion],
+    params: PhotometricParams | None = None,
 ) -> float:
     """Twice the log evidence of the film for one answer over another; 0 where it cannot tell.
 
@@ -24,7 +26,7 @@ def film_margin(
         return 0.0
     params = params or PhotometricParams()
     first, second = answers
-    frames = compared(seen.film, seen.held_out, second, first, params.bands[-1])
+    frames = compare_frames(seen.film, seen.held_out, second, first, params.bands[-1])
     if len(frames) < MIN_FRAMES:
         return 0.0
     margin = sum(item.margin for item in frames)

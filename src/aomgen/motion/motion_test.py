@@ -6,7 +6,7 @@ import numpy as np
 
 from aomgen.errors import NoMotionError
 from aomgen.motion.onset import STILL_M
-from aomgen.motion.rendered_motion_test import Following
+from aomgen.motion.rendered_motion_test import FollowingEstimate
 
 # Fingers that stay farther away touch nothing, whatever the alignment's error, [m].
 NEAR_M = 0.10
@@ -20,7 +20,7 @@ _FOLLOWS, _FOLLOWS_SD, _CHANCE_SD = 0.7, 0.35, 0.12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionSigns:
+class MotionEvidence:
     """What speaks for and against a motion.
 
     Attributes:
@@ -31,7 +31,7 @@ class MotionSigns:
     """
 
     changed: float
-    following: Following
+    following: FollowingEstimate
     nearest_m: float
     travel_m: float
 

@@ -77,7 +77,7 @@ class NoisePrior:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class PathNodes:
     """Places along a path at which the hand was looked at.
 
     Attributes:
@@ -97,15 +97,15 @@ class Course:
         freeze(self, "waves", self.waves, (count, count))
 
     @staticmethod
-    def of(points: Array) -> "Course":
+    def of(points: Array) -> "PathNodes":
         """The course of points (K, 3), none of them doubted."""
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         travel = np.concatenate([[0.0], np.cumsum(steps)])
         k = np.arange(1, _WAVES + 1)
         waves = np.sin(np.pi * np.outer(travel / travel[-1], k)) / k**2
-        return Course(travel_m=travel, doubt=np.ones(len(points)), waves=waves @ waves.T)
+        return PathNodes(travel_m=travel, doubt=np.ones(len(points)), waves=waves @ waves.T)
 
-    def doubted(self, nodes: slice) -> "Course":
+    def doubted(self, nodes: slice) -> "PathNodes":
         """The same course with some nodes that may lie anywhere near."""
         doubt = self.doubt.copy()
         doubt[nodes] = _DOUBT
@@ -125,7 +125,7 @@ class Course:
         return np.diag((sd * self.doubt) ** 2)
 
 
-def covariances(course: Course, scales: Array, firmness: float = 1.0) -> dict[str, Array]:
+def compute_covariances(course: PathNodes, scales: Array, firmness: float = 1.0) -> dict[str, Array]:
     """Covariance (K, K) of each kind of residual, by name.
 
     Args:
@@ -140,23 +140,23 @@ def covariances(course: Course, scales: Array, firmness: float = 1.0) -> dict[st
         "face": white_m + course.steady(face),
         "bar": white_m + course.steady(bar),
         "tilt": white_rad + course.steady(tilt),
-        "straight": white_m + course.steady(held_rate(scales, firmness)),
+        "straight": white_m + course.steady(compute_held_rate(scales, firmness)),
         "pivot": white_rad + course.uneven(pivot),
     }
 
 
-def held_rate(scales: Array, firmness: float) -> float:
+def compute_held_rate(scales: Array, firmness: float) -> float:
     """Slip per travel [m/m] of a straight path in the direction across it that the fingers hold best.
 
     Args:
         scales: Sizes of the flaws (7,).
-        firmness: See `covariances`.
+        firmness: See `compute_covariances`.
     """
     straight, bar = scales[SCALES.index("straight")], scales[SCALES.index("bar")]
     return float(np.sqrt(firmness * straight**2 + (1 - firmness) * bar**2))
 
 
-def give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
+def compute_give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
     """Slip per travel [m/m] along the way of the part, which no path of a hand shows.
 
     Args:
@@ -171,10 +171,12 @@ def give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
     return float(np.hypot(_GIVE_RATES[joint_type], _LOST_SHARE * along_pads * scales[SCALES.index("bar")]))
 
 
-def factors(course: Course, scales: Array, firmness: float = 1.0) -> dict[str, tuple[Array, float]]:
+def factorize_covariances(
+    course: PathNodes, scales: Array, firmness: float = 1.0
+) -> dict[str, tuple[Array, float]]:
     """Matrix (K, K) that makes residuals white and log determinant of each covariance, by name."""
     found = {}
-    for name, covariance in covariances(course, scales, firmness).items():
+    for name, covariance in compute_covariances(course, scales, firmness).items():
         L = np.linalg.cholesky(covariance)
         found[name] = (np.linalg.inv(L), 2 * float(np.log(np.diag(L)).sum()))
     return found

@@ -18,8 +18,8 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.motion.filters import grown
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.filters import dilate
+from aomgen.motion.inputs import MotionInput
 from aomgen.robots.robot_masks import MasksAt
 from aomgen.splatting.rasterizer import Parts, contribution_weights, render
 
@@ -34,7 +34,7 @@ _REST_FRAMES = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PartView:
+class PartRendering:
     """The part as drawn at one joint value.
 
     Attributes:
@@ -49,7 +49,7 @@ class PartView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PartFilm:
+class PartRenderer:
     """A crop of the film around the part's way, and the scene that can be drawn into it.
 
     Attributes:
@@ -74,13 +74,13 @@ class PartFilm:
     focus: Array
     reach_m: float
 
-    def draw(self, joint: Joint, theta: float) -> PartView:
+    def draw(self, joint: Joint, theta: float) -> PartRendering:
         """The part at a joint value, without gradients."""
         Ts = np.stack([np.eye(4), joint.motion(theta)])
         parts = Parts(indices=self.parts, Ts_world_part=Ts)
         drawn = render(self.scene, self.camera, features=self.features, parts=parts, threads=1).features
         images = np.moveaxis(np.zeros((1, 1, 3), np.float32) if drawn is None else drawn, -1, 0)
-        return PartView(luma=images[0], alpha=images[1], painted=images[2])
+        return PartRendering(luma=images[0], alpha=images[1], painted=images[2])
 
     def at(self, frame: int) -> tuple[FloatImage, NDArray[np.bool_]]:
         """Luma and hidden pixels (H, W) of a video frame that was read."""
@@ -88,15 +88,15 @@ class PartFilm:
         return self.luma[index], self.hidden[index]
 
 
-def part_film(
-    demo: Demonstration,
+def make_part_renderer(
+    demo: MotionInput,
     masks_at: MasksAt,
     joint: Joint,
     moments: tuple[NDArray[np.intp], NDArray[np.intp], float],
     *,
     max_pixels: int,
     dilate_px: int,
-) -> PartFilm:
+) -> PartRenderer:
     """Cut the film to the part's way and paint the part.
 
     Args:
@@ -124,10 +124,10 @@ def part_film(
     )
     images = [resize(demo.video.frames_srgb[k], small.width, small.height)[rows, columns] for k in frames]
     masks = masks_at(demo.video.times_s[frames] + demo.clock_offset_s, small.width, small.height)
-    hidden = np.stack([grown(mask, dilate_px)[rows, columns] for mask in masks])
+    hidden = np.stack([dilate(mask, dilate_px)[rows, columns] for mask in masks])
     luma = np.asarray(np.stack(images).astype(np.float32) @ _LUMA / 255, np.float32)
     near = moves | _in_view(scene, camera)
-    film = PartFilm(
+    film = PartRenderer(
         camera=camera,
         frames=frames,
         luma=luma,
@@ -164,7 +164,7 @@ def _in_view(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
     return np.asarray((depths > 0) & ((pixels > -margin) & (pixels < size + margin)).all(1))
 
 
-def _painted(film: PartFilm, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _painted(film: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Features (G, 3) with each Gaussian's luma fitted to the film at rest, by back-projected residuals."""
     shown = ~film.hidden[resting]
     counted = shown.sum(0)
@@ -184,7 +184,7 @@ def _painted(film: PartFilm, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
     return np.stack([luma, ones, seen.astype(np.float32)], 1) * moving[:, None]
 
 
-def interior(view: PartView, hidden: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:
+def find_interior(view: PartRendering, hidden: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:
     """Pixels (H, W) surely inside the painted part and not hidden by the robot.
 
     The part's outline in the scan is a label's edge, a pixel or two off; what lies inside is not.

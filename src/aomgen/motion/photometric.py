@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array, freeze
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.kinematic_prior import HandAnswer
-from aomgen.motion.part_renderer import PartFilm, part_film
-from aomgen.motion.photometric_residuals import Band, compared
-from aomgen.motion.photometric_solver import FilmProblem
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.kinematic_prior import KinematicPrior
+from aomgen.motion.part_renderer import PartRenderer, make_part_renderer
+from aomgen.motion.photometric_residuals import Band, compare_frames
+from aomgen.motion.photometric_solver import PhotometricProblem
 from aomgen.robots.robot_masks import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].
@@ -60,7 +60,7 @@ class PhotometricParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class HeldOutEvidence:
     """How the frames that were not fitted judge.
 
     Attributes:
@@ -76,7 +76,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Refinement:
+class PhotometricRefinement:
     """The answer after the film was asked.
 
     Attributes:
@@ -95,7 +95,7 @@ class Refinement:
     theta_sd: Array
     covariance: Array
     accepted: bool
-    evidence: Evidence | None
+    evidence: HeldOutEvidence | None
     reason: str
 
     def __post_init__(self) -> None:
@@ -115,7 +115,7 @@ class Refinement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Witness:
+class PhotometricFrames:
     """What the film shows of the part.
 
     Attributes:
@@ -124,14 +124,14 @@ class Witness:
         held_out: Frames that judge them.
     """
 
-    film: PartFilm
+    film: PartRenderer
     fitted: NDArray[np.intp]
     held_out: NDArray[np.intp]
 
 
-def witness(
-    demo: Demonstration, masks_at: MasksAt, hand: HandAnswer, params: PhotometricParams | None = None
-) -> Witness | None:
+def select_frames(
+    demo: MotionInput, masks_at: MasksAt, hand: KinematicPrior, params: PhotometricParams | None = None
+) -> PhotometricFrames | None:
     """Read the film; None where it shows too little of the part before or during the motion.
 
     Args:
@@ -141,17 +141,19 @@ def witness(
         params: See there.
     """
     params = params or PhotometricParams()
-    fitted, held_out, resting = chosen_frames(hand, params.knots)
+    fitted, held_out, resting = choose_frames(hand, params.knots)
     if len(fitted) < MIN_FRAMES or len(resting) < _MIN_RESTING:
         return None
     moments = (resting, np.concatenate([fitted, held_out]), float(hand.thetas.max()))
-    film = part_film(
+    film = make_part_renderer(
         demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
     )
-    return Witness(film=film, fitted=fitted, held_out=held_out)
+    return PhotometricFrames(film=film, fitted=fitted, held_out=held_out)
 
 
-def refine(seen: Witness | None, hand: HandAnswer, params: PhotometricParams | None = None) -> Refinement:
+def refine(
+    seen: PhotometricFrames | None, hand: KinematicPrior, params: PhotometricParams | None = None
+) -> PhotometricRefinement:
     """Ask the film about joint and joint values.
 
     Args:
@@ -165,13 +167,13 @@ def refine(seen: Witness | None, hand: HandAnswer, params: PhotometricParams | N
     params = params or PhotometricParams()
     if seen is None:
         return _kept(hand, "the film shows too few frames before or during the motion")
-    problem = FilmProblem.of(seen.film, hand, seen.fitted)
+    problem = PhotometricProblem.of(seen.film, hand, seen.fitted)
     y, covariance = problem.solve(params.bands, params.rounds)
     return _judged(problem, y, covariance, seen.held_out, params)
 
 
-def chosen_frames(
-    hand: HandAnswer, knots: int
+def choose_frames(
+    hand: KinematicPrior, knots: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Fitted, held-out and resting frames; the first two alternate and spread over the values.
 
@@ -194,17 +196,21 @@ def chosen_frames(
 
 
 def _judged(
-    problem: FilmProblem, y: Array, covariance: Array, frames: NDArray[np.intp], params: PhotometricParams
-) -> Refinement:
+    problem: PhotometricProblem,
+    y: Array,
+    covariance: Array,
+    frames: NDArray[np.intp],
+    params: PhotometricParams,
+) -> PhotometricRefinement:
     """The refined answer if held-out frames (N,) agree better with it."""
     hand, joint, thetas = problem.hand, problem.joint(y), np.maximum(problem.thetas(y), 0.0)
-    seen = compared(problem.film, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1])
+    seen = compare_frames(problem.film, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1])
     if len(seen) < MIN_FRAMES:
         return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need {MIN_FRAMES}")
     gains = np.array([item.cost_before - item.cost_after for item in seen])
     improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
     explained = float(np.median([item.explained_after for item in seen]))
-    evidence = Evidence(
+    evidence = HeldOutEvidence(
         cost_before=float(np.mean([item.cost_before for item in seen])),
         cost_after=float(np.mean([item.cost_after for item in seen])),
         improvement_sd=improvement,
@@ -222,7 +228,7 @@ def _judged(
     sds = np.repeat([params.camera_sd_rad, params.camera_sd_m], 2)[:count]
     by_unknown = np.hstack([problem.lever, problem.spread])
     variance = np.einsum("ti,ij,tj->t", by_unknown, covariance, by_unknown)
-    return Refinement(
+    return PhotometricRefinement(
         joint=replace(joint, upper=float(thetas.max())),
         thetas=thetas,
         theta_sd=np.sqrt(np.maximum(variance, 0)),
@@ -233,8 +239,8 @@ def _judged(
     )
 
 
-def _kept(hand: HandAnswer, reason: str) -> Refinement:
-    return Refinement(
+def _kept(hand: KinematicPrior, reason: str) -> PhotometricRefinement:
+    return PhotometricRefinement(
         joint=hand.joint,
         thetas=hand.thetas,
         theta_sd=hand.theta_sd,

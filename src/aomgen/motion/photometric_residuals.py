@@ -15,8 +15,8 @@ from scipy import ndimage
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.joint_models import tangent_basis
-from aomgen.motion.part_renderer import FloatImage, PartFilm, interior
+from aomgen.motion.joint_models import make_tangent_basis
+from aomgen.motion.part_renderer import FloatImage, PartRenderer, find_interior
 
 # Change of the picture by which derivatives are measured, [px].
 _STEP_PX = 0.5
@@ -29,7 +29,7 @@ _REWEIGHTINGS = 5
 _BLOCK_PX = 16
 BLOCKS = 32 * 32
 # A joint, and its values at the video's frames (T,).
-Answer = tuple[Joint, Array]
+JointMotion = tuple[Joint, Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +48,7 @@ class Band:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Linear:
+class LinearizedFrame:
     """A frame's residuals and their derivatives, nuisances projected out.
 
     Attributes:
@@ -74,15 +74,15 @@ class Linear:
         return float(np.linalg.eigvalsh(weighted.T @ self.slopes)[-1])
 
 
-def shifted(joint: Joint, pivot: Array, x: Array) -> Joint:
+def shift_joint(joint: Joint, pivot: Array, x: Array) -> Joint:
     """A joint tilted by x[:2] [rad] and, if revolute, moved by x[2:4] [m] across its axis at `pivot` (3,)."""
-    tangents = tangent_basis(joint.axis)
+    tangents = make_tangent_basis(joint.axis)
     axis = joint.axis + x[:2] @ tangents
     offset = x[2:4] @ tangents if joint.type == "revolute" else np.zeros(3)
     return replace(joint, axis=axis / np.linalg.norm(axis), origin=pivot + offset)
 
 
-def steps(film: PartFilm, joint: Joint) -> Array:
+def choose_steps(film: PartRenderer, joint: Joint) -> Array:
     """Changes of tilt (2), shift (2, revolute only) and value that move the picture by half a pixel."""
     camera = film.camera
     meters = _STEP_PX * float(np.linalg.norm(film.focus - camera.center)) / camera.fx
@@ -92,9 +92,9 @@ def steps(film: PartFilm, joint: Joint) -> Array:
     return np.array([turn, turn, meters, meters, turn])
 
 
-def linearised(
-    film: PartFilm, frame: int, neighbours: list[tuple[Joint, float]], band: Band
-) -> Linear | None:
+def linearize_frame(
+    film: PartRenderer, frame: int, neighbours: list[tuple[Joint, float]], band: Band
+) -> LinearizedFrame | None:
     """Compare a frame with its drawing.
 
     Args:
@@ -108,11 +108,11 @@ def linearised(
     """
     picture, hidden = film.at(frame)
     views = [film.draw(*place) for place in neighbours]
-    mask = interior(views[0], hidden, band.margin_px)
+    mask = find_interior(views[0], hidden, band.margin_px)
     if mask.sum() < _BLOCK_PX**2:
         return None
     first = views[0]
-    sizes = steps(film, neighbours[0][0])
+    sizes = choose_steps(film, neighbours[0][0])
     columns = [picture * first.alpha - first.luma, first.luma, first.alpha]
     columns += [
         (view.luma - first.luma - picture * (view.alpha - first.alpha)) / size
@@ -129,7 +129,7 @@ def linearised(
         scale = max(1.4826 * float(np.median(np.abs(left))), _NOISE_FLOOR)
         weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
     derivatives = derivatives - nuisances @ _regression(nuisances, derivatives, weights)
-    return Linear(
+    return LinearizedFrame(
         residuals=left,
         derivatives=derivatives[:, :-2],
         slopes=derivatives[:, -2:],
@@ -140,7 +140,7 @@ def linearised(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class FrameComparison:
     """How well two answers explain one frame, over the pixels that both see.
 
     Attributes:
@@ -161,9 +161,9 @@ class Comparison:
         return _OUTLIER**2 * self.blocks * (self.cost_before - self.cost_after)
 
 
-def compared(
-    film: PartFilm, frames: NDArray[np.intp], before: Answer, after: Answer, band: Band
-) -> list[Comparison]:
+def compare_frames(
+    film: PartRenderer, frames: NDArray[np.intp], before: JointMotion, after: JointMotion, band: Band
+) -> list[FrameComparison]:
     """Compare two answers at frames (N,); those that show too little of the part are left out."""
     found = [
         _compared(film, int(k), [(joint, float(thetas[k])) for joint, thetas in (before, after)], band)
@@ -172,10 +172,12 @@ def compared(
     return [item for item in found if item is not None]
 
 
-def _compared(film: PartFilm, frame: int, places: list[tuple[Joint, float]], band: Band) -> Comparison | None:
+def _compared(
+    film: PartRenderer, frame: int, places: list[tuple[Joint, float]], band: Band
+) -> FrameComparison | None:
     picture, hidden = film.at(frame)
     before, after = (film.draw(*place) for place in places)
-    mask = interior(before, hidden, band.margin_px) & interior(after, hidden, band.margin_px)
+    mask = find_interior(before, hidden, band.margin_px) & find_interior(after, hidden, band.margin_px)
     if mask.sum() < (2 * band.wide_px) ** 2:
         return None
     columns = [picture]
@@ -190,7 +192,7 @@ def _compared(film: PartFilm, frame: int, places: list[tuple[Joint, float]], ban
         costs.append(float(np.mean(left**2 / (left**2 + (_OUTLIER * scale) ** 2))))
         weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
         shares.append(1 - float((weights @ left**2) / max(weights @ seen**2, 1e-12)))
-    return Comparison(
+    return FrameComparison(
         cost_before=costs[0],
         cost_after=costs[1],
         explained_before=shares[0],
@@ -211,7 +213,7 @@ def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:
     return left, scale
 
 
-def _blocks(film: PartFilm, place: tuple[Joint, float], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _blocks(film: PartRenderer, place: tuple[Joint, float], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Squares that move with the part: what the scan has wrong about it comes back in every frame."""
     joint, theta = place
     (middle,), _ = film.camera.project(apply(joint.motion(theta), film.focus)[None])

@@ -26,7 +26,7 @@ _NOISE, _SHARED = 3.0, 9.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Following:
+class FollowingEstimate:
     """What the film shows of the change that the hand would make.
 
     Attributes:
@@ -38,14 +38,14 @@ class Following:
     sd: float
 
 
-def following(
+def estimate_following(
     scene: Gaussians,
     labels: NDArray[np.uint8],
     camera: Camera,
     frames_srgb: NDArray[np.uint8],
     hidden: NDArray[np.bool_],
     Ts_world_ee: Array,
-) -> Following:
+) -> FollowingEstimate:
     """Compare the film of a touch with drawings in which the part goes with the hand.
 
     Args:
@@ -59,7 +59,7 @@ def following(
     turning at all, and the better drawing counts.
     """
     if len(frames_srgb) < 3:
-        return Following(share=0.0, sd=float(np.inf))
+        return FollowingEstimate(share=0.0, sd=float(np.inf))
     session = RenderSession(scene.select((labels != MOVING) & (labels != ROBOT)), camera)
     moving = scene.select(labels == MOVING)
     first = _drawn(session, moving, np.eye(4))
@@ -78,10 +78,10 @@ def following(
     return max(answers, key=lambda answer: answer.share / max(answer.sd, 1e-9))
 
 
-def _following(together: float, alone: float) -> Following:
+def _following(together: float, alone: float) -> FollowingEstimate:
     if not alone > 0:
-        return Following(share=0.0, sd=float(np.inf))
-    return Following(share=together / alone, sd=_NOISE * float(np.sqrt(_SHARED / alone)))
+        return FollowingEstimate(share=0.0, sd=float(np.inf))
+    return FollowingEstimate(share=together / alone, sd=_NOISE * float(np.sqrt(_SHARED / alone)))
 
 
 def _drawn(session: RenderSession, moving: Gaussians, T: Array) -> NDArray[np.float32]:
