@@ -1,8 +1,8 @@
 """The joint behind a demonstration: type, axis, origin and how well they are known.
 
 The part moves on a one-parameter path and the hand moves with it. A handle may turn in the fingers and
-slip through them, so the hand's pose is evidence with flaws of its own (`joint_noise`), and the parts'
-shape is a weak belief (`geometry`). Revolute and prismatic explanations compete by their evidence.
+slip through them, so the hand's pose is evidence with flaws of its own (`noise_model`), and the parts'
+shape is a weak belief (`axis_prior`). Revolute and prismatic explanations compete by their evidence.
 """
 
 from dataclasses import dataclass, field
