@@ -13,7 +13,14 @@ from scipy.optimize import minimize
 
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
-from aomgen.motion.box_edges import OrientedBox, find_face_normal, find_footprint_yaw, fit_upright_box
+from aomgen.motion.box_edges import (
+    MIN_POINTS,
+    TAIL_PERCENT,
+    OrientedBox,
+    find_face_normal,
+    find_footprint_yaw,
+    fit_upright_box,
+)
 from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
@@ -25,11 +32,8 @@ DIRECTION_SD_RAD = float(np.radians(0.8))
 SIDE_SD_M = 0.01
 # Another box has to be this much smaller than the upright one around the whole object to be preferred.
 _CLEARLY = 0.75
-_TAIL_PERCENT = 1.0
 # A body's walls stand this far outside of its door's or drawer's sides at most, [m].
 _BESIDE_M = 0.02
-# Fewer points have no box.
-_FEWEST = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +181,7 @@ def _beside(points_static: Array, box: OrientedBox) -> Array:
     """
     inside = np.abs(apply(invert(box.T_world_box), points_static)) <= box.half_extents + _BESIDE_M
     near = points_static[inside.sum(1) >= 2]
-    return near if len(near) >= _FEWEST else points_static
+    return near if len(near) >= MIN_POINTS else points_static
 
 
 def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
@@ -197,7 +201,7 @@ def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
 
 
 def _box_about(points: Array, R_world_box: Array) -> OrientedBox:
-    low, high = np.percentile(points @ R_world_box, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+    low, high = np.percentile(points @ R_world_box, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
     return OrientedBox(
         T_world_box=transform(R_world_box, R_world_box @ ((low + high) / 2)),
         half_extents=np.maximum((high - low) / 2, 1e-4),

@@ -10,9 +10,13 @@ from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze
 from aomgen.errors import InputError
 
+# Yaws tried over a quarter turn, half a degree apart: finer than a scanned footprint tells its yaw.
 _YAW_STEPS = 180
-_TAIL_PERCENT = 1.0
-_MIN_POINTS = 20
+# Points beyond this percentile on either side are strays, [%].
+TAIL_PERCENT = 1.0
+# Fewer points have no box.
+MIN_POINTS = 20
+# Points on each edge between which distances are taken; the score is their mean.
 _EDGE_SAMPLES = 9
 
 
@@ -60,7 +64,7 @@ def find_footprint_yaw(points_world: Array) -> float:
     for yaw in yaws:
         c, s = np.cos(yaw), np.sin(yaw)
         turned = points_world[:, :2] @ np.array([[c, -s], [s, c]])
-        low, high = np.percentile(turned, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+        low, high = np.percentile(turned, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
         areas.append(np.prod(high - low))
     return float(yaws[int(np.argmin(areas))])
 
@@ -71,14 +75,14 @@ def fit_upright_box(points_world: Array, yaw: float) -> OrientedBox:
     Raises:
         InputError: Fewer than 20 points.
     """
-    if not len(points_world) >= _MIN_POINTS:
+    if not len(points_world) >= MIN_POINTS:
         raise InputError(
-            "part points", f"{len(points_world)} points, need {_MIN_POINTS}", "correct the prompts"
+            "part points", f"{len(points_world)} points, need {MIN_POINTS}", "correct the prompts"
         )
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     local = points_world @ R
-    low, high = np.percentile(local, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+    low, high = np.percentile(local, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
     return OrientedBox(
         T_world_box=transform(R, R @ ((low + high) / 2)), half_extents=np.maximum((high - low) / 2, 1e-4)
     )

@@ -13,7 +13,10 @@ from aomgen.motion.filters import find_runs
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
+# Points along either side of a pad's face: pads are some 2 cm long, so 2 to 3 mm apart, as points of the
+# part.
 _PAD_GRID = 9
+# Speeds are differences over this time, [s]: ten rows of a 100 Hz log, so that its noise averages out.
 _SPEED_WINDOW_S = 0.1
 # A gripper that moves less than this share of its stroke tells nothing about grasp and release.
 _MIN_STROKE = 0.15

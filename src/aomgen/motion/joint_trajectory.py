@@ -26,7 +26,9 @@ from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
 from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
 
+# Step at which joint values are computed, [s]: that of a 100 Hz joint log.
 _DENSE_STEP_S = 0.01
+# Width of the smoother of joint values, [s]; short against any commanded motion.
 _SMOOTH_S = 0.2
 
 

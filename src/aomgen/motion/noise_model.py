@@ -15,6 +15,7 @@ from aomgen.core.values import Array, freeze
 # A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
 # number squared (doors opened by contact).
 BEND_SHARE = 0.22
+# Waves along a path; the next one would have 1/36 of the first one's amplitude.
 _WAVES = 5
 # Grasps give way along the motion by this per travel, more where a handle rolls between the fingers (simulated
 # contact with 27 doors and lids, 18 drawers and sliding panels), [m/m].

@@ -36,8 +36,11 @@ from aomgen.motion.part_identification import PartIdentification, identify_part
 from aomgen.motion.rendered_motion_test import estimate_following
 from aomgen.robots.robot_masks import MasksAt
 
+# Step of the dense end-effector path, [s]: that of a 100 Hz joint log.
 _WAY_STEP_S = 0.01
+# Width of its smoother, [s]; short against any commanded motion.
 _WAY_SMOOTH_S = 0.1
+# Fewer frames have no two rest states and a motion between them.
 _LEAST_FRAMES = 5
 
 

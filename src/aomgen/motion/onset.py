@@ -10,14 +10,16 @@ from aomgen.motion.filters import remove_glitches
 # Share of the largest departure up to which the picture changes in proportion to the hand's way.
 _EARLY = 0.4
 # How the departure grows with the way: in proportion when an edge crosses a plain face, slower or faster
-# where the arm uncovers it or pattern meets pattern; and what such a curve misses, as a share.
+# where the arm uncovers it or pattern meets pattern.
 _POWERS = (0.7, 1.0, 1.4, 2.0)
+# What such a curve misses, as a share of the departure.
 _MISFIT = 0.1
 # Way of the hand within which a part counts as still: half a degree of a door of 0.3 m, and what closing
 # fingers push a hand around, [m].
 STILL_M = 0.0025
 # Fingers that hold slide or give way about this far before the part follows, [m].
 _SLACK_M = 0.01
+# Onsets tried along the path, a hundredth of its length apart.
 _CANDIDATES = 101
 # Joint logs of a resting hand wander by less than this, smoothed, [m].
 _JITTER_M = 0.001

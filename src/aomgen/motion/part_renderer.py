@@ -27,9 +27,11 @@ FloatImage = NDArray[np.float32]
 
 # Rec. 601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+# Rounds of back-projected residuals; each takes most of what is left.
 _PAINT_ROUNDS = 10
 # A Gaussian whose weights sum to less than this share of a pixel is not seen.
 _SEEN_WEIGHT = 0.02
+# Frames at rest whose median is the picture that is painted: noise falls to a third.
 _REST_FRAMES = 9
 
 

@@ -24,6 +24,7 @@ from aomgen.robots.robot_masks import MasksAt
 _SETTLED_S: Final = 0.1
 # Fewer frames that show the part tell nothing.
 MIN_FRAMES: Final = 3
+# Fewer frames at rest have no median to paint the part with.
 _MIN_RESTING: Final = 2
 
 

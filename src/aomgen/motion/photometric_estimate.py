@@ -14,6 +14,7 @@ from aomgen.motion.kinematic_prior import KinematicPrior
 from aomgen.motion.photometric import PhotometricFrames, PhotometricParams, refine
 from aomgen.motion.photometric_solver import compute_value_lever
 
+# Samples from which a 95 % radius is read: good to about a percent.
 _DRAWS = 4000
 # Far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
 _LEAST_VARIANCE = 1e-10

@@ -24,9 +24,11 @@ _STEP_PX = 0.5
 _NOISE_FLOOR = 1 / 255
 # Residuals beyond this many scales count little (Geman-McClure).
 _OUTLIER = 2.5
+# Rounds of iteratively reweighted least squares; weights change little after these.
 _REWEIGHTINGS = 5
 # Side of the squares whose residuals are taken to be independent of each other, [px].
 _BLOCK_PX = 16
+# Number of such squares, 32 each way: 512 px, more than a crop of `max_pixels` is wide as a rule.
 BLOCKS = 32 * 32
 # A joint, and its values at the video's frames (T,).
 JointMotion = tuple[Joint, Array]

@@ -24,8 +24,9 @@ _ROUGHNESS = 0.05
 # Deviations of the values are alike over this share of the motion's duration.
 _ALIKE_SHARE = 0.5
 # The scan's shape and the cameras' poses are known to a fraction of a pixel: smooth displacements of
-# the picture by this much are no evidence. They persist, so all frames have about two of them.
+# the picture by this much are no evidence, [px]. They persist, so all frames have about two of them.
 _DISTORTION_PX = 0.1
+# Independent displacements in all frames together.
 _INDEPENDENT_FRAMES = 2.0
 # Before it is measured.
 _FIRST_REPETITION = 30.0

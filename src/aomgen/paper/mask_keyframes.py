@@ -15,7 +15,9 @@ Variant = Literal["printed", "repaired"]
 
 # The paper names the filter, not its size; eleven frames and third order are its usual ones.
 SMOOTH_FRAMES, SMOOTH_ORDER = 11, 3
+# Percentile of the scores that is the paper's B, [%].
 BASELINE_PERCENT = 20.0
+# Sigmas above B at which a frame is flagged, as printed.
 NOISE_UNITS = 3.0
 # Standard deviations in a median absolute deviation of normal noise.
 SD_OF_MAD = 1.4826

@@ -14,14 +14,13 @@ from aomgen.io.images import resize
 from aomgen.motion.filters import close_gaps, dilate, keep_touching
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import find_part_region
-from aomgen.paper.mask_keyframes import PartMasks
+from aomgen.paper.mask_keyframes import SD_OF_MAD, PartMasks
 from aomgen.robots.robot_masks import robot_masks
 
 # The first picture is the median of so much film, so that its own noise does not count, [s].
 REFERENCE_S = 0.25
 # A change is this many deviations of the still picture's noise, and no less than compression makes, 8 bit.
 CHANGE_SD, MIN_CHANGE = 6.0, 12.0
-SD_OF_MAD = 1.4826
 # A shadow leaves at least this share of the light.
 DARKEST_SHADE = 0.4
 # The model's outline is off by as much at this size, [px].

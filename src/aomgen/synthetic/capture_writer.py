@@ -21,6 +21,7 @@ from aomgen.synthetic.capture_content import Recording
 from aomgen.synthetic.style import MOVED
 
 CAMERA = "front"
+# Images that a person clicks on for each part, as the capture format asks.
 PROMPT_IMAGES = 2
 VERBS = {"opening": "open", "closing": "close"}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}

@@ -19,8 +19,11 @@ from aomgen.synthetic.scene_renderer import SceneRenderer, expose
 from aomgen.synthetic.simulated_demonstration import SimulatedDemonstration
 from aomgen.synthetic.viewpoints import demo_candidates
 
+# Rows of the joint log, [1/s]; a common rate of robot loggers.
 LOG_RATE_HZ = 100
+# Noise of a logged joint, standard deviation, [rad]: some steps of an encoder.
 JOINT_NOISE_RAD = 0.0005
+# Noise of the logged gripper opening, standard deviation, as a share of its stroke.
 GRIPPER_NOISE = 0.001
 # Shares of the rest phases at both ends that only the log has seen, [s].
 LEAD_S, TAIL_S = (0.2, 0.6), (0.1, 0.3)

@@ -17,7 +17,9 @@ from aomgen.synthetic.inverse_kinematics import ArmKinematics
 from aomgen.synthetic.layout import SceneLayout, World
 from aomgen.synthetic.style import DemonstrationStyle
 
+# The hand approaches on a straight line of this length, [m]: longer than fingers are.
 PREGRASP_M = 0.09
+# Joints that jump by more from knot to knot have changed their branch, [rad].
 MAX_KNOT_STEP_RAD = 0.20
 # Gestures in the air stay this far before the handle, [m].
 AIR_M = 0.12
@@ -26,6 +28,7 @@ KNOTS, REACH_KNOTS, SLACK_KNOTS = 40, 10, 4
 PINCHING, PRESS_M = 0.6, 0.003
 # Different starts end in few different postures; the same one is not followed twice.
 SAME_RAD = 0.02
+# Starts of the inverse kinematics that are tried before a layout is given up.
 SEEDS = 14
 # Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
 POSTURES = {

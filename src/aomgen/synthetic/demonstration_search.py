@@ -16,6 +16,7 @@ from aomgen.synthetic.layout import SceneLayout, build_world, draw_layout
 from aomgen.synthetic.simulated_demonstration import SimulatedDemonstration, simulate
 from aomgen.synthetic.style import MOVED, DemonstrationStyle
 
+# Layouts that are tried before a seed is given up.
 MAX_TRIES = 80
 # Damping that holds a locked part, [N m s/rad] or [N s/m].
 LOCKED_DAMPING = 1e6

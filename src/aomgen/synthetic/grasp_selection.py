@@ -32,15 +32,17 @@ HOOK_ROOM_M: Final = 0.002
 PUSH_LIMIT: Final = 0.5
 # Share of a lid's turn by which the hand begins flatter: an arm looks down easily, hardly up.
 NOD_SHARE: Final = 0.25
-# A lid that is held at its rim is found closed in this share of the cases, else open so far, [rad].
+# A lid that is held at its rim is found closed in this share of the cases, else ajar.
 CLOSED_SHARE: Final = 0.4
+# How far such a lid is found open, [rad].
 AJAR_RAD: Final = (np.deg2rad(3.0), np.deg2rad(12.0))
-# Hold of a rim: how far the finger tips reach beyond the held point, [m]; the hand's downward tilt, at
-# which its knuckles stay above the table, and the share of the style's tilt that is added to it; the free
-# way of each finger before it closes, [m].
+# How far the finger tips reach beyond the held point of a rim, [m].
 RIM_BEYOND_M: Final = 0.004
+# Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table.
 RIM_TILT_RAD: Final = np.deg2rad(30.0)
+# Share of the style's tilt that is added to it.
 RIM_TILT_SHARE: Final = 0.5
+# Free way of each finger at a rim before it closes, [m].
 RIM_FREE_M: Final = 0.004
 
 

@@ -9,7 +9,9 @@ from aomgen.core.transforms import rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 
+# Damping of the least squares: small against squared lever arms of 0.1 to 1 m, large against rounding.
 DAMPING = 1e-4
+# Largest change of a joint in one step, [rad]: the linear model holds that far.
 MAX_STEP_RAD = 0.25
 
 

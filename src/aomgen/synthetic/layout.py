@@ -26,6 +26,7 @@ FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
 # is turned with its front across the robot's middle (searched over 360 places of three toolboxes and
 # three laptops).
 BEFORE = ((-18.0, 18.0), (0.56, 0.70))
+# The same where a lid is lifted.
 LIFTED = ((-8.0, 52.0), (0.38, 0.52))
 # An object this low lies where people work, [m]: on a mat, with things beside it.
 LOW_M = 0.05

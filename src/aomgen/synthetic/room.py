@@ -23,8 +23,9 @@ from aomgen.synthetic.tabletop_objects import (
 TABLE_GEOM = "table"
 # Room for the gripper before an object, [m]; part of what is kept free.
 FRONT_M: Final = 0.25
-# Things beside an object lie within this distance of what is kept free, a mat reaches at most so far beyond.
+# Things beside an object lie within this distance of what is kept free, [m].
 BESIDE_M: Final = 0.17
+# A mat reaches at most so far beyond what is kept free, [m].
 MAT_BEYOND_M: Final = 0.15
 # Of the tables with a low object, so many have a mat; others are bare.
 MAT_SHARE: Final = 0.85

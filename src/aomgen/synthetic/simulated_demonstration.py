@@ -12,6 +12,7 @@ from aomgen.robots.robot_parts import HandDrive
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
 from aomgen.synthetic.layout import World
 
+# Simulated time before the log begins, in which servos and contacts come to rest, [s].
 SETTLE_S = 0.3
 
 

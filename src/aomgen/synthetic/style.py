@@ -15,22 +15,27 @@ GraspType = Literal["pinch", "hook", "push"]
 # the air, touches and lets go, pulls at a locked part, or the video ends before the motion.
 Outcome = Literal["moves", "nothing", "touch", "locked", "cut"]
 
-# Travel that is drawn, [rad] or [m], and the share of the joint's range that is used at most.
+# Travel that is drawn, [rad] or [m].
 TRAVEL: Final = {"revolute": (np.deg2rad(20.0), np.deg2rad(100.0)), "prismatic": (0.05, 0.30)}
+# Share of the joint's range that is used at most.
 RANGE_SHARE: Final = 0.95
 # The part's value has left its ends when it differs by this much, [rad] or [m].
 MOVED: Final = {"revolute": np.deg2rad(0.5), "prismatic": 0.002}
 # How fast a person lets a robot move a handle: peak speed, [m/s].
 SPEED: Final = (0.02, 0.50)
+# Length of a demonstration's video that is aimed at, [s].
 FILM_S: Final = (8.0, 12.0)
+# Share of the video in which the part moves: from a blink to nearly all of it.
 MOVING_SHARE: Final = (0.03, 0.85)
 # What the random cut of a video takes off on average, [s].
 CUT_S: Final = 0.6
 # Video before and after the motion that is always there, [s].
 LEAST_BEFORE_S, LEAST_AFTER_S = 0.9, 0.5
+# How far a hand slides along a bar at most, [m]: less than half of a short bar.
 MAX_SLIP_M: Final = 0.015
 # Share of its force with which a hand holds that is to slide; with all of it the arm gives way first.
 SLIDING_GRIP: Final = (0.12, 0.25)
+# Longest standstill within a motion, [s].
 MAX_PAUSE_S: Final = 1.5
 
 

@@ -26,7 +26,9 @@ ABOVE: Final = 0.0005
 MAT: Final = 0.0008
 # Edge of a mat's print, [m].
 MAT_PRINT: Final = 0.9
+# Colors of mugs, sRGB 0..1: white, blue, red, gray-green.
 GLAZES: Final = ((0.88, 0.86, 0.80), (0.20, 0.36, 0.50), (0.62, 0.22, 0.18), (0.30, 0.33, 0.30))
+# Colors of a computer mouse, sRGB 0..1: black, white, gray.
 DEVICES: Final = ((0.10, 0.10, 0.11), (0.85, 0.85, 0.86), (0.35, 0.36, 0.38))
 
 
