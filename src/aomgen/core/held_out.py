@@ -4,7 +4,7 @@
 HELD_OUT_EVERY = 8
 
 
-# Index of the first one: in the middle, so that the ends of the walk are trained on.
+# Index of the first one; the image that the walk begins with is trained on.
 HELD_OUT_PHASE = 4
 
 

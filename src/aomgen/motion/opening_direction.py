@@ -14,8 +14,7 @@ from aomgen.motion.filters import close_gaps
 _LEAVING_SHARE = 0.2
 # Cells of a sliding panel along its longer side.
 _CELLS = 12
-# Points beyond this percentile on either side are strays, [%]: more than in a box, as labels of a body are
-# cut by hand.
+# Points beyond this percentile on either side are strays, [%].
 _TAIL_PERCENT = 2.0
 
 

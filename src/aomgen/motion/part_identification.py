@@ -30,7 +30,7 @@ SPACING_PX = 7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PartEvidence:
+class CandidateEvidence:
     """What the demonstration shows of one part at its scanned place.
 
     Attributes:
@@ -58,9 +58,9 @@ class PartIdentification:
         gripped: The hand closed near one of them.
     """
 
-    moving: PartEvidence
-    static: PartEvidence
-    other: PartEvidence
+    moving: CandidateEvidence
+    static: CandidateEvidence
+    other: CandidateEvidence
     gripped: bool
 
     @property
@@ -139,7 +139,7 @@ def identify_part(
         float(item.distances_m[touch.first] if touch.gripped else item.distances_m.min()) for item in signals
     ]
     moving, static, other = (
-        PartEvidence(gap_m=gap, changed=changed)
+        CandidateEvidence(gap_m=gap, changed=changed)
         for gap, changed in zip(gaps, (*shares, STILL_SHARE), strict=True)
     )
     return PartIdentification(moving=moving, static=static, other=other, gripped=touch.gripped)

@@ -28,7 +28,7 @@ STAGE = "alignment (paper)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaperParams:
+class PaperAlignmentParams:
     """Effort and limits.
 
     Attributes:
@@ -60,7 +60,7 @@ def align_as_paper(
     gaussians_recon: Gaussians,
     posture: RobotPosture,
     rng: np.random.Generator,
-    params: PaperParams | None = None,
+    params: PaperAlignmentParams | None = None,
 ) -> Alignment:
     """`S_world_recon` by rigid ICP; `support` is the share of robot points that lie on the model.
 
@@ -80,7 +80,7 @@ def align_as_paper(
 
     Source: AOMGen, sec. 4.1, "Scene and robot alignment". Not checked: the scale.
     """
-    params = params or PaperParams()
+    params = params or PaperAlignmentParams()
     if not len(boxes) >= 2:
         raise AlignmentError(
             STAGE, f"{len(boxes)} prompts give a box around the robot, want 2", "add a robot box"
@@ -123,7 +123,7 @@ def robot_points(
     boxes: list[RobotBox],
     up_recon: Array,
     rng: np.random.Generator,
-    params: PaperParams,
+    params: PaperAlignmentParams,
 ) -> Array:
     """Points (N, 3) of the surface that all boxes show and no level support holds, thinned evenly.
 
@@ -206,7 +206,7 @@ def _starts(
     points: Array,
     posture: RobotPosture,
     rng: np.random.Generator,
-    params: PaperParams,
+    params: PaperAlignmentParams,
 ) -> Array:
     """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
     scan = Scan(views=views, boxes=boxes, points_recon=points)

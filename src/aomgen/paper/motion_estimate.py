@@ -26,7 +26,7 @@ from aomgen.paper.mask_keyframes import PartMasks, Scores, Variant, flagged_fram
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaperParams:
+class PaperMotionParams:
     """What the paper takes as given, and which of its formulas are repaired.
 
     Attributes:
@@ -50,7 +50,7 @@ def _unheard(curve: MotionCurve) -> None:
 def estimate_motion_paper(
     demonstration: MotionInput,
     masks: PartMasks,
-    params: PaperParams,
+    params: PaperMotionParams,
     progress: Progress = silent,
     on_curve: Callable[[MotionCurve], None] = _unheard,
 ) -> MotionEstimate:
@@ -194,7 +194,9 @@ def run_paper_motion(
     """
     ours, papers = part(progress, 0.0, 0.7), part(progress, 0.7, 1.0)
     with keep_when_refused(refused) as curves:
-        params = PaperParams(joint_type=estimate_motion(demonstration, None, ours, curves.append).joint.type)
+        params = PaperMotionParams(
+            joint_type=estimate_motion(demonstration, None, ours, curves.append).joint.type
+        )
         estimate = estimate_motion_paper(demonstration, masks, params, papers, curves.append)
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")

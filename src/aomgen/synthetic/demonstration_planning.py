@@ -11,7 +11,7 @@ from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.commanded_trajectory import CommandedTrajectory, PhasePaths, time_phases
-from aomgen.synthetic.grasp import Grasp, compute_grasp_poses, draw_grasp_style
+from aomgen.synthetic.grasp import DemonstratedGrasp, compute_grasp_poses, draw_grasp_style
 from aomgen.synthetic.grasp_selection import choose_grasp, draw_usual_style
 from aomgen.synthetic.inverse_kinematics import ArmKinematics
 from aomgen.synthetic.layout import SceneLayout, World
@@ -89,7 +89,9 @@ class _HandPath:
     retreat: Array
 
 
-def _hand_path(robot: RobotModel, layout: SceneLayout, grasp: Grasp, style: DemonstrationStyle) -> _HandPath:
+def _hand_path(
+    robot: RobotModel, layout: SceneLayout, grasp: DemonstratedGrasp, style: DemonstrationStyle
+) -> _HandPath:
     """Where the hand goes; a hand that does not close comes off the part by its slack before it leaves."""
     asset = layout.asset
     shares = np.zeros(KNOTS) if style.outcome == "touch" else np.linspace(0.0, 1.0, KNOTS)
@@ -113,7 +115,7 @@ def _hand_path(robot: RobotModel, layout: SceneLayout, grasp: Grasp, style: Demo
     )
 
 
-def _way(rest: Array, to: Array, motion: Array, off: Array, grasp: Grasp) -> PhasePaths:
+def _way(rest: Array, to: Array, motion: Array, off: Array, grasp: DemonstratedGrasp) -> PhasePaths:
     """Joints of all phases; what lies before and after `REACH_KNOTS` is slack."""
     touching, leaving = to[REACH_KNOTS - 1 :], off[: len(off) - REACH_KNOTS + 1]
     return PhasePaths(

@@ -38,7 +38,7 @@ class GraspStyle:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grasp:
+class DemonstratedGrasp:
     """The hand on the part, asset frame at joint value 0.
 
     Attributes:
@@ -103,7 +103,7 @@ def measure_closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
 
 
 def compute_grasp_poses(
-    asset: ArticulatedAsset, grasp: Grasp, style: DemonstrationStyle, progress: ArrayLike
+    asset: ArticulatedAsset, grasp: DemonstratedGrasp, style: DemonstrationStyle, progress: ArrayLike
 ) -> Array:
     """Poses (N, 4, 4) of the hand in the asset frame after shares (N,) of the part's way.
 

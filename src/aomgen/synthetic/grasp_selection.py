@@ -16,7 +16,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import holding_gripper
 from aomgen.synthetic.grasp import (
     BAR_BEHIND_TIP_M,
-    Grasp,
+    DemonstratedGrasp,
     GraspStyle,
     draw_grasp_style,
     gripper_axes,
@@ -65,7 +65,7 @@ def draw_usual_style(
 
 def pinch(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, style: DemonstrationStyle
-) -> Grasp:
+) -> DemonstratedGrasp:
     """The hand approaches the front from a little above; its fingers close across the bar.
 
     A lid turns the hand further down as it opens, so that the hand begins by as much flatter.
@@ -80,7 +80,9 @@ def pinch(
         tilt += NOD_SHARE * style.follow * max(style.start, style.goal) * float(asset.joint.axis @ sideways)
     R = matrix_from_rotvec(-tilt * sideways) @ R @ gripper_axes(robot).T
     point = asset.handle_point
-    return Grasp(T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0))
+    return DemonstratedGrasp(
+        T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0)
+    )
 
 
 def pinch_rim(
@@ -89,7 +91,7 @@ def pinch_rim(
     grasp_style: GraspStyle,
     style: DemonstrationStyle,
     tips: Array,
-) -> Grasp:
+) -> DemonstratedGrasp:
     """The fingers, hardly open, reach over and under the rim of the part from a little above, and close."""
     outward, along = outward_normal(asset), asset.handle_axis
     across = np.cross(outward, along)
@@ -105,7 +107,7 @@ def pinch_rim(
     bar = asset.handle_bar
     thickness = 0.0 if bar is None else 2 * _support(bar, across)
     opening = thickness * np.cos(tilt) + 2 * RIM_BEYOND_M * abs(np.sin(tilt)) + 2 * RIM_FREE_M
-    return Grasp(
+    return DemonstratedGrasp(
         T_asset_ee=transform(R, point),
         pivot=asset.handle_point,
         slack=np.zeros(3),
@@ -128,7 +130,7 @@ def choose_grasp(
     asset: ArticulatedAsset,
     grasp_style: GraspStyle,
     style: DemonstrationStyle,
-) -> Grasp | None:
+) -> DemonstratedGrasp | None:
     """Where the hand touches the part in a style; None where that style leaves no room.
 
     Args:
@@ -147,7 +149,9 @@ def choose_grasp(
     return push_bar(robot, asset, grasp_style, style, tips)
 
 
-def hook(robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array) -> Grasp | None:
+def hook(
+    robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
+) -> DemonstratedGrasp | None:
     """Closed fingers reach behind the bar from its side, their width across, and pull it.
 
     None where the bar leaves no room.
@@ -172,7 +176,7 @@ def hook(robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, ti
         return None
     R = np.stack([width, closing, approach], 1) @ gripper_axes(robot).T
     slack = -min(room / 2, 0.004) * normal
-    return Grasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
 
 
 def push_bar(
@@ -181,7 +185,7 @@ def push_bar(
     grasp_style: GraspStyle,
     style: DemonstrationStyle,
     tips: Array,
-) -> Grasp | None:
+) -> DemonstratedGrasp | None:
     """Closed fingers beside the bar push it along the front."""
     bar = asset.handle_bar
     if bar is None:
@@ -196,12 +200,12 @@ def push_bar(
     point = point - (tips[1, 2] - BAR_BEHIND_TIP_M) * approach
     R = np.stack([np.cross(closing, approach), closing, approach], 1) @ gripper_axes(robot).T
     slack = -PUSH_SLACK_M * along
-    return Grasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
 
 
 def push_front(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
-) -> Grasp | None:
+) -> DemonstratedGrasp | None:
     """Closed finger tips push on the front, beside the bar.
 
     None where the front ends there, or the push is nearer to the hinge than half the handle is.
@@ -222,7 +226,7 @@ def push_front(
     R = np.stack([np.cross(closing, -normal), closing, -normal], 1) @ gripper_axes(robot).T
     place = point + tips[1, 2] * normal
     slack = PUSH_SLACK_M * normal
-    return Grasp(T_asset_ee=transform(R, place), pivot=place, slack=slack, gripper=(1.0, 1.0))
+    return DemonstratedGrasp(T_asset_ee=transform(R, place), pivot=place, slack=slack, gripper=(1.0, 1.0))
 
 
 def find_handle_mount(asset: ArticulatedAsset) -> Array | None:

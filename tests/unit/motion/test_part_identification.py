@@ -9,7 +9,7 @@ from aomgen.errors import WrongPromptError
 from aomgen.motion.gripper_signals import GripperSignals
 from aomgen.motion.part_identification import (
     MIN_ODDS,
-    PartEvidence,
+    CandidateEvidence,
     PartIdentification,
     find_visible_regions,
     identify_part,
@@ -116,9 +116,9 @@ def test_a_handle_missing_from_the_moving_part_is_doubted_or_passed_but_not_refu
 
 
 def test_doubtful_prompts_are_told() -> None:
-    near = PartEvidence(gap_m=0.01, changed=0.1)
+    near = CandidateEvidence(gap_m=0.01, changed=0.1)
     moved = PartIdentification(
-        moving=near, static=near, other=PartEvidence(gap_m=9.0, changed=0.05), gripped=True
+        moving=near, static=near, other=CandidateEvidence(gap_m=9.0, changed=0.05), gripped=True
     )
     moved.check()
     assert moved.odds == pytest.approx(1.0)

@@ -14,7 +14,7 @@ from aomgen.io.video import Video
 from aomgen.motion.inputs import MotionInput
 from aomgen.paper.contact_points import contact_path, nearest_pair
 from aomgen.paper.mask_keyframes import PartMasks
-from aomgen.paper.motion_estimate import PaperParams, estimate_motion_paper
+from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
 from aomgen.paper.moved_masks import changed_masks
 from aomgen.robots.robot import RobotModel
 
@@ -80,7 +80,7 @@ def sliding_masks(first: int = FIRST, last: int = LAST) -> PartMasks:
 
 def test_a_door_is_recovered_with_repaired_signs(demonstration: MotionInput) -> None:
     found = estimate_motion_paper(
-        demonstration, sliding_masks(), PaperParams(joint_type="revolute", signs="repaired")
+        demonstration, sliding_masks(), PaperMotionParams(joint_type="revolute", signs="repaired")
     )
     assert [found.start_s, found.end_s] == pytest.approx([TIMES_S[FIRST], TIMES_S[LAST]], abs=0.25)
     assert np.degrees(angle_between(found.joint.axis, [0, 0, 1])) < 1e-6
@@ -101,7 +101,7 @@ def test_a_door_is_recovered_with_repaired_signs(demonstration: MotionInput) -> 
 
 
 def test_printed_signs_put_the_hinge_under_the_hand(demonstration: MotionInput) -> None:
-    found = estimate_motion_paper(demonstration, sliding_masks(), PaperParams(joint_type="revolute"))
+    found = estimate_motion_paper(demonstration, sliding_masks(), PaperMotionParams(joint_type="revolute"))
     assert found.joint.origin[1] == pytest.approx(found.contacts[0].point[1], abs=0.06)
 
 
@@ -112,10 +112,10 @@ def test_half_a_film_of_motion_is_refused_as_printed_and_found_when_repaired(
     curves: list[MotionCurve] = []
     with pytest.raises(NoMotionError, match="threshold"):
         estimate_motion_paper(
-            demonstration, masks, PaperParams(joint_type="revolute"), on_curve=curves.append
+            demonstration, masks, PaperMotionParams(joint_type="revolute"), on_curve=curves.append
         )
     assert curves[0].smoothed.max() < curves[0].threshold
-    params = PaperParams(joint_type="revolute", threshold="repaired")
+    params = PaperMotionParams(joint_type="revolute", threshold="repaired")
     found = estimate_motion_paper(demonstration, masks, params)
     assert [found.start_s, found.end_s] == pytest.approx([TIMES_S[50], TIMES_S[150]], abs=0.25)
 
@@ -123,7 +123,7 @@ def test_half_a_film_of_motion_is_refused_as_printed_and_found_when_repaired(
 def test_masks_of_another_film_are_refused(demonstration: MotionInput) -> None:
     short = PartMasks(moving=np.zeros((5, 8, 8), bool), robot=np.zeros((5, 8, 8), bool))
     with pytest.raises(InputError, match="5 frames, the video has 200"):
-        estimate_motion_paper(demonstration, short, PaperParams(joint_type="revolute"))
+        estimate_motion_paper(demonstration, short, PaperMotionParams(joint_type="revolute"))
 
 
 def test_the_nearest_pair_is_carried_by_its_link(demonstration: MotionInput, robot: RobotModel) -> None:
