@@ -27,7 +27,7 @@ from aomgen.core.transforms import (
 )
 from aomgen.core.values import Array
 from aomgen.io.video import Video
-from aomgen.motion.contact import ContactParams
+from aomgen.motion.contact import WINDOW_S
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointParams
@@ -54,7 +54,7 @@ SEED_JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
 QUICK = MotionParams(
     width=120,
     joint=JointParams(nodes=8),
-    contact=ContactParams(steps=2),
+    contact_steps=2,
     photometric=PhotometricParams(
         knots=3, max_pixels=4000, bands=(Band(blur_px=1.0, wide_px=4.0, margin_px=2),), rounds=2
     ),
@@ -255,17 +255,17 @@ def test_the_joint_is_found(kind: str) -> None:
 
 def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> None:
     """The first round may read the hand's way about a poor joint, and find another beginning."""
-    demo, params = world("drawer"), QUICK.contact
+    demo = world("drawer")
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         view = VideoObservations.of(demo, masks_at, QUICK)
-        departures, interval = view.interval(QUICK.keyframes)
+        departures, interval = view.interval()
     first = prepare_recovery(demo, view, departures, interval, QUICK)
     guess = first.found.prismatic
     axis = matrix_from_rotvec([0, 0, np.radians(80)]) @ guess.joint.axis
     poor = replace(first.found, prismatic=replace(guess, joint=replace(guess.joint, axis=axis)))
     found = recover_motion(replace(first, found=poor), "prismatic", QUICK)
     moments = find_first_frame(FRAMES_S, found.course.interval[0]) + np.linspace(
-        0, params.window_s, params.steps
+        0, WINDOW_S, QUICK.contact_steps
     )
     hand = ee_poses_at(demo, moments + demo.clock_offset_s)
     touch = np.mean([patch.point for patch in found.contacts.patches], axis=0)

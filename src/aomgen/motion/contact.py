@@ -22,20 +22,10 @@ from aomgen.motion.push_contact import MIN_WAY_M, find_push_patches
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import RobotModel
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContactParams:
-    """How patches are cut out.
-
-    Attributes:
-        window_s: Patches are followed this long after the start of the motion, [s].
-        steps: Moments in that window.
-        spacing_m: Distance of the points that stand for the part's surface, [m].
-    """
-
-    window_s: float = 0.3
-    steps: int = 7
-    spacing_m: float = 0.002
+# Patches are followed this long after the start of the motion, [s].
+WINDOW_S = 0.3
+# Distance of the points that stand for the part's surface, [m]: as well as surfaces are reconstructed.
+SPACING_M = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -53,11 +53,11 @@ def estimate_motion(
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         progress(0.0, "keyframes")
         view = VideoObservations.of(demo, masks_at, params)
-        seen, interval = view.interval(params.keyframes)
+        seen, interval = view.interval()
         curve = view.curve(seen, interval)
         on_curve(curve)
-        signs = view.signs(demo, interval, params.keyframes)
-        moved = view.identify_part(demo, params.keyframes)
+        signs = view.signs(demo, interval)
+        moved = view.identify_part(demo)
         if moved.gripped or signs.log_odds > 0:
             moved.check()
         signs.check()
@@ -70,7 +70,7 @@ def estimate_motion(
     progress(0.9, "type of the joint")
     film = compute_type_margin(doors.seen, (doors.as_filmed, drawers.as_filmed), params.photometric)
     found = min((doors.found, drawers.found), key=lambda item: abs(item.margin))
-    answer = doors if choose_type(found, film, params.joint) == "revolute" else drawers
+    answer = doors if choose_type(found, film) == "revolute" else drawers
     return replace(answer.refined, type_margin=abs(found.margin + film))
 
 
@@ -84,7 +84,7 @@ def first_motion(demo: MotionInput, params: MotionParams | None = None) -> Motio
     params = params or MotionParams()
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         view = VideoObservations.of(demo, masks_at, params)
-        seen, interval = view.interval(params.keyframes)
+        seen, interval = view.interval()
         first = prepare_recovery(demo, view, seen, interval, params)
     joint_type = "revolute" if first.found.margin > 0 else "prismatic"
     return assemble(demo, view.curve(seen, interval), recover_motion(first, joint_type, params), odds=1.0)

@@ -26,6 +26,15 @@ from aomgen.motion.noise_model import (
 )
 
 _REMEDY = "record a longer demonstration"
+# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad]; less travel is within slip, [m].
+_MIN_TURN_RAD = float(np.radians(15.0))
+_MIN_TRAVEL_M = 0.03
+# Smallest difference of the types' evidence, twice the logarithm as in BIC: "positive" evidence begins at 2.
+_MIN_MARGIN = 3.0
+# A path is called straight only if an arc of a wide door's radius, [m], would stand out ...
+_DOOR_RADIUS_M = 0.6
+# ... by so many standard deviations.
+_STRAIGHT_SD = 3.0
 # Sizes of flaws this many standard deviations above their medians are looked into.
 _UNUSUAL = 2.0
 _TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
@@ -33,26 +42,17 @@ _TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointParams:
-    """Limits of what is accepted as an answer.
+    """How a path is read.
 
     Attributes:
         noise: Usual flaws of the evidence.
         nodes: Stretches the path is thinned to.
         smooth: Samples averaged when measuring travel.
-        min_turn_rad, min_travel_m: Shortest motion that tells a joint.
-        min_margin: Smallest difference of the types' evidence, twice the logarithm as in BIC.
-        door_radius_m: A path is called straight only if an arc of this radius would stand out, [m].
-        straight_sd: How far it has to stand out, in standard deviations.
     """
 
     noise: NoisePrior = field(default_factory=NoisePrior)
     nodes: int = 24
     smooth: int = 11
-    min_turn_rad: float = float(np.radians(15.0))
-    min_travel_m: float = 0.03
-    min_margin: float = 3.0
-    door_radius_m: float = 0.6
-    straight_sd: float = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +123,7 @@ def fit_candidates(
         Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
         hold: Where and how the hand holds the part.
         shape: The parts' shape, or None to use the path alone.
-        params: Limits and assumed errors.
+        params: How the path is read.
 
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
@@ -135,10 +135,10 @@ def fit_candidates(
     path = thin_path(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
     points = path.points_world
     extent = float(np.linalg.norm(points - points[0], axis=1).max())
-    if not extent >= params.min_travel_m:
+    if not extent >= _MIN_TRAVEL_M:
         raise DemonstrationTooShortError(
             "joint",
-            f"the hand moved the part {extent * 1e3:.0f} mm, need {params.min_travel_m * 1e3:.0f} mm",
+            f"the hand moved the part {extent * 1e3:.0f} mm, need {_MIN_TRAVEL_M * 1e3:.0f} mm",
             _REMEDY,
         )
     revolute, prismatic = explain_path(path, shape, params)
@@ -152,44 +152,40 @@ def fit_candidates(
         prismatic=_estimate(path, prismatic, "prismatic", -margin),
         margin=margin,
         extent_m=extent,
-        unseen_bulge_m=params.straight_sd * float(np.hypot(unsteady, BEND_SHARE * slip)),
+        unseen_bulge_m=_STRAIGHT_SD * float(np.hypot(unsteady, BEND_SHARE * slip)),
     )
 
 
-def choose_type(
-    found: JointCandidates, film_margin: float = 0.0, params: JointParams | None = None
-) -> JointType:
+def choose_type(found: JointCandidates, film_margin: float = 0.0) -> JointType:
     """The type of joint, by the hand's path and the film together.
 
     Args:
         found: From `fit_candidates`.
         film_margin: Twice the log evidence of the film for revolute over prismatic.
-        params: Limits.
 
     Raises:
         DemonstrationTooShortError: Less than 15 degrees were shown.
         AmbiguousJointError: Both joint types explain path and film equally well.
     """
-    params = params or JointParams()
     margin = found.margin + film_margin
     turn = found.revolute.joint.upper
     # Too short is what a door would have turned too little for, unless the evidence speaks for a drawer.
-    if margin > -params.min_margin and not turn >= params.min_turn_rad:
-        limit = np.degrees(params.min_turn_rad)
+    if margin > -_MIN_MARGIN and not turn >= _MIN_TURN_RAD:
+        limit = np.degrees(_MIN_TURN_RAD)
         raise DemonstrationTooShortError(
             "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
         )
-    if not abs(margin) >= params.min_margin:
+    if not abs(margin) >= _MIN_MARGIN:
         raise AmbiguousJointError(
             "joint",
             f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.1f}, need "
-            f"{params.min_margin:.1f})",
+            f"{_MIN_MARGIN:.1f})",
             "record a longer motion or give the joint's type in the project",
         )
     if margin > 0:
         return "revolute"
-    if not film_margin <= -params.min_margin:
-        _refuse_hidden_arc(found, params)
+    if not film_margin <= -_MIN_MARGIN:
+        _refuse_hidden_arc(found)
     return "prismatic"
 
 
@@ -201,7 +197,7 @@ def estimate_joint(
     See `fit_candidates` for the arguments, and `choose_type` for what is refused.
     """
     found = fit_candidates(Ts_world_ee, hold, shape, params)
-    return found.of(choose_type(found, params=params))
+    return found.of(choose_type(found))
 
 
 def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> tuple[Posterior, Posterior]:
@@ -253,16 +249,16 @@ def _trusted(course: PathNodes, types: tuple[list[JointModel], ...], noise: Nois
     return course
 
 
-def _refuse_hidden_arc(found: JointCandidates, params: JointParams) -> None:
+def _refuse_hidden_arc(found: JointCandidates) -> None:
     """A straight path speaks for a prismatic joint only where a door's arc would be seen."""
-    bulge = found.extent_m**2 / (8 * params.door_radius_m)
+    bulge = found.extent_m**2 / (8 * _DOOR_RADIUS_M)
     if bulge >= found.unseen_bulge_m:
         return
     problem = (
-        f"the path of {found.extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
+        f"the path of {found.extent_m * 1e3:.0f} mm is straight, but a door of {_DOOR_RADIUS_M:.1f} m radius "
         f"would bend it by {bulge * 1e3:.1f} mm only, need {found.unseen_bulge_m * 1e3:.1f} mm"
     )
-    if found.extent_m < params.min_turn_rad * params.door_radius_m:
+    if found.extent_m < _MIN_TURN_RAD * _DOOR_RADIUS_M:
         raise DemonstrationTooShortError("joint", problem, _REMEDY)
     raise AmbiguousJointError("joint", problem, "hold the handle firmly or record a longer motion")
 

@@ -8,7 +8,7 @@ from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.motion.axis_prior import PartShape, measure_shape
-from aomgen.motion.contact import Contacts, PartPath, find_contacts
+from aomgen.motion.contact import SPACING_M, WINDOW_S, Contacts, PartPath, find_contacts
 from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
@@ -30,6 +30,8 @@ from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, 
 _DENSE_STEP_S = 0.01
 # Width of the smoother of joint values, [s]; short against any commanded motion.
 _SMOOTH_S = 0.2
+# Largest difference between a moment seen in the video and the one that the hand tells, [s].
+_AGREE_S = 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +100,7 @@ def prepare_recovery(
     inside = slice(touch.first, touch.last + 1)
     joint = params.joint if touch.gripped else replace(params.joint, noise=loosen_prior(params.joint.noise))
     shape = measure_shape(demo.points_static, demo.points_moving)
-    surface = demo.surface_moving(params.contact.spacing_m)
+    surface = demo.surface_moving(SPACING_M)
     begin = PartPath.carried(
         demo.robot,
         demo.log,
@@ -147,7 +149,7 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
             hand = (points, apply(invert(estimate.joint.motion(values)), points))
             return follow_pushed_part(times, values, hand, interval, leave, first.picture)
         felt, levels = refine_interval(times, values, seen, leave)
-        start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
+        start, end = (_nearby(felt[k], seen[k], _AGREE_S) for k in (0, 1))
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
     def beginning(found: JointCandidates, course: ValueTrajectory) -> PartPath:
@@ -196,8 +198,7 @@ def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: PartPa
 
 def _begin(interval: tuple[float, float], demo: MotionInput, params: MotionParams) -> Array:
     """First moments of the motion from its first frame on, log clock (K,), [s]."""
-    contact = params.contact
-    steps = np.linspace(0.0, contact.window_s, contact.steps, dtype=np.float64)
+    steps = np.linspace(0.0, WINDOW_S, params.contact_steps, dtype=np.float64)
     return steps + (find_first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aomgen.motion.photometric import MIN_FRAMES, PhotometricFrames, PhotometricParams
+from aomgen.motion.photometric import MIN_EXPLAINED, MIN_FRAMES, PhotometricFrames, PhotometricParams
 from aomgen.motion.photometric_residuals import JointMotion, compare_frames
 
 
@@ -31,4 +31,4 @@ def compute_type_margin(
         return 0.0
     margin = sum(item.margin for item in frames)
     better = [item.explained_after if margin > 0 else item.explained_before for item in frames]
-    return margin if float(np.median(better)) >= params.min_explained else 0.0
+    return margin if float(np.median(better)) >= MIN_EXPLAINED else 0.0

@@ -21,9 +21,9 @@ from aomgen.motion.gripper_signals import (
 )
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import (
+    ROBOT_MARGIN_PX,
     Departures,
     Interval,
-    KeyframeParams,
     count_reference_frames,
     find_interval,
     find_part_region,
@@ -40,6 +40,8 @@ from aomgen.robots.robot_masks import MasksAt
 _WAY_STEP_S = 0.01
 # Width of its smoother, [s]; short against any commanded motion.
 _WAY_SMOOTH_S = 0.1
+# Faster videos are thinned to about this, [1/s]: a motion lasts seconds.
+MAX_FPS = 15.0
 # Fewer frames have no two rest states and a motion between them.
 _LEAST_FRAMES = 5
 
@@ -75,7 +77,7 @@ class VideoObservations:
         Raises:
             NoMotionError: Hardly any frames.
         """
-        stride = max(1, int(np.floor(demo.video.fps / params.max_fps)))
+        stride = max(1, int(np.floor(demo.video.fps / MAX_FPS)))
         width = min(params.width, demo.camera.width)
         small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
         times, offset_s = demo.video.times_s[::stride], demo.clock_offset_s
@@ -106,7 +108,7 @@ class VideoObservations:
             pixel_m=float(np.median(small.project(demo.points_moving)[1])) / small.fx,
         )
 
-    def identify_part(self, demo: MotionInput, params: KeyframeParams) -> PartIdentification:
+    def identify_part(self, demo: MotionInput) -> PartIdentification:
         """Whether the prompted part is the one that moved."""
         static, other = (
             read_gripper_signals(demo.robot, demo.log, points, self.signals.times_s, demo.clock_offset_s)
@@ -118,16 +120,15 @@ class VideoObservations:
             self.frames_srgb,
             self.masks,
             self.camera,
-            params,
         )
 
-    def interval(self, params: KeyframeParams) -> tuple[Departures, Interval]:
+    def interval(self) -> tuple[Departures, Interval]:
         """The part's departures and the interval seen in them, whether they mean a motion or not."""
-        count = count_reference_frames(self.signals.times_s, params)
-        seen = measure_departures(self.frames_srgb, self.masks, self.region, self.touch, count, params)
-        return seen, find_interval(self.signals.times_s, seen, self.way, self.touch, self.pixel_m, params)
+        count = count_reference_frames(self.signals.times_s)
+        seen = measure_departures(self.frames_srgb, self.masks, self.region, self.touch, count)
+        return seen, find_interval(self.signals.times_s, seen, self.way, self.touch, self.pixel_m)
 
-    def signs(self, demo: MotionInput, interval: Interval, params: KeyframeParams) -> MotionEvidence:
+    def signs(self, demo: MotionInput, interval: Interval) -> MotionEvidence:
         """What speaks for and against a motion."""
         times, touch = self.signals.times_s, self.touch
         last = int(np.searchsorted(times, interval.end.time_s, side="right"))
@@ -140,7 +141,7 @@ class VideoObservations:
                 demo.labels,
                 self.camera,
                 self.frames_srgb[during],
-                np.stack([dilate(mask, params.dilate_px) for mask in self.masks[during]]),
+                np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in self.masks[during]]),
                 self.signals.Ts_world_ee[during],
             ),
             nearest_m=float(self.signals.distances_m.min()),

@@ -14,7 +14,7 @@ from aomgen.core.values import Array
 from aomgen.errors import WrongPromptError
 from aomgen.motion.filters import minimum_around
 from aomgen.motion.gripper_signals import GripperSignals, TouchInterval, find_touch
-from aomgen.motion.keyframes import KeyframeParams, count_reference_frames, find_part_region, measure_change
+from aomgen.motion.keyframes import count_reference_frames, find_part_region, measure_change
 
 # Reconstructed surfaces are off by this much where they are thin, as handles are, [m].
 SURFACE_M = 0.01
@@ -112,7 +112,6 @@ def identify_part(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     camera: Camera,
-    params: KeyframeParams | None = None,
 ) -> PartIdentification:
     """Look at contact and change of the three candidates.
 
@@ -122,15 +121,13 @@ def identify_part(
         frames_srgb: Small frames of the demonstration (T, H, W, 3).
         robot: The robot's masks (T, H, W) in them.
         camera: Of these frames, world frame.
-        params: What counts as change.
 
     Source: DESIGN.md, section 4, "Parts": the movable part is the one that the gripper touches.
     Not checked: that the prompted box holds the whole part.
     """
-    params = params or KeyframeParams()
     touch = _touch(signals)
-    reference = count_reference_frames(signals[0].times_s, params)
-    change, seen = measure_change(frames_srgb, robot, touch, reference, params)
+    reference = count_reference_frames(signals[0].times_s)
+    change, seen = measure_change(frames_srgb, robot, touch, reference)
     shares = [
         float(change[shown].mean()) if shown.sum() >= MIN_PIXELS else STILL_SHARE
         for shown in (region & seen for region in find_visible_regions(points[:2], camera))

@@ -26,6 +26,13 @@ _SETTLED_S: Final = 0.1
 MIN_FRAMES: Final = 3
 # Fewer frames at rest have no median to paint the part with.
 _MIN_RESTING: Final = 2
+# Evidence of the held-out frames has to improve by this many of its standard errors.
+_ACCEPT_SD: Final = 2.0
+# Share of the video's detail that the rendered part has to explain: with less, its light has changed more than its pose.
+MIN_EXPLAINED: Final = 0.5
+# Error of a calibrated camera's pose, which turns and moves the joint with it, each component, [rad] and [m].
+_CAMERA_SD_RAD: Final = 0.001
+_CAMERA_SD_M: Final = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +45,6 @@ class PhotometricParams:
         dilate_px: Margin around the robot, [px].
         bands: Image detail, coarse to fine.
         rounds: Gauss-Newton steps in each band.
-        accept_sd: Held-out evidence has to improve by this many of its standard errors.
-        min_explained: Share of the film's detail that the painted part has to explain: with less, its
-            light has changed more than its place.
-        camera_sd_rad, camera_sd_m: Error of a settled camera's pose, which turns and moves the joint
-            with it, each component.
     """
 
     knots: int = 10
@@ -54,10 +56,6 @@ class PhotometricParams:
         Band(blur_px=0.7, wide_px=4.0, margin_px=2),
     )
     rounds: int = 3
-    accept_sd: float = 2.0
-    min_explained: float = 0.5
-    camera_sd_rad: float = 0.001
-    camera_sd_m: float = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,16 +215,14 @@ def _judged(
         improvement_sd=improvement,
         explained=explained,
     )
-    if not explained >= params.min_explained:
-        reason = (
-            f"the painted part explains {explained:.2f} of the film's detail, need {params.min_explained:.2f}"
-        )
+    if not explained >= MIN_EXPLAINED:
+        reason = f"the painted part explains {explained:.2f} of the film's detail, need {MIN_EXPLAINED:.2f}"
         return replace(_kept(hand, reason), evidence=evidence)
-    if not improvement >= params.accept_sd:
-        reason = f"held-out frames improve by {improvement:.1f} standard errors, need {params.accept_sd:.1f}"
+    if not improvement >= _ACCEPT_SD:
+        reason = f"held-out frames improve by {improvement:.1f} standard errors, need {_ACCEPT_SD:.1f}"
         return replace(_kept(hand, reason), evidence=evidence)
     count = problem.joint_count
-    sds = np.repeat([params.camera_sd_rad, params.camera_sd_m], 2)[:count]
+    sds = np.repeat([_CAMERA_SD_RAD, _CAMERA_SD_M], 2)[:count]
     by_unknown = np.hstack([problem.lever, problem.spread])
     variance = np.einsum("ti,ij,tj->t", by_unknown, covariance, by_unknown)
     return PhotometricRefinement(
