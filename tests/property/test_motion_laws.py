@@ -264,7 +264,7 @@ def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> Non
     axis = matrix_from_rotvec([0, 0, np.radians(80)]) @ guess.joint.axis
     poor = replace(first.found, prismatic=replace(guess, joint=replace(guess.joint, axis=axis)))
     found = recover_motion(replace(first, found=poor), "prismatic", QUICK)
-    moments = find_first_frame(FRAMES_S, found.course.interval[0]) + np.linspace(
+    moments = find_first_frame(FRAMES_S, found.trajectory.interval[0]) + np.linspace(
         0, WINDOW_S, QUICK.contact_steps
     )
     hand = ee_poses_at(demo, moments + demo.clock_offset_s)

@@ -46,7 +46,7 @@ class AxisHint:
         at: A point (3,) near the line, [m].
         across: Directions (M, 3) in which the line's place is known; M is 0 or 2.
         across_sds_m: Their standard deviations (M,), [m].
-        odds: Prior probability.
+        probability: Prior probability.
     """
 
     axis: Array
@@ -54,7 +54,7 @@ class AxisHint:
     at: Array
     across: Array
     across_sds_m: Array
-    odds: float
+    probability: float
 
     def __post_init__(self) -> None:
         freeze(self, "axis", self.axis, (3,))
@@ -82,7 +82,7 @@ class AxisHint:
         """Normalization of the residuals, with the odds."""
         direction = -np.log(4 * np.pi * self.axis_sd_rad**2)
         place = -np.log(np.sqrt(2 * np.pi) * self.across_sds_m).sum()
-        return float(np.log(self.odds) + direction + place)
+        return float(np.log(self.probability) + direction + place)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,14 +119,14 @@ class PartShape:
         """Possibilities for a prismatic joint: along one of the three directions."""
         return [self._direction(k, (SIDE + ALONG) / 3) for k in range(3)]
 
-    def _direction(self, k: int, odds: float) -> AxisHint:
+    def _direction(self, k: int, probability: float) -> AxisHint:
         return AxisHint(
             axis=self.box.T_world_box[:3, k],
             axis_sd_rad=DIRECTION_SD_RAD,
             at=self.box.T_world_box[:3, 3],
             across=np.zeros((0, 3)),
             across_sds_m=np.zeros(0),
-            odds=odds,
+            probability=probability,
         )
 
     def _side(self, k: int, side: int, sign: float) -> AxisHint:
@@ -139,7 +139,7 @@ class PartShape:
             across=R[:, [side, depth]].T,
             # Anywhere in the thickness: the deviation of an even spread.
             across_sds_m=np.array([SIDE_SD_M, np.hypot(half[depth] / np.sqrt(3), SIDE_SD_M)]),
-            odds=SIDE / 12,
+            probability=SIDE / 12,
         )
 
 

@@ -26,7 +26,7 @@ _NEAR_GRASP_M = 0.10
 EMPTY_GRIP = 0.96
 # Fingers this much farther away than at their nearest count as touching, [m].
 _NEAR_TOUCH_M = 0.01
-# A film of the part at rest that ends when the hand is near, [s].
+# A video of the part at rest that ends when the hand is near, [s].
 _REST_S = 0.25
 # Every so many points of the hand's surface tell its distance, 1 cm apart.
 _EVERY = 6
@@ -134,7 +134,7 @@ def find_touch(signals: GripperSignals) -> TouchInterval:
     """When the hand can move the part.
 
     A gripper that closes near the part, and not upon itself, says it best; to where it opens again or
-    the film ends. One that hardly moves or is closed (a hook, a push) leaves the distance: from the first
+    the video ends. One that hardly moves or is closed (a hook, a push) leaves the distance: from the first
     frame at which the fingers are about as near as they ever come, to the end.
     """
     count = len(signals.times_s)

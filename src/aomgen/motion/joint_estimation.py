@@ -156,18 +156,18 @@ def fit_candidates(
     )
 
 
-def choose_type(found: JointCandidates, film_margin: float = 0.0) -> JointType:
-    """The type of joint, by the hand's path and the film together.
+def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
+    """The type of joint, by the hand's path and the video together.
 
     Args:
         found: From `fit_candidates`.
-        film_margin: Twice the log evidence of the film for revolute over prismatic.
+        video_margin: Twice the log evidence of the video for revolute over prismatic.
 
     Raises:
         DemonstrationTooShortError: Less than 15 degrees were shown.
-        AmbiguousJointError: Both joint types explain path and film equally well.
+        AmbiguousJointError: Both joint types explain path and video equally well.
     """
-    margin = found.margin + film_margin
+    margin = found.margin + video_margin
     turn = found.revolute.joint.upper
     # Too short is what a door would have turned too little for, unless the evidence speaks for a drawer.
     if margin > -_MIN_MARGIN and not turn >= _MIN_TURN_RAD:
@@ -184,7 +184,7 @@ def choose_type(found: JointCandidates, film_margin: float = 0.0) -> JointType:
         )
     if margin > 0:
         return "revolute"
-    if not film_margin <= -_MIN_MARGIN:
+    if not video_margin <= -_MIN_MARGIN:
         _refuse_hidden_arc(found)
     return "prismatic"
 
@@ -217,36 +217,36 @@ def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> 
     ]
     along = np.linalg.svd(points - middle)[2][0]
     drawer = Prismatic(path=path, turns_world=turns, start=along, middle=middle)
-    course = _trusted(PathNodes.of(points), (doors, [drawer]), params.noise)
+    path_nodes = _loosen_ends(PathNodes.of(points), (doors, [drawer]), params.noise)
     hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
     return (
-        compute_posterior(doors, course, params.noise, hinges),
-        compute_posterior([drawer], course, params.noise, rails),
+        compute_posterior(doors, path_nodes, params.noise, hinges),
+        compute_posterior([drawer], path_nodes, params.noise, rails),
     )
 
 
-def _trusted(course: PathNodes, types: tuple[list[JointModel], ...], noise: NoisePrior) -> PathNodes:
-    """The course with those nodes at its ends doubted at which the hand did not hold the part yet or any more.
+def _loosen_ends(path_nodes: PathNodes, types: tuple[list[JointModel], ...], noise: NoisePrior) -> PathNodes:
+    """The nodes with those at the ends loosened at which the hand did not hold the part yet or any more.
 
     Only looked for where a path is much less steady than paths are.
     """
 
-    def fit(course: PathNodes) -> tuple[float, float]:
+    def fit(path_nodes: PathNodes) -> tuple[float, float]:
         evidence, steps = max(
-            (fit_path(models, course, noise)[:2] for models in types), key=lambda item: item[0]
+            (fit_path(models, path_nodes, noise)[:2] for models in types), key=lambda item: item[0]
         )
         return evidence, float(np.max(np.delete(steps, _TURNS)))
 
-    best, unsteady = fit(course)
+    best, unsteady = fit(path_nodes)
     if unsteady < _UNUSUAL:
-        return course
-    count = len(course.travel_m)
+        return path_nodes
+    count = len(path_nodes.travel_m)
     for ends in ([slice(count - k, count) for k in (1, 2, 4, 6)], [slice(0, k) for k in (1, 2, 4, 6)]):
-        tried = [(fit(course.doubted(nodes))[0], nodes) for nodes in ends]
+        tried = [(fit(path_nodes.loosened(nodes))[0], nodes) for nodes in ends]
         evidence, nodes = max(tried, key=lambda item: item[0])
         if evidence > best:
-            best, course = evidence, course.doubted(nodes)
-    return course
+            best, path_nodes = evidence, path_nodes.loosened(nodes)
+    return path_nodes
 
 
 def _refuse_hidden_arc(found: JointCandidates) -> None:

@@ -69,12 +69,14 @@ class Posterior:
         freeze(self, "scales", self.scales, (len(SCALES),))
 
 
-def solve(model: JointModel, course: PathNodes, scales: Array, hint: AxisHint | None, first: Array) -> Array:
+def solve(
+    model: JointModel, path_nodes: PathNodes, scales: Array, hint: AxisHint | None, first: Array
+) -> Array:
     """Unknowns (P,) that fit best at given sizes of the flaws.
 
     Source: Levenberg, 1944; Marquardt, 1963.
     """
-    known = factorize_covariances(course, scales, model.firmness)
+    known = factorize_covariances(path_nodes, scales, model.firmness)
     whiten = np.stack([known[kind][0] for kind in model.kinds])
 
     def at(x: Array) -> tuple[float, Array, Array]:
@@ -108,12 +110,12 @@ def _slopes(
     data = model.data(around)
     if whiten is not None:
         data = (whiten @ data[..., None])[..., 0]
-    rows = np.concatenate([data.reshape(len(around), -1), _beliefs(model, hint, around)], axis=1)
+    rows = np.concatenate([data.reshape(len(around), -1), _prior_residuals(model, hint, around)], axis=1)
     ahead, behind = np.split(rows[1:], 2)
     return rows[0], ((ahead - behind) / (2 * steps[:, None])).T
 
 
-def _beliefs(model: JointModel, hint: AxisHint | None, x: Array) -> Array:
+def _prior_residuals(model: JointModel, hint: AxisHint | None, x: Array) -> Array:
     own = model.beliefs(x)
     if hint is None:
         return own
@@ -138,10 +140,10 @@ def linearize_model(model: JointModel, hint: AxisHint | None, x: Array) -> Linea
 
 
 def integrate_gaussian(
-    model: JointModel, evidence: LinearizedModel, course: PathNodes, scales: Array
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, scales: Array
 ) -> tuple[float, Array, Array]:
     """Log evidence, step (P,) to the mean and information (P, P) at given sizes of the flaws."""
-    known = factorize_covariances(course, scales, model.firmness)
+    known = factorize_covariances(path_nodes, scales, model.firmness)
     (rows, slopes), (beliefs, lean) = evidence.data, evidence.prior
     whiten = np.stack([known[kind][0] for kind in model.kinds])
     r = np.concatenate([(whiten @ rows[..., None]).ravel(), beliefs])
@@ -155,35 +157,39 @@ def integrate_gaussian(
 
 
 def compute_posterior(
-    models: list[JointModel], course: PathNodes, noise: NoisePrior, hints: list[AxisHint]
+    models: list[JointModel], path_nodes: PathNodes, noise: NoisePrior, hints: list[AxisHint]
 ) -> Posterior:
     """What is known of one joint type.
 
     Args:
         models: The type, linearized about different first axes.
-        course: Nodes of the path.
+        path_nodes: Nodes of the path.
         noise: Usual sizes of the flaws.
         hints: What the shape suggests; none of them may hold.
     """
-    steps, model, x = fit_path(models, course, noise)[1:]
+    steps, model, x = fit_path(models, path_nodes, noise)[1:]
     for _ in range(2):
-        model, x = model.about(solve(model, course, noise.scales(steps), None, x))
-        steps = _likeliest(model, linearize_model(model, None, x), course, noise, steps)
+        model, x = model.about(solve(model, path_nodes, noise.scales(steps), None, x))
+        steps = _likeliest(model, linearize_model(model, None, x), path_nodes, noise, steps)
     found = []
     for hint in (None, *hints):
-        x_hint = x if hint is None else solve(model, course, noise.scales(steps), hint, x)
+        x_hint = x if hint is None else solve(model, path_nodes, noise.scales(steps), hint, x)
         if hint is not None and not np.abs(x_hint[:2]).max() < _MAX_TILT:
             continue
         evidence = linearize_model(model, hint, x_hint)
-        found.append((integrate_gaussian(model, evidence, course, noise.scales(steps))[0], x_hint, evidence))
+        found.append(
+            (integrate_gaussian(model, evidence, path_nodes, noise.scales(steps))[0], x_hint, evidence)
+        )
     best = max(found, key=lambda item: item[0])
-    steps = _likeliest(model, best[2], course, noise, steps)
+    steps = _likeliest(model, best[2], path_nodes, noise, steps)
     kept = [item for item in found if item[0] > best[0] - _NEGLIGIBLE]
-    points, log_weights = _scale_points(model, best[2], course, noise, steps)
+    points, log_weights = _scale_points(model, best[2], path_nodes, noise, steps)
     parts = []
     for _, x_hint, evidence in kept:
         for point, log_weight in zip(points, log_weights, strict=True):
-            log_evidence, step, information = integrate_gaussian(model, evidence, course, noise.scales(point))
+            log_evidence, step, information = integrate_gaussian(
+                model, evidence, path_nodes, noise.scales(point)
+            )
             parts.append((log_evidence + log_weight, x_hint + step, information))
     logs = np.array([part[0] for part in parts])
     weights = np.exp(logs - np.logaddexp.reduce(logs))
@@ -197,7 +203,7 @@ def compute_posterior(
 
 
 def fit_path(
-    models: list[JointModel], course: PathNodes, noise: NoisePrior
+    models: list[JointModel], path_nodes: PathNodes, noise: NoisePrior
 ) -> tuple[float, Array, JointModel, Array]:
     """The path alone: log evidence, sizes of the flaws (as steps), the model about its axis and the unknowns."""
     path = models[0].path
@@ -207,28 +213,30 @@ def fit_path(
     for model in models:
         x = model.first()
         for _ in range(2):
-            model, x = model.about(solve(model, course, scales, None, x))
+            model, x = model.about(solve(model, path_nodes, scales, None, x))
         found.append(
-            (integrate_gaussian(model, linearize_model(model, None, x), course, scales)[0], model, x)
+            (integrate_gaussian(model, linearize_model(model, None, x), path_nodes, scales)[0], model, x)
         )
     _, model, x = max(found, key=lambda item: item[0])
     evidence = linearize_model(model, None, x)
-    steps = _likeliest(model, evidence, course, noise, first)
-    return _log_posterior(model, evidence, course, noise, steps), steps, model, x
+    steps = _likeliest(model, evidence, path_nodes, noise, first)
+    return _log_posterior(model, evidence, path_nodes, noise, steps), steps, model, x
 
 
 def _log_posterior(
-    model: JointModel, evidence: LinearizedModel, course: PathNodes, noise: NoisePrior, steps: Array
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, steps: Array
 ) -> float:
     """Of the sizes of the flaws, the unknowns integrated out."""
-    return integrate_gaussian(model, evidence, course, noise.scales(steps))[0] - 0.5 * float(steps @ steps)
+    return integrate_gaussian(model, evidence, path_nodes, noise.scales(steps))[0] - 0.5 * float(
+        steps @ steps
+    )
 
 
 def _likeliest(
-    model: JointModel, evidence: LinearizedModel, course: PathNodes, noise: NoisePrior, first: Array
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, first: Array
 ) -> Array:
     result = minimize(
-        lambda steps: -_log_posterior(model, evidence, course, noise, steps),
+        lambda steps: -_log_posterior(model, evidence, path_nodes, noise, steps),
         first,
         method="L-BFGS-B",
         bounds=[STEP_LIMITS] * len(first),
@@ -238,13 +246,13 @@ def _likeliest(
 
 
 def _scale_points(
-    model: JointModel, evidence: LinearizedModel, course: PathNodes, noise: NoisePrior, center: Array
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, center: Array
 ) -> tuple[Array, Array]:
     """Even points (N, 7) over the sizes' posterior, with log weights (N,) that make them its integral."""
     size = len(center)
 
     def value(steps: Array) -> float:
-        return _log_posterior(model, evidence, course, noise, steps)
+        return _log_posterior(model, evidence, path_nodes, noise, steps)
 
     h, middle = 0.3, value(center)
     unit = h * np.eye(size)

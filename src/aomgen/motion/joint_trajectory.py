@@ -41,7 +41,7 @@ class RecoveredMotion:
     Attributes:
         contacts: By the refined interval.
         found, estimate: What the hand's path says, and of the type that is recovered.
-        course: Values along the touch.
+        trajectory: Values along the touch.
         level_sd: Standard deviation of its first level beyond that of the hand's path, [rad] or [m].
         face_normal: Outward normal of the part's face (3,) at value 0.
     """
@@ -49,7 +49,7 @@ class RecoveredMotion:
     contacts: Contacts
     found: JointCandidates
     estimate: JointEstimate
-    course: ValueTrajectory
+    trajectory: ValueTrajectory
     level_sd: float
     face_normal: Array
 
@@ -59,7 +59,7 @@ class RecoveryInput:
     """What a recovery starts from, whichever type the joint is of.
 
     Attributes:
-        demo: Film, log and scan.
+        demo: Video, log and scan.
         seen: Start and end as seen in the picture, [s].
         touch_s: First and last moment at which the hand can move the part, [s].
         gripped: The hand held the part before and after.
@@ -67,7 +67,7 @@ class RecoveryInput:
         shape: Of the parts.
         surface: Points of the moving part (N, 3), world frame, [m].
         contacts, found: By the interval seen.
-        picture: What the film shows of start and end.
+        picture: What the video shows of start and end.
     """
 
     demo: MotionInput
@@ -152,23 +152,23 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
         start, end = (_nearby(felt[k], seen[k], _AGREE_S) for k in (0, 1))
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
-    def beginning(found: JointCandidates, course: ValueTrajectory) -> PartPath:
-        moments = _begin(course.interval, demo, params)
-        thetas = np.interp(moments - offset_s, times, course.values) - course.levels[0]
+    def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> PartPath:
+        moments = _begin(trajectory.interval, demo, params)
+        thetas = np.interp(moments - offset_s, times, trajectory.values) - trajectory.levels[0]
         return PartPath(times_log_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
 
-    course = along(first.found, seen)
-    begin = beginning(first.found, course)
-    _, found = _explained(demo, shape, first.surface, begin, course.interval, first.joint)
-    course = along(found, course.interval)
-    contacts = _contacts(demo, shape, first.surface, beginning(found, course))
+    trajectory = along(first.found, seen)
+    begin = beginning(first.found, trajectory)
+    _, found = _explained(demo, shape, first.surface, begin, trajectory.interval, first.joint)
+    trajectory = along(found, trajectory.interval)
+    contacts = _contacts(demo, shape, first.surface, beginning(found, trajectory))
     # A part that creeps off does not tell where it rested.
-    rest = select_resting(times, course.values, seen[0])
+    rest = select_resting(times, trajectory.values, seen[0])
     return RecoveredMotion(
         contacts=contacts,
         found=found,
         estimate=found.of(joint_type),
-        course=course,
+        trajectory=trajectory,
         level_sd=(float(np.std(rest)) if len(rest) else 0.0) if first.gripped else leave,
         face_normal=shape.face_normal,
     )

@@ -155,7 +155,7 @@ def refine_interval(
     """
     start_s, end_s = seen
     first_level, last_level = np.interp(seen, times_s, values)
-    # A film that begins gripped leaves no time to rest in: its first value is the level then.
+    # A video that begins gripped leaves no time to rest in: its first value is the level then.
     first_level = values[0] if times_s[0] <= start_s else first_level
     first_level = _level(select_resting(times_s, values, start_s), first_level)
     last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
@@ -180,7 +180,7 @@ def _level(values: Array, otherwise: float) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
 
-def sample_at_frames(frame_times_s: Array, course: ValueTrajectory, tolerance: float) -> Array:
+def sample_at_frames(frame_times_s: Array, trajectory: ValueTrajectory, tolerance: float) -> Array:
     """Values (F,) at frame times, never below 0; the part rests before and after.
 
     The interval begins when the value has left its first level by a tolerance. On the way there, from the
@@ -188,12 +188,12 @@ def sample_at_frames(frame_times_s: Array, course: ValueTrajectory, tolerance: f
 
     Args:
         frame_times_s: Video frame times (F,).
-        course: Along the touch.
+        trajectory: Along the touch.
         tolerance: `LEAVE_RAD` or `LEAVE_M`.
     """
-    times, values = course.times_s, course.values
-    start_s, end_s = course.interval
-    first, last = course.levels
+    times, values = trajectory.times_s, trajectory.values
+    start_s, end_s = trajectory.interval
+    first, last = trajectory.levels
     inside = np.interp(frame_times_s, times, values) - first
     whole = last - first
     left = times[(times <= start_s) & (values <= first)]

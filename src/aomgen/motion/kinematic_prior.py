@@ -1,4 +1,4 @@
-"""What the hand's path says about the motion, before the film is asked."""
+"""What the hand's path says about the motion, before the video is asked."""
 
 from dataclasses import dataclass
 

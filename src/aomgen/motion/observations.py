@@ -57,7 +57,7 @@ class VideoObservations:
         region: The part's pixels at its scanned place (H, W).
         signals: The hand at the frames' times.
         touch: When it can move the part.
-        way: The hand over dense times of the whole film.
+        way: The hand over dense times of the whole video.
         pixel_m: Size of a pixel at the part, [m].
     """
 
@@ -72,7 +72,7 @@ class VideoObservations:
 
     @staticmethod
     def of(demo: MotionInput, masks_at: MasksAt, params: MotionParams) -> "VideoObservations":
-        """Thin and shrink the film.
+        """Thin and shrink the video.
 
         Raises:
             NoMotionError: Hardly any frames.
@@ -84,8 +84,8 @@ class VideoObservations:
         frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb[::stride]]
         masks = masks_at(times + offset_s, small.width, small.height)
         region = find_part_region(demo.points_moving, small)
-        film = match_exposure(np.stack(frames), masks, region)
-        good = ~film.bad
+        matched = match_exposure(np.stack(frames), masks, region)
+        good = ~matched.bad
         if not good.sum() >= _LEAST_FRAMES:
             raise NoMotionError(
                 "demonstration video",
@@ -99,7 +99,7 @@ class VideoObservations:
             touch = refine_touch(touch, signals, gaps)
         return VideoObservations(
             camera=small,
-            frames_srgb=film.frames_srgb[good],
+            frames_srgb=matched.frames_srgb[good],
             masks=masks[good],
             region=region,
             signals=signals,

@@ -128,7 +128,7 @@ def detect_onset(
 def detect_offset(
     way: GripperPath, times_s: Array, ahead: Array, sight: Detectability, *, held: bool
 ) -> UncertainTime:
-    """When the part reaches its last place: `detect_onset` of the film shown backwards.
+    """When the part reaches its last place: `detect_onset` of the video shown backwards.
 
     Args:
         ahead: Share (T,) of the part's picture that does not show its last place.

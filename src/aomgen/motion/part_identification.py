@@ -143,7 +143,7 @@ def identify_part(
 
 
 def _touch(signals: tuple[GripperSignals, ...]) -> TouchInterval:
-    """The grasp near the prompted part, else near anything; the whole film for hands that do not grasp."""
+    """The grasp near the prompted part, else near anything; the whole video for hands that do not grasp."""
     nearest = np.min([item.distances_m for item in signals], axis=0)
     for candidate in (signals[0], replace(signals[0], distances_m=nearest)):
         touch = find_touch(candidate)

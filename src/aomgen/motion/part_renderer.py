@@ -1,8 +1,8 @@
-"""The film around the moving part, and the part painted with what the film shows of it at rest.
+"""The video around the moving part, and the part painted with what the video shows of it at rest.
 
-The scan knows the part's shape; its colors under the film's light, exposure and white balance are
-read from the film itself, before the motion. What is compared later is the same surface in the same
-film, so that neither the scan's exposure nor a constant error of the camera's pose counts as motion.
+The scan knows the part's shape; its colors under the video's light, exposure and white balance are
+read from the video itself, before the motion. What is compared later is the same surface in the same
+video, so that neither the scan's exposure nor a constant error of the camera's pose counts as motion.
 """
 
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ class PartRendering:
     Attributes:
         luma: Blended luma (H, W), not divided by alpha, 0..1.
         alpha: Coverage by the part (H, W), 0..1, what stands before it left out.
-        painted: Coverage by those of its Gaussians that the film shows at rest (H, W), 0..1.
+        painted: Coverage by those of its Gaussians that the video shows at rest (H, W), 0..1.
     """
 
     luma: FloatImage
@@ -52,7 +52,7 @@ class PartRendering:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartRenderer:
-    """A crop of the film around the part's way, and the scene that can be drawn into it.
+    """A crop of the video around the part's way, and the scene that can be drawn into it.
 
     Attributes:
         camera: Of the crop, world frame.
@@ -99,10 +99,10 @@ def make_part_renderer(
     max_pixels: int,
     dilate_px: int,
 ) -> PartRenderer:
-    """Cut the film to the part's way and paint the part.
+    """Cut the video to the part's way and paint the part.
 
     Args:
-        demo: Film, camera and scene.
+        demo: Video, camera and scene.
         masks_at: Draws the robot.
         joint: Where the part goes, roughly.
         moments: Frames at rest before the motion, frames of the motion, and the largest joint value.
@@ -129,7 +129,7 @@ def make_part_renderer(
     hidden = np.stack([dilate(mask, dilate_px)[rows, columns] for mask in masks])
     luma = np.asarray(np.stack(images).astype(np.float32) @ _LUMA / 255, np.float32)
     near = moves | _in_view(scene, camera)
-    film = PartRenderer(
+    renderer = PartRenderer(
         camera=camera,
         frames=frames,
         luma=luma,
@@ -140,7 +140,7 @@ def make_part_renderer(
         focus=solid.mean(0),
         reach_m=float(np.sqrt(((solid - solid.mean(0)) ** 2).sum(1).mean())),
     )
-    return replace(film, features=_painted(film, np.isin(frames, chosen)))
+    return replace(renderer, features=_painted(renderer, np.isin(frames, chosen)))
 
 
 def _crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[Camera, tuple[slice, slice]]:
@@ -166,23 +166,23 @@ def _in_view(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
     return np.asarray((depths > 0) & ((pixels > -margin) & (pixels < size + margin)).all(1))
 
 
-def _painted(film: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Features (G, 3) with each Gaussian's luma fitted to the film at rest, by back-projected residuals."""
-    shown = ~film.hidden[resting]
+def _painted(renderer: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Features (G, 3) with each Gaussian's luma fitted to the video at rest, by back-projected residuals."""
+    shown = ~renderer.hidden[resting]
     counted = shown.sum(0)
-    bare = np.where(shown, film.luma[resting], np.nan)
+    bare = np.where(shown, renderer.luma[resting], np.nan)
     bare[:, counted == 0] = 0
     target, open_ = np.nanmedian(bare, axis=0).astype(np.float32), (counted > 0).astype(np.float32)
-    weight = contribution_weights(film.scene, film.camera, open_[None])[:, 0]
-    luma = (np.clip(0.5 + SH_C0 * film.scene.sh[:, 0], 0, 1) @ _LUMA).astype(np.float32)
+    weight = contribution_weights(renderer.scene, renderer.camera, open_[None])[:, 0]
+    luma = (np.clip(0.5 + SH_C0 * renderer.scene.sh[:, 0], 0, 1) @ _LUMA).astype(np.float32)
     ones = np.ones(len(luma), np.float32)
     seen = weight > _SEEN_WEIGHT
     for _ in range(_PAINT_ROUNDS):
-        drawn = render(film.scene, film.camera, features=luma[:, None], threads=1).features
+        drawn = render(renderer.scene, renderer.camera, features=luma[:, None], threads=1).features
         left = (target - (0 if drawn is None else drawn[..., 0])) * open_
-        share = contribution_weights(film.scene, film.camera, left[None].astype(np.float32))[:, 0]
+        share = contribution_weights(renderer.scene, renderer.camera, left[None].astype(np.float32))[:, 0]
         luma = luma + np.where(seen, share / np.maximum(weight, _SEEN_WEIGHT), 0).astype(np.float32)
-    moving = film.parts.astype(np.float32)
+    moving = renderer.parts.astype(np.float32)
     return np.stack([luma, ones, seen.astype(np.float32)], 1) * moving[:, None]
 
 

@@ -65,10 +65,10 @@ def compute_log_likelihood_ratio(demo: MotionInput, motion: MotionEstimate) -> A
     Not checked: that the motion is right. A wrong one moves nothing that looks alike elsewhere.
     """
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        log_odds = track_log_likelihood_ratio(demo, motion.joint, motion.thetas, motion.start_s, masks_at)
-    log_odds[_held(demo, motion)] += HELD_LOG_ODDS
-    log_odds[demo.labels == ROBOT] = 0.0
-    return log_odds
+        log_ratio = track_log_likelihood_ratio(demo, motion.joint, motion.thetas, motion.start_s, masks_at)
+    log_ratio[_held(demo, motion)] += HELD_LOG_ODDS
+    log_ratio[demo.labels == ROBOT] = 0.0
+    return log_ratio
 
 
 def _held(demo: MotionInput, motion: MotionEstimate) -> NDArray[np.bool_]:
@@ -141,9 +141,9 @@ def track_log_likelihood_ratio(
         T = joint.motion(float(thetas[k]))
         parts = Parts(indices=moving.astype(np.int32), Ts_world_part=np.stack([np.eye(4), T]))
         depth = _depth(scene, camera, parts)
-        log_odds = _of_frame(rest, _frame(demo, k, camera), np.where(robot, -1.0, depth), camera, T)
-        total += np.nan_to_num(log_odds)
-        count += np.isfinite(log_odds)
+        log_ratio = _of_frame(rest, _frame(demo, k, camera), np.where(robot, -1.0, depth), camera, T)
+        total += np.nan_to_num(log_ratio)
+        count += np.isfinite(log_ratio)
     mean = total / np.maximum(count, 1)
     result[np.flatnonzero(stands)[seen]] = mean * np.minimum(count / ENOUGH_FRAMES, 1)
     return result

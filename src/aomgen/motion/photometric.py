@@ -1,6 +1,6 @@
-"""Joint and joint values refined so that the moved part, drawn from its Gaussians, matches the film.
+"""Joint and joint values refined so that the moved part, drawn from its Gaussians, matches the video.
 
-The hand's path gives a first answer and a prior. The film is compared inside the part's painted
+The hand's path gives a first answer and a prior. The video is compared inside the part's painted
 surface only: its outline in the scan is no better than a label's edge, and the cavity behind it and
 its own inside were never seen. An answer counts only if frames that were not fitted agree.
 """
@@ -37,7 +37,7 @@ _CAMERA_SD_M: Final = 0.001
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricParams:
-    """How the film is compared.
+    """How the video is compared.
 
     Attributes:
         knots: Frames that are fitted, spread evenly over the joint's values; as many are held out.
@@ -65,7 +65,7 @@ class HeldOutEvidence:
     Attributes:
         cost_before, cost_after: Mean robust cost, 0..1.
         improvement_sd: Improvement over its standard error.
-        explained: Median share of the film's detail that the refined answer explains, 1 at best.
+        explained: Median share of the video's detail that the refined answer explains, 1 at best.
     """
 
     cost_before: float
@@ -76,7 +76,7 @@ class HeldOutEvidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricRefinement:
-    """The answer after the film was asked.
+    """The answer after the video was asked.
 
     Attributes:
         joint: Refined, or the hand's if not accepted.
@@ -84,8 +84,8 @@ class PhotometricRefinement:
         theta_sd: Standard deviation (T,).
         covariance: Of tilt (2) [rad] and, if revolute, shift (2) [m] of the axis in the directions
             `tangent_basis(hand.joint.axis)`, the shift where the axis passes the held point.
-        accepted: The film agrees better with the refined answer, on frames that were not fitted.
-        evidence: Of the held-out frames; None where the film shows too little.
+        accepted: The video agrees better with the refined answer, on frames that were not fitted.
+        evidence: Of the held-out frames; None where the video shows too little.
         reason: Why it was not accepted, or "".
     """
 
@@ -115,15 +115,15 @@ class PhotometricRefinement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricFrames:
-    """What the film shows of the part.
+    """What the video shows of the part.
 
     Attributes:
-        film: Around the part's way, and the part painted.
+        renderer: Around the part's way, and the part painted.
         fitted: Frames that answers are fitted to.
         held_out: Frames that judge them.
     """
 
-    film: PartRenderer
+    renderer: PartRenderer
     fitted: NDArray[np.intp]
     held_out: NDArray[np.intp]
 
@@ -131,10 +131,10 @@ class PhotometricFrames:
 def select_frames(
     demo: MotionInput, masks_at: MasksAt, hand: KinematicPrior, params: PhotometricParams | None = None
 ) -> PhotometricFrames | None:
-    """Read the film; None where it shows too little of the part before or during the motion.
+    """Read the video; None where it shows too little of the part before or during the motion.
 
     Args:
-        demo: Film, camera, and the scene as scanned.
+        demo: Video, camera, and the scene as scanned.
         masks_at: Draws the robot.
         hand: Where and when the part goes, roughly.
         params: See there.
@@ -144,19 +144,19 @@ def select_frames(
     if len(fitted) < MIN_FRAMES or len(resting) < _MIN_RESTING:
         return None
     moments = (resting, np.concatenate([fitted, held_out]), float(hand.thetas.max()))
-    film = make_part_renderer(
+    renderer = make_part_renderer(
         demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
     )
-    return PhotometricFrames(film=film, fitted=fitted, held_out=held_out)
+    return PhotometricFrames(renderer=renderer, fitted=fitted, held_out=held_out)
 
 
 def refine(
     seen: PhotometricFrames | None, hand: KinematicPrior, params: PhotometricParams | None = None
 ) -> PhotometricRefinement:
-    """Ask the film about joint and joint values.
+    """Ask the video about joint and joint values.
 
     Args:
-        seen: The film as read for this answer; where it is None the hand's answer stays.
+        seen: The video as read for this answer; where it is None the hand's answer stays.
         hand: First answer and prior.
         params: See there.
 
@@ -166,7 +166,7 @@ def refine(
     params = params or PhotometricParams()
     if seen is None:
         return _kept(hand, "the film shows too few frames before or during the motion")
-    problem = PhotometricProblem.of(seen.film, hand, seen.fitted)
+    problem = PhotometricProblem.of(seen.renderer, hand, seen.fitted)
     y, covariance = problem.solve(params.bands, params.rounds)
     return _judged(problem, y, covariance, seen.held_out, params)
 
@@ -203,7 +203,9 @@ def _judged(
 ) -> PhotometricRefinement:
     """The refined answer if held-out frames (N,) agree better with it."""
     hand, joint, thetas = problem.hand, problem.joint(y), np.maximum(problem.thetas(y), 0.0)
-    seen = compare_frames(problem.film, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1])
+    seen = compare_frames(
+        problem.renderer, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1]
+    )
     if len(seen) < MIN_FRAMES:
         return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need {MIN_FRAMES}")
     gains = np.array([item.cost_before - item.cost_after for item in seen])

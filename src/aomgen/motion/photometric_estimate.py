@@ -1,4 +1,4 @@
-"""The hand's answer, put right by the film where the film says more."""
+"""The hand's answer, put right by the video where the video says more."""
 
 from dataclasses import replace
 
@@ -26,10 +26,10 @@ def refine_estimate(
     hand: KinematicPrior,
     params: PhotometricParams | None = None,
 ) -> MotionEstimate:
-    """The estimate with joint, values and their errors refined on the film, or as it was.
+    """The estimate with joint, values and their errors refined on the video, or as it was.
 
     Args:
-        seen: The film as read for the hand's answer.
+        seen: The video as read for the hand's answer.
         estimate: The hand's answer.
         hand: The same as a prior.
         params: Of the refinement.

@@ -1,4 +1,4 @@
-"""Joint and joint values that make the moved part look like the film: Gauss-Newton on pixels.
+"""Joint and joint values that make the moved part look like the video: Gauss-Newton on pixels.
 
 A frame's picture depends on at most five numbers (axis 2, origin 2, value 1), so its derivatives are
 five more drawings. That costs about as much as one backward pass of the engine, but gives every
@@ -84,23 +84,23 @@ def shift_joint(joint: Joint, pivot: Array, x: Array) -> Joint:
     return replace(joint, axis=axis / np.linalg.norm(axis), origin=pivot + offset)
 
 
-def choose_steps(film: PartRenderer, joint: Joint) -> Array:
+def choose_steps(renderer: PartRenderer, joint: Joint) -> Array:
     """Changes of tilt (2), shift (2, revolute only) and value that move the picture by half a pixel."""
-    camera = film.camera
-    meters = _STEP_PX * float(np.linalg.norm(film.focus - camera.center)) / camera.fx
-    turn = meters / film.reach_m
+    camera = renderer.camera
+    meters = _STEP_PX * float(np.linalg.norm(renderer.focus - camera.center)) / camera.fx
+    turn = meters / renderer.reach_m
     if joint.type == "prismatic":
         return np.array([turn, turn, meters])
     return np.array([turn, turn, meters, meters, turn])
 
 
 def linearize_frame(
-    film: PartRenderer, frame: int, neighbours: list[tuple[Joint, float]], band: Band
+    renderer: PartRenderer, frame: int, neighbours: list[tuple[Joint, float]], band: Band
 ) -> LinearizedFrame | None:
     """Compare a frame with its drawing.
 
     Args:
-        film: The film and the painted part.
+        renderer: The video and the painted part.
         frame: Video frame.
         neighbours: Joint and value to compare at, then those with one unknown changed by its step.
         band: Detail that is compared.
@@ -108,13 +108,13 @@ def linearize_frame(
     Returns:
         None where too little of the part is seen.
     """
-    picture, hidden = film.at(frame)
-    views = [film.draw(*place) for place in neighbours]
+    picture, hidden = renderer.at(frame)
+    views = [renderer.draw(*place) for place in neighbours]
     mask = find_interior(views[0], hidden, band.margin_px)
     if mask.sum() < _BLOCK_PX**2:
         return None
     first = views[0]
-    sizes = choose_steps(film, neighbours[0][0])
+    sizes = choose_steps(renderer, neighbours[0][0])
     columns = [picture * first.alpha - first.luma, first.luma, first.alpha]
     columns += [
         (view.luma - first.luma - picture * (view.alpha - first.alpha)) / size
@@ -137,7 +137,7 @@ def linearize_frame(
         slopes=derivatives[:, -2:],
         weights=weights,
         scale=scale,
-        blocks=_blocks(film, neighbours[0], mask),
+        blocks=_blocks(renderer, neighbours[0], mask),
     )
 
 
@@ -147,7 +147,7 @@ class FrameComparison:
 
     Attributes:
         cost_before, cost_after: Robust cost, 0..1.
-        explained_before, explained_after: Share of the film's detail that the answer explains, 1 at best.
+        explained_before, explained_after: Share of the video's detail that the answer explains, 1 at best.
         blocks: Number of independent squares that were compared.
     """
 
@@ -164,21 +164,21 @@ class FrameComparison:
 
 
 def compare_frames(
-    film: PartRenderer, frames: NDArray[np.intp], before: JointMotion, after: JointMotion, band: Band
+    renderer: PartRenderer, frames: NDArray[np.intp], before: JointMotion, after: JointMotion, band: Band
 ) -> list[FrameComparison]:
     """Compare two answers at frames (N,); those that show too little of the part are left out."""
     found = [
-        _compared(film, int(k), [(joint, float(thetas[k])) for joint, thetas in (before, after)], band)
+        _compared(renderer, int(k), [(joint, float(thetas[k])) for joint, thetas in (before, after)], band)
         for k in frames
     ]
     return [item for item in found if item is not None]
 
 
 def _compared(
-    film: PartRenderer, frame: int, places: list[tuple[Joint, float]], band: Band
+    renderer: PartRenderer, frame: int, places: list[tuple[Joint, float]], band: Band
 ) -> FrameComparison | None:
-    picture, hidden = film.at(frame)
-    before, after = (film.draw(*place) for place in places)
+    picture, hidden = renderer.at(frame)
+    before, after = (renderer.draw(*place) for place in places)
     mask = find_interior(before, hidden, band.margin_px) & find_interior(after, hidden, band.margin_px)
     if mask.sum() < (2 * band.wide_px) ** 2:
         return None
@@ -205,7 +205,7 @@ def _compared(
 
 
 def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:
-    """What a drawing (P, 1) leaves of the film's detail (P, 1) at its best gain: (P,), and its scale."""
+    """What a drawing (P, 1) leaves of the video's detail (P, 1) at its best gain: (P,), and its scale."""
     weights = np.ones(len(seen))
     left, scale = seen[:, 0], _NOISE_FLOOR
     for _ in range(_REWEIGHTINGS):
@@ -215,10 +215,10 @@ def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:
     return left, scale
 
 
-def _blocks(film: PartRenderer, place: tuple[Joint, float], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _blocks(renderer: PartRenderer, place: tuple[Joint, float], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Squares that move with the part: what the scan has wrong about it comes back in every frame."""
     joint, theta = place
-    (middle,), _ = film.camera.project(apply(joint.motion(theta), film.focus)[None])
+    (middle,), _ = renderer.camera.project(apply(joint.motion(theta), renderer.focus)[None])
     rows, columns = np.nonzero(mask)
     side = int(np.sqrt(BLOCKS))
     squares = [

@@ -37,7 +37,7 @@ class PhotometricProblem:
     """What the hand says as a prior on n numbers of the joint and K deviations of its values.
 
     Attributes:
-        film: The film and the painted part.
+        renderer: The video and the painted part.
         hand: First answer.
         frames: Knots (K,), video frames.
         pivot: Point of the axis nearest the held point (3,), world frame, [m].
@@ -46,7 +46,7 @@ class PhotometricProblem:
         precision: Of the prior (n + K, n + K).
     """
 
-    film: PartRenderer
+    renderer: PartRenderer
     hand: KinematicPrior
     frames: NDArray[np.intp]
     pivot: Array
@@ -56,7 +56,7 @@ class PhotometricProblem:
     distortion_px: float
 
     @staticmethod
-    def of(film: PartRenderer, hand: KinematicPrior, frames: NDArray[np.intp]) -> "PhotometricProblem":
+    def of(renderer: PartRenderer, hand: KinematicPrior, frames: NDArray[np.intp]) -> "PhotometricProblem":
         """Set up the prior."""
         joint = hand.joint
         pivot = joint.origin + joint.axis * ((hand.held_world - joint.origin) @ joint.axis)
@@ -71,7 +71,7 @@ class PhotometricProblem:
         precision[:count, :count] = np.linalg.inv(hand.covariance)
         precision[count:, count:] = own
         return PhotometricProblem(
-            film=film,
+            renderer=renderer,
             hand=hand,
             frames=frames,
             pivot=pivot,
@@ -102,7 +102,7 @@ class PhotometricProblem:
         for band in bands:
             for _ in range(rounds):
                 linears = {
-                    int(k): linearize_frame(self.film, int(k), self._neighbours(y, int(k)), band)
+                    int(k): linearize_frame(self.renderer, int(k), self._neighbours(y, int(k)), band)
                     for k in self.frames
                 }
                 known = {frame: linear for frame, linear in linears.items() if linear is not None}
@@ -150,7 +150,7 @@ class PhotometricProblem:
 
     def _neighbours(self, y: Array, frame: int) -> list[tuple[Joint, float]]:
         count = self.joint_count
-        sizes = choose_steps(self.film, self.hand.joint)
+        sizes = choose_steps(self.renderer, self.hand.joint)
         theta = float(self.thetas(y)[frame])
         places = [(self.joint(y), theta)]
         for index in range(count):

@@ -23,7 +23,7 @@ _ASIDE_M, _ASIDE_S = 0.004, 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchObservation:
-    """What the film shows of the two ends.
+    """What the video shows of the two ends.
 
     Attributes:
         times_s: Times of the frames of the touch (T,), [s].

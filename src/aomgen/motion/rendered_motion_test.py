@@ -1,7 +1,7 @@
 """How far the part follows the hand, judged by the rendered scene.
 
 The scene is drawn with the part where the hand would have taken it. What changes in these drawings is
-compared with what changes in the film: a part that follows changes the film just so, one that stands
+compared with what changes in the video: a part that follows changes the video just so, one that stands
 does not, whatever shadows or the exposure do. Changes of less than a pixel count.
 """
 
@@ -27,7 +27,7 @@ _NOISE, _SHARED = 3.0, 9.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowingEstimate:
-    """What the film shows of the change that the hand would make.
+    """What the video shows of the change that the hand would make.
 
     Attributes:
         share: About 1 when the part follows the hand, 0 when it stands.
@@ -46,7 +46,7 @@ def estimate_following(
     hidden: NDArray[np.bool_],
     Ts_world_ee: Array,
 ) -> FollowingEstimate:
-    """Compare the film of a touch with drawings in which the part goes with the hand.
+    """Compare the video of a touch with drawings in which the part goes with the hand.
 
     Args:
         scene, labels: As scanned, with the part at the place that it has in the first frame.
@@ -67,13 +67,13 @@ def estimate_following(
     seen = ~hidden[:2].any(0)
     turned, shifted = np.zeros(2), np.zeros(2)
     for k in np.unique(np.linspace(2, len(frames_srgb) - 1, _DRAWINGS).astype(int)):
-        film = np.clip(frames_srgb[k] - before, -_CUT, _CUT)[seen & ~hidden[k]]
+        observed = np.clip(frames_srgb[k] - before, -_CUT, _CUT)[seen & ~hidden[k]]
         T_carried = Ts_world_ee[k] @ np.linalg.inv(Ts_world_ee[0])
         T_shifted = np.eye(4)
         T_shifted[:3, 3] = Ts_world_ee[k, :3, 3] - Ts_world_ee[0, :3, 3]
         for sums, T in ((turned, T_carried), (shifted, T_shifted)):
             change = np.clip(_drawn(session, moving, T) - first, -_CUT, _CUT)[seen & ~hidden[k]]
-            sums += [float((film * change).sum()), float((change**2).sum())]
+            sums += [float((observed * change).sum()), float((change**2).sum())]
     answers = [_following(together, alone) for together, alone in (turned, shifted)]
     return max(answers, key=lambda answer: answer.share / max(answer.sd, 1e-9))
 

@@ -48,7 +48,7 @@ def run_motion(
     """Estimate the motion and write it to `folder`; see `estimate_motion` for what it raises.
 
     Args:
-        demonstration: Film, log and scan.
+        demonstration: Video, log and scan.
         folder: Where the answer is written.
         progress: Hears how far it is.
         params: Of the submodules.

@@ -42,7 +42,7 @@ class PartMasks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
-    """The motion score of a film and the level that a moving frame exceeds.
+    """The motion score of a video and the level that a moving frame exceeds.
 
     Attributes:
         scores: Motion score (T,); the last frame has no successor and repeats the one before.
@@ -98,7 +98,7 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
 
 
 def scored_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
-    """Score of every frame of a film, and the threshold that follows from them.
+    """Score of every frame of a video, and the threshold that follows from them.
 
     Raises:
         InputError: Fewer than two frames.

@@ -1,4 +1,4 @@
-"""Masks of the moving part where no video segmenter gave any: what changed since the film began.
+"""Masks of the moving part where no video segmenter gave any: what changed since the video began.
 
 The paper follows the part with SAM 2. Without it a pixel counts as the part's when it lies on the
 part's scanned place and still looks as it did, or beside it, joined to it, and looks different.
@@ -17,7 +17,7 @@ from aomgen.motion.keyframes import find_part_region
 from aomgen.paper.mask_keyframes import SD_OF_MAD, PartMasks
 from aomgen.robots.robot_masks import robot_masks
 
-# The first picture is the median of so much film, so that its own noise does not count, [s].
+# The first picture is the median of so much video, so that its own noise does not count, [s].
 REFERENCE_S = 0.25
 # A change is this many deviations of the still picture's noise, and no less than compression makes, 8 bit.
 CHANGE_SD, MIN_CHANGE = 6.0, 12.0
@@ -31,8 +31,8 @@ def masks_by_change(demonstration: MotionInput, width: int = 320) -> PartMasks:
     """Masks of part and robot in every frame of a demonstration, `width` px wide.
 
     Args:
-        demonstration: Its film, camera, log and scanned points are used.
-        width: Of the masks, [px]; the film's own at most.
+        demonstration: Its video, camera, log and scanned points are used.
+        width: Of the masks, [px]; the video's own at most.
     """
     demo = demonstration
     width = min(width, demo.camera.width)

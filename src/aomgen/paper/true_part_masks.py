@@ -11,7 +11,7 @@ from aomgen.robots.robot_masks import robot_masks
 
 def part_masks(capture: Capture, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
     """Moving part and robot in every frame: the part's from the capture's own label images, else from
-    what changed in the film; the robot's drawn from its log.
+    what changed in the video; the robot's drawn from its log.
 
     Raises:
         InputError: See `read_demo_masks`.

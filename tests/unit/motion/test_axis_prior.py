@@ -25,7 +25,7 @@ def test_one_of_the_sides_is_the_hinge() -> None:
     shape = measure_shape(BODY, DOOR)
     misfits = [np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.hinges()]
     assert min(misfits) < 2
-    assert sum(hint.odds for hint in shape.hinges()) == pytest.approx(0.9)
+    assert sum(hint.probability for hint in shape.hinges()) == pytest.approx(0.9)
 
 
 def test_a_drawer_may_run_forwards() -> None:
@@ -43,14 +43,14 @@ def test_a_part_that_stands_open_has_its_own_box(lean: list) -> None:
 
 
 def test_a_hint_is_a_density_over_directions() -> None:
-    """Summed over the sphere, both signs, exp(-r.r/2 + log density) is the hint's odds."""
+    """Summed over the sphere, both signs, exp(-r.r/2 + log density) is the hint's probability."""
     hint = AxisHint(
         axis=np.array([0.0, 0.6, 0.8]),
         axis_sd_rad=0.05,
         at=np.zeros(3),
         across=np.zeros((0, 3)),
         across_sds_m=np.zeros(0),
-        odds=0.3,
+        probability=0.3,
     )
     axes = np.random.default_rng(0).normal(size=(400_000, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)

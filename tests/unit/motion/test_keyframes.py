@@ -1,4 +1,4 @@
-"""Start and end of a motion in small painted films."""
+"""Start and end of a motion in small painted videos."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def found(frames: Film, hand: GripperPath, touch: TouchInterval = WHOLE) -> Inte
 
 @pytest.mark.parametrize(
     ("start", "end"), [(3.0, 5.0), (0.6, 8.2), (4.0, 4.3), (2.0, 2.5), (1.0, 7.0)]
-)  # 3 to 85 % of the film
+)  # 3 to 85 % of the video
 def test_start_and_end_are_found_for_short_and_long_motions(start: float, end: float) -> None:
     interval = found(film(moves(start, end)), way(start, end))
     pixel_s = (end - start) / 18

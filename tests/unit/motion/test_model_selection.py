@@ -1,4 +1,4 @@
-"""Which type of joint the film looks like, on the made panel of the photometric tests."""
+"""Which type of joint the video looks like, on the made panel of the photometric tests."""
 
 from dataclasses import replace
 

@@ -30,17 +30,17 @@ def signs(
     [(0.4, 0.8, True), (0.02, 0.9, True), (0.0, 0.0, False), (0.1, 0.0, False), (0.4, 0.4, True), (0.2, -0.1, False)],
 )  # fmt: skip
 def test_change_and_following_are_weighed_together(changed: float, share: float, moved: bool) -> None:
-    assert (signs(changed, FollowingEstimate(share=share, sd=0.01)).log_odds > 0) == moved
+    assert (signs(changed, FollowingEstimate(share=share, sd=0.01)).log_likelihood_ratio > 0) == moved
 
 
 def test_what_cannot_be_seen_says_nothing() -> None:
-    assert signs(0.3).log_odds == pytest.approx(3.0)
-    assert signs(0.3, FollowingEstimate(share=0.0, sd=1e6)).log_odds == pytest.approx(3.0)
+    assert signs(0.3).log_likelihood_ratio == pytest.approx(3.0)
+    assert signs(0.3, FollowingEstimate(share=0.0, sd=1e6)).log_likelihood_ratio == pytest.approx(3.0)
 
 
 def test_a_hand_that_only_closes_does_not_pull() -> None:
     pushed_around = FollowingEstimate(share=0.9, sd=0.02)
-    assert signs(0.01, pushed_around, travel=0.002).log_odds < 0
+    assert signs(0.01, pushed_around, travel=0.002).log_likelihood_ratio < 0
 
 
 def test_refusals_name_their_reason() -> None:
@@ -102,7 +102,7 @@ def test_a_part_that_follows_is_told_from_one_that_stands(way_m: float) -> None:
     stood = estimate_following(*scene(), CAMERA, filmed(0 * way, shadow=True), hidden, pulled(way))
     assert moved.share == pytest.approx(1.0, abs=0.15)
     assert abs(stood.share) < 0.35
-    assert signs(0.01, moved).log_odds > 0 > signs(0.05, stood).log_odds
+    assert signs(0.01, moved).log_likelihood_ratio > 0 > signs(0.05, stood).log_likelihood_ratio
 
 
 def test_frames_are_brought_to_one_exposure_and_strangers_are_named() -> None:

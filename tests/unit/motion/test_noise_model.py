@@ -21,9 +21,9 @@ def test_a_direction_is_held_as_far_as_the_fingers_close_in_it() -> None:
 
 
 def test_a_firm_direction_varies_less() -> None:
-    course = PathNodes.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0])
-    held, loose = (compute_covariances(course, SIZES, firm)["straight"] for firm in (1.0, 0.0))
-    np.testing.assert_allclose(loose, compute_covariances(course, SIZES)["bar"])
+    path_nodes = PathNodes.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0])
+    held, loose = (compute_covariances(path_nodes, SIZES, firm)["straight"] for firm in (1.0, 0.0))
+    np.testing.assert_allclose(loose, compute_covariances(path_nodes, SIZES)["bar"])
     assert held[-1, -1] == pytest.approx((0.001 * 0.1) ** 2 + 0.0002**2, rel=1e-6)
 
 

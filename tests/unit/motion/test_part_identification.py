@@ -1,4 +1,4 @@
-"""A hand that opens one of two parts in a painted film: right, swapped and foreign prompts."""
+"""A hand that opens one of two parts in a painted video: right, swapped and foreign prompts."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The film is asked about a joint: a textured panel drawn by our own engine is the film."""
+"""The video is asked about a joint: a textured panel drawn by our own engine is the video."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What the hand says about the joint as a prior for the film."""
+"""What the hand says about the joint as a prior for the video."""
 
 import numpy as np
 import pytest
