@@ -9,8 +9,8 @@ import numpy as np
 from aomgen.core.transforms import angle_between
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
-from aomgen.motion.axis_prior import shape_of
-from aomgen.motion.ee_path import Hold
+from aomgen.motion.axis_prior import measure_shape
+from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.joint_estimation import JointEstimate, estimate_joint
 from benchmarks.joint_worlds import GRASP_SD_M, JointWorld, draw_world
 
@@ -43,8 +43,8 @@ def measure_world(seed: int) -> IntervalRow:
     kind = world.joint.type
     failure = ""
     try:
-        shape = shape_of(world.points_static, world.points_moving)
-        hold = Hold(point_ee=world.grasp_ee, closing_ee=world.closing_ee, sd_m=GRASP_SD_M)
+        shape = measure_shape(world.points_static, world.points_moving)
+        hold = GraspGuess(point_ee=world.grasp_ee, closing_ee=world.closing_ee, sd_m=GRASP_SD_M)
         estimate = estimate_joint(world.Ts_world_ee, hold, shape)
         failure = "" if estimate.joint.type == kind else "wrong type"
     except EstimationError as error:

@@ -7,9 +7,9 @@ import numpy as np
 
 from aomgen.core.joint import JointType
 from aomgen.errors import EstimationError
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.inputs import MotionInput
 from aomgen.paper.mask_keyframes import PartMasks
-from aomgen.paper.motion_estimate import PaperParams, estimate_motion_paper
+from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
 from aomgen.pipeline.estimates import NO_MOTION, motion_estimates
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.recovery import labelled_scan, motion_input
@@ -27,20 +27,20 @@ GROUPS = ("keyframes.", "contact_mm", "joint.", "theta.")
 REFUSAL = "refusal"
 
 
-def paper_variants(joint_type: JointType) -> dict[str, PaperParams]:
+def paper_variants(joint_type: JointType) -> dict[str, PaperMotionParams]:
     """As printed; with a threshold that fires; and with the signs that the text means as well.
 
     The middle one shows what the printed signs do where the printed threshold refuses.
     """
     return {
-        "printed": PaperParams(joint_type=joint_type),
-        "threshold": PaperParams(joint_type=joint_type, threshold="repaired"),
-        "repaired": PaperParams(joint_type=joint_type, threshold="repaired", signs="repaired"),
+        "printed": PaperMotionParams(joint_type=joint_type),
+        "threshold": PaperMotionParams(joint_type=joint_type, threshold="repaired"),
+        "repaired": PaperMotionParams(joint_type=joint_type, threshold="repaired", signs="repaired"),
     }
 
 
 def paper_estimates(
-    demonstration: Demonstration, masks: PartMasks, joint_type: JointType
+    demonstration: MotionInput, masks: PartMasks, joint_type: JointType
 ) -> dict[str, dict[str, Any]]:
     """What each variant answers, as entries of estimates.json; refused ones say why under "refusal"."""
     answers = {}

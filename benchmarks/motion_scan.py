@@ -14,7 +14,7 @@ from aomgen.core.progress import silent
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.splatting.training import TrainingParams, train
-from aomgen.synthetic.scene_renderer import FAR_M, Painter
+from aomgen.synthetic.scene_renderer import FAR_M, SceneRenderer
 from benchmarks.motion_upstream import SolidStatistics, Upstream
 
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:
@@ -58,7 +58,7 @@ class Surface:
 
 
 def seen_surface(
-    painter: Painter, cameras: list[Camera], qpos: Array, middle: Array, rng: np.random.Generator
+    painter: SceneRenderer, cameras: list[Camera], qpos: Array, middle: Array, rng: np.random.Generator
 ) -> tuple[Surface, list[NDArray[np.uint8]]]:
     """Unproject the pictures of a walk, thin the points to the density of a reconstruction.
 

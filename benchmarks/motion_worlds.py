@@ -21,17 +21,17 @@ from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import encode_video, read_video
-from aomgen.motion.inputs import Demonstration as MotionInput
+from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.splatting.rasterizer import render
-from aomgen.synthetic.capture_writer import moved_range
+from aomgen.synthetic.capture_writer import find_moved_range
 from aomgen.synthetic.conditions import Conditions, draw_conditions
-from aomgen.synthetic.demo_video import Film, best_camera, draw_take, filmed
-from aomgen.synthetic.demonstration_search import Performance, perform
-from aomgen.synthetic.grasp_selection import possible_touches
+from aomgen.synthetic.demo_video import RecordedVideo, choose_camera, draw_schedule, render_frames
+from aomgen.synthetic.demonstration_search import Performance, find_demonstration
+from aomgen.synthetic.grasp_selection import list_grasp_types
 from aomgen.synthetic.layout import build_world
-from aomgen.synthetic.scene_renderer import Painter, exposed
-from aomgen.synthetic.style import Manner, draw_manner
+from aomgen.synthetic.scene_renderer import SceneRenderer, expose
+from aomgen.synthetic.style import DemonstrationStyle, draw_style
 from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 from aomgen.synthetic.world import DEFAULT_ROBOT
 from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
@@ -98,25 +98,25 @@ def _make(category: str, seed: int, kind: Kind, place: Path) -> None:
     robot = load_robot(DEFAULT_ROBOT)
     performance = performed(robot, category, seed, kind, rng)
     recorded = _recorded(robot, performance, draw_conditions(rng), rng)
-    film, surface = recorded.film, recorded.surface
-    middle = performance.setting.T_world_object[:3, 3]
-    off = draw_misplacement(upstream, film.camera, middle, rng)
+    video, surface = recorded.video, recorded.surface
+    middle = performance.layout.T_world_object[:3, 3]
+    off = draw_misplacement(upstream, video.camera, middle, rng)
     labels = mislabelled(surface.points, surface.labels, upstream, rng)
     gaussians = raw_gaussians(surface, middle, upstream, rng)
     gaussians = learned(gaussians, recorded.scan_cameras, recorded.scan_images, rng)
     scene = gaussians.transformed(off.S_given_world)
     arrays: dict[str, NDArray] = {name: getattr(scene, name) for name in _GAUSSIANS} | {"labels": labels}
-    arrays |= {name: getattr(film.take.log, name) for name in ("times_s", "joints", "gripper")}
-    truth: dict[str, NDArray] = {"labels": surface.labels, "film_labels": np.stack(film.labels)}
-    answers = _answers(performance, film) | {"S_given_world": off.S_given_world}
+    arrays |= {name: getattr(video.schedule.log, name) for name in ("times_s", "joints", "gripper")}
+    truth: dict[str, NDArray] = {"labels": surface.labels, "film_labels": np.stack(video.labels)}
+    answers = _answers(performance, video) | {"S_given_world": off.S_given_world}
     world = {
-        "intrinsics": _intrinsics(film.camera),
+        "intrinsics": _intrinsics(video.camera),
         "T_world_cam": off.camera.T_world_cam,
-        "clock_offset_s": film.take.clock_offset_s + off.clock_s,
+        "clock_offset_s": video.schedule.clock_offset_s + off.clock_s,
         "clock_sd_s": 1e-3 * upstream.clock_sd_ms,
     }
     with staged_folder(place) as staging:
-        write_bytes(staging / _VIDEO, encode_video(film.frames, recorded.fps, crf=17))
+        write_bytes(staging / _VIDEO, encode_video(video.frames, recorded.fps, crf=17))
         write_bytes(staging / _ARRAYS, npz_bytes(arrays))
         write_bytes(staging / "truth" / TRUE_ARRAYS, npz_bytes(truth))
         write_json(staging / "truth" / "truth.json", answers)
@@ -160,7 +160,7 @@ def load_motion_world(place: Path) -> MotionWorld:
 class _Recorded:
     """Everything recorded of one performance, exact but for the sensors' noise."""
 
-    film: Film
+    video: RecordedVideo
     fps: int
     scan_cameras: list[Camera]
     scan_images: list[NDArray[np.uint8]]
@@ -170,21 +170,21 @@ class _Recorded:
 def _recorded(
     robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
 ) -> _Recorded:
-    demonstration, setting = performance.demonstration, performance.setting
-    take = draw_take(robot, performance, conditions, rng)
-    walk = scan_cameras(setting, conditions, rng)
+    demonstration, layout = performance.demonstration, performance.layout
+    schedule = draw_schedule(robot, performance, conditions, rng)
+    walk = scan_cameras(layout, conditions, rng)
     walk = [walk[k] for k in np.linspace(0, len(walk) - 1, SCAN_VIEWS).astype(int)]
-    world = build_world(robot, setting, visual=True)
-    with Painter(robot, world, *conditions.size) as painter:
-        camera = best_camera(painter, demo_candidates(setting, conditions, rng), demonstration, take)
-        middle = setting.T_world_object[:3, 3]
+    world = build_world(robot, layout, visual=True)
+    with SceneRenderer(robot, world, *conditions.size) as painter:
+        camera = choose_camera(painter, demo_candidates(layout, conditions, rng), demonstration, schedule)
+        middle = layout.T_world_object[:3, 3]
         surface, images = seen_surface(painter, walk, demonstration.qpos[0], middle, rng)
-        frames, labels = filmed(painter, camera, demonstration, take, conditions, rng)
+        frames, labels = render_frames(painter, camera, demonstration, schedule, conditions, rng)
     return _Recorded(
-        film=Film(take=take, camera=camera, frames=frames, labels=labels),
+        video=RecordedVideo(schedule=schedule, camera=camera, frames=frames, labels=labels),
         fps=conditions.fps,
         scan_cameras=walk,
-        scan_images=[exposed(image, 1.0, conditions.noise, rng) for image in images],
+        scan_images=[expose(image, 1.0, conditions.noise, rng) for image in images],
         surface=surface,
     )
 
@@ -200,34 +200,34 @@ def performed(
     asset = make_asset(category, seed)
     for _ in range(MAX_MANNERS - 1):
         try:
-            return perform(robot, asset, rng, manner_of(kind, asset, rng))
+            return find_demonstration(robot, asset, rng, draw_kind_style(kind, asset, rng))
         except ConfigError:
             continue
-    return perform(robot, asset, rng, manner_of(kind, asset, rng))
+    return find_demonstration(robot, asset, rng, draw_kind_style(kind, asset, rng))
 
 
-def manner_of(kind: Kind, asset: ArticulatedAsset, rng: np.random.Generator) -> Manner:
+def draw_kind_style(kind: Kind, asset: ArticulatedAsset, rng: np.random.Generator) -> DemonstrationStyle:
     """A random manner of a kind."""
     if kind == "short":
-        manner = draw_manner(asset, rng)
-        return replace(manner, travel=SHORT[asset.joint.type], pause_s=0.0, slip_m=0.0, grip=1.0)
+        style = draw_style(asset, rng)
+        return replace(style, travel=SHORT[asset.joint.type], pause_s=0.0, slip_m=0.0, grip=1.0)
     if kind == "closing":
-        return draw_manner(asset, rng, direction="closing")
+        return draw_style(asset, rng, direction="closing")
     if kind in ("hook", "push"):
         direction = "closing" if kind == "push" else "opening"
         # A lid or a sliding panel cannot be hooked: its handle is pushed along the front.
-        touch = kind if kind in possible_touches(asset, direction) else "push"
-        return draw_manner(asset, rng, touch=touch, direction=direction)
+        touch = kind if kind in list_grasp_types(asset, direction) else "push"
+        return draw_style(asset, rng, touch=touch, direction=direction)
     if kind == "open":
-        return draw_manner(asset, rng)
-    return draw_manner(asset, rng, outcome=kind)
+        return draw_style(asset, rng)
+    return draw_style(asset, rng, outcome=kind)
 
 
-def _answers(performance: Performance, film: Film) -> dict[str, Any]:
+def _answers(performance: Performance, video: RecordedVideo) -> dict[str, Any]:
     """Content of truth.json, as `synthetic.write` gives it for captures."""
-    joint, demonstration, steps = performance.joint, performance.demonstration, film.take.steps
+    joint, demonstration, steps = performance.joint, performance.demonstration, video.schedule.steps
     theta = performance.theta[steps]
-    start, end = moved_range(theta, joint)
+    start, end = find_moved_range(theta, joint)
     contacts = [
         [
             {"finger": touch.finger, "point": touch.point, "normal": touch.normal, "force": touch.force}
@@ -237,18 +237,18 @@ def _answers(performance: Performance, film: Film) -> dict[str, Any]:
     ]
     return {
         "scan": {},
-        "demo_cameras": {CAMERA: film.camera.T_world_cam},
+        "demo_cameras": {CAMERA: video.camera.T_world_cam},
         "joint": {"type": joint.type, "axis": joint.axis, "origin": joint.origin, "lower": joint.lower, "upper": joint.upper},
-        "direction": performance.manner.direction,
-        "manner": asdict(performance.manner),
+        "direction": performance.style.direction,
+        "manner": asdict(performance.style),
         "theta": {CAMERA: theta},
         "start_frame": start,
         "end_frame": end,
-        "clock_offset_s": film.take.clock_offset_s,
+        "clock_offset_s": video.schedule.clock_offset_s,
         "qpos": demonstration.joints[steps],
         "gripper": demonstration.gripper[steps],
         "contacts": contacts,
-        "T_world_object": performance.setting.T_world_object,
+        "T_world_object": performance.layout.T_world_object,
     }  # fmt: skip
 
 

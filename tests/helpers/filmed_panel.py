@@ -10,9 +10,9 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array
 from aomgen.io.video import Video
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.kinematic_prior import HandAnswer
-from aomgen.motion.photometric_residuals import shifted
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.kinematic_prior import KinematicPrior
+from aomgen.motion.photometric_residuals import shift_joint
 from aomgen.splatting.rasterizer import render
 
 HINGE = Joint(type="revolute", axis=np.array([0, 0, 1.0]), origin=np.zeros(3), lower=0.0, upper=1.0)
@@ -57,7 +57,7 @@ def _texture(count: int, seed: int, contrast: float) -> Array:
 class World:
     """A panel before a wall, the panel moved by a joint, and what a hand says about it."""
 
-    demo: Demonstration
+    demo: MotionInput
     hidden: Array
     joint: Joint
     thetas: Array
@@ -66,10 +66,10 @@ class World:
         assert (width, height) == (CAMERA.width, CAMERA.height)
         return self.hidden[np.round(times_s * 10).astype(int)]
 
-    def hand(self, x: Array, factor: float) -> HandAnswer:
+    def hand(self, x: Array, factor: float) -> KinematicPrior:
         thetas = self.thetas * factor
-        return HandAnswer(
-            joint=shifted(self.joint, self.joint.origin, np.asarray(x)),
+        return KinematicPrior(
+            joint=shift_joint(self.joint, self.joint.origin, np.asarray(x)),
             held_world=HELD,
             covariance=np.diag([4.5e-4, 4.5e-4, 5e-5, 5e-5])[: len(x), : len(x)],
             interval=MOTION_S,
@@ -101,7 +101,7 @@ def world(
         for index in range(6, len(TIMES_S)):
             hidden[index, 30:60, 20 + 2 * index : 50 + 2 * index] = True
         frames[hidden] = np.random.default_rng(4).uniform(0, 1, (int(hidden.sum()), 3))
-    demo = Demonstration(
+    demo = MotionInput(
         video=Video(frames_srgb=np.clip(frames * 255, 0, 255).astype(np.uint8), times_s=TIMES_S, fps=10.0),
         camera=CAMERA,
         log=None,  # type: ignore[arg-type]

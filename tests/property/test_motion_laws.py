@@ -27,12 +27,12 @@ from aomgen.core.transforms import (
 )
 from aomgen.core.values import Array
 from aomgen.io.video import Video
-from aomgen.motion.contact import ContactParams
+from aomgen.motion.contact import WINDOW_S
 from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointParams
-from aomgen.motion.joint_trajectory import first_frame, poses_at, recover, touched
-from aomgen.motion.observations import KeyframeView
+from aomgen.motion.joint_trajectory import ee_poses_at, find_first_frame, prepare_recovery, recover_motion
+from aomgen.motion.observations import VideoObservations
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
 from aomgen.motion.photometric_residuals import Band
@@ -54,7 +54,7 @@ SEED_JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
 QUICK = MotionParams(
     width=120,
     joint=JointParams(nodes=8),
-    contact=ContactParams(steps=2),
+    contact_steps=2,
     photometric=PhotometricParams(
         knots=3, max_pixels=4000, bands=(Band(blur_px=1.0, wide_px=4.0, margin_px=2),), rounds=2
     ),
@@ -145,7 +145,7 @@ def thetas_at(joint: Joint, times_s: Array) -> Array:
 
 
 @cache
-def world(kind: str) -> Demonstration:
+def world(kind: str) -> MotionInput:
     """A hand that comes, holds the handle, opens the door or pulls it out as a drawer's front, and goes."""
     joint = JOINTS[kind]
     robot = load_robot("ur5e_2f85")
@@ -177,7 +177,7 @@ def world(kind: str) -> Demonstration:
     with robot_masks(robot, camera, log) as masks_at:
         frames[masks_at(FRAMES_S, camera.width, camera.height)] = 0.3
     frames = frames + np.random.default_rng(0).normal(0, 0.006, frames.shape)
-    return Demonstration(
+    return MotionInput(
         video=Video(frames_srgb=np.clip(255 * frames, 0, 255).astype(np.uint8), times_s=FRAMES_S, fps=FPS),
         camera=camera,
         log=log,
@@ -214,7 +214,7 @@ def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
     return replace(robot, _model=model, _build=build)
 
 
-def elsewhere(demo: Demonstration, T: Array) -> Demonstration:
+def elsewhere(demo: MotionInput, T: Array) -> MotionInput:
     """The whole world moved; film and log stay."""
     return replace(
         demo,
@@ -224,7 +224,7 @@ def elsewhere(demo: Demonstration, T: Array) -> Demonstration:
     )
 
 
-def backwards(demo: Demonstration, joint: Joint) -> Demonstration:
+def backwards(demo: MotionInput, joint: Joint) -> MotionInput:
     """Film, log and gripper backwards, and the scene as it would be scanned before that."""
     log, film, moving = demo.log, demo.video, demo.labels == MOVING
     gone = demo.scene.select(moving).transformed(joint.motion(joint.upper))
@@ -255,17 +255,19 @@ def test_the_joint_is_found(kind: str) -> None:
 
 def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> None:
     """The first round may read the hand's way about a poor joint, and find another beginning."""
-    demo, params = world("drawer"), QUICK.contact
+    demo = world("drawer")
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        view = KeyframeView.of(demo, masks_at, QUICK)
-        departures, interval = view.interval(QUICK.keyframes)
-    first = touched(demo, view, departures, interval, QUICK)
+        view = VideoObservations.of(demo, masks_at, QUICK)
+        departures, interval = view.interval()
+    first = prepare_recovery(demo, view, departures, interval, QUICK)
     guess = first.found.prismatic
     axis = matrix_from_rotvec([0, 0, np.radians(80)]) @ guess.joint.axis
     poor = replace(first.found, prismatic=replace(guess, joint=replace(guess.joint, axis=axis)))
-    found = recover(replace(first, found=poor), "prismatic", QUICK)
-    moments = first_frame(FRAMES_S, found.course.interval[0]) + np.linspace(0, params.window_s, params.steps)
-    hand = poses_at(demo, moments + demo.clock_offset_s)
+    found = recover_motion(replace(first, found=poor), "prismatic", QUICK)
+    moments = find_first_frame(FRAMES_S, found.trajectory.interval[0]) + np.linspace(
+        0, WINDOW_S, QUICK.contact_steps
+    )
+    hand = ee_poses_at(demo, moments + demo.clock_offset_s)
     touch = np.mean([patch.point for patch in found.contacts.patches], axis=0)
     assert touch == pytest.approx(apply(hand, found.contacts.grasp_ee).mean(0), abs=1e-4)
 

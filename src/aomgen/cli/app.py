@@ -258,10 +258,10 @@ def synthetic(
 ) -> None:
     """Make a capture with ground truth in a virtual world: simulated physics, rendered pictures."""
     from aomgen.core.progress import silent
-    from aomgen.synthetic.world import draw_capture_manner, make_capture
+    from aomgen.synthetic.world import draw_capture_style, make_capture
 
     if folder.exists():
         raise ConfigError(folder, "exists already", "choose another folder")
-    manner = draw_capture_manner(category, seed, "closing" if closing else "opening", touch)
-    make_capture(folder, category=category, seed=seed, robot_file=robot, manner=manner, progress=silent)
+    style = draw_capture_style(category, seed, "closing" if closing else "opening", touch)
+    make_capture(folder, category=category, seed=seed, robot_file=robot, style=style, progress=silent)
     print(folder)

@@ -9,6 +9,7 @@ from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply, similarity_parts
 from aomgen.core.values import freeze
 
+# Real spherical harmonic of degree 0, a constant: sqrt(1 / (4 pi)).
 SH_C0 = 0.28209479177387814
 
 

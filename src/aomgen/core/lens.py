@@ -9,6 +9,8 @@ from aomgen.core.values import Array
 
 # Newton steps from the distorted ray; the fifth changes nothing below 1e-9 on any usable lens.
 NEWTON_STEPS = 12
+# Points on each edge of the image: distortion is smooth, so that its extremes are met to far less than a
+# pixel.
 BORDER_SAMPLES = 64
 
 

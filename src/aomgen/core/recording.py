@@ -8,8 +8,9 @@ from aomgen.core.lens import Lens
 from aomgen.core.robot_choice import RobotChoice
 from aomgen.core.values import Array, freeze
 
-# How far a focal length is off, as a share: a data sheet's, by sample and focus; one from a target.
+# Error of a focal length from a data sheet, standard deviation as a share: lenses differ by sample and focus.
 STATED_FOCAL_SD = 0.02
+# The same of one that was calibrated with a target.
 CALIBRATED_FOCAL_SD = 0.001
 
 

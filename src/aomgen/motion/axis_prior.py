@@ -13,8 +13,15 @@ from scipy.optimize import minimize
 
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
-from aomgen.motion.box_edges import Box, face_normal, footprint_yaw, upright_box
-from aomgen.motion.joint_models import tangent_basis
+from aomgen.motion.box_edges import (
+    MIN_POINTS,
+    TAIL_PERCENT,
+    OrientedBox,
+    find_face_normal,
+    find_footprint_yaw,
+    fit_upright_box,
+)
+from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
 SIDE, ALONG, NEITHER = 0.75, 0.15, 0.1
@@ -25,11 +32,8 @@ DIRECTION_SD_RAD = float(np.radians(0.8))
 SIDE_SD_M = 0.01
 # Another box has to be this much smaller than the upright one around the whole object to be preferred.
 _CLEARLY = 0.75
-_TAIL_PERCENT = 1.0
 # A body's walls stand this far outside of its door's or drawer's sides at most, [m].
 _BESIDE_M = 0.02
-# Fewer points have no box.
-_FEWEST = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +46,7 @@ class AxisHint:
         at: A point (3,) near the line, [m].
         across: Directions (M, 3) in which the line's place is known; M is 0 or 2.
         across_sds_m: Their standard deviations (M,), [m].
-        odds: Prior probability.
+        probability: Prior probability.
     """
 
     axis: Array
@@ -50,7 +54,7 @@ class AxisHint:
     at: Array
     across: Array
     across_sds_m: Array
-    odds: float
+    probability: float
 
     def __post_init__(self) -> None:
         freeze(self, "axis", self.axis, (3,))
@@ -67,7 +71,7 @@ class AxisHint:
         """
         along = axes @ self.axis
         side = np.where(along < 0, -1.0, 1.0)
-        tilt = (axes @ tangent_basis(self.axis).T) * side[..., None] / self.axis_sd_rad
+        tilt = (axes @ make_tangent_basis(self.axis).T) * side[..., None] / self.axis_sd_rad
         offsets = points - self.at
         steep = side * np.maximum(np.abs(along), 0.1)
         offsets = offsets - axes * ((offsets @ self.axis) / steep)[..., None]
@@ -78,11 +82,11 @@ class AxisHint:
         """Normalization of the residuals, with the odds."""
         direction = -np.log(4 * np.pi * self.axis_sd_rad**2)
         place = -np.log(np.sqrt(2 * np.pi) * self.across_sds_m).sum()
-        return float(np.log(self.odds) + direction + place)
+        return float(np.log(self.probability) + direction + place)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shape:
+class PartShape:
     """The moving part's box and what follows from it.
 
     Attributes:
@@ -91,7 +95,7 @@ class Shape:
         corners: Of the upright box around both parts (8, 3), world frame, [m].
     """
 
-    box: Box
+    box: OrientedBox
     face_normal: Array
     corners: Array
 
@@ -115,14 +119,14 @@ class Shape:
         """Possibilities for a prismatic joint: along one of the three directions."""
         return [self._direction(k, (SIDE + ALONG) / 3) for k in range(3)]
 
-    def _direction(self, k: int, odds: float) -> AxisHint:
+    def _direction(self, k: int, probability: float) -> AxisHint:
         return AxisHint(
             axis=self.box.T_world_box[:3, k],
             axis_sd_rad=DIRECTION_SD_RAD,
             at=self.box.T_world_box[:3, 3],
             across=np.zeros((0, 3)),
             across_sds_m=np.zeros(0),
-            odds=odds,
+            probability=probability,
         )
 
     def _side(self, k: int, side: int, sign: float) -> AxisHint:
@@ -135,11 +139,11 @@ class Shape:
             across=R[:, [side, depth]].T,
             # Anywhere in the thickness: the deviation of an even spread.
             across_sds_m=np.array([SIDE_SD_M, np.hypot(half[depth] / np.sqrt(3), SIDE_SD_M)]),
-            odds=SIDE / 12,
+            probability=SIDE / 12,
         )
 
 
-def shape_of(points_static: Array, points_moving: Array) -> Shape:
+def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
     """Box of the moving part and the direction it sticks out.
 
     The box stands upright and shares its yaw with the whole object, unless another one is clearly
@@ -155,11 +159,11 @@ def shape_of(points_static: Array, points_moving: Array) -> Shape:
     Not checked: that the points show the whole part.
     """
     everything = np.concatenate([points_static, points_moving])
-    yaw = footprint_yaw(everything)
-    together, around = upright_box(points_moving, yaw), upright_box(everything, yaw)
+    yaw = find_footprint_yaw(everything)
+    together, around = fit_upright_box(points_moving, yaw), fit_upright_box(everything, yaw)
     best = together
     for box in (
-        upright_box(points_moving, footprint_yaw(points_moving)),
+        fit_upright_box(points_moving, find_footprint_yaw(points_moving)),
         _leaning_box(points_moving, together),
     ):
         if _volume(box) < _CLEARLY * _volume(best):
@@ -167,20 +171,20 @@ def shape_of(points_static: Array, points_moving: Array) -> Shape:
     static = _box_about(_beside(points_static, best), best.T_world_box[:3, :3])
     signs = np.array(list(product((-1.0, 1.0), repeat=3)))
     corners = apply(around.T_world_box, signs * around.half_extents)
-    return Shape(box=best, face_normal=face_normal(static, best), corners=corners)
+    return PartShape(box=best, face_normal=find_face_normal(static, best), corners=corners)
 
 
-def _beside(points_static: Array, box: Box) -> Array:
+def _beside(points_static: Array, box: OrientedBox) -> Array:
     """Those static points (N, 3) that lie before, behind, beside, over or under the part's box.
 
     Another door of the same object that stands ajar says nothing of this one's face.
     """
     inside = np.abs(apply(invert(box.T_world_box), points_static)) <= box.half_extents + _BESIDE_M
     near = points_static[inside.sum(1) >= 2]
-    return near if len(near) >= _FEWEST else points_static
+    return near if len(near) >= MIN_POINTS else points_static
 
 
-def _leaning_box(points: Array, upright: Box) -> Box:
+def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
     """Small box of any orientation, found from the points' main directions."""
     main = np.linalg.svd(points - points.mean(0), full_matrices=False)[2]
     R_main = main.T * np.array([1.0, 1.0, np.linalg.det(main)])
@@ -196,14 +200,14 @@ def _leaning_box(points: Array, upright: Box) -> Box:
     return min(found, key=_volume)
 
 
-def _box_about(points: Array, R_world_box: Array) -> Box:
-    low, high = np.percentile(points @ R_world_box, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
-    return Box(
+def _box_about(points: Array, R_world_box: Array) -> OrientedBox:
+    low, high = np.percentile(points @ R_world_box, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
+    return OrientedBox(
         T_world_box=transform(R_world_box, R_world_box @ ((low + high) / 2)),
         half_extents=np.maximum((high - low) / 2, 1e-4),
     )
 
 
-def _volume(box: Box) -> float:
+def _volume(box: OrientedBox) -> float:
     """Of the box with a centimeter more on each side, so that noise of thin parts counts little, [m3]."""
     return float(np.prod(box.half_extents + 0.005))

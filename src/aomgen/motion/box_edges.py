@@ -10,14 +10,18 @@ from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze
 from aomgen.errors import InputError
 
+# Yaws tried over a quarter turn, half a degree apart: finer than a scanned footprint tells its yaw.
 _YAW_STEPS = 180
-_TAIL_PERCENT = 1.0
-_MIN_POINTS = 20
+# Points beyond this percentile on either side are strays, [%].
+TAIL_PERCENT = 1.0
+# Fewer points have no box.
+MIN_POINTS = 20
+# Points on each edge between which distances are taken; the score is their mean.
 _EDGE_SAMPLES = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class OrientedBox:
     """An upright box: its third axis is the world's z.
 
     Attributes:
@@ -50,7 +54,7 @@ class Box:
         return apply(self.T_world_box, np.array(ends) * self.half_extents)
 
 
-def footprint_yaw(points_world: Array) -> float:
+def find_footprint_yaw(points_world: Array) -> float:
     """Yaw of the smallest upright rectangle around points (N, 3), [rad], in 0..pi/2.
 
     Extents are taken between the 1st and 99th percentile, so that stray points do not count.
@@ -60,32 +64,32 @@ def footprint_yaw(points_world: Array) -> float:
     for yaw in yaws:
         c, s = np.cos(yaw), np.sin(yaw)
         turned = points_world[:, :2] @ np.array([[c, -s], [s, c]])
-        low, high = np.percentile(turned, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+        low, high = np.percentile(turned, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
         areas.append(np.prod(high - low))
     return float(yaws[int(np.argmin(areas))])
 
 
-def upright_box(points_world: Array, yaw: float) -> Box:
+def fit_upright_box(points_world: Array, yaw: float) -> OrientedBox:
     """Box with the given yaw around points (N, 3), world frame, tails of one percent cut.
 
     Raises:
         InputError: Fewer than 20 points.
     """
-    if not len(points_world) >= _MIN_POINTS:
+    if not len(points_world) >= MIN_POINTS:
         raise InputError(
-            "part points", f"{len(points_world)} points, need {_MIN_POINTS}", "correct the prompts"
+            "part points", f"{len(points_world)} points, need {MIN_POINTS}", "correct the prompts"
         )
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     local = points_world @ R
-    low, high = np.percentile(local, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
-    return Box(
+    low, high = np.percentile(local, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
+    return OrientedBox(
         T_world_box=transform(R, R @ ((low + high) / 2)), half_extents=np.maximum((high - low) / 2, 1e-4)
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeTerms:
+class EdgePairTerms:
     """What is measured of every pair (static edge, moving edge), as costs are made of it.
 
     Attributes:
@@ -104,7 +108,9 @@ class EdgeTerms:
         freeze(self, "reach", self.reach, (12,))
 
 
-def edge_terms(static: Box, moving: Box, contact_world: Array, direction_world: Array) -> EdgeTerms:
+def measure_edge_pairs(
+    static: OrientedBox, moving: OrientedBox, contact_world: Array, direction_world: Array
+) -> EdgePairTerms:
     """Measure every pair of edges; distances are divided by the moving part's diagonal.
 
     Args:
@@ -123,14 +129,14 @@ def edge_terms(static: Box, moving: Box, contact_world: Array, direction_world: 
     samples_static, samples_moving = (_samples(edges) for edges in (edges_static, edges_moving))
     gaps = samples_static[:, None, :, None] - samples_moving[None, :, None, :]
     distance = np.linalg.norm(gaps, axis=-1).min(-1).mean(-1) / size
-    return EdgeTerms(
+    return EdgePairTerms(
         score=(1 - parallel) * 0.8 + distance * 0.2,
         along=np.abs(unit_moving @ direction_world),
         reach=_line_distances(contact_world, edges_moving) / size,
     )
 
 
-def face_normal(static: Box, moving: Box) -> Array:
+def find_face_normal(static: OrientedBox, moving: OrientedBox) -> Array:
     """Box axis along which the moving part sticks out of the static one most, for its size."""
     offset = apply(invert(moving.T_world_box), static.T_world_box[:3, 3])
     depth = np.abs(offset) / (static.half_extents + moving.half_extents)
@@ -138,7 +144,7 @@ def face_normal(static: Box, moving: Box) -> Array:
     return -np.sign(offset[axis]) * moving.T_world_box[:3, axis]
 
 
-def pair_center(
+def find_pair_center(
     points_static: Array, points_moving: Array, edge_static: Array, edge_moving: Array, count: int
 ) -> Array:
     """Mean midpoint (3,) of the `count` nearest point pairs near a pair of edges; the edges' middle without any.

@@ -15,27 +15,17 @@ from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.ee_path import mean_pose
-from aomgen.motion.grip_contact import Patch, held_patches, unseen_patches
+from aomgen.motion.ee_path import average_poses
+from aomgen.motion.grip_contact import Patch, assume_pad_patches, find_grip_patches
 from aomgen.motion.gripper_signals import EMPTY_GRIP
-from aomgen.motion.push_contact import MIN_WAY_M, pushing_patches
+from aomgen.motion.push_contact import MIN_WAY_M, find_push_patches
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import RobotModel
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ContactParams:
-    """How patches are cut out.
-
-    Attributes:
-        window_s: Patches are followed this long after the start of the motion, [s].
-        steps: Moments in that window.
-        spacing_m: Distance of the points that stand for the part's surface, [m].
-    """
-
-    window_s: float = 0.3
-    steps: int = 7
-    spacing_m: float = 0.002
+# Patches are followed this long after the start of the motion, [s].
+WINDOW_S = 0.3
+# Distance of the points that stand for the part's surface, [m]: as well as surfaces are reconstructed.
+SPACING_M = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,22 +89,22 @@ def find_contacts(
     """
     joints, gripper = log.at(path.times_log_s)
     Ts_world_ee = robot.ee_poses(joints)
-    T_ee_part = mean_pose(invert(Ts_world_ee) @ path.Ts_world_part)
+    T_ee_part = average_poses(invert(Ts_world_ee) @ path.Ts_world_part)
     points_ee = apply(T_ee_part, points_moving)
     middle = len(gripper) // 2
     Ts_ee_body = invert(Ts_world_ee[middle]) @ robot.link_poses(joints, gripper)[middle]
     axes_ee = axes_world @ T_ee_part[:3, :3].T
     open_hand = float(np.median(gripper)) < EMPTY_GRIP
-    patches = held_patches(robot.pads, Ts_ee_body, points_ee, axes_ee) if open_hand else ()
+    patches = find_grip_patches(robot.pads, Ts_ee_body, points_ee, axes_ee) if open_hand else ()
     if not patches and robot.hand_bodies:
         points, normals = (surface := hand_surface(robot)).posed(Ts_ee_body)
-        patches = pushing_patches(
+        patches = find_push_patches(
             (points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee, path.Ts_world_part)
         )
     if not patches:
         closed_on_it = open_hand and len(robot.pads) >= 2
         patches = (
-            unseen_patches(robot.pads, Ts_ee_body, points_ee) if closed_on_it else (_nearest(points_ee),)
+            assume_pad_patches(robot.pads, Ts_ee_body, points_ee) if closed_on_it else (_nearest(points_ee),)
         )
     sd_m = float(np.sqrt(np.mean([patch.covariance.trace() / 3 for patch in patches])))
     return Contacts(

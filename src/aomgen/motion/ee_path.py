@@ -10,7 +10,7 @@ from aomgen.motion import filters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hold:
+class GraspGuess:
     """Where and how a hand holds a part, end-effector frame.
 
     Attributes:
@@ -30,7 +30,7 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HandPath:
+class EePath:
     """Averaged end-effector poses, equally spaced along the path, in the order of time.
 
     Attributes:
@@ -40,7 +40,7 @@ class HandPath:
     """
 
     Ts_world_ee: Array
-    hold: Hold
+    hold: GraspGuess
     length_m: float
 
     def __post_init__(self) -> None:
@@ -61,10 +61,10 @@ class HandPath:
     def turns_world(self) -> Array:
         """Rotation vectors (K, 3) of the hand since the first node, world frame, [rad]."""
         rotations = self.Ts_world_ee[:, :3, :3]
-        return unwrapped_turns(rotations @ rotations[0].T)
+        return unwrap_rotations(rotations @ rotations[0].T)
 
 
-def unwrapped_turns(rotations: Array) -> Array:
+def unwrap_rotations(rotations: Array) -> Array:
     """Rotation vectors (K, 3) of rotations (K, 3, 3) that continue each other past half a turn."""
     turns = rotvec_from_matrix(rotations)
     for k in range(1, len(turns)):
@@ -75,7 +75,7 @@ def unwrapped_turns(rotations: Array) -> Array:
     return turns
 
 
-def thin(Ts_world_ee: Array, hold: Hold, *, nodes: int, smooth: int) -> HandPath:
+def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int, smooth: int) -> EePath:
     """Average a dense pose series (T, 4, 4) into `nodes` stretches of equal travel.
 
     Resting counts little this way, and noise of single samples averages out.
@@ -92,11 +92,11 @@ def thin(Ts_world_ee: Array, hold: Hold, *, nodes: int, smooth: int) -> HandPath
     steps = np.linalg.norm(np.diff(smoothed, axis=0), axis=1)
     travel = np.concatenate([[0.0], np.cumsum(steps)])
     bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
-    poses = [mean_pose(Ts_world_ee[bins == k]) for k in np.unique(bins)]
-    return HandPath(Ts_world_ee=np.stack(poses), hold=hold, length_m=float(travel[-1]))
+    poses = [average_poses(Ts_world_ee[bins == k]) for k in np.unique(bins)]
+    return EePath(Ts_world_ee=np.stack(poses), hold=hold, length_m=float(travel[-1]))
 
 
-def mean_pose(Ts: Array) -> Array:
+def average_poses(Ts: Array) -> Array:
     """The mean (4, 4) of poses (K, 4, 4) that are close to each other."""
     mean = Ts.mean(0)
     U, _, Vt = np.linalg.svd(mean[:3, :3])

@@ -1,4 +1,4 @@
-"""Frames of a fixed camera brought to one exposure, and those that do not belong to the film."""
+"""Frames of a fixed camera brought to one exposure, and those that do not belong to the video."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.values import Array
 
-# Frames that make the common picture, evenly over the film.
+# Frames that make the common picture, evenly over the video.
 _SAMPLES = 15
 # Every n-th pixel is enough for a median.
 _STRIDE = 3
@@ -21,7 +21,7 @@ _QUIET = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchedFrames:
-    """A film at one exposure.
+    """A video at one exposure.
 
     Attributes:
         frames_srgb: (T, H, W, 3) uint8.
@@ -32,12 +32,12 @@ class MatchedFrames:
     bad: NDArray[np.bool_]
 
 
-def matched_frames(
+def match_exposure(
     frames_srgb: NDArray[np.uint8], hidden: NDArray[np.bool_], region: NDArray[np.bool_]
 ) -> MatchedFrames:
     """Scale the colors of every frame so that what stands still keeps its color.
 
-    Per frame and channel one factor: the median ratio to the film's median picture, over pixels that
+    Per frame and channel one factor: the median ratio to the video's median picture, over pixels that
     show neither the robot nor the part's place. Frames that differ from it all the same are called bad.
 
     Args:

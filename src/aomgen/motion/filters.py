@@ -14,33 +14,33 @@ def smooth(values: Array, step_s: float, window_s: float) -> Array:
     return np.asarray(savgol_filter(values, window, 2)) if len(values) > window else np.array(values)
 
 
-def without_glitches(values: Array) -> Array:
+def remove_glitches(values: Array) -> Array:
     """Series (T,) in which single samples that stand out are replaced: the median of three."""
     padded = np.pad(values, 1, mode="edge")
     return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
 
 
-def grown(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+def dilate(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """A mask (H, W) with a margin added."""
     return np.asarray(ndimage.binary_dilation(mask, iterations=pixels), bool)
 
 
-def closed(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+def close_gaps(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """A mask (H, W) with gaps up to twice `pixels` closed."""
     return np.asarray(ndimage.binary_closing(mask, iterations=pixels, border_value=0), bool)
 
 
-def lowest_around(values: Array, pixels: int) -> Array:
+def minimum_around(values: Array, pixels: int) -> Array:
     """The smallest value (H, W) in a square of `pixels` around each pixel."""
     return np.asarray(ndimage.minimum_filter(values, size=pixels))
 
 
-def filled(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def fill_holes(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """A mask (H, W) without holes."""
     return np.asarray(ndimage.binary_fill_holes(mask), bool)
 
 
-def touching(mask: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def keep_touching(mask: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Connected regions of a mask (H, W), diagonals included, that meet the seed (H, W)."""
     labels = np.zeros(mask.shape, np.int32)
     ndimage.label(mask, np.ones((3, 3)), output=labels)
@@ -48,7 +48,7 @@ def touching(mask: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[np.boo
     return np.isin(labels, wanted[wanted > 0])
 
 
-def runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+def find_runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Index arrays of the stretches in which flags (T,) hold."""
     where = np.flatnonzero(flags)
     return np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if len(where) else []

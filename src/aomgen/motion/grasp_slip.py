@@ -7,11 +7,11 @@ import numpy as np
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.motion.ee_path import unwrapped_turns
+from aomgen.motion.ee_path import unwrap_rotations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drift:
+class GraspSlip:
     """The hand seen from the part, since one moment; world axes with the part at its scanned place.
 
     Attributes:
@@ -37,7 +37,9 @@ class Drift:
         return np.linalg.norm(self.pivots, axis=1)
 
 
-def hand_drift(joint: Joint, thetas: Array, Ts_world_ee: Array, grasp_ee: Array, reference: int) -> Drift:
+def measure_slip(
+    joint: Joint, thetas: Array, Ts_world_ee: Array, grasp_ee: Array, reference: int
+) -> GraspSlip:
     """Slip and pivot of the hand against the part; zero at the reference.
 
     Args:
@@ -54,6 +56,6 @@ def hand_drift(joint: Joint, thetas: Array, Ts_world_ee: Array, grasp_ee: Array,
     points = apply(Ts_part_ee, grasp_ee)
     rotations = Ts_part_ee[:, :3, :3]
     turns = rotations @ rotations[reference].T
-    forwards = unwrapped_turns(turns[reference:])
-    backwards = unwrapped_turns(turns[reference::-1])
-    return Drift(slips=points - points[reference], pivots=np.concatenate([backwards[:0:-1], forwards]))
+    forwards = unwrap_rotations(turns[reference:])
+    backwards = unwrap_rotations(turns[reference::-1])
+    return GraspSlip(slips=points - points[reference], pivots=np.concatenate([backwards[:0:-1], forwards]))

@@ -59,7 +59,7 @@ class Patch:
         return float(np.sqrt(np.trace(self.covariance)))
 
 
-def held_patches(
+def find_grip_patches(
     pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array, axes_ee: Array
 ) -> tuple[Patch, ...]:
     """One patch on each pad of a gripper that holds the part; none if the part is not between its pads.
@@ -94,8 +94,8 @@ def held_patches(
     return tuple(patches)
 
 
-def unseen_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
-    """One patch all over each pad, for a gripper that holds what the scan hardly saw; see `held_patches`."""
+def assume_pad_patches(pads: Sequence[FingerPad], Ts_ee_body: Array, points_ee: Array) -> tuple[Patch, ...]:
+    """One patch all over each pad, for a gripper that holds what the scan hardly saw; see `find_grip_patches`."""
     faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in pads[:2]]
     return tuple(face.patch(np.zeros(2), _SQUARE * face.half, points_ee) for face in faces)
 

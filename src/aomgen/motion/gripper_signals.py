@@ -9,11 +9,14 @@ from scipy.spatial import cKDTree
 from aomgen.core.joint_log import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
-from aomgen.motion.filters import runs
+from aomgen.motion.filters import find_runs
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
+# Points along either side of a pad's face: pads are some 2 cm long, so 2 to 3 mm apart, as points of the
+# part.
 _PAD_GRID = 9
+# Speeds are differences over this time, [s]: ten rows of a 100 Hz log, so that its noise averages out.
 _SPEED_WINDOW_S = 0.1
 # A gripper that moves less than this share of its stroke tells nothing about grasp and release.
 _MIN_STROKE = 0.15
@@ -23,14 +26,14 @@ _NEAR_GRASP_M = 0.10
 EMPTY_GRIP = 0.96
 # Fingers this much farther away than at their nearest count as touching, [m].
 _NEAR_TOUCH_M = 0.01
-# A film of the part at rest that ends when the hand is near, [s].
+# A video of the part at rest that ends when the hand is near, [s].
 _REST_S = 0.25
 # Every so many points of the hand's surface tell its distance, 1 cm apart.
 _EVERY = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HandSignals:
+class GripperSignals:
     """The hand over video times (T,).
 
     Attributes:
@@ -54,9 +57,9 @@ class HandSignals:
             freeze(self, name, getattr(self, name), (count,))
 
 
-def hand_signals(
+def read_gripper_signals(
     robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array, clock_offset_s: float
-) -> HandSignals:
+) -> GripperSignals:
     """Evaluate the log at video times (T,).
 
     Args:
@@ -73,11 +76,11 @@ def hand_signals(
     Ts_world_ee = robot.ee_poses(joints)
     if robot.pads:
         bodies = robot.link_poses(joints, gripper)
-        posed = np.stack([apply(bodies[:, None, pad.body], pad_face(pad)[0]) for pad in robot.pads], 1)
+        posed = np.stack([apply(bodies[:, None, pad.body], sample_pad_face(pad)[0]) for pad in robot.pads], 1)
     else:
         posed = Ts_world_ee[:, None, None, :3, 3]
     distances = cKDTree(points_moving).query(posed.reshape(-1, 3))[0].reshape(len(times_s), -1).min(1)
-    return HandSignals(
+    return GripperSignals(
         times_s=times_s,
         Ts_world_ee=Ts_world_ee,
         speeds_m_s=np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1) / _SPEED_WINDOW_S,
@@ -86,13 +89,13 @@ def hand_signals(
     )
 
 
-def pad_face(pad: FingerPad) -> tuple[Array, Array]:
+def sample_pad_face(pad: FingerPad) -> tuple[Array, Array]:
     """Grid points (G, 3) on the pad's inner face and its outward normal (3,), both in the body frame."""
     grid = _face_grid(2, 1.0)
     return apply(pad.T_body_pad, grid * pad.half_extents), pad.normal_body
 
 
-def box_faces(pad: FingerPad) -> tuple[Array, Array]:
+def sample_pad_box(pad: FingerPad) -> tuple[Array, Array]:
     """Grid points (6 G, 3) on all faces of the pad's box and their outward normals, body frame."""
     points, normals = [], []
     for axis in range(3):
@@ -113,7 +116,7 @@ def _face_grid(axis: int, side: float) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touch:
+class TouchInterval:
     """Frames between which the hand can move the part.
 
     Attributes:
@@ -127,18 +130,18 @@ class Touch:
     gripped: bool
 
 
-def touch_interval(signals: HandSignals) -> Touch:
+def find_touch(signals: GripperSignals) -> TouchInterval:
     """When the hand can move the part.
 
     A gripper that closes near the part, and not upon itself, says it best; to where it opens again or
-    the film ends. One that hardly moves or is closed (a hook, a push) leaves the distance: from the first
+    the video ends. One that hardly moves or is closed (a hook, a push) leaves the distance: from the first
     frame at which the fingers are about as near as they ever come, to the end.
     """
     count = len(signals.times_s)
     grip = signals.gripper
     stroke = float(grip.max() - grip.min())
     if stroke >= _MIN_STROKE:
-        closed = runs(grip > (grip.max() + grip.min()) / 2)
+        closed = find_runs(grip > (grip.max() + grip.min()) / 2)
         holding = [run for run in closed if np.median(grip[run]) < EMPTY_GRIP]
         grasps = [_plateau(run, grip, 0.1 * stroke) for run in holding]
         near_ones = [
@@ -148,19 +151,19 @@ def touch_interval(signals: HandSignals) -> Touch:
         ]
         if near_ones:
             first, last = min(near_ones, key=lambda grasp: signals.distances_m[grasp[0]])
-            return Touch(first=first, last=last, gripped=True)
+            return TouchInterval(first=first, last=last, gripped=True)
     near = signals.distances_m <= float(signals.distances_m.min()) + _NEAR_TOUCH_M
-    return Touch(first=int(np.argmax(near)), last=count - 1, gripped=False)
+    return TouchInterval(first=int(np.argmax(near)), last=count - 1, gripped=False)
 
 
-def reached(touch: Touch, signals: HandSignals, gaps_m: Array) -> Touch:
+def refine_touch(touch: TouchInterval, signals: GripperSignals, gaps_m: Array) -> TouchInterval:
     """The touch of a hand that grips nothing, by the distance of its whole surface.
 
     Knuckles and backs of fingers push as well as pads. It begins a moment before the surface is about as
     near as it ever comes, so that its first frames show the part at rest.
 
     Args:
-        touch: From `touch_interval`.
+        touch: From `find_touch`.
         signals: Of the same frames.
         gaps_m: Smallest distance of the hand's surface to the part at its scanned place (T,), [m].
     """
@@ -169,12 +172,12 @@ def reached(touch: Touch, signals: HandSignals, gaps_m: Array) -> Touch:
     return replace(touch, first=first)
 
 
-def surface_gaps(
+def measure_surface_gaps(
     robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array, clock_offset_s: float
 ) -> Array:
     """Smallest distance (T,) of the hand's surface to the part at its scanned place, [m].
 
-    Args: as in `hand_signals`; infinite for an arm without a hand.
+    Args: as in `read_gripper_signals`; infinite for an arm without a hand.
     """
     surface = hand_surface(robot)
     bodies = robot.link_poses(*log.at(times_s + clock_offset_s))

@@ -1,4 +1,4 @@
-"""What AOMotion looks at: a film of the demonstration, the robot's log of it, and the object as scanned."""
+"""What AOMotion looks at: a video of the demonstration, the robot's log of it, and the object as scanned."""
 
 from dataclasses import dataclass
 
@@ -16,11 +16,11 @@ from aomgen.robots.robot import RobotModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Demonstration:
+class MotionInput:
     """What AOMotion looks at.
 
     Attributes:
-        video: The fixed camera's film.
+        video: The fixed camera's video.
         camera: Its pose and intrinsics, world frame.
         log: The robot's joint log, own clock.
         robot: Kinematics, meshes and finger pads.

@@ -1,8 +1,8 @@
 """The joint behind a demonstration: type, axis, origin and how well they are known.
 
 The part moves on a one-parameter path and the hand moves with it. A handle may turn in the fingers and
-slip through them, so the hand's pose is evidence with flaws of its own (`joint_noise`), and the parts'
-shape is a weak belief (`geometry`). Revolute and prismatic explanations compete by their evidence.
+slip through them, so the hand's pose is evidence with flaws of its own (`noise_model`), and the parts'
+shape is a weak belief (`axis_prior`). Revolute and prismatic explanations compete by their evidence.
 """
 
 from dataclasses import dataclass, field
@@ -12,13 +12,29 @@ import numpy as np
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
-from aomgen.motion.axis_prior import Shape
-from aomgen.motion.ee_path import HandPath, Hold, thin
-from aomgen.motion.joint_models import Prismatic, Revolute, first_axes
-from aomgen.motion.joint_posterior import JointModel, Posterior, fitted, posterior
-from aomgen.motion.noise_model import BEND_SHARE, SCALES, Course, NoisePrior, give_rate, held_rate
+from aomgen.motion.axis_prior import PartShape
+from aomgen.motion.ee_path import EePath, GraspGuess, thin_path
+from aomgen.motion.joint_models import Prismatic, Revolute, guess_axes
+from aomgen.motion.joint_posterior import JointModel, Posterior, compute_posterior, fit_path
+from aomgen.motion.noise_model import (
+    BEND_SHARE,
+    SCALES,
+    NoisePrior,
+    PathNodes,
+    compute_give_rate,
+    compute_held_rate,
+)
 
 _REMEDY = "record a longer demonstration"
+# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad]; less travel is within slip, [m].
+_MIN_TURN_RAD = float(np.radians(15.0))
+_MIN_TRAVEL_M = 0.03
+# Smallest difference of the types' evidence, twice the logarithm as in BIC: "positive" evidence begins at 2.
+_MIN_MARGIN = 3.0
+# A path is called straight only if an arc of a wide door's radius, [m], would stand out ...
+_DOOR_RADIUS_M = 0.6
+# ... by so many standard deviations.
+_STRAIGHT_SD = 3.0
 # Sizes of flaws this many standard deviations above their medians are looked into.
 _UNUSUAL = 2.0
 _TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
@@ -26,26 +42,17 @@ _TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointParams:
-    """Limits of what is accepted as an answer.
+    """How a path is read.
 
     Attributes:
         noise: Usual flaws of the evidence.
         nodes: Stretches the path is thinned to.
         smooth: Samples averaged when measuring travel.
-        min_turn_rad, min_travel_m: Shortest motion that tells a joint.
-        min_margin: Smallest difference of the types' evidence, twice the logarithm as in BIC.
-        door_radius_m: A path is called straight only if an arc of this radius would stand out, [m].
-        straight_sd: How far it has to stand out, in standard deviations.
     """
 
     noise: NoisePrior = field(default_factory=NoisePrior)
     nodes: int = 24
     smooth: int = 11
-    min_turn_rad: float = float(np.radians(15.0))
-    min_travel_m: float = 0.03
-    min_margin: float = 3.0
-    door_radius_m: float = 0.6
-    straight_sd: float = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +93,7 @@ class JointEstimate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Candidates:
+class JointCandidates:
     """What either type of joint makes of a path.
 
     Attributes:
@@ -107,16 +114,16 @@ class Candidates:
         return self.revolute if joint_type == "revolute" else self.prismatic
 
 
-def candidates(
-    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
-) -> Candidates:
+def fit_candidates(
+    Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None, params: JointParams | None = None
+) -> JointCandidates:
     """Explain the hand's poses while it holds the part by either type of joint.
 
     Args:
         Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
         hold: Where and how the hand holds the part.
         shape: The parts' shape, or None to use the path alone.
-        params: Limits and assumed errors.
+        params: How the path is read.
 
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
@@ -125,77 +132,75 @@ def candidates(
     the edges remain as a belief. Not checked: that the hand holds the same part all the time.
     """
     params = params or JointParams()
-    path = thin(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
+    path = thin_path(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
     points = path.points_world
     extent = float(np.linalg.norm(points - points[0], axis=1).max())
-    if not extent >= params.min_travel_m:
+    if not extent >= _MIN_TRAVEL_M:
         raise DemonstrationTooShortError(
             "joint",
-            f"the hand moved the part {extent * 1e3:.0f} mm, need {params.min_travel_m * 1e3:.0f} mm",
+            f"the hand moved the part {extent * 1e3:.0f} mm, need {_MIN_TRAVEL_M * 1e3:.0f} mm",
             _REMEDY,
         )
-    revolute, prismatic = explanations(path, shape, params)
+    revolute, prismatic = explain_path(path, shape, params)
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
     # The middle half of the nodes against the outer half tells the bulge. Bars are along hinges, so that arcs
     # bend in the direction that the fingers hold best.
     unsteady = prismatic.scales[0] * np.sqrt(4 / params.nodes)
-    slip = held_rate(prismatic.scales, prismatic.model.firmness) * extent
-    return Candidates(
+    slip = compute_held_rate(prismatic.scales, prismatic.model.firmness) * extent
+    return JointCandidates(
         revolute=_estimate(path, revolute, "revolute", margin),
         prismatic=_estimate(path, prismatic, "prismatic", -margin),
         margin=margin,
         extent_m=extent,
-        unseen_bulge_m=params.straight_sd * float(np.hypot(unsteady, BEND_SHARE * slip)),
+        unseen_bulge_m=_STRAIGHT_SD * float(np.hypot(unsteady, BEND_SHARE * slip)),
     )
 
 
-def chosen_type(found: Candidates, film_margin: float = 0.0, params: JointParams | None = None) -> JointType:
-    """The type of joint, by the hand's path and the film together.
+def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
+    """The type of joint, by the hand's path and the video together.
 
     Args:
-        found: From `candidates`.
-        film_margin: Twice the log evidence of the film for revolute over prismatic.
-        params: Limits.
+        found: From `fit_candidates`.
+        video_margin: Twice the log evidence of the video for revolute over prismatic.
 
     Raises:
         DemonstrationTooShortError: Less than 15 degrees were shown.
-        AmbiguousJointError: Both joint types explain path and film equally well.
+        AmbiguousJointError: Both joint types explain path and video equally well.
     """
-    params = params or JointParams()
-    margin = found.margin + film_margin
+    margin = found.margin + video_margin
     turn = found.revolute.joint.upper
     # Too short is what a door would have turned too little for, unless the evidence speaks for a drawer.
-    if margin > -params.min_margin and not turn >= params.min_turn_rad:
-        limit = np.degrees(params.min_turn_rad)
+    if margin > -_MIN_MARGIN and not turn >= _MIN_TURN_RAD:
+        limit = np.degrees(_MIN_TURN_RAD)
         raise DemonstrationTooShortError(
             "joint", f"the part turned {np.degrees(turn):.1f} degrees, need {limit:.0f}", _REMEDY
         )
-    if not abs(margin) >= params.min_margin:
+    if not abs(margin) >= _MIN_MARGIN:
         raise AmbiguousJointError(
             "joint",
             f"a revolute and a prismatic joint fit equally well (evidence differs by {abs(margin):.1f}, need "
-            f"{params.min_margin:.1f})",
+            f"{_MIN_MARGIN:.1f})",
             "record a longer motion or give the joint's type in the project",
         )
     if margin > 0:
         return "revolute"
-    if not film_margin <= -params.min_margin:
-        _refuse_hidden_arc(found, params)
+    if not video_margin <= -_MIN_MARGIN:
+        _refuse_hidden_arc(found)
     return "prismatic"
 
 
 def estimate_joint(
-    Ts_world_ee: Array, hold: Hold, shape: Shape | None = None, params: JointParams | None = None
+    Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None, params: JointParams | None = None
 ) -> JointEstimate:
     """The joint from the hand's poses alone, axis positive in the direction of the demonstration.
 
-    See `candidates` for the arguments, and `chosen_type` for what is refused.
+    See `fit_candidates` for the arguments, and `choose_type` for what is refused.
     """
-    found = candidates(Ts_world_ee, hold, shape, params)
-    return found.of(chosen_type(found, params=params))
+    found = fit_candidates(Ts_world_ee, hold, shape, params)
+    return found.of(choose_type(found))
 
 
-def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tuple[Posterior, Posterior]:
+def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> tuple[Posterior, Posterior]:
     """The path as a revolute and as a prismatic joint would make it."""
     points = path.points_world
     middle = points.mean(0)
@@ -208,57 +213,57 @@ def explanations(path: HandPath, shape: Shape | None, params: JointParams) -> tu
             middle=middle,
             reach_m=np.inf if shape is None else shape.reach_m(middle),
         )
-        for start in first_axes(path, turns)
+        for start in guess_axes(path, turns)
     ]
     along = np.linalg.svd(points - middle)[2][0]
     drawer = Prismatic(path=path, turns_world=turns, start=along, middle=middle)
-    course = _trusted(Course.of(points), (doors, [drawer]), params.noise)
+    path_nodes = _loosen_ends(PathNodes.of(points), (doors, [drawer]), params.noise)
     hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
     return (
-        posterior(doors, course, params.noise, hinges),
-        posterior([drawer], course, params.noise, rails),
+        compute_posterior(doors, path_nodes, params.noise, hinges),
+        compute_posterior([drawer], path_nodes, params.noise, rails),
     )
 
 
-def _trusted(course: Course, types: tuple[list[JointModel], ...], noise: NoisePrior) -> Course:
-    """The course with those nodes at its ends doubted at which the hand did not hold the part yet or any more.
+def _loosen_ends(path_nodes: PathNodes, types: tuple[list[JointModel], ...], noise: NoisePrior) -> PathNodes:
+    """The nodes with those at the ends loosened at which the hand did not hold the part yet or any more.
 
     Only looked for where a path is much less steady than paths are.
     """
 
-    def fit(course: Course) -> tuple[float, float]:
+    def fit(path_nodes: PathNodes) -> tuple[float, float]:
         evidence, steps = max(
-            (fitted(models, course, noise)[:2] for models in types), key=lambda item: item[0]
+            (fit_path(models, path_nodes, noise)[:2] for models in types), key=lambda item: item[0]
         )
         return evidence, float(np.max(np.delete(steps, _TURNS)))
 
-    best, unsteady = fit(course)
+    best, unsteady = fit(path_nodes)
     if unsteady < _UNUSUAL:
-        return course
-    count = len(course.travel_m)
+        return path_nodes
+    count = len(path_nodes.travel_m)
     for ends in ([slice(count - k, count) for k in (1, 2, 4, 6)], [slice(0, k) for k in (1, 2, 4, 6)]):
-        tried = [(fit(course.doubted(nodes))[0], nodes) for nodes in ends]
+        tried = [(fit(path_nodes.loosened(nodes))[0], nodes) for nodes in ends]
         evidence, nodes = max(tried, key=lambda item: item[0])
         if evidence > best:
-            best, course = evidence, course.doubted(nodes)
-    return course
+            best, path_nodes = evidence, path_nodes.loosened(nodes)
+    return path_nodes
 
 
-def _refuse_hidden_arc(found: Candidates, params: JointParams) -> None:
+def _refuse_hidden_arc(found: JointCandidates) -> None:
     """A straight path speaks for a prismatic joint only where a door's arc would be seen."""
-    bulge = found.extent_m**2 / (8 * params.door_radius_m)
+    bulge = found.extent_m**2 / (8 * _DOOR_RADIUS_M)
     if bulge >= found.unseen_bulge_m:
         return
     problem = (
-        f"the path of {found.extent_m * 1e3:.0f} mm is straight, but a door of {params.door_radius_m:.1f} m radius "
+        f"the path of {found.extent_m * 1e3:.0f} mm is straight, but a door of {_DOOR_RADIUS_M:.1f} m radius "
         f"would bend it by {bulge * 1e3:.1f} mm only, need {found.unseen_bulge_m * 1e3:.1f} mm"
     )
-    if found.extent_m < params.min_turn_rad * params.door_radius_m:
+    if found.extent_m < _MIN_TURN_RAD * _DOOR_RADIUS_M:
         raise DemonstrationTooShortError("joint", problem, _REMEDY)
     raise AmbiguousJointError("joint", problem, "hold the handle firmly or record a longer motion")
 
 
-def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: float) -> JointEstimate:
+def _estimate(path: EePath, found: Posterior, joint_type: JointType, margin: float) -> JointEstimate:
     model, x = found.model, found.mean
     values = model.values(x)
     travel = float(values[-1] - values[0])
@@ -286,7 +291,7 @@ def _estimate(path: HandPath, found: Posterior, joint_type: JointType, margin: f
         axis_ci95_rad=float(np.percentile(angles, 95)),
         origin_ci95_m=float(np.percentile(gaps, 95)),
         residual_m=float(found.scales[0]),
-        give_rate=give_rate(joint_type, found.scales, float(way @ path.closing_world)),
+        give_rate=compute_give_rate(joint_type, found.scales, float(way @ path.closing_world)),
         turn_ratio=float(x[9]) if revolute else 0.0,
         margin=margin,
         axes=sign * axes,

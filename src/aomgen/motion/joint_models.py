@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.core.values import Array, freeze
-from aomgen.motion.ee_path import HandPath
+from aomgen.motion.ee_path import EePath
 
 # Distance of handles from hinges, [m]: from lids of boxes to doors at the end of an arm's reach, 0.1 to
 # 1.2 m with 95 %; and the spread of its logarithm.
@@ -46,7 +46,7 @@ class Revolute:
         reach_m: The object's farthest point from the path's middle; no hinge is farther away, [m].
     """
 
-    path: HandPath
+    path: EePath
     turns_world: Array
     start: Array
     middle: Array
@@ -58,11 +58,13 @@ class Revolute:
 
     def lines(self, x: Array) -> tuple[Array, Array]:
         """Directions and points (..., 3) of the axes that unknowns (..., 10) mean."""
-        return _frame(self.start, x)[0], self.middle + x[..., 2:4] @ tangent_basis(self.start)
+        return _frame(self.start, x)[0], self.middle + x[..., 2:4] @ make_tangent_basis(self.start)
 
     def line(self, x: Array) -> Line:
         """Axis that the unknowns mean."""
-        return Line(axis=_frame(self.start, x)[0], point=self.middle + x[2:4] @ tangent_basis(self.start))
+        return Line(
+            axis=_frame(self.start, x)[0], point=self.middle + x[2:4] @ make_tangent_basis(self.start)
+        )
 
     def about(self, x: Array) -> tuple["Revolute", Array]:
         """The same model and unknowns, tilts counted from the axis that they mean."""
@@ -70,7 +72,7 @@ class Revolute:
         offset = line.point - self.middle
         turned = x.copy()
         turned[:2] = 0.0
-        turned[2:4] = tangent_basis(line.axis) @ offset
+        turned[2:4] = make_tangent_basis(line.axis) @ offset
         turned[5] += offset @ line.axis
         return replace(self, start=line.axis), turned
 
@@ -95,16 +97,16 @@ class Revolute:
         Ts = self.path.Ts_world_ee
         held = self.grasp(x)[..., None, :, None]
         points = (Ts[:, :3, :3] @ held)[..., 0] + Ts[:, :3, 3]
-        offsets = points - (self.middle + x[..., 2:4] @ tangent_basis(self.start))[..., None, :]
+        offsets = points - (self.middle + x[..., 2:4] @ make_tangent_basis(self.start))[..., None, :]
         heights, along, across = ((offsets @ unit[..., None])[..., 0] for unit in _frame(self.start, x))
         angles = np.unwrap(np.arctan2(across, along))
         return np.hypot(along, across), heights, angles - angles[..., :1]
 
     def first(self) -> Array:
         """First unknowns (10,): an algebraic circle."""
-        tangents = tangent_basis(self.start)
+        tangents = make_tangent_basis(self.start)
         turns = self.turns_world @ self.start
-        center, radius = first_circle(self.path.points_world, self.middle, tangents, turns)
+        center, radius = fit_circle(self.path.points_world, self.middle, tangents, turns)
         return np.array([0, 0, *center, radius, 0, 0, 0, 0, RATIO], np.float64)
 
     def beliefs(self, x: Array) -> Array:
@@ -135,7 +137,7 @@ class Prismatic:
     Unknowns (4,): tilt of the axis against `start` (2), place of the line across `start` from `middle` (2).
     """
 
-    path: HandPath
+    path: EePath
     turns_world: Array
     start: Array
     middle: Array
@@ -146,21 +148,23 @@ class Prismatic:
     @property
     def firmness(self) -> float:
         """Share of the closing direction in the direction of the first row of `data`, squared."""
-        across = tangent_basis(self.start) @ self.path.closing_world
+        across = make_tangent_basis(self.start) @ self.path.closing_world
         return float(across @ across)
 
     def lines(self, x: Array) -> tuple[Array, Array]:
         """Directions and points (..., 3) of the lines that unknowns (..., 4) mean."""
-        return _frame(self.start, x)[0], self.middle + x[..., 2:4] @ tangent_basis(self.start)
+        return _frame(self.start, x)[0], self.middle + x[..., 2:4] @ make_tangent_basis(self.start)
 
     def line(self, x: Array) -> Line:
         """Line that the unknowns mean."""
-        return Line(axis=_frame(self.start, x)[0], point=self.middle + x[2:4] @ tangent_basis(self.start))
+        return Line(
+            axis=_frame(self.start, x)[0], point=self.middle + x[2:4] @ make_tangent_basis(self.start)
+        )
 
     def about(self, x: Array) -> tuple["Prismatic", Array]:
         """The same model and unknowns, tilts counted from the axis that they mean."""
         line = self.line(x)
-        place = tangent_basis(line.axis) @ (line.point - self.middle)
+        place = make_tangent_basis(line.axis) @ (line.point - self.middle)
         return replace(self, start=line.axis), np.concatenate([np.zeros(2), place])
 
     def grasp(self, x: Array) -> Array:
@@ -175,10 +179,10 @@ class Prismatic:
 
     def data(self, x: Array) -> Array:
         """Residuals (..., 5, K) in the order of `kinds`, [m] or [rad], of unknowns (..., 4)."""
-        place = self.middle + x[..., 2:4] @ tangent_basis(self.start)
+        place = self.middle + x[..., 2:4] @ make_tangent_basis(self.start)
         offsets = self.path.points_world - place[..., None, :]
         first, second = ((offsets @ unit[..., None])[..., 0] for unit in _frame(self.start, x)[1:])
-        across = tangent_basis(self.start) @ self.path.closing_world
+        across = make_tangent_basis(self.start) @ self.path.closing_world
         c, s = across / max(float(np.linalg.norm(across)), 1e-9)
         c, s = (c, s) if c or s else (1.0, 0.0)
         rows = [c * first + s * second, c * second - s * first]
@@ -206,7 +210,7 @@ class Prismatic:
 
 def _frame(start: Array, x: Array) -> tuple[Array, Array, Array]:
     """Axis that tilts `x[..., :2]` make of `start` (3,), and two units (..., 3) across it that follow."""
-    tangents = tangent_basis(start)
+    tangents = make_tangent_basis(start)
     axis = start + x[..., :2] @ tangents
     axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
     first = tangents[0] - (axis @ tangents[0])[..., None] * axis
@@ -214,7 +218,7 @@ def _frame(start: Array, x: Array) -> tuple[Array, Array, Array]:
     return axis, first, _cross(axis, first)
 
 
-def tangent_basis(axis: Array) -> Array:
+def make_tangent_basis(axis: Array) -> Array:
     """Two unit vectors (2, 3) that complete a unit vector (3,) to a right-handed frame."""
     first = _cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first /= np.linalg.norm(first)
@@ -228,7 +232,7 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def first_axes(path: HandPath, turns_world: Array) -> list[Array]:
+def guess_axes(path: EePath, turns_world: Array) -> list[Array]:
     """Rotation axis of the hand, and four directions across the path's chord.
 
     A short or unsteady arc hardly tells its plane, so its plane is not trusted.
@@ -242,7 +246,7 @@ def first_axes(path: HandPath, turns_world: Array) -> list[Array]:
     return [*axes, third, second, *diagonals]
 
 
-def first_circle(points: Array, middle: Array, tangents: Array, turns: Array) -> tuple[Array, float]:
+def fit_circle(points: Array, middle: Array, tangents: Array, turns: Array) -> tuple[Array, float]:
     """Algebraic circle in the plane of the tangents: centre (2,) relative to `middle`, radius, [m].
 
     Source: Kasa, 1976. A nearly straight path gets a circle whose arc equals the hand's turn.

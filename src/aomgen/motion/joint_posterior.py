@@ -15,20 +15,23 @@ from scipy.stats import qmc
 from aomgen.core.values import Array, freeze
 from aomgen.motion.axis_prior import NEITHER, AxisHint
 from aomgen.motion.joint_models import LOG_ANY_DIRECTION, Prismatic, Revolute
-from aomgen.motion.noise_model import SCALES, STEP_LIMITS, Course, NoisePrior, factors
+from aomgen.motion.noise_model import SCALES, STEP_LIMITS, NoisePrior, PathNodes, factorize_covariances
 
 JointModel = Revolute | Prismatic
 # Possibilities this many nats below the best are left out.
 _NEGLIGIBLE = 7.0
+# Points of the quadrature over the noise scales, in seven dimensions; each costs one linear solution a hint.
 _SCALE_POINTS = 24
 # A hint that pulls the axis farther than this from where the path puts it does not fit, [rad].
 _MAX_TILT = 1.0
+# Samples of the joint that are handed on; a 95 % interval read from them is good to some percent of itself.
 _DRAWS = 512
+# Levenberg-Marquardt steps at most; it ends earlier where a step gains less than 1e-4.
 _ROUNDS = 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class LinearizedModel:
     """Linear model at one set of unknowns.
 
     Attributes:
@@ -66,12 +69,14 @@ class Posterior:
         freeze(self, "scales", self.scales, (len(SCALES),))
 
 
-def solve(model: JointModel, course: Course, scales: Array, hint: AxisHint | None, first: Array) -> Array:
+def solve(
+    model: JointModel, path_nodes: PathNodes, scales: Array, hint: AxisHint | None, first: Array
+) -> Array:
     """Unknowns (P,) that fit best at given sizes of the flaws.
 
     Source: Levenberg, 1944; Marquardt, 1963.
     """
-    known = factors(course, scales, model.firmness)
+    known = factorize_covariances(path_nodes, scales, model.firmness)
     whiten = np.stack([known[kind][0] for kind in model.kinds])
 
     def at(x: Array) -> tuple[float, Array, Array]:
@@ -105,19 +110,19 @@ def _slopes(
     data = model.data(around)
     if whiten is not None:
         data = (whiten @ data[..., None])[..., 0]
-    rows = np.concatenate([data.reshape(len(around), -1), _beliefs(model, hint, around)], axis=1)
+    rows = np.concatenate([data.reshape(len(around), -1), _prior_residuals(model, hint, around)], axis=1)
     ahead, behind = np.split(rows[1:], 2)
     return rows[0], ((ahead - behind) / (2 * steps[:, None])).T
 
 
-def _beliefs(model: JointModel, hint: AxisHint | None, x: Array) -> Array:
+def _prior_residuals(model: JointModel, hint: AxisHint | None, x: Array) -> Array:
     own = model.beliefs(x)
     if hint is None:
         return own
     return np.concatenate([own, hint.residuals(*model.lines(x))], axis=-1)
 
 
-def linearized(model: JointModel, hint: AxisHint | None, x: Array) -> Evidence:
+def linearize_model(model: JointModel, hint: AxisHint | None, x: Array) -> LinearizedModel:
     """Residuals and central differences at `x`."""
     rows, slopes = _slopes(model, hint, x)
     channels = len(model.kinds)
@@ -127,18 +132,18 @@ def linearized(model: JointModel, hint: AxisHint | None, x: Array) -> Evidence:
         log_prior = np.log(NEITHER) + LOG_ANY_DIRECTION + model.log_any_place(x)
     else:
         log_prior = hint.log_density + (0.0 if len(hint.across) else model.log_any_place(x))
-    return Evidence(
+    return LinearizedModel(
         data=(rows[:size].reshape(shape), slopes[:size].reshape(*shape, -1)),
         prior=(rows[size:], slopes[size:]),
         log_prior=float(log_prior) + model.log_beliefs,
     )
 
 
-def gaussian(
-    model: JointModel, evidence: Evidence, course: Course, scales: Array
+def integrate_gaussian(
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, scales: Array
 ) -> tuple[float, Array, Array]:
     """Log evidence, step (P,) to the mean and information (P, P) at given sizes of the flaws."""
-    known = factors(course, scales, model.firmness)
+    known = factorize_covariances(path_nodes, scales, model.firmness)
     (rows, slopes), (beliefs, lean) = evidence.data, evidence.prior
     whiten = np.stack([known[kind][0] for kind in model.kinds])
     r = np.concatenate([(whiten @ rows[..., None]).ravel(), beliefs])
@@ -151,36 +156,40 @@ def gaussian(
     return -0.5 * (cost - free) + evidence.log_prior, np.asarray(step, np.float64), information
 
 
-def posterior(
-    models: list[JointModel], course: Course, noise: NoisePrior, hints: list[AxisHint]
+def compute_posterior(
+    models: list[JointModel], path_nodes: PathNodes, noise: NoisePrior, hints: list[AxisHint]
 ) -> Posterior:
     """What is known of one joint type.
 
     Args:
         models: The type, linearized about different first axes.
-        course: Nodes of the path.
+        path_nodes: Nodes of the path.
         noise: Usual sizes of the flaws.
         hints: What the shape suggests; none of them may hold.
     """
-    steps, model, x = fitted(models, course, noise)[1:]
+    steps, model, x = fit_path(models, path_nodes, noise)[1:]
     for _ in range(2):
-        model, x = model.about(solve(model, course, noise.scales(steps), None, x))
-        steps = _likeliest(model, linearized(model, None, x), course, noise, steps)
+        model, x = model.about(solve(model, path_nodes, noise.scales(steps), None, x))
+        steps = _likeliest(model, linearize_model(model, None, x), path_nodes, noise, steps)
     found = []
     for hint in (None, *hints):
-        x_hint = x if hint is None else solve(model, course, noise.scales(steps), hint, x)
+        x_hint = x if hint is None else solve(model, path_nodes, noise.scales(steps), hint, x)
         if hint is not None and not np.abs(x_hint[:2]).max() < _MAX_TILT:
             continue
-        evidence = linearized(model, hint, x_hint)
-        found.append((gaussian(model, evidence, course, noise.scales(steps))[0], x_hint, evidence))
+        evidence = linearize_model(model, hint, x_hint)
+        found.append(
+            (integrate_gaussian(model, evidence, path_nodes, noise.scales(steps))[0], x_hint, evidence)
+        )
     best = max(found, key=lambda item: item[0])
-    steps = _likeliest(model, best[2], course, noise, steps)
+    steps = _likeliest(model, best[2], path_nodes, noise, steps)
     kept = [item for item in found if item[0] > best[0] - _NEGLIGIBLE]
-    points, log_weights = _scale_points(model, best[2], course, noise, steps)
+    points, log_weights = _scale_points(model, best[2], path_nodes, noise, steps)
     parts = []
     for _, x_hint, evidence in kept:
         for point, log_weight in zip(points, log_weights, strict=True):
-            log_evidence, step, information = gaussian(model, evidence, course, noise.scales(point))
+            log_evidence, step, information = integrate_gaussian(
+                model, evidence, path_nodes, noise.scales(point)
+            )
             parts.append((log_evidence + log_weight, x_hint + step, information))
     logs = np.array([part[0] for part in parts])
     weights = np.exp(logs - np.logaddexp.reduce(logs))
@@ -193,8 +202,8 @@ def posterior(
     )
 
 
-def fitted(
-    models: list[JointModel], course: Course, noise: NoisePrior
+def fit_path(
+    models: list[JointModel], path_nodes: PathNodes, noise: NoisePrior
 ) -> tuple[float, Array, JointModel, Array]:
     """The path alone: log evidence, sizes of the flaws (as steps), the model about its axis and the unknowns."""
     path = models[0].path
@@ -204,26 +213,30 @@ def fitted(
     for model in models:
         x = model.first()
         for _ in range(2):
-            model, x = model.about(solve(model, course, scales, None, x))
-        found.append((gaussian(model, linearized(model, None, x), course, scales)[0], model, x))
+            model, x = model.about(solve(model, path_nodes, scales, None, x))
+        found.append(
+            (integrate_gaussian(model, linearize_model(model, None, x), path_nodes, scales)[0], model, x)
+        )
     _, model, x = max(found, key=lambda item: item[0])
-    evidence = linearized(model, None, x)
-    steps = _likeliest(model, evidence, course, noise, first)
-    return _log_posterior(model, evidence, course, noise, steps), steps, model, x
+    evidence = linearize_model(model, None, x)
+    steps = _likeliest(model, evidence, path_nodes, noise, first)
+    return _log_posterior(model, evidence, path_nodes, noise, steps), steps, model, x
 
 
 def _log_posterior(
-    model: JointModel, evidence: Evidence, course: Course, noise: NoisePrior, steps: Array
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, steps: Array
 ) -> float:
     """Of the sizes of the flaws, the unknowns integrated out."""
-    return gaussian(model, evidence, course, noise.scales(steps))[0] - 0.5 * float(steps @ steps)
+    return integrate_gaussian(model, evidence, path_nodes, noise.scales(steps))[0] - 0.5 * float(
+        steps @ steps
+    )
 
 
 def _likeliest(
-    model: JointModel, evidence: Evidence, course: Course, noise: NoisePrior, first: Array
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, first: Array
 ) -> Array:
     result = minimize(
-        lambda steps: -_log_posterior(model, evidence, course, noise, steps),
+        lambda steps: -_log_posterior(model, evidence, path_nodes, noise, steps),
         first,
         method="L-BFGS-B",
         bounds=[STEP_LIMITS] * len(first),
@@ -233,13 +246,13 @@ def _likeliest(
 
 
 def _scale_points(
-    model: JointModel, evidence: Evidence, course: Course, noise: NoisePrior, center: Array
+    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, center: Array
 ) -> tuple[Array, Array]:
     """Even points (N, 7) over the sizes' posterior, with log weights (N,) that make them its integral."""
     size = len(center)
 
     def value(steps: Array) -> float:
-        return _log_posterior(model, evidence, course, noise, steps)
+        return _log_posterior(model, evidence, path_nodes, noise, steps)
 
     h, middle = 0.3, value(center)
     unit = h * np.eye(size)

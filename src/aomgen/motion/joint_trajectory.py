@@ -7,55 +7,59 @@ import numpy as np
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.motion.axis_prior import Shape, shape_of
-from aomgen.motion.contact import Contacts, PartPath, find_contacts
-from aomgen.motion.ee_path import Hold
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.joint_estimation import Candidates, JointEstimate, JointParams, candidates
+from aomgen.motion.axis_prior import PartShape, measure_shape
+from aomgen.motion.contact import SPACING_M, WINDOW_S, Contacts, PartPath, find_contacts
+from aomgen.motion.ee_path import GraspGuess
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
 from aomgen.motion.joint_value import (
-    ValueCourse,
-    leave_of,
-    leaving_and_arriving,
-    path_values,
-    resting,
+    ValueTrajectory,
+    compute_path_values,
+    find_motion_tolerance,
+    refine_interval,
+    select_resting,
     smooth_within,
 )
 from aomgen.motion.keyframes import Departures, Interval
-from aomgen.motion.observations import KeyframeView
-from aomgen.motion.onset import Sight
+from aomgen.motion.observations import VideoObservations
+from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
-from aomgen.motion.push_trajectory import Picture, loose, pushed_course
+from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
 
+# Step at which joint values are computed, [s]: that of a 100 Hz joint log.
 _DENSE_STEP_S = 0.01
+# Width of the smoother of joint values, [s]; short against any commanded motion.
 _SMOOTH_S = 0.2
+# Largest difference between a moment seen in the video and the one that the hand tells, [s].
+_AGREE_S = 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recovery:
+class RecoveredMotion:
     """Joint and values along the touch, with the refined interval.
 
     Attributes:
         contacts: By the refined interval.
         found, estimate: What the hand's path says, and of the type that is recovered.
-        course: Values along the touch.
+        trajectory: Values along the touch.
         level_sd: Standard deviation of its first level beyond that of the hand's path, [rad] or [m].
         face_normal: Outward normal of the part's face (3,) at value 0.
     """
 
     contacts: Contacts
-    found: Candidates
+    found: JointCandidates
     estimate: JointEstimate
-    course: ValueCourse
+    trajectory: ValueTrajectory
     level_sd: float
     face_normal: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touched:
+class RecoveryInput:
     """What a recovery starts from, whichever type the joint is of.
 
     Attributes:
-        demo: Film, log and scan.
+        demo: Video, log and scan.
         seen: Start and end as seen in the picture, [s].
         touch_s: First and last moment at which the hand can move the part, [s].
         gripped: The hand held the part before and after.
@@ -63,24 +67,28 @@ class Touched:
         shape: Of the parts.
         surface: Points of the moving part (N, 3), world frame, [m].
         contacts, found: By the interval seen.
-        picture: What the film shows of start and end.
+        picture: What the video shows of start and end.
     """
 
-    demo: Demonstration
+    demo: MotionInput
     seen: tuple[float, float]
     touch_s: tuple[float, float]
     gripped: bool
     joint: JointParams
-    shape: Shape
+    shape: PartShape
     surface: Array
     contacts: Contacts
-    found: Candidates
-    picture: Picture
+    found: JointCandidates
+    picture: TouchObservation
 
 
-def touched(
-    demo: Demonstration, view: KeyframeView, departures: Departures, interval: Interval, params: MotionParams
-) -> Touched:
+def prepare_recovery(
+    demo: MotionInput,
+    view: VideoObservations,
+    departures: Departures,
+    interval: Interval,
+    params: MotionParams,
+) -> RecoveryInput:
     """Contact, and either type's joint, by the interval seen and the departures that it was read from.
 
     Raises:
@@ -90,9 +98,9 @@ def touched(
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     inside = slice(touch.first, touch.last + 1)
-    joint = params.joint if touch.gripped else replace(params.joint, noise=loose(params.joint.noise))
-    shape = shape_of(demo.points_static, demo.points_moving)
-    surface = demo.surface_moving(params.contact.spacing_m)
+    joint = params.joint if touch.gripped else replace(params.joint, noise=loosen_prior(params.joint.noise))
+    shape = measure_shape(demo.points_static, demo.points_moving)
+    surface = demo.surface_moving(SPACING_M)
     begin = PartPath.carried(
         demo.robot,
         demo.log,
@@ -100,7 +108,7 @@ def touched(
         _begin(seen, demo, params),
     )
     contacts, found = _explained(demo, shape, surface, begin, seen, joint)
-    return Touched(
+    return RecoveryInput(
         demo=demo,
         seen=seen,
         touch_s=touch_s,
@@ -110,15 +118,15 @@ def touched(
         surface=surface,
         contacts=contacts,
         found=found,
-        picture=Picture(
+        picture=TouchObservation(
             times_s=frame_times[inside],
             seen=Departures(left=departures.left[inside], ahead=departures.ahead[inside]),
-            sight=Sight(noise=interval.threshold / 3, pixel_m=0.0),
+            sight=Detectability(noise=interval.threshold / 3, pixel_m=0.0),
         ),
     )
 
 
-def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Recovery:
+def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionParams) -> RecoveredMotion:
     """Contact, joint and values, if the joint is of a type.
 
     Twice: the second round uses the interval that the first one felt.
@@ -128,74 +136,73 @@ def recover(first: Touched, joint_type: JointType, params: MotionParams) -> Reco
     """
     demo, shape, seen, offset_s = first.demo, first.shape, first.seen, first.demo.clock_offset_s
     times = _dense(first.touch_s)
-    poses = poses_at(demo, times + offset_s)
-    leave = leave_of(joint_type)
+    poses = ee_poses_at(demo, times + offset_s)
+    leave = find_motion_tolerance(joint_type)
 
-    def along(found: Candidates, interval: tuple[float, float]) -> ValueCourse:
+    def along(found: JointCandidates, interval: tuple[float, float]) -> ValueTrajectory:
         estimate = found.of(joint_type)
         reference = int(np.argmin(np.abs(times - interval[0])))
-        path = path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
+        path = compute_path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
         values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
         if not first.gripped:
             points = apply(poses, estimate.grasp_ee[None])
             hand = (points, apply(invert(estimate.joint.motion(values)), points))
-            return pushed_course(times, values, hand, interval, leave, first.picture)
-        felt, levels = leaving_and_arriving(times, values, seen, leave)
-        start, end = (_nearby(felt[k], seen[k], params.agree_s) for k in (0, 1))
-        return ValueCourse(times_s=times, values=values, interval=(start, end), levels=levels)
+            return follow_pushed_part(times, values, hand, interval, leave, first.picture)
+        felt, levels = refine_interval(times, values, seen, leave)
+        start, end = (_nearby(felt[k], seen[k], _AGREE_S) for k in (0, 1))
+        return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
-    def beginning(found: Candidates, course: ValueCourse) -> PartPath:
-        moments = _begin(course.interval, demo, params)
-        thetas = np.interp(moments - offset_s, times, course.values) - course.levels[0]
+    def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> PartPath:
+        moments = _begin(trajectory.interval, demo, params)
+        thetas = np.interp(moments - offset_s, times, trajectory.values) - trajectory.levels[0]
         return PartPath(times_log_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
 
-    course = along(first.found, seen)
-    begin = beginning(first.found, course)
-    _, found = _explained(demo, shape, first.surface, begin, course.interval, first.joint)
-    course = along(found, course.interval)
-    contacts = _contacts(demo, shape, first.surface, beginning(found, course))
+    trajectory = along(first.found, seen)
+    begin = beginning(first.found, trajectory)
+    _, found = _explained(demo, shape, first.surface, begin, trajectory.interval, first.joint)
+    trajectory = along(found, trajectory.interval)
+    contacts = _contacts(demo, shape, first.surface, beginning(found, trajectory))
     # A part that creeps off does not tell where it rested.
-    rest = resting(times, course.values, seen[0])
-    return Recovery(
+    rest = select_resting(times, trajectory.values, seen[0])
+    return RecoveredMotion(
         contacts=contacts,
         found=found,
         estimate=found.of(joint_type),
-        course=course,
+        trajectory=trajectory,
         level_sd=(float(np.std(rest)) if len(rest) else 0.0) if first.gripped else leave,
         face_normal=shape.face_normal,
     )
 
 
 def _explained(
-    demo: Demonstration,
-    shape: Shape,
+    demo: MotionInput,
+    shape: PartShape,
     surface: Array,
     begin: PartPath,
     interval: tuple[float, float],
     params: JointParams,
-) -> tuple[Contacts, Candidates]:
+) -> tuple[Contacts, JointCandidates]:
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
     contacts = _contacts(demo, shape, surface, begin)
-    held = poses_at(demo, _dense(interval) + demo.clock_offset_s)
+    held = ee_poses_at(demo, _dense(interval) + demo.clock_offset_s)
     # Fingers that do not stand against each other push, and hold in no direction.
     normals = [patch.normal for patch in contacts.patches]
     pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
-    hold = Hold(point_ee=contacts.grasp_ee, closing_ee=demo.robot.closing_ee if pinched else None)
-    return contacts, candidates(held, hold, shape, params)
+    hold = GraspGuess(point_ee=contacts.grasp_ee, closing_ee=demo.robot.closing_ee if pinched else None)
+    return contacts, fit_candidates(held, hold, shape, params)
 
 
-def _contacts(demo: Demonstration, shape: Shape, surface: Array, begin: PartPath) -> Contacts:
+def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: PartPath) -> Contacts:
     return find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
 
 
-def _begin(interval: tuple[float, float], demo: Demonstration, params: MotionParams) -> Array:
+def _begin(interval: tuple[float, float], demo: MotionInput, params: MotionParams) -> Array:
     """First moments of the motion from its first frame on, log clock (K,), [s]."""
-    contact = params.contact
-    steps = np.linspace(0.0, contact.window_s, contact.steps, dtype=np.float64)
-    return steps + (first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
+    steps = np.linspace(0.0, WINDOW_S, params.contact_steps, dtype=np.float64)
+    return steps + (find_first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
 
 
-def first_frame(frames: Array, moment_s: float) -> float:
+def find_first_frame(frames: Array, moment_s: float) -> float:
     """Time of the first of the frames (F,) at a moment or after it; the last one's where none is."""
     later = frames[frames >= moment_s - 1e-6]
     return float(later[0]) if len(later) else float(frames[-1])
@@ -211,6 +218,6 @@ def _dense(interval: tuple[float, float]) -> Array:
     return np.linspace(interval[0], interval[1], count, dtype=np.float64)
 
 
-def poses_at(demo: Demonstration, log_times_s: Array) -> Array:
+def ee_poses_at(demo: MotionInput, log_times_s: Array) -> Array:
     """End-effector poses (T, 4, 4), world frame, at times (T,) of the log's clock."""
     return np.asarray(demo.robot.ee_poses(demo.log.at(log_times_s)[0]), np.float64)

@@ -18,6 +18,7 @@ _NOISE_SDS = 3.0
 _REST_S = (0.5, 0.1)
 # The part has left its first state when its value differs by this much.
 LEAVE_RAD = float(np.radians(0.5))
+# The same of a prismatic joint, [m]: half a degree of a door whose handle is 0.23 m from its hinge.
 LEAVE_M = 0.002
 
 
@@ -40,7 +41,7 @@ class PathValues:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ValueCourse:
+class ValueTrajectory:
     """Joint values along a touch, and when and where the part rests.
 
     Attributes:
@@ -60,12 +61,12 @@ class ValueCourse:
         freeze(self, "values", self.values, (len(self.times_s),))
 
 
-def leave_of(joint_type: JointType) -> float:
+def find_motion_tolerance(joint_type: JointType) -> float:
     """Value by which a part has left its first state or not reached its last one, [rad] or [m]."""
     return LEAVE_RAD if joint_type == "revolute" else LEAVE_M
 
 
-def path_values(
+def compute_path_values(
     joint: Joint, Ts_world_ee: Array, grasp_ee: Array, reference: int, face_normal: Array | None = None
 ) -> PathValues:
     """Joint value of each hand pose while it holds the part.
@@ -137,7 +138,7 @@ def smooth_within(values: Array, step_s: float, window_s: float, tolerance: floa
     return np.asarray(way * (ceiling + floor) / 2, np.float64)
 
 
-def leaving_and_arriving(
+def refine_interval(
     times_s: Array, values: Array, seen: tuple[float, float], tolerance: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Refine the motion's interval from the values along the touch of a hand that holds the part.
@@ -154,9 +155,9 @@ def leaving_and_arriving(
     """
     start_s, end_s = seen
     first_level, last_level = np.interp(seen, times_s, values)
-    # A film that begins gripped leaves no time to rest in: its first value is the level then.
+    # A video that begins gripped leaves no time to rest in: its first value is the level then.
     first_level = values[0] if times_s[0] <= start_s else first_level
-    first_level = _level(resting(times_s, values, start_s), first_level)
+    first_level = _level(select_resting(times_s, values, start_s), first_level)
     last_level = _level(values[(times_s >= times_s[-1] - 0.2) & (times_s >= end_s)], last_level)
     left = np.abs(values - first_level) > tolerance
     ahead = np.abs(values - last_level) > tolerance
@@ -169,7 +170,7 @@ def leaving_and_arriving(
     return (begin, finish), (float(first_level), float(last_level))
 
 
-def resting(times_s: Array, values: Array, start_s: float) -> Array:
+def select_resting(times_s: Array, values: Array, start_s: float) -> Array:
     """Those of the values (T,) at which a held part rests before a motion that starts then."""
     since, until = _REST_S
     return values[(times_s >= start_s - since) & (times_s <= start_s - until)]
@@ -179,7 +180,7 @@ def _level(values: Array, otherwise: float) -> float:
     return float(np.median(values)) if len(values) else otherwise
 
 
-def values_at_frames(frame_times_s: Array, course: ValueCourse, tolerance: float) -> Array:
+def sample_at_frames(frame_times_s: Array, trajectory: ValueTrajectory, tolerance: float) -> Array:
     """Values (F,) at frame times, never below 0; the part rests before and after.
 
     The interval begins when the value has left its first level by a tolerance. On the way there, from the
@@ -187,12 +188,12 @@ def values_at_frames(frame_times_s: Array, course: ValueCourse, tolerance: float
 
     Args:
         frame_times_s: Video frame times (F,).
-        course: Along the touch.
+        trajectory: Along the touch.
         tolerance: `LEAVE_RAD` or `LEAVE_M`.
     """
-    times, values = course.times_s, course.values
-    start_s, end_s = course.interval
-    first, last = course.levels
+    times, values = trajectory.times_s, trajectory.values
+    start_s, end_s = trajectory.interval
+    first, last = trajectory.levels
     inside = np.interp(frame_times_s, times, values) - first
     whole = last - first
     left = times[(times <= start_s) & (values <= first)]

@@ -13,29 +13,20 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
-from aomgen.motion.filters import closed, filled, grown, smooth, touching, without_glitches
-from aomgen.motion.gripper_signals import Touch
-from aomgen.motion.onset import Moment, Sight, Way, arriving, leaving
+from aomgen.motion.filters import close_gaps, dilate, fill_holes, keep_touching, remove_glitches, smooth
+from aomgen.motion.gripper_signals import TouchInterval
+from aomgen.motion.onset import Detectability, GripperPath, UncertainTime, detect_offset, detect_onset
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KeyframeParams:
-    """How motion is told from stillness.
-
-    Attributes:
-        low_change, high_change: Color differences (8 bit) that surely are no change, and surely are one.
-        dilate_px: Margin around the robot's masks, [px].
-        reference_s: Length of the still stretches at the beginning and the end of the touch, [s].
-        smooth_s: Savitzky-Golay window, [s].
-        least_noise: Smallest noise of a departure; video compression makes still pictures too equal.
-    """
-
-    low_change: float = 14.0
-    high_change: float = 40.0
-    dilate_px: int = 3
-    reference_s: float = 0.25
-    smooth_s: float = 0.3
-    least_noise: float = 0.004
+# Color differences (8 bit): those that surely are no change (noise, compression), and those that surely are one.
+LOW_CHANGE, HIGH_CHANGE = 14.0, 40.0
+# Margin around the robot's masks, [px]: at this size the model's outline is off by less.
+ROBOT_MARGIN_PX = 3
+# Length of the still stretches at the beginning and the end of the touch, [s].
+REFERENCE_S = 0.25
+# Width of the Savitzky-Golay window, [s].
+SMOOTH_S = 0.3
+# Smallest noise of a departure: video compression makes still pictures too equal.
+LEAST_NOISE = 0.004
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,29 +57,28 @@ class Interval:
         threshold: Score that stillness hardly ever reaches.
     """
 
-    start: Moment
-    end: Moment
+    start: UncertainTime
+    end: UncertainTime
     smoothed: Array
     threshold: float
 
 
-def part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
+def find_part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
     """Pixels (H, W) that the part's points (N, 3) cover, small gaps closed."""
     pixels, depths = camera.project(points_world)
     columns, rows = np.floor(pixels[:, 0]).astype(int), np.floor(pixels[:, 1]).astype(int)
     seen = (depths > 0) & (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
     region = np.zeros((camera.height, camera.width), bool)
     region[rows[seen], columns[seen]] = True
-    return filled(closed(region, 3))
+    return fill_holes(close_gaps(region, 3))
 
 
-def departures(
+def measure_departures(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     region: NDArray[np.bool_],
-    touch: Touch,
+    touch: TouchInterval,
     reference_frames: int,
-    params: KeyframeParams | None = None,
 ) -> Departures:
     """Compare every frame of the touch with the two states at its ends.
 
@@ -99,31 +89,28 @@ def departures(
         touch: When the hand can move the part. The two states are taken from its ends, so that the
             shadow of the arriving hand is in both pictures.
         reference_frames: Frames that make each of the two pictures.
-        params: Thresholds.
 
     Source: AOMGen, sec. 4.2, "Keyframe Extraction". The paper compares the part's masks in
     neighbouring frames; here the picture itself is compared with the first and the last state.
     """
-    params = params or KeyframeParams()
     inside = slice(touch.first, touch.last + 1)
     frames = frames_srgb[inside]
-    hidden = np.stack([grown(mask, params.dilate_px) for mask in robot[inside]])
+    hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot[inside]])
     before, before_seen = _reference(frames[:reference_frames], hidden[:reference_frames])
     after, after_seen = _reference(frames[-reference_frames:], hidden[-reference_frames:])
-    moved = before_seen & after_seen & (_change(before, after, params) > 0.5)
-    footprint = touching(closed(moved, 1) | region, region)
+    moved = before_seen & after_seen & (_change(before, after) > 0.5)
+    footprint = keep_touching(close_gaps(moved, 1) | region, region)
     left, ahead = np.zeros(len(frames_srgb)), np.zeros(len(frames_srgb))
-    left[inside] = _departures(frames, hidden, before, footprint & before_seen, params)
-    ahead[inside] = _departures(frames, hidden, after, footprint & after_seen, params)
+    left[inside] = _departures(frames, hidden, before, footprint & before_seen)
+    ahead[inside] = _departures(frames, hidden, after, footprint & after_seen)
     return Departures(left=left, ahead=ahead)
 
 
-def change_over(
+def measure_change(
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
-    touch: Touch,
+    touch: TouchInterval,
     reference_frames: int,
-    params: KeyframeParams,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """How surely pixels changed over the touch (H, W), 0..1, and where both ends show no robot (H, W)."""
     ends = (
@@ -132,19 +119,18 @@ def change_over(
     )
     pictures = []
     for end in ends:
-        hidden = np.stack([grown(mask, params.dilate_px) for mask in robot[end]])
+        hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot[end]])
         pictures.append(_reference(frames_srgb[end], hidden))
     (before, before_seen), (after, after_seen) = pictures
-    return _change(before, after, params), before_seen & after_seen
+    return _change(before, after), before_seen & after_seen
 
 
 def find_interval(
     times_s: Array,
     seen: Departures,
-    way: Way,
-    touch: Touch,
+    way: GripperPath,
+    touch: TouchInterval,
     pixel_m: float,
-    params: KeyframeParams | None = None,
 ) -> Interval:
     """First and last moment of the motion.
 
@@ -154,38 +140,36 @@ def find_interval(
         way: The hand, over more than the touch.
         touch: When the hand can move the part.
         pixel_m: Size of a pixel at the part, [m].
-        params: Thresholds.
 
     Source: AOMGen, sec. 4.2, threshold B + 3 sigma. Instead of the first and last frame above a
     threshold, the departures' rise and fall are followed back to where they come out of the noise;
     pauses, single bad frames and the share of moving frames make no difference to that.
     """
-    params = params or KeyframeParams()
     step = float(np.median(np.diff(times_s)))
     inside = slice(touch.first, touch.last + 1)
     times = times_s[inside]
     sights = [
-        Sight(noise=max(params.least_noise, _noise(values[inside], step, params)), pixel_m=pixel_m)
+        Detectability(noise=max(LEAST_NOISE, _noise(values[inside], step)), pixel_m=pixel_m)
         for values in (seen.left, seen.ahead)
     ]
     held = way.between(float(times[0]), float(times[-1]))
-    start = leaving(held, times, seen.left[inside], sights[0], held=touch.gripped)
-    end = arriving(held, times, seen.ahead[inside], sights[1], held=touch.gripped)
-    smoothed = smooth(without_glitches(seen.scores), step, params.smooth_s)
+    start = detect_onset(held, times, seen.left[inside], sights[0], held=touch.gripped)
+    end = detect_offset(held, times, seen.ahead[inside], sights[1], held=touch.gripped)
+    smoothed = smooth(remove_glitches(seen.scores), step, SMOOTH_S)
     return Interval(
         start=start, end=end, smoothed=smoothed, threshold=3.0 * max(sight.noise for sight in sights)
     )
 
 
-def _noise(values: Array, step_s: float, params: KeyframeParams) -> float:
+def _noise(values: Array, step_s: float) -> float:
     """Robust standard deviation of a series (T,) about its smooth course."""
-    rough = values - smooth(values, step_s, params.smooth_s)
+    rough = values - smooth(values, step_s, SMOOTH_S)
     return 1.4826 * float(np.median(np.abs(rough - np.median(rough))))
 
 
-def reference_count(times_s: Array, params: KeyframeParams) -> int:
+def count_reference_frames(times_s: Array) -> int:
     """Frames in a still stretch, at least three, so that a bad one does not count."""
-    return max(3, round(params.reference_s / float(np.median(np.diff(times_s)))))
+    return max(3, round(REFERENCE_S / float(np.median(np.diff(times_s)))))
 
 
 def _reference(
@@ -198,12 +182,10 @@ def _reference(
     return np.nanmedian(bare, axis=0).astype(np.float32), seen
 
 
-def _change(
-    first: NDArray[np.float32], second: NDArray[np.float32], params: KeyframeParams
-) -> NDArray[np.float32]:
+def _change(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:
     """How surely pixels changed (H, W), 0..1."""
     difference = np.abs(first - second).max(-1)
-    return np.clip((difference - params.low_change) / (params.high_change - params.low_change), 0, 1)
+    return np.clip((difference - LOW_CHANGE) / (HIGH_CHANGE - LOW_CHANGE), 0, 1)
 
 
 def _departures(
@@ -211,7 +193,6 @@ def _departures(
     robot: NDArray[np.bool_],
     reference: NDArray[np.float32],
     region: NDArray[np.bool_],
-    params: KeyframeParams,
 ) -> Array:
     """Share (T,) of the region's visible pixels that differ from the reference."""
     shares = np.zeros(len(frames))
@@ -219,5 +200,5 @@ def _departures(
         visible = region & ~robot[k]
         # A sliver that peeks out beside the arm says little: it counts by its size.
         area = max(int(visible.sum()), 0.25 * int(region.sum()), 1)
-        shares[k] = float(_change(frame.astype(np.float32), reference, params)[visible].sum()) / area
+        shares[k] = float(_change(frame.astype(np.float32), reference)[visible].sum()) / area
     return shares

@@ -1,4 +1,4 @@
-"""What the hand's path says about the motion, before the film is asked."""
+"""What the hand's path says about the motion, before the video is asked."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from aomgen.core.values import Array, freeze
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HandAnswer:
+class KinematicPrior:
     """What the hand's path says.
 
     Attributes:

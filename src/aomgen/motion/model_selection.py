@@ -1,22 +1,24 @@
-"""What the film says about the type of a joint: which of two refined answers it looks like."""
+"""What the video says about the type of a joint: which of two refined answers it looks like."""
 
 import numpy as np
 
-from aomgen.motion.photometric import MIN_FRAMES, PhotometricParams, Witness
-from aomgen.motion.photometric_residuals import Answer, compared
+from aomgen.motion.photometric import MIN_EXPLAINED, MIN_FRAMES, PhotometricFrames, PhotometricParams
+from aomgen.motion.photometric_residuals import JointMotion, compare_frames
 
 
-def film_margin(
-    seen: Witness | None, answers: tuple[Answer, Answer], params: PhotometricParams | None = None
+def compute_type_margin(
+    seen: PhotometricFrames | None,
+    answers: tuple[JointMotion, JointMotion],
+    params: PhotometricParams | None = None,
 ) -> float:
-    """Twice the log evidence of the film for one answer over another; 0 where it cannot tell.
+    """Twice the log evidence of the video for one answer over another; 0 where it cannot tell.
 
     Frames that no answer was fitted to are compared square by square of the part's painted surface.
 
     Args:
-        seen: The film as read for the first answer's type.
-        answers: The first and the second one, each refined on the film.
-        params: How the film is compared.
+        seen: The video as read for the first answer's type.
+        answers: The first and the second one, each refined on the video.
+        params: How the video is compared.
 
     Not checked: that the residuals of different frames are independent of each other.
     """
@@ -24,9 +26,9 @@ def film_margin(
         return 0.0
     params = params or PhotometricParams()
     first, second = answers
-    frames = compared(seen.film, seen.held_out, second, first, params.bands[-1])
+    frames = compare_frames(seen.renderer, seen.held_out, second, first, params.bands[-1])
     if len(frames) < MIN_FRAMES:
         return 0.0
     margin = sum(item.margin for item in frames)
     better = [item.explained_after if margin > 0 else item.explained_before for item in frames]
-    return margin if float(np.median(better)) >= params.min_explained else 0.0
+    return margin if float(np.median(better)) >= MIN_EXPLAINED else 0.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from aomgen.errors import NoMotionError
 from aomgen.motion.onset import STILL_M
-from aomgen.motion.rendered_motion_test import Following
+from aomgen.motion.rendered_motion_test import FollowingEstimate
 
 # Fingers that stay farther away touch nothing, whatever the alignment's error, [m].
 NEAR_M = 0.10
@@ -20,7 +20,7 @@ _FOLLOWS, _FOLLOWS_SD, _CHANCE_SD = 0.7, 0.35, 0.12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionSigns:
+class MotionEvidence:
     """What speaks for and against a motion.
 
     Attributes:
@@ -31,12 +31,12 @@ class MotionSigns:
     """
 
     changed: float
-    following: Following
+    following: FollowingEstimate
     nearest_m: float
     travel_m: float
 
     @property
-    def log_odds(self) -> float:
+    def log_likelihood_ratio(self) -> float:
         """Natural logarithm of how many times more likely a motion is than none."""
         # Densities: 1 over 0..1 if it moved, exponential with mean _SHADOWS if not.
         change = float(np.clip(self.changed / _SHADOWS + np.log(_SHADOWS), -_MOST, _MOST))
@@ -61,7 +61,7 @@ class MotionSigns:
                 f"limit {100 * NEAR_M:.0f} cm",
                 "check the 'moving' prompts, and that video and joint log show the same demonstration",
             )
-        if self.log_odds > 0:
+        if self.log_likelihood_ratio > 0:
             return
         pulled = f"the hand moves {1e3 * self.travel_m:.0f} mm while it is near the part"
         if np.isfinite(self.following.sd):
@@ -69,6 +69,6 @@ class MotionSigns:
         raise NoMotionError(
             "demonstration video",
             f"the part does not move: {pulled}, and {100 * self.changed:.0f} % of its picture changes in between "
-            f"(odds of a motion {np.exp(self.log_odds):.2g}, need 1)",
+            f"(odds of a motion {np.exp(self.log_likelihood_ratio):.2g}, need 1)",
             "check that the video shows the whole motion, that the part is not locked, and the 'moving' prompts",
         )

@@ -15,6 +15,7 @@ from aomgen.core.values import Array, freeze
 # A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
 # number squared (doors opened by contact).
 BEND_SHARE = 0.22
+# Waves along a path; the next one would have 1/36 of the first one's amplitude.
 _WAVES = 5
 # Grasps give way along the motion by this per travel, more where a handle rolls between the fingers (simulated
 # contact with 27 doors and lids, 18 drawers and sliding panels), [m/m].
@@ -22,7 +23,7 @@ _GIVE_RATES = {"prismatic": 0.002, "revolute": 0.004}
 # Hands that slide along the bar of a drawer lose 0.05 to 0.23 of that along the pull (10 drawers).
 _LOST_SHARE = 0.16
 # Unsteadiness of a node at which the hand may not have held the part, over that of the others.
-_DOUBT = 100.0
+_INFLATION = 100.0
 # Sizes are looked for between so many standard deviations from their medians.
 STEP_LIMITS = (-3.0, 5.0)
 # Names of the sizes, in the order of `NoiseScales.logs`.
@@ -77,39 +78,39 @@ class NoisePrior:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class PathNodes:
     """Places along a path at which the hand was looked at.
 
     Attributes:
         travel_m: Travel since the first node (K,), [m].
-        doubt: Factor (K,) on the unsteadiness of each node, 1 where nothing is wrong.
+        inflation: Factor (K,) on the unsteadiness of each node, 1 where nothing is wrong.
         waves: Covariance (K, K) of an uneven course of length one.
     """
 
     travel_m: Array
-    doubt: Array
+    inflation: Array
     waves: Array
 
     def __post_init__(self) -> None:
         count = len(self.travel_m)
         freeze(self, "travel_m", self.travel_m, (count,))
-        freeze(self, "doubt", self.doubt, (count,))
+        freeze(self, "inflation", self.inflation, (count,))
         freeze(self, "waves", self.waves, (count, count))
 
     @staticmethod
-    def of(points: Array) -> "Course":
-        """The course of points (K, 3), none of them doubted."""
+    def of(points: Array) -> "PathNodes":
+        """The nodes of a path of points (K, 3), none of them loosened."""
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         travel = np.concatenate([[0.0], np.cumsum(steps)])
         k = np.arange(1, _WAVES + 1)
         waves = np.sin(np.pi * np.outer(travel / travel[-1], k)) / k**2
-        return Course(travel_m=travel, doubt=np.ones(len(points)), waves=waves @ waves.T)
+        return PathNodes(travel_m=travel, inflation=np.ones(len(points)), waves=waves @ waves.T)
 
-    def doubted(self, nodes: slice) -> "Course":
+    def loosened(self, nodes: slice) -> "PathNodes":
         """The same course with some nodes that may lie anywhere near."""
-        doubt = self.doubt.copy()
-        doubt[nodes] = _DOUBT
-        return replace(self, doubt=doubt)
+        inflation = self.inflation.copy()
+        inflation[nodes] = _INFLATION
+        return replace(self, inflation=inflation)
 
     def steady(self, rate: float) -> Array:
         """Covariance (K, K) of a steady course with a bend, whose end has a deviation of `rate` per travel."""
@@ -122,41 +123,41 @@ class Course:
 
     def white(self, sd: float) -> Array:
         """Covariance (K, K) of unsteadiness."""
-        return np.diag((sd * self.doubt) ** 2)
+        return np.diag((sd * self.inflation) ** 2)
 
 
-def covariances(course: Course, scales: Array, firmness: float = 1.0) -> dict[str, Array]:
+def compute_covariances(path_nodes: PathNodes, scales: Array, firmness: float = 1.0) -> dict[str, Array]:
     """Covariance (K, K) of each kind of residual, by name.
 
     Args:
-        course: Nodes of the path.
+        path_nodes: Nodes of the path.
         scales: Sizes of the flaws (7,).
         firmness: Square of the cosine between the "straight" direction and that in which the fingers
             close; by the rest they give way as along the bar.
     """
     place, turn, face, bar, tilt, pivot, _ = scales
-    white_m, white_rad = course.white(place), course.white(turn)
+    white_m, white_rad = path_nodes.white(place), path_nodes.white(turn)
     return {
-        "face": white_m + course.steady(face),
-        "bar": white_m + course.steady(bar),
-        "tilt": white_rad + course.steady(tilt),
-        "straight": white_m + course.steady(held_rate(scales, firmness)),
-        "pivot": white_rad + course.uneven(pivot),
+        "face": white_m + path_nodes.steady(face),
+        "bar": white_m + path_nodes.steady(bar),
+        "tilt": white_rad + path_nodes.steady(tilt),
+        "straight": white_m + path_nodes.steady(compute_held_rate(scales, firmness)),
+        "pivot": white_rad + path_nodes.uneven(pivot),
     }
 
 
-def held_rate(scales: Array, firmness: float) -> float:
+def compute_held_rate(scales: Array, firmness: float) -> float:
     """Slip per travel [m/m] of a straight path in the direction across it that the fingers hold best.
 
     Args:
         scales: Sizes of the flaws (7,).
-        firmness: See `covariances`.
+        firmness: See `compute_covariances`.
     """
     straight, bar = scales[SCALES.index("straight")], scales[SCALES.index("bar")]
     return float(np.sqrt(firmness * straight**2 + (1 - firmness) * bar**2))
 
 
-def give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
+def compute_give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
     """Slip per travel [m/m] along the way of the part, which no path of a hand shows.
 
     Args:
@@ -171,10 +172,12 @@ def give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
     return float(np.hypot(_GIVE_RATES[joint_type], _LOST_SHARE * along_pads * scales[SCALES.index("bar")]))
 
 
-def factors(course: Course, scales: Array, firmness: float = 1.0) -> dict[str, tuple[Array, float]]:
+def factorize_covariances(
+    path_nodes: PathNodes, scales: Array, firmness: float = 1.0
+) -> dict[str, tuple[Array, float]]:
     """Matrix (K, K) that makes residuals white and log determinant of each covariance, by name."""
     found = {}
-    for name, covariance in covariances(course, scales, firmness).items():
+    for name, covariance in compute_covariances(path_nodes, scales, firmness).items():
         L = np.linalg.cholesky(covariance)
         found[name] = (np.linalg.inv(L), 2 * float(np.log(np.diag(L)).sum()))
     return found

@@ -9,40 +9,45 @@ from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionCurve
 from aomgen.errors import NoMotionError
 from aomgen.io.images import resize
-from aomgen.motion.exposure import matched_frames
-from aomgen.motion.filters import grown, smooth
+from aomgen.motion.exposure import match_exposure
+from aomgen.motion.filters import dilate, smooth
 from aomgen.motion.gripper_signals import (
-    HandSignals,
-    Touch,
-    hand_signals,
-    reached,
-    surface_gaps,
-    touch_interval,
+    GripperSignals,
+    TouchInterval,
+    find_touch,
+    measure_surface_gaps,
+    read_gripper_signals,
+    refine_touch,
 )
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import (
+    ROBOT_MARGIN_PX,
     Departures,
     Interval,
-    KeyframeParams,
-    departures,
+    count_reference_frames,
     find_interval,
-    part_region,
-    reference_count,
+    find_part_region,
+    measure_departures,
 )
-from aomgen.motion.motion_test import MotionSigns
-from aomgen.motion.onset import Way
+from aomgen.motion.motion_test import MotionEvidence
+from aomgen.motion.onset import GripperPath
 from aomgen.motion.params import MotionParams
-from aomgen.motion.part_identification import MovedPart, moved_part
-from aomgen.motion.rendered_motion_test import following
+from aomgen.motion.part_identification import PartIdentification, identify_part
+from aomgen.motion.rendered_motion_test import estimate_following
 from aomgen.robots.robot_masks import MasksAt
 
+# Step of the dense end-effector path, [s]: that of a 100 Hz joint log.
 _WAY_STEP_S = 0.01
+# Width of its smoother, [s]; short against any commanded motion.
 _WAY_SMOOTH_S = 0.1
+# Faster videos are thinned to about this, [1/s]: a motion lasts seconds.
+MAX_FPS = 15.0
+# Fewer frames have no two rest states and a motion between them.
 _LEAST_FRAMES = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KeyframeView:
+class VideoObservations:
     """Small frames of one exposure without the bad ones, robot masks, and the hand at the same times.
 
     Attributes:
@@ -52,7 +57,7 @@ class KeyframeView:
         region: The part's pixels at its scanned place (H, W).
         signals: The hand at the frames' times.
         touch: When it can move the part.
-        way: The hand over dense times of the whole film.
+        way: The hand over dense times of the whole video.
         pixel_m: Size of a pixel at the part, [m].
     """
 
@@ -60,41 +65,41 @@ class KeyframeView:
     frames_srgb: NDArray[np.uint8]
     masks: NDArray[np.bool_]
     region: NDArray[np.bool_]
-    signals: HandSignals
-    touch: Touch
-    way: Way
+    signals: GripperSignals
+    touch: TouchInterval
+    way: GripperPath
     pixel_m: float
 
     @staticmethod
-    def of(demo: Demonstration, masks_at: MasksAt, params: MotionParams) -> "KeyframeView":
-        """Thin and shrink the film.
+    def of(demo: MotionInput, masks_at: MasksAt, params: MotionParams) -> "VideoObservations":
+        """Thin and shrink the video.
 
         Raises:
             NoMotionError: Hardly any frames.
         """
-        stride = max(1, int(np.floor(demo.video.fps / params.max_fps)))
+        stride = max(1, int(np.floor(demo.video.fps / MAX_FPS)))
         width = min(params.width, demo.camera.width)
         small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
         times, offset_s = demo.video.times_s[::stride], demo.clock_offset_s
         frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb[::stride]]
         masks = masks_at(times + offset_s, small.width, small.height)
-        region = part_region(demo.points_moving, small)
-        film = matched_frames(np.stack(frames), masks, region)
-        good = ~film.bad
+        region = find_part_region(demo.points_moving, small)
+        matched = match_exposure(np.stack(frames), masks, region)
+        good = ~matched.bad
         if not good.sum() >= _LEAST_FRAMES:
             raise NoMotionError(
                 "demonstration video",
                 f"has {int(good.sum())} frames that can be compared, need {_LEAST_FRAMES}",
                 "check that the camera stands still and that the video shows the whole motion",
             )
-        signals = hand_signals(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
-        touch = touch_interval(signals)
+        signals = read_gripper_signals(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
+        touch = find_touch(signals)
         if not touch.gripped and demo.robot.hand_bodies:
-            gaps = surface_gaps(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
-            touch = reached(touch, signals, gaps)
-        return KeyframeView(
+            gaps = measure_surface_gaps(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
+            touch = refine_touch(touch, signals, gaps)
+        return VideoObservations(
             camera=small,
-            frames_srgb=film.frames_srgb[good],
+            frames_srgb=matched.frames_srgb[good],
             masks=masks[good],
             region=region,
             signals=signals,
@@ -103,41 +108,40 @@ class KeyframeView:
             pixel_m=float(np.median(small.project(demo.points_moving)[1])) / small.fx,
         )
 
-    def moved_part(self, demo: Demonstration, params: KeyframeParams) -> MovedPart:
+    def identify_part(self, demo: MotionInput) -> PartIdentification:
         """Whether the prompted part is the one that moved."""
         static, other = (
-            hand_signals(demo.robot, demo.log, points, self.signals.times_s, demo.clock_offset_s)
+            read_gripper_signals(demo.robot, demo.log, points, self.signals.times_s, demo.clock_offset_s)
             for points in (demo.points_static, demo.points_other)
         )
-        return moved_part(
+        return identify_part(
             (demo.points_moving, demo.points_static, demo.points_other),
             (self.signals, static, other),
             self.frames_srgb,
             self.masks,
             self.camera,
-            params,
         )
 
-    def interval(self, params: KeyframeParams) -> tuple[Departures, Interval]:
+    def interval(self) -> tuple[Departures, Interval]:
         """The part's departures and the interval seen in them, whether they mean a motion or not."""
-        count = reference_count(self.signals.times_s, params)
-        seen = departures(self.frames_srgb, self.masks, self.region, self.touch, count, params)
-        return seen, find_interval(self.signals.times_s, seen, self.way, self.touch, self.pixel_m, params)
+        count = count_reference_frames(self.signals.times_s)
+        seen = measure_departures(self.frames_srgb, self.masks, self.region, self.touch, count)
+        return seen, find_interval(self.signals.times_s, seen, self.way, self.touch, self.pixel_m)
 
-    def signs(self, demo: Demonstration, interval: Interval, params: KeyframeParams) -> MotionSigns:
+    def signs(self, demo: MotionInput, interval: Interval) -> MotionEvidence:
         """What speaks for and against a motion."""
         times, touch = self.signals.times_s, self.touch
         last = int(np.searchsorted(times, interval.end.time_s, side="right"))
         during = slice(touch.first, min(max(last, touch.first + 3), touch.last) + 1)
         held = self.way.between(float(times[during][0]), float(times[during][-1]))
-        return MotionSigns(
+        return MotionEvidence(
             changed=float(interval.smoothed.max()),
-            following=following(
+            following=estimate_following(
                 demo.scene,
                 demo.labels,
                 self.camera,
                 self.frames_srgb[during],
-                np.stack([grown(mask, params.dilate_px) for mask in self.masks[during]]),
+                np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in self.masks[during]]),
                 self.signals.Ts_world_ee[during],
             ),
             nearest_m=float(self.signals.distances_m.min()),
@@ -157,8 +161,8 @@ class KeyframeView:
         )
 
 
-def _way(demo: Demonstration, first_s: float, last_s: float) -> Way:
+def _way(demo: MotionInput, first_s: float, last_s: float) -> GripperPath:
     times = np.arange(first_s, last_s + _WAY_STEP_S / 2, _WAY_STEP_S, dtype=np.float64)
     points = demo.robot.ee_poses(demo.log.at(times + demo.clock_offset_s)[0])[:, :3, 3]
     columns = [smooth(column, _WAY_STEP_S, _WAY_SMOOTH_S) for column in points.T]
-    return Way(times_s=times, points=np.stack(columns, 1))
+    return GripperPath(times_s=times, points=np.stack(columns, 1))

@@ -5,26 +5,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from aomgen.core.values import Array
-from aomgen.motion.filters import without_glitches
+from aomgen.motion.filters import remove_glitches
 
 # Share of the largest departure up to which the picture changes in proportion to the hand's way.
 _EARLY = 0.4
 # How the departure grows with the way: in proportion when an edge crosses a plain face, slower or faster
-# where the arm uncovers it or pattern meets pattern; and what such a curve misses, as a share.
+# where the arm uncovers it or pattern meets pattern.
 _POWERS = (0.7, 1.0, 1.4, 2.0)
+# What such a curve misses, as a share of the departure.
 _MISFIT = 0.1
 # Way of the hand within which a part counts as still: half a degree of a door of 0.3 m, and what closing
 # fingers push a hand around, [m].
 STILL_M = 0.0025
 # Fingers that hold slide or give way about this far before the part follows, [m].
 _SLACK_M = 0.01
+# Onsets tried along the path, a hundredth of its length apart.
 _CANDIDATES = 101
 # Joint logs of a resting hand wander by less than this, smoothed, [m].
 _JITTER_M = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
+class UncertainTime:
     """A time with its standard deviation, [s]."""
 
     time_s: float
@@ -32,7 +34,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class GripperPath:
     """The hand over dense times.
 
     Attributes:
@@ -43,14 +45,14 @@ class Way:
     times_s: Array
     points: Array
 
-    def between(self, first_s: float, last_s: float) -> "Way":
+    def between(self, first_s: float, last_s: float) -> "GripperPath":
         """The part of the way inside an interval."""
         inside = (self.times_s >= first_s - 1e-9) & (self.times_s <= last_s + 1e-9)
-        return Way(times_s=self.times_s[inside], points=self.points[inside])
+        return GripperPath(times_s=self.times_s[inside], points=self.points[inside])
 
-    def reversed(self) -> "Way":
+    def reversed(self) -> "GripperPath":
         """The way gone backwards, with negative times."""
-        return Way(times_s=-self.times_s[::-1], points=self.points[::-1])
+        return GripperPath(times_s=-self.times_s[::-1], points=self.points[::-1])
 
     @property
     def travel(self) -> Array:
@@ -69,7 +71,7 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sight:
+class Detectability:
     """What the picture can tell.
 
     Attributes:
@@ -81,7 +83,9 @@ class Sight:
     pixel_m: float
 
 
-def leaving(way: Way, times_s: Array, departures: Array, sight: Sight, *, held: bool) -> Moment:
+def detect_onset(
+    way: GripperPath, times_s: Array, departures: Array, sight: Detectability, *, held: bool
+) -> UncertainTime:
     """When the part leaves its first place.
 
     The departure is taken to be `k max(0, u - u0)^p` with u the hand's travel (its way, if not held): 0 while the hand comes or
@@ -96,8 +100,8 @@ def leaving(way: Way, times_s: Array, departures: Array, sight: Sight, *, held: 
         held: Fingers hold the part, so that it follows at once or nearly so.
     """
     if len(way.times_s) < 2 or len(times_s) < 2:
-        return Moment(time_s=float(times_s[0]), sd_s=float(np.inf))
-    clean = without_glitches(departures)
+        return UncertainTime(time_s=float(times_s[0]), sd_s=float(np.inf))
+    clean = remove_glitches(departures)
     clean = clean - float(np.median(clean[:2]))
     middle = int(np.argmax(clean >= _EARLY * clean.max()))
     early = slice(0, min(max(middle, 2), len(times_s) - 1) + 1)
@@ -118,15 +122,17 @@ def leaving(way: Way, times_s: Array, departures: Array, sight: Sight, *, held: 
     moments = way.times_s[passed]
     mean = float(odds @ moments)
     spread = float(odds @ (moments - mean) ** 2)
-    return Moment(time_s=mean, sd_s=float(np.sqrt(spread + np.median(np.diff(way.times_s)) ** 2)))
+    return UncertainTime(time_s=mean, sd_s=float(np.sqrt(spread + np.median(np.diff(way.times_s)) ** 2)))
 
 
-def arriving(way: Way, times_s: Array, ahead: Array, sight: Sight, *, held: bool) -> Moment:
-    """When the part reaches its last place: `leaving` of the film shown backwards.
+def detect_offset(
+    way: GripperPath, times_s: Array, ahead: Array, sight: Detectability, *, held: bool
+) -> UncertainTime:
+    """When the part reaches its last place: `detect_onset` of the video shown backwards.
 
     Args:
         ahead: Share (T,) of the part's picture that does not show its last place.
-        way, times_s, sight, held: As in `leaving`.
+        way, times_s, sight, held: As in `detect_onset`.
     """
-    moment = leaving(way.reversed(), -times_s[::-1], ahead[::-1], sight, held=held)
-    return Moment(time_s=-moment.time_s, sd_s=moment.sd_s)
+    moment = detect_onset(way.reversed(), -times_s[::-1], ahead[::-1], sight, held=held)
+    return UncertainTime(time_s=-moment.time_s, sd_s=moment.sd_s)

@@ -8,16 +8,17 @@ from aomgen.core.joint import Joint
 from aomgen.core.motion import Direction
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.filters import closed
+from aomgen.motion.filters import close_gaps
 
 # A part that leaves the body takes along at least this share of its travel; one that slides within it none.
 _LEAVING_SHARE = 0.2
 # Cells of a sliding panel along its longer side.
 _CELLS = 12
+# Points beyond this percentile on either side are strays, [%].
 _TAIL_PERCENT = 2.0
 
 
-def direction_of(joint: Joint, theta: float, points_static: Array, points_moving: Array) -> Direction:
+def infer_direction(joint: Joint, theta: float, points_static: Array, points_moving: Array) -> Direction:
     """Open or close: what a part does that goes from its scanned place to joint value `theta`.
 
     A closed part is flush with the body: a door or lid lies on it, a drawer is inside of it. A panel
@@ -70,7 +71,7 @@ def _lies_before_front(axis: Array, travel_m: float, points_static: Array, point
         cells = cells[np.all((cells >= 0) & (cells < size), axis=1)]
         grid = np.zeros(size, bool)
         grid[tuple(cells.T)] = True
-        return closed(grid, 1)
+        return close_gaps(grid, 1)
 
     start, end = (covered(points @ plane + offset) for offset in (0.0, shift))
     fresh = end & ~start

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from aomgen.motion.contact import ContactParams
 from aomgen.motion.joint_estimation import JointParams
-from aomgen.motion.keyframes import KeyframeParams
 from aomgen.motion.photometric import PhotometricParams
 
 
@@ -13,15 +11,13 @@ class MotionParams:
     """Parameters of the submodules.
 
     Attributes:
+        joint: Of the joint's estimate.
+        photometric: Of its refinement on the video.
+        contact_steps: Moments at the start of the motion at which patches of contact are looked for.
         width: Image width for keyframes, [px].
-        max_fps: Faster videos are thinned for keyframes, [1/s].
-        agree_s: Largest difference between the interval seen and the one felt, [s].
     """
 
-    keyframes: KeyframeParams = field(default_factory=KeyframeParams)
-    contact: ContactParams = field(default_factory=ContactParams)
     joint: JointParams = field(default_factory=JointParams)
     photometric: PhotometricParams = field(default_factory=PhotometricParams)
+    contact_steps: int = 7
     width: int = 320
-    max_fps: float = 15.0
-    agree_s: float = 0.8

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import WrongPromptError
-from aomgen.motion.filters import lowest_around
-from aomgen.motion.gripper_signals import HandSignals, Touch, touch_interval
-from aomgen.motion.keyframes import KeyframeParams, change_over, part_region, reference_count
+from aomgen.motion.filters import minimum_around
+from aomgen.motion.gripper_signals import GripperSignals, TouchInterval, find_touch
+from aomgen.motion.keyframes import count_reference_frames, find_part_region, measure_change
 
 # Reconstructed surfaces are off by this much where they are thin, as handles are, [m].
 SURFACE_M = 0.01
@@ -25,12 +25,12 @@ MIN_PIXELS = 30
 # Odds below which prompts are doubted, and below whose inverse they are refused. On captures with right
 # prompts the odds are 5 and more; swapped ones reach 0.15, boxes around the whole object 0.5.
 MIN_ODDS = 2.0
-# Neighborhood in which points of a surface are its pixels, as in `part_region`, [px].
+# Neighborhood in which points of a surface are its pixels, as in `find_part_region`, [px].
 SPACING_PX = 7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PartSigns:
+class CandidateEvidence:
     """What the demonstration shows of one part at its scanned place.
 
     Attributes:
@@ -48,7 +48,7 @@ class PartSigns:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MovedPart:
+class PartIdentification:
     """The three candidates: prompted as moving, prompted as static, everything else.
 
     Of everything else only the contact speaks; its change is taken to be a standing part's.
@@ -58,9 +58,9 @@ class MovedPart:
         gripped: The hand closed near one of them.
     """
 
-    moving: PartSigns
-    static: PartSigns
-    other: PartSigns
+    moving: CandidateEvidence
+    static: CandidateEvidence
+    other: CandidateEvidence
     gripped: bool
 
     @property
@@ -96,7 +96,7 @@ class MovedPart:
         )
 
 
-def doubts(odds: float) -> list[str]:
+def list_warnings(odds: float) -> list[str]:
     """Sentences about prompts that the demonstration does not clearly confirm."""
     if odds >= MIN_ODDS:
         return []
@@ -106,14 +106,13 @@ def doubts(odds: float) -> list[str]:
     ]
 
 
-def moved_part(
+def identify_part(
     points: tuple[Array, Array, Array],
-    signals: tuple[HandSignals, HandSignals, HandSignals],
+    signals: tuple[GripperSignals, GripperSignals, GripperSignals],
     frames_srgb: NDArray[np.uint8],
     robot: NDArray[np.bool_],
     camera: Camera,
-    params: KeyframeParams | None = None,
-) -> MovedPart:
+) -> PartIdentification:
     """Look at contact and change of the three candidates.
 
     Args:
@@ -122,40 +121,38 @@ def moved_part(
         frames_srgb: Small frames of the demonstration (T, H, W, 3).
         robot: The robot's masks (T, H, W) in them.
         camera: Of these frames, world frame.
-        params: What counts as change.
 
     Source: DESIGN.md, section 4, "Parts": the movable part is the one that the gripper touches.
     Not checked: that the prompted box holds the whole part.
     """
-    params = params or KeyframeParams()
     touch = _touch(signals)
-    reference = reference_count(signals[0].times_s, params)
-    change, seen = change_over(frames_srgb, robot, touch, reference, params)
+    reference = count_reference_frames(signals[0].times_s)
+    change, seen = measure_change(frames_srgb, robot, touch, reference)
     shares = [
         float(change[shown].mean()) if shown.sum() >= MIN_PIXELS else STILL_SHARE
-        for shown in (region & seen for region in visible_regions(points[:2], camera))
+        for shown in (region & seen for region in find_visible_regions(points[:2], camera))
     ]
     gaps = [
         float(item.distances_m[touch.first] if touch.gripped else item.distances_m.min()) for item in signals
     ]
     moving, static, other = (
-        PartSigns(gap_m=gap, changed=changed)
+        CandidateEvidence(gap_m=gap, changed=changed)
         for gap, changed in zip(gaps, (*shares, STILL_SHARE), strict=True)
     )
-    return MovedPart(moving=moving, static=static, other=other, gripped=touch.gripped)
+    return PartIdentification(moving=moving, static=static, other=other, gripped=touch.gripped)
 
 
-def _touch(signals: tuple[HandSignals, ...]) -> Touch:
-    """The grasp near the prompted part, else near anything; the whole film for hands that do not grasp."""
+def _touch(signals: tuple[GripperSignals, ...]) -> TouchInterval:
+    """The grasp near the prompted part, else near anything; the whole video for hands that do not grasp."""
     nearest = np.min([item.distances_m for item in signals], axis=0)
     for candidate in (signals[0], replace(signals[0], distances_m=nearest)):
-        touch = touch_interval(candidate)
+        touch = find_touch(candidate)
         if touch.gripped:
             return touch
-    return Touch(first=0, last=len(nearest) - 1, gripped=False)
+    return TouchInterval(first=0, last=len(nearest) - 1, gripped=False)
 
 
-def visible_regions(points: tuple[Array, ...], camera: Camera) -> list[NDArray[np.bool_]]:
+def find_visible_regions(points: tuple[Array, ...], camera: Camera) -> list[NDArray[np.bool_]]:
     """Pixels (H, W) of each part where it is in front of the others.
 
     Args:
@@ -168,9 +165,9 @@ def visible_regions(points: tuple[Array, ...], camera: Camera) -> list[NDArray[n
         inside = (depths > 0) & np.all((pixels >= 0) & (pixels < [camera.width, camera.height]), axis=1)
         columns, rows = pixels[inside].astype(int).T
         np.minimum.at(depth, (rows, columns), depths[inside])
-        depth[:] = lowest_around(depth, SPACING_PX)
+        depth[:] = minimum_around(depth, SPACING_PX)
     front = nearest.min(axis=0)
     return [
-        part_region(part, camera) & (depth == front) & np.isfinite(front)
+        find_part_region(part, camera) & (depth == front) & np.isfinite(front)
         for part, depth in zip(points, nearest, strict=True)
     ]

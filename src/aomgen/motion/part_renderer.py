@@ -1,8 +1,8 @@
-"""The film around the moving part, and the part painted with what the film shows of it at rest.
+"""The video around the moving part, and the part painted with what the video shows of it at rest.
 
-The scan knows the part's shape; its colors under the film's light, exposure and white balance are
-read from the film itself, before the motion. What is compared later is the same surface in the same
-film, so that neither the scan's exposure nor a constant error of the camera's pose counts as motion.
+The scan knows the part's shape; its colors under the video's light, exposure and white balance are
+read from the video itself, before the motion. What is compared later is the same surface in the same
+video, so that neither the scan's exposure nor a constant error of the camera's pose counts as motion.
 """
 
 from dataclasses import dataclass, replace
@@ -18,8 +18,8 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.motion.filters import grown
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.filters import dilate
+from aomgen.motion.inputs import MotionInput
 from aomgen.robots.robot_masks import MasksAt
 from aomgen.splatting.rasterizer import Parts, contribution_weights, render
 
@@ -27,20 +27,22 @@ FloatImage = NDArray[np.float32]
 
 # Rec. 601 luma.
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+# Rounds of back-projected residuals; each takes most of what is left.
 _PAINT_ROUNDS = 10
 # A Gaussian whose weights sum to less than this share of a pixel is not seen.
 _SEEN_WEIGHT = 0.02
+# Frames at rest whose median is the picture that is painted: noise falls to a third.
 _REST_FRAMES = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PartView:
+class PartRendering:
     """The part as drawn at one joint value.
 
     Attributes:
         luma: Blended luma (H, W), not divided by alpha, 0..1.
         alpha: Coverage by the part (H, W), 0..1, what stands before it left out.
-        painted: Coverage by those of its Gaussians that the film shows at rest (H, W), 0..1.
+        painted: Coverage by those of its Gaussians that the video shows at rest (H, W), 0..1.
     """
 
     luma: FloatImage
@@ -49,8 +51,8 @@ class PartView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PartFilm:
-    """A crop of the film around the part's way, and the scene that can be drawn into it.
+class PartRenderer:
+    """A crop of the video around the part's way, and the scene that can be drawn into it.
 
     Attributes:
         camera: Of the crop, world frame.
@@ -74,13 +76,13 @@ class PartFilm:
     focus: Array
     reach_m: float
 
-    def draw(self, joint: Joint, theta: float) -> PartView:
+    def draw(self, joint: Joint, theta: float) -> PartRendering:
         """The part at a joint value, without gradients."""
         Ts = np.stack([np.eye(4), joint.motion(theta)])
         parts = Parts(indices=self.parts, Ts_world_part=Ts)
         drawn = render(self.scene, self.camera, features=self.features, parts=parts, threads=1).features
         images = np.moveaxis(np.zeros((1, 1, 3), np.float32) if drawn is None else drawn, -1, 0)
-        return PartView(luma=images[0], alpha=images[1], painted=images[2])
+        return PartRendering(luma=images[0], alpha=images[1], painted=images[2])
 
     def at(self, frame: int) -> tuple[FloatImage, NDArray[np.bool_]]:
         """Luma and hidden pixels (H, W) of a video frame that was read."""
@@ -88,19 +90,19 @@ class PartFilm:
         return self.luma[index], self.hidden[index]
 
 
-def part_film(
-    demo: Demonstration,
+def make_part_renderer(
+    demo: MotionInput,
     masks_at: MasksAt,
     joint: Joint,
     moments: tuple[NDArray[np.intp], NDArray[np.intp], float],
     *,
     max_pixels: int,
     dilate_px: int,
-) -> PartFilm:
-    """Cut the film to the part's way and paint the part.
+) -> PartRenderer:
+    """Cut the video to the part's way and paint the part.
 
     Args:
-        demo: Film, camera and scene.
+        demo: Video, camera and scene.
         masks_at: Draws the robot.
         joint: Where the part goes, roughly.
         moments: Frames at rest before the motion, frames of the motion, and the largest joint value.
@@ -124,10 +126,10 @@ def part_film(
     )
     images = [resize(demo.video.frames_srgb[k], small.width, small.height)[rows, columns] for k in frames]
     masks = masks_at(demo.video.times_s[frames] + demo.clock_offset_s, small.width, small.height)
-    hidden = np.stack([grown(mask, dilate_px)[rows, columns] for mask in masks])
+    hidden = np.stack([dilate(mask, dilate_px)[rows, columns] for mask in masks])
     luma = np.asarray(np.stack(images).astype(np.float32) @ _LUMA / 255, np.float32)
     near = moves | _in_view(scene, camera)
-    film = PartFilm(
+    renderer = PartRenderer(
         camera=camera,
         frames=frames,
         luma=luma,
@@ -138,7 +140,7 @@ def part_film(
         focus=solid.mean(0),
         reach_m=float(np.sqrt(((solid - solid.mean(0)) ** 2).sum(1).mean())),
     )
-    return replace(film, features=_painted(film, np.isin(frames, chosen)))
+    return replace(renderer, features=_painted(renderer, np.isin(frames, chosen)))
 
 
 def _crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[Camera, tuple[slice, slice]]:
@@ -164,27 +166,27 @@ def _in_view(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
     return np.asarray((depths > 0) & ((pixels > -margin) & (pixels < size + margin)).all(1))
 
 
-def _painted(film: PartFilm, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Features (G, 3) with each Gaussian's luma fitted to the film at rest, by back-projected residuals."""
-    shown = ~film.hidden[resting]
+def _painted(renderer: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Features (G, 3) with each Gaussian's luma fitted to the video at rest, by back-projected residuals."""
+    shown = ~renderer.hidden[resting]
     counted = shown.sum(0)
-    bare = np.where(shown, film.luma[resting], np.nan)
+    bare = np.where(shown, renderer.luma[resting], np.nan)
     bare[:, counted == 0] = 0
     target, open_ = np.nanmedian(bare, axis=0).astype(np.float32), (counted > 0).astype(np.float32)
-    weight = contribution_weights(film.scene, film.camera, open_[None])[:, 0]
-    luma = (np.clip(0.5 + SH_C0 * film.scene.sh[:, 0], 0, 1) @ _LUMA).astype(np.float32)
+    weight = contribution_weights(renderer.scene, renderer.camera, open_[None])[:, 0]
+    luma = (np.clip(0.5 + SH_C0 * renderer.scene.sh[:, 0], 0, 1) @ _LUMA).astype(np.float32)
     ones = np.ones(len(luma), np.float32)
     seen = weight > _SEEN_WEIGHT
     for _ in range(_PAINT_ROUNDS):
-        drawn = render(film.scene, film.camera, features=luma[:, None], threads=1).features
+        drawn = render(renderer.scene, renderer.camera, features=luma[:, None], threads=1).features
         left = (target - (0 if drawn is None else drawn[..., 0])) * open_
-        share = contribution_weights(film.scene, film.camera, left[None].astype(np.float32))[:, 0]
+        share = contribution_weights(renderer.scene, renderer.camera, left[None].astype(np.float32))[:, 0]
         luma = luma + np.where(seen, share / np.maximum(weight, _SEEN_WEIGHT), 0).astype(np.float32)
-    moving = film.parts.astype(np.float32)
+    moving = renderer.parts.astype(np.float32)
     return np.stack([luma, ones, seen.astype(np.float32)], 1) * moving[:, None]
 
 
-def interior(view: PartView, hidden: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:
+def find_interior(view: PartRendering, hidden: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:
     """Pixels (H, W) surely inside the painted part and not hidden by the robot.
 
     The part's outline in the scan is a label's edge, a pixel or two off; what lies inside is not.

@@ -22,8 +22,8 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import BackendError
 from aomgen.io.images import resize
-from aomgen.motion.filters import grown
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.filters import dilate
+from aomgen.motion.inputs import MotionInput
 from aomgen.robots.robot_masks import MasksAt, robot_masks
 from aomgen.splatting.rasterizer import Parts, render
 
@@ -55,7 +55,7 @@ MIN_PIXELS = 50
 HELD_LOG_ODDS = 4.0
 
 
-def motion_log_odds(demo: Demonstration, motion: MotionEstimate) -> Array:
+def compute_log_likelihood_ratio(demo: MotionInput, motion: MotionEstimate) -> Array:
     """Natural logarithm (G,) of how much likelier the demonstration is if a Gaussian moves than if it stands.
 
     Args:
@@ -65,13 +65,13 @@ def motion_log_odds(demo: Demonstration, motion: MotionEstimate) -> Array:
     Not checked: that the motion is right. A wrong one moves nothing that looks alike elsewhere.
     """
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        log_odds = tracked_log_odds(demo, motion.joint, motion.thetas, motion.start_s, masks_at)
-    log_odds[_held(demo, motion)] += HELD_LOG_ODDS
-    log_odds[demo.labels == ROBOT] = 0.0
-    return log_odds
+        log_ratio = track_log_likelihood_ratio(demo, motion.joint, motion.thetas, motion.start_s, masks_at)
+    log_ratio[_held(demo, motion)] += HELD_LOG_ODDS
+    log_ratio[demo.labels == ROBOT] = 0.0
+    return log_ratio
 
 
-def _held(demo: Demonstration, motion: MotionEstimate) -> NDArray[np.bool_]:
+def _held(demo: MotionInput, motion: MotionEstimate) -> NDArray[np.bool_]:
     """Gaussians (G,) between two pads when the motion begins."""
     if len(demo.robot.pads) != 2:
         return np.zeros(len(demo.scene), bool)
@@ -109,10 +109,10 @@ class _Rest:
     moving: NDArray[np.bool_]
 
 
-def tracked_log_odds(
-    demo: Demonstration, joint: Joint, thetas: Array, start_s: float, masks_at: MasksAt
+def track_log_likelihood_ratio(
+    demo: MotionInput, joint: Joint, thetas: Array, start_s: float, masks_at: MasksAt
 ) -> Array:
-    """As `motion_log_odds` (G,), by the video alone; 0 for what it does not show.
+    """As `compute_log_likelihood_ratio` (G,), by the video alone; 0 for what it does not show.
 
     Args:
         demo: Video, and the scene with its present labels.
@@ -141,9 +141,9 @@ def tracked_log_odds(
         T = joint.motion(float(thetas[k]))
         parts = Parts(indices=moving.astype(np.int32), Ts_world_part=np.stack([np.eye(4), T]))
         depth = _depth(scene, camera, parts)
-        log_odds = _of_frame(rest, _frame(demo, k, camera), np.where(robot, -1.0, depth), camera, T)
-        total += np.nan_to_num(log_odds)
-        count += np.isfinite(log_odds)
+        log_ratio = _of_frame(rest, _frame(demo, k, camera), np.where(robot, -1.0, depth), camera, T)
+        total += np.nan_to_num(log_ratio)
+        count += np.isfinite(log_ratio)
     mean = total / np.maximum(count, 1)
     result[np.flatnonzero(stands)[seen]] = mean * np.minimum(count / ENOUGH_FRAMES, 1)
     return result
@@ -160,16 +160,16 @@ def _frames_of_the_way(started: NDArray[np.bool_], thetas: Array) -> NDArray[np.
     return np.unique([*way, *end])
 
 
-def _frame(demo: Demonstration, k: int, camera: Camera) -> NDArray[np.float32]:
+def _frame(demo: MotionInput, k: int, camera: Camera) -> NDArray[np.float32]:
     return resize(demo.video.frames_srgb[k], camera.width, camera.height).astype(np.float32)
 
 
 def _hidden(
-    demo: Demonstration, masks_at: MasksAt, frames: NDArray[np.intp], camera: Camera
+    demo: MotionInput, masks_at: MasksAt, frames: NDArray[np.intp], camera: Camera
 ) -> NDArray[np.bool_]:
     """The robot with a margin (K, H, W)."""
     masks = masks_at(demo.video.times_s[frames] + demo.clock_offset_s, camera.width, camera.height)
-    return np.stack([grown(mask, ROBOT_MARGIN_PX) for mask in masks])
+    return np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in masks])
 
 
 def _median(frames: list[NDArray[np.float32]], hidden: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -1,6 +1,6 @@
-"""Joint and joint values refined so that the moved part, drawn from its Gaussians, matches the film.
+"""Joint and joint values refined so that the moved part, drawn from its Gaussians, matches the video.
 
-The hand's path gives a first answer and a prior. The film is compared inside the part's painted
+The hand's path gives a first answer and a prior. The video is compared inside the part's painted
 surface only: its outline in the scan is no better than a label's edge, and the cavity behind it and
 its own inside were never seen. An answer counts only if frames that were not fitted agree.
 """
@@ -13,23 +13,31 @@ from numpy.typing import NDArray
 
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array, freeze
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.kinematic_prior import HandAnswer
-from aomgen.motion.part_renderer import PartFilm, part_film
-from aomgen.motion.photometric_residuals import Band, compared
-from aomgen.motion.photometric_solver import FilmProblem
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.kinematic_prior import KinematicPrior
+from aomgen.motion.part_renderer import PartRenderer, make_part_renderer
+from aomgen.motion.photometric_residuals import Band, compare_frames
+from aomgen.motion.photometric_solver import PhotometricProblem
 from aomgen.robots.robot_masks import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].
 _SETTLED_S: Final = 0.1
 # Fewer frames that show the part tell nothing.
 MIN_FRAMES: Final = 3
+# Fewer frames at rest have no median to paint the part with.
 _MIN_RESTING: Final = 2
+# Evidence of the held-out frames has to improve by this many of its standard errors.
+_ACCEPT_SD: Final = 2.0
+# Share of the video's detail that the rendered part has to explain: with less, its light has changed more than its pose.
+MIN_EXPLAINED: Final = 0.5
+# Error of a calibrated camera's pose, which turns and moves the joint with it, each component, [rad] and [m].
+_CAMERA_SD_RAD: Final = 0.001
+_CAMERA_SD_M: Final = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricParams:
-    """How the film is compared.
+    """How the video is compared.
 
     Attributes:
         knots: Frames that are fitted, spread evenly over the joint's values; as many are held out.
@@ -37,11 +45,6 @@ class PhotometricParams:
         dilate_px: Margin around the robot, [px].
         bands: Image detail, coarse to fine.
         rounds: Gauss-Newton steps in each band.
-        accept_sd: Held-out evidence has to improve by this many of its standard errors.
-        min_explained: Share of the film's detail that the painted part has to explain: with less, its
-            light has changed more than its place.
-        camera_sd_rad, camera_sd_m: Error of a settled camera's pose, which turns and moves the joint
-            with it, each component.
     """
 
     knots: int = 10
@@ -53,20 +56,16 @@ class PhotometricParams:
         Band(blur_px=0.7, wide_px=4.0, margin_px=2),
     )
     rounds: int = 3
-    accept_sd: float = 2.0
-    min_explained: float = 0.5
-    camera_sd_rad: float = 0.001
-    camera_sd_m: float = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class HeldOutEvidence:
     """How the frames that were not fitted judge.
 
     Attributes:
         cost_before, cost_after: Mean robust cost, 0..1.
         improvement_sd: Improvement over its standard error.
-        explained: Median share of the film's detail that the refined answer explains, 1 at best.
+        explained: Median share of the video's detail that the refined answer explains, 1 at best.
     """
 
     cost_before: float
@@ -76,8 +75,8 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Refinement:
-    """The answer after the film was asked.
+class PhotometricRefinement:
+    """The answer after the video was asked.
 
     Attributes:
         joint: Refined, or the hand's if not accepted.
@@ -85,8 +84,8 @@ class Refinement:
         theta_sd: Standard deviation (T,).
         covariance: Of tilt (2) [rad] and, if revolute, shift (2) [m] of the axis in the directions
             `tangent_basis(hand.joint.axis)`, the shift where the axis passes the held point.
-        accepted: The film agrees better with the refined answer, on frames that were not fitted.
-        evidence: Of the held-out frames; None where the film shows too little.
+        accepted: The video agrees better with the refined answer, on frames that were not fitted.
+        evidence: Of the held-out frames; None where the video shows too little.
         reason: Why it was not accepted, or "".
     """
 
@@ -95,7 +94,7 @@ class Refinement:
     theta_sd: Array
     covariance: Array
     accepted: bool
-    evidence: Evidence | None
+    evidence: HeldOutEvidence | None
     reason: str
 
     def __post_init__(self) -> None:
@@ -115,47 +114,49 @@ class Refinement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Witness:
-    """What the film shows of the part.
+class PhotometricFrames:
+    """What the video shows of the part.
 
     Attributes:
-        film: Around the part's way, and the part painted.
+        renderer: Around the part's way, and the part painted.
         fitted: Frames that answers are fitted to.
         held_out: Frames that judge them.
     """
 
-    film: PartFilm
+    renderer: PartRenderer
     fitted: NDArray[np.intp]
     held_out: NDArray[np.intp]
 
 
-def witness(
-    demo: Demonstration, masks_at: MasksAt, hand: HandAnswer, params: PhotometricParams | None = None
-) -> Witness | None:
-    """Read the film; None where it shows too little of the part before or during the motion.
+def select_frames(
+    demo: MotionInput, masks_at: MasksAt, hand: KinematicPrior, params: PhotometricParams | None = None
+) -> PhotometricFrames | None:
+    """Read the video; None where it shows too little of the part before or during the motion.
 
     Args:
-        demo: Film, camera, and the scene as scanned.
+        demo: Video, camera, and the scene as scanned.
         masks_at: Draws the robot.
         hand: Where and when the part goes, roughly.
         params: See there.
     """
     params = params or PhotometricParams()
-    fitted, held_out, resting = chosen_frames(hand, params.knots)
+    fitted, held_out, resting = choose_frames(hand, params.knots)
     if len(fitted) < MIN_FRAMES or len(resting) < _MIN_RESTING:
         return None
     moments = (resting, np.concatenate([fitted, held_out]), float(hand.thetas.max()))
-    film = part_film(
+    renderer = make_part_renderer(
         demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
     )
-    return Witness(film=film, fitted=fitted, held_out=held_out)
+    return PhotometricFrames(renderer=renderer, fitted=fitted, held_out=held_out)
 
 
-def refine(seen: Witness | None, hand: HandAnswer, params: PhotometricParams | None = None) -> Refinement:
-    """Ask the film about joint and joint values.
+def refine(
+    seen: PhotometricFrames | None, hand: KinematicPrior, params: PhotometricParams | None = None
+) -> PhotometricRefinement:
+    """Ask the video about joint and joint values.
 
     Args:
-        seen: The film as read for this answer; where it is None the hand's answer stays.
+        seen: The video as read for this answer; where it is None the hand's answer stays.
         hand: First answer and prior.
         params: See there.
 
@@ -165,13 +166,13 @@ def refine(seen: Witness | None, hand: HandAnswer, params: PhotometricParams | N
     params = params or PhotometricParams()
     if seen is None:
         return _kept(hand, "the film shows too few frames before or during the motion")
-    problem = FilmProblem.of(seen.film, hand, seen.fitted)
+    problem = PhotometricProblem.of(seen.renderer, hand, seen.fitted)
     y, covariance = problem.solve(params.bands, params.rounds)
     return _judged(problem, y, covariance, seen.held_out, params)
 
 
-def chosen_frames(
-    hand: HandAnswer, knots: int
+def choose_frames(
+    hand: KinematicPrior, knots: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Fitted, held-out and resting frames; the first two alternate and spread over the values.
 
@@ -194,35 +195,39 @@ def chosen_frames(
 
 
 def _judged(
-    problem: FilmProblem, y: Array, covariance: Array, frames: NDArray[np.intp], params: PhotometricParams
-) -> Refinement:
+    problem: PhotometricProblem,
+    y: Array,
+    covariance: Array,
+    frames: NDArray[np.intp],
+    params: PhotometricParams,
+) -> PhotometricRefinement:
     """The refined answer if held-out frames (N,) agree better with it."""
     hand, joint, thetas = problem.hand, problem.joint(y), np.maximum(problem.thetas(y), 0.0)
-    seen = compared(problem.film, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1])
+    seen = compare_frames(
+        problem.renderer, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1]
+    )
     if len(seen) < MIN_FRAMES:
         return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need {MIN_FRAMES}")
     gains = np.array([item.cost_before - item.cost_after for item in seen])
     improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
     explained = float(np.median([item.explained_after for item in seen]))
-    evidence = Evidence(
+    evidence = HeldOutEvidence(
         cost_before=float(np.mean([item.cost_before for item in seen])),
         cost_after=float(np.mean([item.cost_after for item in seen])),
         improvement_sd=improvement,
         explained=explained,
     )
-    if not explained >= params.min_explained:
-        reason = (
-            f"the painted part explains {explained:.2f} of the film's detail, need {params.min_explained:.2f}"
-        )
+    if not explained >= MIN_EXPLAINED:
+        reason = f"the painted part explains {explained:.2f} of the film's detail, need {MIN_EXPLAINED:.2f}"
         return replace(_kept(hand, reason), evidence=evidence)
-    if not improvement >= params.accept_sd:
-        reason = f"held-out frames improve by {improvement:.1f} standard errors, need {params.accept_sd:.1f}"
+    if not improvement >= _ACCEPT_SD:
+        reason = f"held-out frames improve by {improvement:.1f} standard errors, need {_ACCEPT_SD:.1f}"
         return replace(_kept(hand, reason), evidence=evidence)
     count = problem.joint_count
-    sds = np.repeat([params.camera_sd_rad, params.camera_sd_m], 2)[:count]
+    sds = np.repeat([_CAMERA_SD_RAD, _CAMERA_SD_M], 2)[:count]
     by_unknown = np.hstack([problem.lever, problem.spread])
     variance = np.einsum("ti,ij,tj->t", by_unknown, covariance, by_unknown)
-    return Refinement(
+    return PhotometricRefinement(
         joint=replace(joint, upper=float(thetas.max())),
         thetas=thetas,
         theta_sd=np.sqrt(np.maximum(variance, 0)),
@@ -233,8 +238,8 @@ def _judged(
     )
 
 
-def _kept(hand: HandAnswer, reason: str) -> Refinement:
-    return Refinement(
+def _kept(hand: KinematicPrior, reason: str) -> PhotometricRefinement:
+    return PhotometricRefinement(
         joint=hand.joint,
         thetas=hand.thetas,
         theta_sd=hand.theta_sd,

@@ -1,4 +1,4 @@
-"""Joint and joint values that make the moved part look like the film: Gauss-Newton on pixels.
+"""Joint and joint values that make the moved part look like the video: Gauss-Newton on pixels.
 
 A frame's picture depends on at most five numbers (axis 2, origin 2, value 1), so its derivatives are
 five more drawings. That costs about as much as one backward pass of the engine, but gives every
@@ -15,8 +15,8 @@ from scipy import ndimage
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.joint_models import tangent_basis
-from aomgen.motion.part_renderer import FloatImage, PartFilm, interior
+from aomgen.motion.joint_models import make_tangent_basis
+from aomgen.motion.part_renderer import FloatImage, PartRenderer, find_interior
 
 # Change of the picture by which derivatives are measured, [px].
 _STEP_PX = 0.5
@@ -24,12 +24,14 @@ _STEP_PX = 0.5
 _NOISE_FLOOR = 1 / 255
 # Residuals beyond this many scales count little (Geman-McClure).
 _OUTLIER = 2.5
+# Rounds of iteratively reweighted least squares; weights change little after these.
 _REWEIGHTINGS = 5
 # Side of the squares whose residuals are taken to be independent of each other, [px].
 _BLOCK_PX = 16
+# Number of such squares, 32 each way: 512 px, more than a crop of `max_pixels` is wide as a rule.
 BLOCKS = 32 * 32
 # A joint, and its values at the video's frames (T,).
-Answer = tuple[Joint, Array]
+JointMotion = tuple[Joint, Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +50,7 @@ class Band:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Linear:
+class LinearizedFrame:
     """A frame's residuals and their derivatives, nuisances projected out.
 
     Attributes:
@@ -74,31 +76,31 @@ class Linear:
         return float(np.linalg.eigvalsh(weighted.T @ self.slopes)[-1])
 
 
-def shifted(joint: Joint, pivot: Array, x: Array) -> Joint:
+def shift_joint(joint: Joint, pivot: Array, x: Array) -> Joint:
     """A joint tilted by x[:2] [rad] and, if revolute, moved by x[2:4] [m] across its axis at `pivot` (3,)."""
-    tangents = tangent_basis(joint.axis)
+    tangents = make_tangent_basis(joint.axis)
     axis = joint.axis + x[:2] @ tangents
     offset = x[2:4] @ tangents if joint.type == "revolute" else np.zeros(3)
     return replace(joint, axis=axis / np.linalg.norm(axis), origin=pivot + offset)
 
 
-def steps(film: PartFilm, joint: Joint) -> Array:
+def choose_steps(renderer: PartRenderer, joint: Joint) -> Array:
     """Changes of tilt (2), shift (2, revolute only) and value that move the picture by half a pixel."""
-    camera = film.camera
-    meters = _STEP_PX * float(np.linalg.norm(film.focus - camera.center)) / camera.fx
-    turn = meters / film.reach_m
+    camera = renderer.camera
+    meters = _STEP_PX * float(np.linalg.norm(renderer.focus - camera.center)) / camera.fx
+    turn = meters / renderer.reach_m
     if joint.type == "prismatic":
         return np.array([turn, turn, meters])
     return np.array([turn, turn, meters, meters, turn])
 
 
-def linearised(
-    film: PartFilm, frame: int, neighbours: list[tuple[Joint, float]], band: Band
-) -> Linear | None:
+def linearize_frame(
+    renderer: PartRenderer, frame: int, neighbours: list[tuple[Joint, float]], band: Band
+) -> LinearizedFrame | None:
     """Compare a frame with its drawing.
 
     Args:
-        film: The film and the painted part.
+        renderer: The video and the painted part.
         frame: Video frame.
         neighbours: Joint and value to compare at, then those with one unknown changed by its step.
         band: Detail that is compared.
@@ -106,13 +108,13 @@ def linearised(
     Returns:
         None where too little of the part is seen.
     """
-    picture, hidden = film.at(frame)
-    views = [film.draw(*place) for place in neighbours]
-    mask = interior(views[0], hidden, band.margin_px)
+    picture, hidden = renderer.at(frame)
+    views = [renderer.draw(*place) for place in neighbours]
+    mask = find_interior(views[0], hidden, band.margin_px)
     if mask.sum() < _BLOCK_PX**2:
         return None
     first = views[0]
-    sizes = steps(film, neighbours[0][0])
+    sizes = choose_steps(renderer, neighbours[0][0])
     columns = [picture * first.alpha - first.luma, first.luma, first.alpha]
     columns += [
         (view.luma - first.luma - picture * (view.alpha - first.alpha)) / size
@@ -129,23 +131,23 @@ def linearised(
         scale = max(1.4826 * float(np.median(np.abs(left))), _NOISE_FLOOR)
         weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
     derivatives = derivatives - nuisances @ _regression(nuisances, derivatives, weights)
-    return Linear(
+    return LinearizedFrame(
         residuals=left,
         derivatives=derivatives[:, :-2],
         slopes=derivatives[:, -2:],
         weights=weights,
         scale=scale,
-        blocks=_blocks(film, neighbours[0], mask),
+        blocks=_blocks(renderer, neighbours[0], mask),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class FrameComparison:
     """How well two answers explain one frame, over the pixels that both see.
 
     Attributes:
         cost_before, cost_after: Robust cost, 0..1.
-        explained_before, explained_after: Share of the film's detail that the answer explains, 1 at best.
+        explained_before, explained_after: Share of the video's detail that the answer explains, 1 at best.
         blocks: Number of independent squares that were compared.
     """
 
@@ -161,21 +163,23 @@ class Comparison:
         return _OUTLIER**2 * self.blocks * (self.cost_before - self.cost_after)
 
 
-def compared(
-    film: PartFilm, frames: NDArray[np.intp], before: Answer, after: Answer, band: Band
-) -> list[Comparison]:
+def compare_frames(
+    renderer: PartRenderer, frames: NDArray[np.intp], before: JointMotion, after: JointMotion, band: Band
+) -> list[FrameComparison]:
     """Compare two answers at frames (N,); those that show too little of the part are left out."""
     found = [
-        _compared(film, int(k), [(joint, float(thetas[k])) for joint, thetas in (before, after)], band)
+        _compared(renderer, int(k), [(joint, float(thetas[k])) for joint, thetas in (before, after)], band)
         for k in frames
     ]
     return [item for item in found if item is not None]
 
 
-def _compared(film: PartFilm, frame: int, places: list[tuple[Joint, float]], band: Band) -> Comparison | None:
-    picture, hidden = film.at(frame)
-    before, after = (film.draw(*place) for place in places)
-    mask = interior(before, hidden, band.margin_px) & interior(after, hidden, band.margin_px)
+def _compared(
+    renderer: PartRenderer, frame: int, places: list[tuple[Joint, float]], band: Band
+) -> FrameComparison | None:
+    picture, hidden = renderer.at(frame)
+    before, after = (renderer.draw(*place) for place in places)
+    mask = find_interior(before, hidden, band.margin_px) & find_interior(after, hidden, band.margin_px)
     if mask.sum() < (2 * band.wide_px) ** 2:
         return None
     columns = [picture]
@@ -190,7 +194,7 @@ def _compared(film: PartFilm, frame: int, places: list[tuple[Joint, float]], ban
         costs.append(float(np.mean(left**2 / (left**2 + (_OUTLIER * scale) ** 2))))
         weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
         shares.append(1 - float((weights @ left**2) / max(weights @ seen**2, 1e-12)))
-    return Comparison(
+    return FrameComparison(
         cost_before=costs[0],
         cost_after=costs[1],
         explained_before=shares[0],
@@ -201,7 +205,7 @@ def _compared(film: PartFilm, frame: int, places: list[tuple[Joint, float]], ban
 
 
 def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:
-    """What a drawing (P, 1) leaves of the film's detail (P, 1) at its best gain: (P,), and its scale."""
+    """What a drawing (P, 1) leaves of the video's detail (P, 1) at its best gain: (P,), and its scale."""
     weights = np.ones(len(seen))
     left, scale = seen[:, 0], _NOISE_FLOOR
     for _ in range(_REWEIGHTINGS):
@@ -211,10 +215,10 @@ def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:
     return left, scale
 
 
-def _blocks(film: PartFilm, place: tuple[Joint, float], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _blocks(renderer: PartRenderer, place: tuple[Joint, float], mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Squares that move with the part: what the scan has wrong about it comes back in every frame."""
     joint, theta = place
-    (middle,), _ = film.camera.project(apply(joint.motion(theta), film.focus)[None])
+    (middle,), _ = renderer.camera.project(apply(joint.motion(theta), renderer.focus)[None])
     rows, columns = np.nonzero(mask)
     side = int(np.sqrt(BLOCKS))
     squares = [

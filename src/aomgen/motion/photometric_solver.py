@@ -8,28 +8,36 @@ from numpy.typing import NDArray
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.motion.kinematic_prior import HandAnswer
-from aomgen.motion.part_renderer import PartFilm
-from aomgen.motion.photometric_residuals import BLOCKS, Band, Linear, linearised, shifted, steps
+from aomgen.motion.kinematic_prior import KinematicPrior
+from aomgen.motion.part_renderer import PartRenderer
+from aomgen.motion.photometric_residuals import (
+    BLOCKS,
+    Band,
+    LinearizedFrame,
+    choose_steps,
+    linearize_frame,
+    shift_joint,
+)
 
 # Independent part of the values' deviations, as share of their variance.
 _ROUGHNESS = 0.05
 # Deviations of the values are alike over this share of the motion's duration.
 _ALIKE_SHARE = 0.5
 # The scan's shape and the cameras' poses are known to a fraction of a pixel: smooth displacements of
-# the picture by this much are no evidence. They persist, so all frames have about two of them.
+# the picture by this much are no evidence, [px]. They persist, so all frames have about two of them.
 _DISTORTION_PX = 0.1
+# Independent displacements in all frames together.
 _INDEPENDENT_FRAMES = 2.0
 # Before it is measured.
 _FIRST_REPETITION = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FilmProblem:
+class PhotometricProblem:
     """What the hand says as a prior on n numbers of the joint and K deviations of its values.
 
     Attributes:
-        film: The film and the painted part.
+        renderer: The video and the painted part.
         hand: First answer.
         frames: Knots (K,), video frames.
         pivot: Point of the axis nearest the held point (3,), world frame, [m].
@@ -38,8 +46,8 @@ class FilmProblem:
         precision: Of the prior (n + K, n + K).
     """
 
-    film: PartFilm
-    hand: HandAnswer
+    renderer: PartRenderer
+    hand: KinematicPrior
     frames: NDArray[np.intp]
     pivot: Array
     lever: Array
@@ -48,7 +56,7 @@ class FilmProblem:
     distortion_px: float
 
     @staticmethod
-    def of(film: PartFilm, hand: HandAnswer, frames: NDArray[np.intp]) -> "FilmProblem":
+    def of(renderer: PartRenderer, hand: KinematicPrior, frames: NDArray[np.intp]) -> "PhotometricProblem":
         """Set up the prior."""
         joint = hand.joint
         pivot = joint.origin + joint.axis * ((hand.held_world - joint.origin) @ joint.axis)
@@ -62,12 +70,12 @@ class FilmProblem:
         precision = np.zeros((count + len(frames),) * 2)
         precision[:count, :count] = np.linalg.inv(hand.covariance)
         precision[count:, count:] = own
-        return FilmProblem(
-            film=film,
+        return PhotometricProblem(
+            renderer=renderer,
             hand=hand,
             frames=frames,
             pivot=pivot,
-            lever=value_lever(hand, pivot) * during[:, None],
+            lever=compute_value_lever(hand, pivot) * during[:, None],
             spread=np.asarray((hand.theta_sd * during)[:, None] * (alike @ own), np.float64),
             precision=precision,
             distortion_px=_DISTORTION_PX * np.sqrt(len(frames) / _INDEPENDENT_FRAMES),
@@ -80,7 +88,7 @@ class FilmProblem:
 
     def joint(self, y: Array) -> Joint:
         """The joint of unknowns (n + K,)."""
-        return shifted(self.hand.joint, self.pivot, y[: self.joint_count])
+        return shift_joint(self.hand.joint, self.pivot, y[: self.joint_count])
 
     def thetas(self, y: Array) -> Array:
         """Values (T,) of unknowns (n + K,)."""
@@ -94,7 +102,7 @@ class FilmProblem:
         for band in bands:
             for _ in range(rounds):
                 linears = {
-                    int(k): linearised(self.film, int(k), self._neighbours(y, int(k)), band)
+                    int(k): linearize_frame(self.renderer, int(k), self._neighbours(y, int(k)), band)
                     for k in self.frames
                 }
                 known = {frame: linear for frame, linear in linears.items() if linear is not None}
@@ -113,7 +121,7 @@ class FilmProblem:
         change[count, count:] = self.spread[frame]
         return change
 
-    def _normal(self, linears: dict[int, Linear], repetition: float) -> tuple[Array, Array]:
+    def _normal(self, linears: dict[int, LinearizedFrame], repetition: float) -> tuple[Array, Array]:
         """Information (n + K, n + K) and gradient (n + K,) of frames by number."""
         size = self.joint_count + len(self.frames)
         information, gradient = np.zeros((size, size)), np.zeros(size)
@@ -126,7 +134,7 @@ class FilmProblem:
             gradient += (weight * linear.residuals) @ J @ change
         return information, gradient
 
-    def _repetition(self, linears: dict[int, Linear], otherwise: float) -> float:
+    def _repetition(self, linears: dict[int, LinearizedFrame], otherwise: float) -> float:
         """How many pixels say the same: variance of the squares' gradients over that of independent pixels."""
         count = self.joint_count
         sums, diagonal = np.zeros((BLOCKS, count)), np.zeros(count)
@@ -142,18 +150,18 @@ class FilmProblem:
 
     def _neighbours(self, y: Array, frame: int) -> list[tuple[Joint, float]]:
         count = self.joint_count
-        sizes = steps(self.film, self.hand.joint)
+        sizes = choose_steps(self.renderer, self.hand.joint)
         theta = float(self.thetas(y)[frame])
         places = [(self.joint(y), theta)]
         for index in range(count):
             x = y[:count].copy()
             x[index] += sizes[index]
-            places.append((shifted(self.hand.joint, self.pivot, x), theta))
+            places.append((shift_joint(self.hand.joint, self.pivot, x), theta))
         places.append((self.joint(y), theta + float(sizes[count])))
         return places
 
 
-def value_lever(hand: HandAnswer, pivot: Array) -> Array:
+def compute_value_lever(hand: KinematicPrior, pivot: Array) -> Array:
     """Change of the values (T, n) when the joint moves and the held points stay."""
     joint, count = hand.joint, len(hand.covariance)
     if joint.type == "prismatic":
@@ -161,7 +169,7 @@ def value_lever(hand: HandAnswer, pivot: Array) -> Array:
     points = np.asarray(apply(joint.motion(hand.thetas), hand.held_world))
 
     def angles(x: Array) -> Array:
-        moved = shifted(joint, pivot, x)
+        moved = shift_joint(joint, pivot, x)
         offsets, first = points - moved.origin, hand.held_world - moved.origin
         across = np.cross(first, offsets) @ moved.axis
         along = offsets @ first - (offsets @ moved.axis) * (first @ moved.axis)

@@ -21,7 +21,7 @@ _BEHIND_M = 0.012
 _MIN_FACING = 0.2
 
 
-def pushing_patches(
+def find_push_patches(
     surface: tuple[Array, Array, NDArray[np.str_]], points_ee: Array, way_ee: Array
 ) -> tuple[Patch, ...]:
     """One patch on each finger that pushes the part.

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.core.values import Array, freeze
-from aomgen.motion.joint_value import ValueCourse
+from aomgen.motion.joint_value import ValueTrajectory
 from aomgen.motion.keyframes import Departures
 from aomgen.motion.noise_model import SCALES, NoisePrior
-from aomgen.motion.onset import STILL_M, Sight, Way, arriving, leaving
+from aomgen.motion.onset import STILL_M, Detectability, GripperPath, detect_offset, detect_onset
 
 # A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
 # 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
@@ -22,8 +22,8 @@ _ASIDE_M, _ASIDE_S = 0.004, 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
-    """What the film shows of the two ends.
+class TouchObservation:
+    """What the video shows of the two ends.
 
     Attributes:
         times_s: Times of the frames of the touch (T,), [s].
@@ -33,20 +33,20 @@ class Picture:
 
     times_s: Array
     seen: Departures
-    sight: Sight
+    sight: Detectability
 
     def __post_init__(self) -> None:
         freeze(self, "times_s", self.times_s, (len(self.seen.left),))
 
 
-def pushed_course(
+def follow_pushed_part(
     times_s: Array,
     values: Array,
     hand: tuple[Array, Array],
     seen_s: tuple[float, float],
     leave: float,
-    picture: Picture,
-) -> ValueCourse:
+    picture: TouchObservation,
+) -> ValueTrajectory:
     """Follow a part by the value that the hand's way would give it.
 
     Args:
@@ -63,12 +63,12 @@ def pushed_course(
     farthest = _farthest(values[np.minimum(np.arange(len(values)), gone - 1)], middle)
     along = np.zeros((len(values), 3))
     along[:, 0] = farthest * (STILL_M / leave)
-    way = Way(times_s=times_s, points=along)
-    start = leaving(way, picture.times_s, picture.seen.left, picture.sight, held=False)
-    end = arriving(way, picture.times_s, picture.seen.ahead, picture.sight, held=False)
+    way = GripperPath(times_s=times_s, points=along)
+    start = detect_onset(way, picture.times_s, picture.seen.left, picture.sight, held=False)
+    end = detect_offset(way, picture.times_s, picture.seen.ahead, picture.sight, held=False)
     interval = (min(start.time_s, end.time_s), max(start.time_s, end.time_s))
     first, last = np.interp(interval, times_s, farthest)
-    return ValueCourse(
+    return ValueTrajectory(
         times_s=times_s, values=farthest, interval=interval, levels=(first - leave, last + leave)
     )
 
@@ -90,7 +90,7 @@ def _farthest(values: Array, middle: int) -> Array:
     )
 
 
-def loose(noise: NoisePrior) -> NoisePrior:
+def loosen_prior(noise: NoisePrior) -> NoisePrior:
     """Usual flaws of a path on which the hand only pushes or hooks: it slides across the motion."""
     spreads = [
         _LOOSE_SPREAD if name in ("bar", "straight") else spread

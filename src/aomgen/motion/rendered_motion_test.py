@@ -1,7 +1,7 @@
 """How far the part follows the hand, judged by the rendered scene.
 
 The scene is drawn with the part where the hand would have taken it. What changes in these drawings is
-compared with what changes in the film: a part that follows changes the film just so, one that stands
+compared with what changes in the video: a part that follows changes the video just so, one that stands
 does not, whatever shadows or the exposure do. Changes of less than a pixel count.
 """
 
@@ -26,8 +26,8 @@ _NOISE, _SHARED = 3.0, 9.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Following:
-    """What the film shows of the change that the hand would make.
+class FollowingEstimate:
+    """What the video shows of the change that the hand would make.
 
     Attributes:
         share: About 1 when the part follows the hand, 0 when it stands.
@@ -38,15 +38,15 @@ class Following:
     sd: float
 
 
-def following(
+def estimate_following(
     scene: Gaussians,
     labels: NDArray[np.uint8],
     camera: Camera,
     frames_srgb: NDArray[np.uint8],
     hidden: NDArray[np.bool_],
     Ts_world_ee: Array,
-) -> Following:
-    """Compare the film of a touch with drawings in which the part goes with the hand.
+) -> FollowingEstimate:
+    """Compare the video of a touch with drawings in which the part goes with the hand.
 
     Args:
         scene, labels: As scanned, with the part at the place that it has in the first frame.
@@ -59,7 +59,7 @@ def following(
     turning at all, and the better drawing counts.
     """
     if len(frames_srgb) < 3:
-        return Following(share=0.0, sd=float(np.inf))
+        return FollowingEstimate(share=0.0, sd=float(np.inf))
     session = RenderSession(scene.select((labels != MOVING) & (labels != ROBOT)), camera)
     moving = scene.select(labels == MOVING)
     first = _drawn(session, moving, np.eye(4))
@@ -67,21 +67,21 @@ def following(
     seen = ~hidden[:2].any(0)
     turned, shifted = np.zeros(2), np.zeros(2)
     for k in np.unique(np.linspace(2, len(frames_srgb) - 1, _DRAWINGS).astype(int)):
-        film = np.clip(frames_srgb[k] - before, -_CUT, _CUT)[seen & ~hidden[k]]
+        observed = np.clip(frames_srgb[k] - before, -_CUT, _CUT)[seen & ~hidden[k]]
         T_carried = Ts_world_ee[k] @ np.linalg.inv(Ts_world_ee[0])
         T_shifted = np.eye(4)
         T_shifted[:3, 3] = Ts_world_ee[k, :3, 3] - Ts_world_ee[0, :3, 3]
         for sums, T in ((turned, T_carried), (shifted, T_shifted)):
             change = np.clip(_drawn(session, moving, T) - first, -_CUT, _CUT)[seen & ~hidden[k]]
-            sums += [float((film * change).sum()), float((change**2).sum())]
+            sums += [float((observed * change).sum()), float((change**2).sum())]
     answers = [_following(together, alone) for together, alone in (turned, shifted)]
     return max(answers, key=lambda answer: answer.share / max(answer.sd, 1e-9))
 
 
-def _following(together: float, alone: float) -> Following:
+def _following(together: float, alone: float) -> FollowingEstimate:
     if not alone > 0:
-        return Following(share=0.0, sd=float(np.inf))
-    return Following(share=together / alone, sd=_NOISE * float(np.sqrt(_SHARED / alone)))
+        return FollowingEstimate(share=0.0, sd=float(np.inf))
+    return FollowingEstimate(share=together / alone, sd=_NOISE * float(np.sqrt(_SHARED / alone)))
 
 
 def _drawn(session: RenderSession, moving: Gaussians, T: Array) -> NDArray[np.float32]:

@@ -13,7 +13,7 @@ from aomgen.errors import CorruptArtifactError, EstimationError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.inputs import MotionInput
 from aomgen.motion.params import MotionParams
 
 FILE_NAME = "motion.json"
@@ -39,7 +39,7 @@ def load_curve(path: Path) -> MotionCurve:
 
 
 def run_motion(
-    demonstration: Demonstration,
+    demonstration: MotionInput,
     folder: Path,
     progress: Progress = silent,
     params: MotionParams | None = None,
@@ -48,13 +48,13 @@ def run_motion(
     """Estimate the motion and write it to `folder`; see `estimate_motion` for what it raises.
 
     Args:
-        demonstration: Film, log and scan.
+        demonstration: Video, log and scan.
         folder: Where the answer is written.
         progress: Hears how far it is.
         params: Of the submodules.
         refused: File that keeps the motion score when the answer is refused.
     """
-    with kept_when_refused(refused) as curves:
+    with keep_when_refused(refused) as curves:
         estimate = estimate_motion(demonstration, params, progress, curves.append)
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")
@@ -62,7 +62,7 @@ def run_motion(
 
 
 @contextmanager
-def kept_when_refused(refused: Path | None) -> Iterator[list[MotionCurve]]:
+def keep_when_refused(refused: Path | None) -> Iterator[list[MotionCurve]]:
     """A list of motion scores whose last one is saved when an answer is refused."""
     curves: list[MotionCurve] = []
     try:

@@ -7,12 +7,12 @@ import numpy as np
 from aomgen.core.joint import JointType
 from aomgen.core.values import Array, freeze
 from aomgen.motion.box_edges import (
-    EdgeTerms,
-    edge_terms,
-    face_normal,
-    footprint_yaw,
-    pair_center,
-    upright_box,
+    EdgePairTerms,
+    find_face_normal,
+    find_footprint_yaw,
+    find_pair_center,
+    fit_upright_box,
+    measure_edge_pairs,
 )
 from aomgen.paper.mask_keyframes import Variant
 
@@ -56,7 +56,7 @@ class BoxJoint:
 
 
 def pair_costs(
-    terms: EdgeTerms, joint_type: JointType, signs: Variant, weights: PairWeights | None = None
+    terms: EdgePairTerms, joint_type: JointType, signs: Variant, weights: PairWeights | None = None
 ) -> Array:
     """Cost (12, 12) of every pair (static edge, moving edge) to lie along a joint of known type.
 
@@ -101,15 +101,17 @@ def box_joint(
     heading, which the paper leaves open.
     """
     weights = weights or PairWeights()
-    yaw = footprint_yaw(np.concatenate(points))
-    static, moving = (upright_box(part, yaw) for part in points)
-    costs = pair_costs(edge_terms(static, moving, contact_world, direction_world), joint_type, signs, weights)
+    yaw = find_footprint_yaw(np.concatenate(points))
+    static, moving = (fit_upright_box(part, yaw) for part in points)
+    costs = pair_costs(
+        measure_edge_pairs(static, moving, contact_world, direction_world), joint_type, signs, weights
+    )
     row, column = (int(index) for index in np.unravel_index(int(np.argmin(costs)), costs.shape))
     edge_static, edge_moving = static.edges()[row], moving.edges()[column]
     step = edge_moving[1] - edge_moving[0]
     return BoxJoint(
         axis=step / np.linalg.norm(step),
-        origin=pair_center(*points, edge_static, edge_moving, weights.nearest_pairs),
-        face_normal=face_normal(static, moving),
+        origin=find_pair_center(*points, edge_static, edge_moving, weights.nearest_pairs),
+        face_normal=find_face_normal(static, moving),
         pair=(row, column),
     )

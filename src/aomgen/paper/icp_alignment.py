@@ -6,7 +6,7 @@ and heading and size come from the places that `align` starts from: a rigid moti
 the size later.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,31 +27,22 @@ from aomgen.robots.configuration import RobotPosture
 STAGE = "alignment (paper)"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PaperParams:
-    """Effort and limits.
-
-    Attributes:
-        model_points: Points sampled on the robot model.
-        scan_points: Robot points of the scan that are moved.
-        starts: Likely places, of which one is moved best onto the model.
-        apart: They differ by more than this, as a share of the robot's size.
-        start_share: And their colors score at least this share of the best one's.
-        solid: Opacity from which a Gaussian is surface.
-        plane_trials: Triples tried in the search for supports.
-        min_points: Fewest robot points of a usable scan.
-        min_matched: Least share of them that has to lie on the model in the end.
-    """
-
-    model_points: int = 12_000
-    scan_points: int = 2_000
-    starts: int = 3
-    apart: float = 0.5
-    start_share: float = 0.5
-    solid: float = 0.3
-    plane_trials: int = 500
-    min_points: int = 200
-    min_matched: float = 0.3
+# Points sampled on the robot model, denser than those of the scan that are moved onto it.
+_MODEL_POINTS, _SCAN_POINTS = 12_000, 2_000
+# Likely poses, of which the one that is moved best onto the model counts ...
+_STARTS = 3
+# ... they differ by more than this, as a share of the robot's size ...
+_APART = 0.5
+# ... and their colors score at least this share of the best one's.
+_START_SHARE = 0.5
+# Opacity from which a Gaussian is surface.
+_SOLID = 0.3
+# Triples tried in the search for supports: a plane that holds a quarter of the points is met all but surely.
+_PLANE_TRIALS = 500
+# Fewest robot points of a usable scan.
+_MIN_POINTS = 200
+# Least share of them that has to lie on the model in the end.
+MIN_MATCHED = 0.3
 
 
 def align_as_paper(
@@ -60,7 +51,7 @@ def align_as_paper(
     gaussians_recon: Gaussians,
     posture: RobotPosture,
     rng: np.random.Generator,
-    params: PaperParams | None = None,
+    min_matched: float = MIN_MATCHED,
 ) -> Alignment:
     """`S_world_recon` by rigid ICP; `support` is the share of robot points that lie on the model.
 
@@ -73,14 +64,13 @@ def align_as_paper(
         gaussians_recon: The trained scene.
         posture: Robot during the scan.
         rng: Starts, and samples of both clouds.
-        params: Effort and limits.
+        min_matched: Least share of the robot points that has to lie on the model in the end.
 
     Raises:
         AlignmentError: Too few boxes or robot points, or too few of them end on the model.
 
     Source: AOMGen, sec. 4.1, "Scene and robot alignment". Not checked: the scale.
     """
-    params = params or PaperParams()
     if not len(boxes) >= 2:
         raise AlignmentError(
             STAGE, f"{len(boxes)} prompts give a box around the robot, want 2", "add a robot box"
@@ -88,23 +78,23 @@ def align_as_paper(
     S_unit_recon = unit_frame([view.camera_recon.center for view in views], views[0].camera_recon.T_world_cam)
     views = [replace(view, camera_recon=camera_in_world(S_unit_recon, view.camera_recon)) for view in views]
     boxes = [replace(box, camera_recon=camera_in_world(S_unit_recon, box.camera_recon)) for box in boxes]
-    solid = gaussians_recon.means[gaussians_recon.opacities > params.solid]
+    solid = gaussians_recon.means[gaussians_recon.opacities > _SOLID]
     surface = apply(S_unit_recon, np.asarray(solid, np.float64))
     up = up_candidates([view.camera_recon for view in views], surface, rng)[0]
-    points = robot_points(surface, boxes, up, rng, params)
-    model = model_points(posture, params.model_points, rng)
+    points = robot_points(surface, boxes, up, rng)
+    model = model_points(posture, _MODEL_POINTS, rng)
     # Samples lie about this far apart on the model.
-    spacing_m = float(np.sqrt(_area(posture) / params.model_points))
+    spacing_m = float(np.sqrt(_area(posture) / _MODEL_POINTS))
     fits = []
-    for S in _starts(views, boxes, surface, posture, rng, params):
+    for S in _starts(views, boxes, surface, posture, rng):
         fit = rigid_icp(apply(S, points), model, np.eye(4), spacing_m)
         fits.append((fit.matched, fit.rms_m, fit.T_target_source @ S))
     fits.sort(key=lambda item: -item[0])
     matched, rms_m, S = fits[0]
-    if not matched >= params.min_matched:
+    if not matched >= min_matched:
         raise AlignmentError(
             STAGE,
-            f"{matched:.0%} of {len(points)} robot points lie on the model, want {params.min_matched:.0%}",
+            f"{matched:.0%} of {len(points)} robot points lie on the model, want {min_matched:.0%}",
             "draw tighter robot boxes from other sides, or use alignment_method = 'outlines'",
         )
     return Alignment(
@@ -123,7 +113,6 @@ def robot_points(
     boxes: list[RobotBox],
     up_recon: Array,
     rng: np.random.Generator,
-    params: PaperParams,
 ) -> Array:
     """Points (N, 3) of the surface that all boxes show and no level support holds, thinned evenly.
 
@@ -136,15 +125,15 @@ def robot_points(
         inside &= (depths > 0) & np.all((pixels >= box.box_px[:2]) & (pixels <= box.box_px[2:]), axis=1)
     found = surface_recon[inside]
     for _ in range(2):
-        found = _without_support(found, up_recon, rng, params.plane_trials)
-    if not len(found) >= params.min_points:
+        found = _without_support(found, up_recon, rng, _PLANE_TRIALS)
+    if not len(found) >= _MIN_POINTS:
         raise AlignmentError(
             STAGE,
-            f"{len(found)} Gaussians lie in all robot boxes, want {params.min_points}",
+            f"{len(found)} Gaussians lie in all robot boxes, want {_MIN_POINTS}",
             "check the boxes",
         )
     found = _thinned(found, 0.02 * _spread(found))
-    return found[rng.permutation(len(found))[: params.scan_points]]
+    return found[rng.permutation(len(found))[:_SCAN_POINTS]]
 
 
 def model_points(posture: RobotPosture, count: int, rng: np.random.Generator) -> Array:
@@ -206,9 +195,8 @@ def _starts(
     points: Array,
     posture: RobotPosture,
     rng: np.random.Generator,
-    params: PaperParams,
 ) -> Array:
     """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
     scan = Scan(views=views, boxes=boxes, points_recon=points)
-    found = search(scan, posture, rng).at_least(params.start_share)
-    return different(found, posture.points_world(60), params.apart, params.starts).Ss_world_recon
+    found = search(scan, posture, rng).at_least(_START_SHARE)
+    return different(found, posture.points_world(60), _APART, _STARTS).Ss_world_recon

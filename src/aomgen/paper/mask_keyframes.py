@@ -15,7 +15,9 @@ Variant = Literal["printed", "repaired"]
 
 # The paper names the filter, not its size; eleven frames and third order are its usual ones.
 SMOOTH_FRAMES, SMOOTH_ORDER = 11, 3
+# Percentile of the scores that is the paper's B, [%].
 BASELINE_PERCENT = 20.0
+# Sigmas above B at which a frame is flagged, as printed.
 NOISE_UNITS = 3.0
 # Standard deviations in a median absolute deviation of normal noise.
 SD_OF_MAD = 1.4826
@@ -40,7 +42,7 @@ class PartMasks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
-    """The motion score of a film and the level that a moving frame exceeds.
+    """The motion score of a video and the level that a moving frame exceeds.
 
     Attributes:
         scores: Motion score (T,); the last frame has no successor and repeats the one before.
@@ -96,7 +98,7 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
 
 
 def scored_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
-    """Score of every frame of a film, and the threshold that follows from them.
+    """Score of every frame of a video, and the threshold that follows from them.
 
     Raises:
         InputError: Fewer than two frames.

@@ -14,11 +14,11 @@ from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.io.atomic import write_json
 from aomgen.motion.estimate import estimate_motion
-from aomgen.motion.gripper_signals import hand_signals
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.opening_direction import direction_of
+from aomgen.motion.gripper_signals import read_gripper_signals
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.opening_direction import infer_direction
 from aomgen.motion.part_identification import MIN_ODDS
-from aomgen.motion.stage import FILE_NAME, kept_when_refused
+from aomgen.motion.stage import FILE_NAME, keep_when_refused
 from aomgen.paper.contact_points import NearestPair, contact_path, nearest_pair
 from aomgen.paper.edge_joint import PairWeights, box_joint
 from aomgen.paper.joint_values import recovered_thetas
@@ -26,7 +26,7 @@ from aomgen.paper.mask_keyframes import PartMasks, Scores, Variant, flagged_fram
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaperParams:
+class PaperMotionParams:
     """What the paper takes as given, and which of its formulas are repaired.
 
     Attributes:
@@ -48,9 +48,9 @@ def _unheard(curve: MotionCurve) -> None:
 
 
 def estimate_motion_paper(
-    demonstration: Demonstration,
+    demonstration: MotionInput,
     masks: PartMasks,
-    params: PaperParams,
+    params: PaperMotionParams,
     progress: Progress = silent,
     on_curve: Callable[[MotionCurve], None] = _unheard,
 ) -> MotionEstimate:
@@ -113,7 +113,7 @@ def estimate_motion_paper(
 
 
 def _assemble(
-    demo: Demonstration,
+    demo: MotionInput,
     curve: MotionCurve,
     interval: tuple[int, int],
     pair: NearestPair,
@@ -146,13 +146,15 @@ def _assemble(
         theta_sd=nothing,
         slip_m=nothing,
         pivot_rad=nothing,
-        direction=direction_of(joint, float(values[-1]), demo.points_static, demo.points_moving),
+        direction=infer_direction(joint, float(values[-1]), demo.points_static, demo.points_moving),
         part_odds=MIN_ODDS,
     )
 
 
-def _curve(demo: Demonstration, scored: Scores) -> MotionCurve:
-    signals = hand_signals(demo.robot, demo.log, demo.points_moving, demo.video.times_s, demo.clock_offset_s)
+def _curve(demo: MotionInput, scored: Scores) -> MotionCurve:
+    signals = read_gripper_signals(
+        demo.robot, demo.log, demo.points_moving, demo.video.times_s, demo.clock_offset_s
+    )
     return MotionCurve(
         times_s=demo.video.times_s,
         scores=scored.scores,
@@ -164,7 +166,7 @@ def _curve(demo: Demonstration, scored: Scores) -> MotionCurve:
     )
 
 
-def _patch(demo: Demonstration, pair: NearestPair) -> ContactPatch:
+def _patch(demo: MotionInput, pair: NearestPair) -> ContactPatch:
     names = {pad.body: pad.finger for pad in demo.robot.pads}
     gap = pair.gap_m
     towards = pair.on_part - pair.on_robot
@@ -178,7 +180,7 @@ def _patch(demo: Demonstration, pair: NearestPair) -> ContactPatch:
 
 
 def run_paper_motion(
-    demonstration: Demonstration,
+    demonstration: MotionInput,
     masks: PartMasks,
     folder: Path,
     progress: Progress = silent,
@@ -191,8 +193,10 @@ def run_paper_motion(
     `run_motion` for the arguments.
     """
     ours, papers = part(progress, 0.0, 0.7), part(progress, 0.7, 1.0)
-    with kept_when_refused(refused) as curves:
-        params = PaperParams(joint_type=estimate_motion(demonstration, None, ours, curves.append).joint.type)
+    with keep_when_refused(refused) as curves:
+        params = PaperMotionParams(
+            joint_type=estimate_motion(demonstration, None, ours, curves.append).joint.type
+        )
         estimate = estimate_motion_paper(demonstration, masks, params, papers, curves.append)
     write_json(folder / FILE_NAME, asdict(estimate))
     progress(1.0, "motion")

@@ -1,4 +1,4 @@
-"""Masks of the moving part where no video segmenter gave any: what changed since the film began.
+"""Masks of the moving part where no video segmenter gave any: what changed since the video began.
 
 The paper follows the part with SAM 2. Without it a pixel counts as the part's when it lies on the
 part's scanned place and still looks as it did, or beside it, joined to it, and looks different.
@@ -11,29 +11,28 @@ from numpy.typing import NDArray
 
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.motion.filters import closed, grown, touching
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.keyframes import part_region
-from aomgen.paper.mask_keyframes import PartMasks
+from aomgen.motion.filters import close_gaps, dilate, keep_touching
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.keyframes import find_part_region
+from aomgen.paper.mask_keyframes import SD_OF_MAD, PartMasks
 from aomgen.robots.robot_masks import robot_masks
 
-# The first picture is the median of so much film, so that its own noise does not count, [s].
+# The first picture is the median of so much video, so that its own noise does not count, [s].
 REFERENCE_S = 0.25
 # A change is this many deviations of the still picture's noise, and no less than compression makes, 8 bit.
 CHANGE_SD, MIN_CHANGE = 6.0, 12.0
-SD_OF_MAD = 1.4826
 # A shadow leaves at least this share of the light.
 DARKEST_SHADE = 0.4
 # The model's outline is off by as much at this size, [px].
 ROBOT_MARGIN_PX = 2
 
 
-def masks_by_change(demonstration: Demonstration, width: int = 320) -> PartMasks:
+def masks_by_change(demonstration: MotionInput, width: int = 320) -> PartMasks:
     """Masks of part and robot in every frame of a demonstration, `width` px wide.
 
     Args:
-        demonstration: Its film, camera, log and scanned points are used.
-        width: Of the masks, [px]; the film's own at most.
+        demonstration: Its video, camera, log and scanned points are used.
+        width: Of the masks, [px]; the video's own at most.
     """
     demo = demonstration
     width = min(width, demo.camera.width)
@@ -41,7 +40,7 @@ def masks_by_change(demonstration: Demonstration, width: int = 320) -> PartMasks
     frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb]
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         robot = masks_at(demo.video.times_s + demo.clock_offset_s, small.width, small.height)
-    region = part_region(demo.points_moving, small)
+    region = find_part_region(demo.points_moving, small)
     still = max(1, round(REFERENCE_S * demo.video.fps))
     return PartMasks(moving=changed_masks(np.stack(frames), robot, region, still), robot=robot)
 
@@ -59,7 +58,7 @@ def changed_masks(
 
     Not checked: what the robot hid in all of these counts as never changed.
     """
-    hidden = np.stack([grown(mask, ROBOT_MARGIN_PX) for mask in robot])
+    hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot])
     bare = np.where(hidden[:still, ..., None], np.nan, frames_srgb[:still].astype(np.float32))
     known = np.asarray(~hidden[:still].all(0))
     bare[:, ~known] = 0
@@ -68,7 +67,7 @@ def changed_masks(
     for k, frame in enumerate(frames_srgb):
         compared = known & ~hidden[k]
         changed = compared & _changed(frame, reference, compared)
-        masks[k] = touching(closed((region & ~changed) | (changed & ~region), 1), region) & ~robot[k]
+        masks[k] = keep_touching(close_gaps((region & ~changed) | (changed & ~region), 1), region) & ~robot[k]
     return masks
 
 

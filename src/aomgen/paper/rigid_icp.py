@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from aomgen.core.transforms import apply, rotvec_from_matrix, transform
 from aomgen.core.values import Array, freeze
 
+# Closest-point steps at one kernel width at most; they end earlier where nothing moves.
 _STEPS = 40
 # Motions smaller than these change nothing that is reported.
 _SETTLED_M, _SETTLED_RAD = 1e-5, 1e-5

@@ -3,15 +3,15 @@
 from aomgen.capture.demo_masks import read_demo_masks
 from aomgen.conventions import MOVING
 from aomgen.core.recording import Capture, DemoCamera
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.inputs import MotionInput
 from aomgen.paper.mask_keyframes import PartMasks
 from aomgen.paper.moved_masks import masks_by_change
 from aomgen.robots.robot_masks import robot_masks
 
 
-def part_masks(capture: Capture, camera: DemoCamera, demonstration: Demonstration) -> PartMasks:
+def part_masks(capture: Capture, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
     """Moving part and robot in every frame: the part's from the capture's own label images, else from
-    what changed in the film; the robot's drawn from its log.
+    what changed in the video; the robot's drawn from its log.
 
     Raises:
         InputError: See `read_demo_masks`.

@@ -11,8 +11,8 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.errors import EstimationError
 from aomgen.motion.estimate import first_motion
-from aomgen.motion.inputs import Demonstration
-from aomgen.motion.part_tracking import motion_log_odds
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.part_tracking import compute_log_likelihood_ratio
 from aomgen.parts.label import Parts, PromptedScan, cut_scan, find_parts, part_evidence
 
 # Most rounds, and overlap of the moving part (IoU) from which another round would not change it.
@@ -24,7 +24,7 @@ MIN_KEPT = 0.5
 
 def find_moving_parts(
     scan: PromptedScan,
-    demonstration: Callable[[Gaussians, NDArray[np.uint8]], Demonstration],
+    demonstration: Callable[[Gaussians, NDArray[np.uint8]], MotionInput],
     progress: Progress,
 ) -> Parts:
     """Label all Gaussians by the prompts and by the demonstration.
@@ -45,7 +45,7 @@ def find_moving_parts(
     for round_ in range(MAX_ROUNDS):
         demo = replace(seen, labels=current.labels)
         try:
-            shown = motion_log_odds(demo, first_motion(demo))
+            shown = compute_log_likelihood_ratio(demo, first_motion(demo))
         except EstimationError:
             # The motion stage meets the same demonstration with these labels, and says what is wrong.
             break

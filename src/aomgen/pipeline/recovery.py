@@ -28,8 +28,8 @@ from aomgen.gaussians.stage import load_gaussians, run_gaussians
 from aomgen.gaussians.train import GaussiansParams
 from aomgen.io.atomic import write_json
 from aomgen.io.video import Video, probe_video
-from aomgen.motion.inputs import Demonstration as MotionInput
-from aomgen.motion.part_identification import doubts
+from aomgen.motion.inputs import MotionInput as MotionInput
+from aomgen.motion.part_identification import list_warnings
 from aomgen.motion.stage import load_motion, run_motion
 from aomgen.paper.motion_estimate import run_paper_motion
 from aomgen.paper.true_part_masks import part_masks
@@ -196,7 +196,7 @@ def motion(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
         "axis_ci95_deg": float(np.degrees(estimate.axis_ci95_rad)),
         "origin_ci95_mm": 1e3 * estimate.origin_ci95_m,
         "part_odds": estimate.part_odds,
-        WARNINGS: doubts(estimate.part_odds),
+        WARNINGS: list_warnings(estimate.part_odds),
     }
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demo_video import Film
+from aomgen.synthetic.demo_video import RecordedVideo
 from aomgen.synthetic.demonstration_search import Performance
 
 
@@ -17,10 +17,10 @@ class Recording:
 
     Attributes:
         name, category: Of the capture.
-        performance: Setting and demonstration.
+        performance: Layout and demonstration.
         scan_cameras, scan_images, scan_labels: One entry a still; images (H, W, 3), labels (H, W).
-        film: Of the fixed camera, with the joint log.
-        conditions: How everything was filmed.
+        video: Of the fixed camera, with the joint log.
+        conditions: How everything was recorded.
     """
 
     name: str
@@ -29,5 +29,5 @@ class Recording:
     scan_cameras: list[Camera]
     scan_images: list[NDArray[np.uint8]]
     scan_labels: list[NDArray[np.uint8]]
-    film: Film
+    video: RecordedVideo
     conditions: Conditions

@@ -21,6 +21,7 @@ from aomgen.synthetic.capture_content import Recording
 from aomgen.synthetic.style import MOVED
 
 CAMERA = "front"
+# Images that a person clicks on for each part, as the capture format asks.
 PROMPT_IMAGES = 2
 VERBS = {"opening": "open", "closing": "close"}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}
@@ -40,9 +41,9 @@ def write_recording(folder: Path, recording: Recording, robot: str, hand: HandCh
         write_bytes(folder / "scan" / f"{number:04d}.jpg", encode_jpeg(image, 93))
     write_bytes(
         folder / "demo" / f"{CAMERA}.mp4",
-        encode_video(recording.film.frames, recording.conditions.fps, crf=17),
+        encode_video(recording.video.frames, recording.conditions.fps, crf=17),
     )
-    write_text(folder / "demo" / "joints.csv", joints_csv(recording.film.take.log))
+    write_text(folder / "demo" / "joints.csv", joints_csv(recording.video.schedule.log))
     write_text(folder / "capture.toml", _capture_toml(recording, robot, hand))
 
 
@@ -52,20 +53,20 @@ def write_truth(folder: Path, recording: Recording) -> None:
     Raises:
         StorageError: The disk refuses.
     """
-    for name, labels in (("scan", recording.scan_labels), (CAMERA, recording.film.labels)):
+    for name, labels in (("scan", recording.scan_labels), (CAMERA, recording.video.labels)):
         for number, image in enumerate(labels):
             write_bytes(folder / "masks" / name / f"{number:04d}.png", encode_png(image))
-    save_asset(recording.performance.setting.asset, folder / "asset.npz")
+    save_asset(recording.performance.layout.asset, folder / "asset.npz")
     write_json(folder / "truth.json", _answers(recording))
 
 
 def _answers(recording: Recording) -> dict[str, Any]:
     performance = recording.performance
-    setting, demonstration = performance.setting, performance.demonstration
-    steps = recording.film.take.steps
+    layout, demonstration = performance.layout, performance.demonstration
+    steps = recording.video.schedule.steps
     joint, theta = performance.joint, performance.theta[steps]
-    start, end = moved_range(theta, joint)
-    Ts_world_moving = setting.joint_world.motion(demonstration.theta[steps]) @ setting.T_world_object
+    start, end = find_moved_range(theta, joint)
+    Ts_world_moving = layout.joint_world.motion(demonstration.theta[steps]) @ layout.T_world_object
     contacts = [
         [
             {"finger": c.finger, "point": c.point, "normal": c.normal, "force": c.force}
@@ -77,25 +78,25 @@ def _answers(recording: Recording) -> dict[str, Any]:
         "format": 1,
         "world": "root frame of the robot model (ROS base_link): metres, z up",
         "scan": {f"{i:04d}.jpg": camera.T_world_cam for i, camera in enumerate(recording.scan_cameras)},
-        "demo_cameras": {CAMERA: recording.film.camera.T_world_cam},
-        "intrinsics": {"scan": _intrinsics(recording.scan_cameras[0]), CAMERA: _intrinsics(recording.film.camera)},
+        "demo_cameras": {CAMERA: recording.video.camera.T_world_cam},
+        "intrinsics": {"scan": _intrinsics(recording.scan_cameras[0]), CAMERA: _intrinsics(recording.video.camera)},
         "joint": {"type": joint.type, "axis": joint.axis, "origin": joint.origin, "lower": joint.lower, "upper": joint.upper},
-        "direction": performance.manner.direction,
+        "direction": performance.style.direction,
         "theta": {CAMERA: theta},
         "start_frame": start,
         "end_frame": end,
         "start_end_rule": f"first frame more than {MOVED_TEXT[joint.type]} from the first value, last frame that far from the last",
         "contacts": contacts,
         "contacts_rule": "contacts of the hand with the moving part; normal from the hand into the part, force its component [N]",
-        "clock_offset_s": recording.film.take.clock_offset_s,
-        "object": {"asset": "asset.npz", "T_world_object": setting.T_world_object, "scale": 1.0, "value": performance.manner.start},
+        "clock_offset_s": recording.video.schedule.clock_offset_s,
+        "object": {"asset": "asset.npz", "T_world_object": layout.T_world_object, "scale": 1.0, "value": performance.style.start},
         "qpos": demonstration.joints[steps],
         "gripper": demonstration.gripper[steps],
         "Ts_world_moving": Ts_world_moving,
     }  # fmt: skip
 
 
-def moved_range(theta: Array, joint: Joint) -> tuple[int | None, int | None]:
+def find_moved_range(theta: Array, joint: Joint) -> tuple[int | None, int | None]:
     """First frame that has left the first value and last frame away from the last one; None if none has."""
     limit = MOVED[joint.type]
     away_from_start = np.flatnonzero(np.abs(theta - theta[0]) > limit)
@@ -114,12 +115,12 @@ def joints_csv(log: JointLog) -> str:
 
 
 def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
-    names = ", ".join(f'"{name}"' for name in recording.film.take.log.joint_names)
+    names = ", ".join(f'"{name}"' for name in recording.video.schedule.log.joint_names)
     lines = [
         "format = 1",
         f'name = "{recording.name}"',
         f'category = "{recording.category}"',
-        f'instruction = "{VERBS[recording.performance.manner.direction]} the {recording.category}"',
+        f'instruction = "{VERBS[recording.performance.style.direction]} the {recording.category}"',
         "",
         "[robot]",
         robot,
@@ -135,7 +136,7 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
         "[[demo.cameras]]",
         f'name = "{CAMERA}"',
         f'video = "demo/{CAMERA}.mp4"',
-        *_stated(recording, recording.film.camera),
+        *_stated(recording, recording.video.camera),
         "",
         "[demo]",
         'joints = "demo/joints.csv"',
@@ -143,7 +144,7 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
     for part in ("robot", "static", "moving"):
         for number in _clearest(recording.scan_labels, PART_LABELS[part]):
             mask = recording.scan_labels[number] == PART_LABELS[part]
-            point, bounds = prompt_of(mask)
+            point, bounds = make_prompt(mask)
             lines += ["", "[[prompts]]", f'part = "{part}"', f'image = "{number:04d}.jpg"']
             lines += [f"points = [[{point[0]}, {point[1]}, 1]]", f"box = {bounds}"]
     return "\n".join(lines) + "\n"
@@ -181,7 +182,7 @@ def _clearest(labels: list[NDArray[np.uint8]], label: int) -> list[int]:
     return [first, second][:PROMPT_IMAGES]
 
 
-def prompt_of(mask: NDArray[np.bool_]) -> tuple[list[float], list[float]]:
+def make_prompt(mask: NDArray[np.bool_]) -> tuple[list[float], list[float]]:
     """What a person would click: the pixel deepest inside a mask (H, W), and the mask's box, [px]."""
     depth = np.asarray(distance_transform_edt(np.pad(mask, 1)))[1:-1, 1:-1]
     row, column = np.unravel_index(int(np.argmax(depth)), mask.shape)

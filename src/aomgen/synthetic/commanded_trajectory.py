@@ -6,19 +6,20 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from aomgen.core.values import Array, freeze
-from aomgen.synthetic.style import Manner, progress
+from aomgen.synthetic.style import DemonstrationStyle, compute_progress
 
+# Step of control and physics, [s]: 500 Hz, as a UR5e is driven.
 CONTROL_STEP_S = 0.002
 # Seconds of each phase around the motion: reach, approach, take hold; let go, retreat.
 REACH_S, APPROACH_S, HOLD_S, RELEASE_S, RETREAT_S = 1.8, 1.0, 0.7, 0.6, 0.9
-# Rest of the arm at both ends, at least: the log begins before the film and ends after it.
+# Rest of the arm at both ends, at least: the log begins before the video and ends after it.
 REST_BEFORE_S, REST_AFTER_S = 0.8, 0.5
-# The film of a "cut" demonstration ends this long before the motion.
+# The video of a "cut" demonstration ends this long before the motion.
 BEFORE_MOTION_S = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Script:
+class CommandedTrajectory:
     """What the robot is told to do.
 
     Attributes:
@@ -29,7 +30,7 @@ class Script:
         theta_start: Joint value of the object at the beginning, [rad] or [m].
         theta_goal: Joint value the object should reach, [rad] or [m].
         motion_s: Beginning and end of the commanded motion of the part.
-        film_s: What may be filmed.
+        film_s: What may be recorded.
     """
 
     times_s: Array
@@ -48,7 +49,7 @@ class Script:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class PhasePaths:
     """The arm's joints (N, J) in each phase, and the gripper before and while it holds.
 
     Attributes:
@@ -70,10 +71,10 @@ class Way:
     gripper: tuple[float, float]
 
 
-def timed(way: Way, manner: Manner) -> Script:
-    """Smooth timing of every phase: minimum jerk, the motion itself as the manner says."""
-    rest_before = max(manner.before_s - REACH_S - APPROACH_S - HOLD_S, REST_BEFORE_S)
-    rest_after = max(manner.after_s - RELEASE_S - RETREAT_S, REST_AFTER_S)
+def time_phases(way: PhasePaths, style: DemonstrationStyle) -> CommandedTrajectory:
+    """Smooth timing of every phase: minimum jerk, the motion itself as the style says."""
+    rest_before = max(style.before_s - REACH_S - APPROACH_S - HOLD_S, REST_BEFORE_S)
+    rest_after = max(style.after_s - RELEASE_S - RETREAT_S, REST_AFTER_S)
     away, held = way.gripper
     stay_before, stay_after = np.repeat(way.rest[None], 2, 0), np.repeat(way.retreat[-1:], 2, 0)
     phases = [
@@ -81,7 +82,7 @@ def timed(way: Way, manner: Manner) -> Script:
         (np.stack([way.rest, way.approach[0]]), (away, away), _eased(REACH_S)),
         (way.approach, (away, away), _eased(APPROACH_S)),
         (way.hold, (away, held), _eased(HOLD_S)),
-        (way.motion, (held, held), _motion(manner)),
+        (way.motion, (held, held), _motion(style)),
         (way.release, (held, away), _eased(RELEASE_S)),
         (way.retreat, (away, away), _eased(RETREAT_S)),
         (stay_after, (away, away), _eased(rest_after)),
@@ -94,33 +95,33 @@ def timed(way: Way, manner: Manner) -> Script:
     stacked = np.concatenate([*joints, stay_after[-1:]])
     begin, end = (CONTROL_STEP_S * begins[i] for i in (4, 5))
     last = CONTROL_STEP_S * begins[-1]
-    return Script(
+    return CommandedTrajectory(
         times_s=np.arange(len(stacked), dtype=np.float64) * CONTROL_STEP_S,
         joints=stacked,
         gripper=np.concatenate([*gripper, np.full(1, away)]),
-        grip=manner.grip,
-        theta_start=manner.start,
-        theta_goal=manner.goal,
+        grip=style.grip,
+        theta_start=style.start,
+        theta_goal=style.goal,
         motion_s=(begin, end),
         film_s=(
-            begin - manner.before_s,
-            begin - BEFORE_MOTION_S if manner.outcome == "cut" else min(end + manner.after_s, last),
+            begin - style.before_s,
+            begin - BEFORE_MOTION_S if style.outcome == "cut" else min(end + style.after_s, last),
         ),
     )
 
 
 def _eased(seconds: float) -> Array:
-    return progress(_clock(seconds), 0.0)
+    return compute_progress(_clock(seconds), 0.0)
 
 
-def _motion(manner: Manner) -> Array:
+def _motion(style: DemonstrationStyle) -> Array:
     """Progress (N,) of the motion, with its pause."""
-    if manner.pause_s == 0.0:
-        return progress(_clock(manner.motion_s), manner.cruise)
-    first = manner.pause_at * progress(_clock(manner.pause_at * manner.motion_s), manner.cruise)
-    rest = 1.0 - manner.pause_at
-    second = manner.pause_at + rest * progress(_clock(rest * manner.motion_s), manner.cruise)
-    return np.concatenate([first, np.full(len(_clock(manner.pause_s)), manner.pause_at), second])
+    if style.pause_s == 0.0:
+        return compute_progress(_clock(style.motion_s), style.cruise)
+    first = style.pause_at * compute_progress(_clock(style.pause_at * style.motion_s), style.cruise)
+    rest = 1.0 - style.pause_at
+    second = style.pause_at + rest * compute_progress(_clock(rest * style.motion_s), style.cruise)
+    return np.concatenate([first, np.full(len(_clock(style.pause_s)), style.pause_at), second])
 
 
 def _clock(seconds: float) -> Array:

@@ -1,4 +1,4 @@
-"""How a synthetic capture is filmed: camera, noise and what the recording states about it."""
+"""How a synthetic capture is recorded: camera, noise and what the recording states about it."""
 
 from dataclasses import dataclass
 

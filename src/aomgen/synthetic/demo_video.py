@@ -1,4 +1,4 @@
-"""The fixed camera's film of a performance: when it runs, from where, what it shows."""
+"""The fixed camera's video of a performance: when it runs, from where, what it shows."""
 
 from dataclasses import dataclass
 
@@ -15,12 +15,15 @@ from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration_search import Performance
 from aomgen.synthetic.layout import build_world
-from aomgen.synthetic.scene_renderer import Painter, exposed
-from aomgen.synthetic.simulated_demonstration import Demonstration
+from aomgen.synthetic.scene_renderer import SceneRenderer, expose
+from aomgen.synthetic.simulated_demonstration import SimulatedDemonstration
 from aomgen.synthetic.viewpoints import demo_candidates
 
+# Rows of the joint log, [1/s]; a common rate of robot loggers.
 LOG_RATE_HZ = 100
+# Noise of a logged joint, standard deviation, [rad]: some steps of an encoder.
 JOINT_NOISE_RAD = 0.0005
+# Noise of the logged gripper opening, standard deviation, as a share of its stroke.
 GRIPPER_NOISE = 0.001
 # Shares of the rest phases at both ends that only the log has seen, [s].
 LEAD_S, TAIL_S = (0.2, 0.6), (0.1, 0.3)
@@ -29,7 +32,7 @@ SAME_STATE = 3e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Take:
+class RecordingSchedule:
     """When the camera runs, and the robot's log.
 
     Attributes:
@@ -44,61 +47,64 @@ class Take:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Film:
+class RecordedVideo:
     """What the fixed camera recorded.
 
     Attributes:
-        take: When.
+        schedule: When.
         camera: From where.
         frames: Pictures (H, W, 3).
         labels: Part labels (H, W) of each frame.
     """
 
-    take: Take
+    schedule: RecordingSchedule
     camera: Camera
     frames: list[NDArray[np.uint8]]
     labels: list[NDArray[np.uint8]]
 
 
-def film(
+def record_video(
     robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
-) -> Film:
-    """Film a performance without scanning the scene: all that motion-level benchmarks need.
+) -> RecordedVideo:
+    """Record a performance without scanning the scene: all that motion-level benchmarks need.
 
     Raises:
         BackendError: No OpenGL driver works.
     """
-    take = draw_take(robot, performance, conditions, rng)
-    world = build_world(robot, performance.setting, visual=True)
-    with Painter(robot, world, *conditions.size) as painter:
-        camera = best_camera(
-            painter, demo_candidates(performance.setting, conditions, rng), performance.demonstration, take
+    schedule = draw_schedule(robot, performance, conditions, rng)
+    world = build_world(robot, performance.layout, visual=True)
+    with SceneRenderer(robot, world, *conditions.size) as painter:
+        camera = choose_camera(
+            painter, demo_candidates(performance.layout, conditions, rng), performance.demonstration, schedule
         )
-        frames, labels = filmed(painter, camera, performance.demonstration, take, conditions, rng)
-    return Film(take=take, camera=camera, frames=frames, labels=labels)
+        frames, labels = render_frames(painter, camera, performance.demonstration, schedule, conditions, rng)
+    return RecordedVideo(schedule=schedule, camera=camera, frames=frames, labels=labels)
 
 
-def draw_take(
+def draw_schedule(
     robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
-) -> Take:
-    """Cut the film out of the demonstration and write the log by another clock."""
+) -> RecordingSchedule:
+    """Cut the video out of the demonstration and write the log by another clock."""
     begin, end = performance.script.film_s
     start = max(begin + rng.uniform(*LEAD_S), 0.0)
     frames = int((end - rng.uniform(*TAIL_S) - start) * conditions.fps)
     frame_times = start + np.arange(frames) / conditions.fps
     clock_shift = rng.uniform(0.0, 2.0)
-    return Take(
+    return RecordingSchedule(
         steps=np.round(frame_times / CONTROL_STEP_S).astype(np.int64),
         log=_log(robot, performance.demonstration, clock_shift, rng),
         clock_offset_s=float(start + clock_shift),
     )
 
 
-def best_camera(
-    painter: Painter, candidates: list[Camera], demonstration: Demonstration, take: Take
+def choose_camera(
+    painter: SceneRenderer,
+    candidates: list[Camera],
+    demonstration: SimulatedDemonstration,
+    schedule: RecordingSchedule,
 ) -> Camera:
     """The candidate that sees most of the moving part, at its worst moment of three."""
-    moments = take.steps[np.linspace(0, len(take.steps) - 1, 3).astype(int)]
+    moments = schedule.steps[np.linspace(0, len(schedule.steps) - 1, 3).astype(int)]
     seen = [
         min(int((painter.labels(camera, demonstration.qpos[step]) == MOVING).sum()) for step in moments)
         for camera in candidates
@@ -106,11 +112,11 @@ def best_camera(
     return candidates[int(np.argmax(seen))]
 
 
-def filmed(
-    painter: Painter,
+def render_frames(
+    painter: SceneRenderer,
     camera: Camera,
-    demonstration: Demonstration,
-    take: Take,
+    demonstration: SimulatedDemonstration,
+    schedule: RecordingSchedule,
     conditions: Conditions,
     rng: np.random.Generator,
     *,
@@ -119,19 +125,19 @@ def filmed(
     """Frames and part labels of a take; a scene at rest is drawn once, its noise is new each time."""
     frames, labels = [], []
     painted: Array | None = None
-    for number, step in enumerate(take.steps):
+    for number, step in enumerate(schedule.steps):
         state = demonstration.qpos[step]
         if painted is None or np.abs(state - painted).max() > SAME_STATE:
             painted = state
             clean, marked = painter.draw(camera, state), painter.labels(camera, state)
-        frames.append(exposed(clean, 1.0, conditions.noise, rng))
+        frames.append(expose(clean, 1.0, conditions.noise, rng))
         labels.append(marked)
-        progress(number / len(take.steps), "video")
+        progress(number / len(schedule.steps), "video")
     return frames, labels
 
 
 def _log(
-    robot: RobotModel, demonstration: Demonstration, clock_shift: float, rng: np.random.Generator
+    robot: RobotModel, demonstration: SimulatedDemonstration, clock_shift: float, rng: np.random.Generator
 ) -> JointLog:
     every = round(1.0 / (LOG_RATE_HZ * CONTROL_STEP_S))
     joints: Array = demonstration.joints[::every]

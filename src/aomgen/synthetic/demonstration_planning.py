@@ -10,14 +10,16 @@ from numpy.typing import ArrayLike
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.commanded_trajectory import Script, Way, timed
-from aomgen.synthetic.grasp import Hold, draw_style, hold_poses
-from aomgen.synthetic.grasp_selection import take_hold, usual
-from aomgen.synthetic.inverse_kinematics import Arm
-from aomgen.synthetic.layout import Setting, World
-from aomgen.synthetic.style import Manner
+from aomgen.synthetic.commanded_trajectory import CommandedTrajectory, PhasePaths, time_phases
+from aomgen.synthetic.grasp import DemonstratedGrasp, compute_grasp_poses, draw_grasp_style
+from aomgen.synthetic.grasp_selection import choose_grasp, draw_usual_style
+from aomgen.synthetic.inverse_kinematics import ArmKinematics
+from aomgen.synthetic.layout import SceneLayout, World
+from aomgen.synthetic.style import DemonstrationStyle
 
+# The hand approaches on a straight line of this length, [m]: longer than fingers are.
 PREGRASP_M = 0.09
+# Joints that jump by more from knot to knot have changed their branch, [rad].
 MAX_KNOT_STEP_RAD = 0.20
 # Gestures in the air stay this far before the handle, [m].
 AIR_M = 0.12
@@ -26,6 +28,7 @@ KNOTS, REACH_KNOTS, SLACK_KNOTS = 40, 10, 4
 PINCHING, PRESS_M = 0.6, 0.003
 # Different starts end in few different postures; the same one is not followed twice.
 SAME_RAD = 0.02
+# Starts of the inverse kinematics that are tried before a layout is given up.
 SEEDS = 14
 # Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
 POSTURES = {
@@ -36,44 +39,44 @@ POSTURES = {
 def plan(
     robot: RobotModel,
     world: World,
-    setting: Setting,
+    layout: SceneLayout,
     rng: np.random.Generator,
-    manner: Manner | None = None,
-) -> tuple[Manner, Script] | None:
-    """Joint path and timing of one demonstration; None where this setting and style cannot be reached.
+    style: DemonstrationStyle | None = None,
+) -> tuple[DemonstrationStyle, CommandedTrajectory] | None:
+    """Joint path and timing of one demonstration; None where this layout and style cannot be reached.
 
     Args:
-        manner: How it is done; the usual pinch that opens the object when None.
+        style: How it is done; the usual pinch that opens the object when None.
 
     Checked: residuals, joint steps, contact of anything but the fingers with handle. Not
     checked: dynamics (see `demonstration.py`).
     """
-    asset = setting.asset
-    manner, style = (manner, draw_style(rng, manner)) if manner else usual(asset, rng)
-    hold = take_hold(robot, world.model, asset, style, manner)
-    if hold is None:
+    asset = layout.asset
+    style, grasp_style = (style, draw_grasp_style(rng, style)) if style else draw_usual_style(asset, rng)
+    grasp = choose_grasp(robot, world.model, asset, grasp_style, style)
+    if grasp is None:
         return None
-    arm = Arm(world.model, robot)
-    path = _hand_path(robot, setting, hold, manner)
+    arm = ArmKinematics(world.model, robot)
+    path = _hand_path(robot, layout, grasp, style)
     low, high = POSTURES.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
     dead_ends: list[Array] = []
     for _ in range(SEEDS):
         start = rng.uniform(low, high)
-        grasp = arm.solve(path.motion[0], start)
-        if not grasp.exact or any(np.abs(grasp.joints - other).max() < SAME_RAD for other in dead_ends):
+        first = arm.solve(path.motion[0], start)
+        if not first.exact or any(np.abs(first.joints - other).max() < SAME_RAD for other in dead_ends):
             continue
-        motion = _tracked(arm, path.motion, grasp.joints)
-        to = None if motion is None else _tracked(arm, path.approach[::-1], grasp.joints)
+        motion = _tracked(arm, path.motion, first.joints)
+        to = None if motion is None else _tracked(arm, path.approach[::-1], first.joints)
         if to is None or motion is None:
-            dead_ends.append(grasp.joints)
+            dead_ends.append(first.joints)
             continue
         off = _tracked(arm, path.retreat, motion[-1])
-        rest = _rest(arm, setting, path.approach[0], robot.approach_ee, to[-1], rng)
+        rest = _rest(arm, layout, path.approach[0], robot.approach_ee, to[-1], rng)
         if off is None or rest is None:
             continue
-        way = _way(rest, to[::-1], motion, off, hold)
-        if _is_free(robot, world, way, manner):
-            return manner, timed(way, manner)
+        way = _way(rest, to[::-1], motion, off, grasp)
+        if _is_free(robot, world, way, style):
+            return style, time_phases(way, style)
     return None
 
 
@@ -86,22 +89,24 @@ class _HandPath:
     retreat: Array
 
 
-def _hand_path(robot: RobotModel, setting: Setting, hold: Hold, manner: Manner) -> _HandPath:
+def _hand_path(
+    robot: RobotModel, layout: SceneLayout, grasp: DemonstratedGrasp, style: DemonstrationStyle
+) -> _HandPath:
     """Where the hand goes; a hand that does not close comes off the part by its slack before it leaves."""
-    asset = setting.asset
-    shares = np.zeros(KNOTS) if manner.outcome == "touch" else np.linspace(0.0, 1.0, KNOTS)
-    held = setting.T_world_object @ hold_poses(asset, hold, manner, shares)
-    if manner.outcome == "nothing":
+    asset = layout.asset
+    shares = np.zeros(KNOTS) if style.outcome == "touch" else np.linspace(0.0, 1.0, KNOTS)
+    held = layout.T_world_object @ compute_grasp_poses(asset, grasp, style, shares)
+    if style.outcome == "nothing":
         # The whole motion is made in the air before the part.
         held = np.array([_withdrawn(T, robot.approach_ee, [AIR_M])[0] for T in held])
     near, last = held[0], held[-1]
     before, after = [], []
-    if hold.slack.any():
-        values = [manner.start, manner.start if manner.outcome == "touch" else manner.goal]
-        R = (setting.T_world_object @ asset.joint.motion(values))[:, :3, :3]
+    if grasp.slack.any():
+        values = [style.start, style.start if style.outcome == "touch" else style.goal]
+        R = (layout.T_world_object @ asset.joint.motion(values))[:, :3, :3]
         steps = np.linspace(1.0, 0.0, SLACK_KNOTS)
-        before = [_shifted(near, share * R[0] @ hold.slack) for share in steps]
-        after = [_shifted(last, share * R[1] @ hold.slack) for share in steps[::-1]]
+        before = [_shifted(near, share * R[0] @ grasp.slack) for share in steps]
+        after = [_shifted(last, share * R[1] @ grasp.slack) for share in steps[::-1]]
         near, last = before[0], after[-1]
     away = _withdrawn(near, robot.approach_ee, np.linspace(PREGRASP_M, 0.0, REACH_KNOTS))
     back = _withdrawn(last, robot.approach_ee, np.linspace(0.0, PREGRASP_M, REACH_KNOTS))
@@ -110,27 +115,27 @@ def _hand_path(robot: RobotModel, setting: Setting, hold: Hold, manner: Manner) 
     )
 
 
-def _way(rest: Array, to: Array, motion: Array, off: Array, hold: Hold) -> Way:
+def _way(rest: Array, to: Array, motion: Array, off: Array, grasp: DemonstratedGrasp) -> PhasePaths:
     """Joints of all phases; what lies before and after `REACH_KNOTS` is slack."""
     touching, leaving = to[REACH_KNOTS - 1 :], off[: len(off) - REACH_KNOTS + 1]
-    return Way(
+    return PhasePaths(
         rest=rest,
         approach=to[:REACH_KNOTS],
         hold=touching if len(touching) > 1 else np.repeat(touching, 2, 0),
         motion=motion,
         release=leaving if len(leaving) > 1 else np.repeat(motion[-1:], 2, 0),
         retreat=off[len(off) - REACH_KNOTS :],
-        gripper=hold.gripper,
+        gripper=grasp.gripper,
     )
 
 
-def _is_free(robot: RobotModel, world: World, way: Way, manner: Manner) -> bool:
+def _is_free(robot: RobotModel, world: World, way: PhasePaths, style: DemonstrationStyle) -> bool:
     """Whether the arm touches nothing on its way but, while it holds, the part with its hand."""
-    still = manner.outcome in ("touch", "nothing")
-    values = np.linspace(manner.start, manner.start if still else manner.goal, KNOTS)
+    still = style.outcome in ("touch", "nothing")
+    values = np.linspace(style.start, style.start if still else style.goal, KNOTS)
     reach = way.rest + np.linspace(0, 1, 12)[:, None] * (way.approach[0] - way.rest)
     away = _Free(robot, world, gripper=way.gripper[0], deepest=0.0)
-    pinching = manner.touch == "pinch"
+    pinching = style.touch == "pinch"
     holding = _Free(
         robot,
         world,
@@ -158,7 +163,7 @@ def _withdrawn(T_world_ee: Array, approach_ee: Array, distances: ArrayLike) -> A
     return poses
 
 
-def _tracked(arm: Arm, poses: Array, start: Array) -> Array | None:
+def _tracked(arm: ArmKinematics, poses: Array, start: Array) -> Array | None:
     """Joints (N, J) along poses without jumps; None where they leave the reach."""
     path, joints = [], start
     for T in poses:
@@ -171,8 +176,8 @@ def _tracked(arm: Arm, poses: Array, start: Array) -> Array | None:
 
 
 def _rest(
-    arm: Arm,
-    setting: Setting,
+    arm: ArmKinematics,
+    layout: SceneLayout,
     T_world_pregrasp: Array,
     approach_ee: Array,
     near: Array,
@@ -181,7 +186,7 @@ def _rest(
     """Joints at rest: the hand drawn back towards the robot, higher, looking down a little."""
     T = T_world_pregrasp.copy()
     T[:2, 3] *= rng.uniform(0.55, 0.75)
-    T[2, 3] = max(T[2, 3], setting.room.table_z + 0.15) + rng.uniform(0.10, 0.22)
+    T[2, 3] = max(T[2, 3], layout.room.table_z + 0.15) + rng.uniform(0.10, 0.22)
     approach = T[:3, :3] @ approach_ee
     down = np.deg2rad(rng.uniform(15, 40)) + max(float(np.arcsin(np.clip(approach[2], -1, 1))), 0.0)
     T[:3, :3] = matrix_from_rotvec(-down * np.cross(approach, [0.0, 0.0, 1.0])) @ T[:3, :3]

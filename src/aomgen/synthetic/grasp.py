@@ -11,7 +11,7 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.style import Manner
+from aomgen.synthetic.style import DemonstrationStyle
 
 # A hooking or pushing bar lies this far behind the finger tips, [m]: half a finger pad.
 BAR_BEHIND_TIP_M: Final = 0.010
@@ -19,8 +19,8 @@ _CORNERS: Final = np.array(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0])).r
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Style:
-    """What a manner leaves open about the hand.
+class GraspStyle:
+    """What a style leaves open about the hand.
 
     Attributes:
         flip: Whether the fingers are exchanged.
@@ -38,7 +38,7 @@ class Style:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hold:
+class DemonstratedGrasp:
     """The hand on the part, asset frame at joint value 0.
 
     Attributes:
@@ -59,12 +59,12 @@ class Hold:
         freeze(self, "slack", self.slack, (3,))
 
 
-def draw_style(rng: np.random.Generator, manner: Manner) -> Style:
-    """What the manner leaves open."""
+def draw_grasp_style(rng: np.random.Generator, style: DemonstrationStyle) -> GraspStyle:
+    """What the style leaves open."""
     tilt, flip = np.deg2rad(rng.uniform(4, 24)), bool(rng.random() < 0.5)
-    if manner.touch == "pinch":
-        return Style(flip=flip, tilt_rad=tilt)
-    return Style(
+    if style.touch == "pinch":
+        return GraspStyle(flip=flip, tilt_rad=tilt)
+    return GraspStyle(
         flip=flip,
         tilt_rad=tilt,
         side=float(rng.choice([-1.0, 1.0])),
@@ -73,7 +73,7 @@ def draw_style(rng: np.random.Generator, manner: Manner) -> Style:
     )
 
 
-def closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
+def measure_closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
     """Low and high corner (2, 3) of the closed finger tips: width, closing, approach from the end effector, [m].
 
     Of the bodies that carry the pads and their neighbors, what lies beyond the end effector.
@@ -84,7 +84,7 @@ def closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
     data.qpos[: len(rest)] = rest
     mujoco.mj_kinematics(model, data)
     site = model.site(robot.ee_site).id
-    axes = data.site_xmat[site].reshape(3, 3) @ hand_axes(robot)
+    axes = data.site_xmat[site].reshape(3, 3) @ gripper_axes(robot)
     hand = {model.body(name).id for name in robot.hand_bodies}
     found = []
     for geom in range(model.ngeom):
@@ -102,29 +102,31 @@ def closed_tips(robot: RobotModel, model: mujoco.MjModel) -> Array:
     return np.array([tips.min(0), tips.max(0)])
 
 
-def hold_poses(asset: ArticulatedAsset, hold: Hold, manner: Manner, progress: ArrayLike) -> Array:
+def compute_grasp_poses(
+    asset: ArticulatedAsset, grasp: DemonstratedGrasp, style: DemonstrationStyle, progress: ArrayLike
+) -> Array:
     """Poses (N, 4, 4) of the hand in the asset frame after shares (N,) of the part's way.
 
-    It turns with its share of the part's turn, and slides along the bar as the manner says.
+    It turns with its share of the part's turn, and slides along the bar as the style says.
     """
     progress = np.asarray(progress, np.float64)
     poses = []
     for share in progress:
-        moved = manner.sign * share * manner.travel
-        slip = manner.slip_m * (share - 0.5) * asset.handle_axis
-        T_asset_ee = hold.T_asset_ee.copy()
+        moved = style.sign * share * style.travel
+        slip = style.slip_m * (share - 0.5) * asset.handle_axis
+        T_asset_ee = grasp.T_asset_ee.copy()
         T_asset_ee[:3, 3] += slip
-        T_moved = asset.joint.motion(manner.start + moved)
+        T_moved = asset.joint.motion(style.start + moved)
         T_held = T_moved @ T_asset_ee
         if asset.joint.type == "revolute":
-            lag = matrix_from_rotvec(-(1.0 - manner.follow) * moved * asset.joint.axis)
-            pivot = apply(T_moved, hold.pivot + slip)
+            lag = matrix_from_rotvec(-(1.0 - style.follow) * moved * asset.joint.axis)
+            pivot = apply(T_moved, grasp.pivot + slip)
             T_held = transform(lag @ T_held[:3, :3], pivot + lag @ (T_held[:3, 3] - pivot))
         poses.append(T_held)
     return np.array(poses)
 
 
-def hand_axes(robot: RobotModel) -> Array:
+def gripper_axes(robot: RobotModel) -> Array:
     """Axes (3, 3) of the hand in the end effector's frame: width of the fingers, closing, approach."""
     width = np.cross(robot.closing_ee, robot.approach_ee)
     return np.array([width, robot.closing_ee, robot.approach_ee], np.float64).T

@@ -9,12 +9,20 @@ from numpy.typing import ArrayLike
 
 from aomgen.assets.check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
+from aomgen.core.motion import Direction
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import holding_gripper
-from aomgen.synthetic.grasp import BAR_BEHIND_TIP_M, Hold, Style, closed_tips, draw_style, hand_axes
-from aomgen.synthetic.style import Direction, Manner, Touch
+from aomgen.synthetic.grasp import (
+    BAR_BEHIND_TIP_M,
+    DemonstratedGrasp,
+    GraspStyle,
+    draw_grasp_style,
+    gripper_axes,
+    measure_closed_tips,
+)
+from aomgen.synthetic.style import DemonstrationStyle, GraspType
 
 # A push beside the bar begins this far before it touches, [m].
 PUSH_SLACK_M: Final = 0.008
@@ -24,70 +32,82 @@ HOOK_ROOM_M: Final = 0.002
 PUSH_LIMIT: Final = 0.5
 # Share of a lid's turn by which the hand begins flatter: an arm looks down easily, hardly up.
 NOD_SHARE: Final = 0.25
-# A lid that is held at its rim is found closed in this share of the cases, else open so far, [rad].
+# A lid that is held at its rim is found closed in this share of the cases, else ajar.
 CLOSED_SHARE: Final = 0.4
+# How far such a lid is found open, [rad].
 AJAR_RAD: Final = (np.deg2rad(3.0), np.deg2rad(12.0))
-# Hold of a rim: how far the finger tips reach beyond the held point, [m]; the hand's downward tilt, at
-# which its knuckles stay above the table, and the share of the style's tilt that is added to it; the free
-# way of each finger before it closes, [m].
+# How far the finger tips reach beyond the held point of a rim, [m].
 RIM_BEYOND_M: Final = 0.004
+# Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table.
 RIM_TILT_RAD: Final = np.deg2rad(30.0)
+# Share of the style's tilt that is added to it.
 RIM_TILT_SHARE: Final = 0.5
+# Free way of each finger at a rim before it closes, [m].
 RIM_FREE_M: Final = 0.004
 
 
-def usual(asset: ArticulatedAsset, rng: np.random.Generator) -> tuple[Manner, Style]:
+def draw_usual_style(
+    asset: ArticulatedAsset, rng: np.random.Generator
+) -> tuple[DemonstrationStyle, GraspStyle]:
     """A random pinch that opens the object far enough to be a demonstration."""
     upper = asset.joint.upper
     if asset.joint.type == "revolute":
         travel = min(np.deg2rad(rng.uniform(48, 70)), 0.8 * upper)
     else:
         travel = min(rng.uniform(0.15, 0.22), 0.9 * upper)
-    manner = Manner(travel=float(travel))
-    style = draw_style(rng, manner)
-    manner = replace(manner, follow=rng.uniform(0.6, 1.0))
+    style = DemonstrationStyle(travel=float(travel))
+    grasp_style = draw_grasp_style(rng, style)
+    style = replace(style, follow=rng.uniform(0.6, 1.0))
     if held_at_rim(asset) and rng.random() > CLOSED_SHARE:
-        manner = replace(manner, start=float(rng.uniform(*AJAR_RAD)))
-    return manner, style
+        style = replace(style, start=float(rng.uniform(*AJAR_RAD)))
+    return style, grasp_style
 
 
-def pinch(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Manner) -> Hold:
+def pinch(
+    robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, style: DemonstrationStyle
+) -> DemonstratedGrasp:
     """The hand approaches the front from a little above; its fingers close across the bar.
 
     A lid turns the hand further down as it opens, so that the hand begins by as much flatter.
     """
     approach = -outward_normal(asset)
-    along = asset.handle_axis * (-1.0 if style.flip else 1.0)
+    along = asset.handle_axis * (-1.0 if grasp_style.flip else 1.0)
     R = np.stack([along, np.cross(approach, along), approach], 1)
     # The hand comes from above: turn about the horizontal axis of the front, right of approach.
     sideways = np.cross(approach, [0.0, 0.0, 1.0])
-    tilt = style.tilt_rad
+    tilt = grasp_style.tilt_rad
     if asset.joint.type == "revolute":
-        tilt += (
-            NOD_SHARE * manner.follow * max(manner.start, manner.goal) * float(asset.joint.axis @ sideways)
-        )
-    R = matrix_from_rotvec(-tilt * sideways) @ R @ hand_axes(robot).T
+        tilt += NOD_SHARE * style.follow * max(style.start, style.goal) * float(asset.joint.axis @ sideways)
+    R = matrix_from_rotvec(-tilt * sideways) @ R @ gripper_axes(robot).T
     point = asset.handle_point
-    return Hold(T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0))
+    return DemonstratedGrasp(
+        T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0)
+    )
 
 
-def pinch_rim(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Manner, tips: Array) -> Hold:
+def pinch_rim(
+    robot: RobotModel,
+    asset: ArticulatedAsset,
+    grasp_style: GraspStyle,
+    style: DemonstrationStyle,
+    tips: Array,
+) -> DemonstratedGrasp:
     """The fingers, hardly open, reach over and under the rim of the part from a little above, and close."""
     outward, along = outward_normal(asset), asset.handle_axis
     across = np.cross(outward, along)
-    tilt = RIM_TILT_RAD + RIM_TILT_SHARE * style.tilt_rad
-    if manner.direction == "closing":
+    tilt = RIM_TILT_RAD + RIM_TILT_SHARE * grasp_style.tilt_rad
+    if style.direction == "closing":
         # The hand turns less than the lid, and must be as steep once it is closed.
-        tilt -= (1.0 - manner.follow) * manner.travel
+        tilt -= (1.0 - style.follow) * style.travel
     approach = matrix_from_rotvec(-tilt * np.cross(-outward, [0.0, 0.0, 1.0])) @ -outward
-    width = along * (-1.0 if style.flip else 1.0)
-    R = np.stack([width, np.cross(approach, width), approach], 1) @ hand_axes(robot).T
+    width = along * (-1.0 if grasp_style.flip else 1.0)
+    R = np.stack([width, np.cross(approach, width), approach], 1) @ gripper_axes(robot).T
     point = asset.handle_point - (tips[1, 2] - RIM_BEYOND_M) * approach
     # Across tilted fingers the rim is thicker.
     bar = asset.handle_bar
     thickness = 0.0 if bar is None else 2 * _support(bar, across)
     opening = thickness * np.cos(tilt) + 2 * RIM_BEYOND_M * abs(np.sin(tilt)) + 2 * RIM_FREE_M
-    return Hold(
+    return DemonstratedGrasp(
         T_asset_ee=transform(R, point),
         pivot=asset.handle_point,
         slack=np.zeros(3),
@@ -95,48 +115,54 @@ def pinch_rim(robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: 
     )
 
 
-def possible_touches(asset: ArticulatedAsset, direction: Direction) -> tuple[Touch, ...]:
+def list_grasp_types(asset: ArticulatedAsset, direction: Direction) -> tuple[GraspType, ...]:
     """In which ways a hand can move a part: what opens against the hand is hooked, the rest pushed."""
     facing = _facing(asset, direction)
-    bare = asset.handle_bar is None or handle_foot(asset) is None
+    bare = asset.handle_bar is None or find_handle_mount(asset) is None
     if facing > PUSH_LIMIT:
         return ("pinch",) if bare else ("pinch", "hook")
     return ("pinch",) if bare and facing >= -PUSH_LIMIT else ("pinch", "push")
 
 
-def take_hold(
-    robot: RobotModel, model: mujoco.MjModel, asset: ArticulatedAsset, style: Style, manner: Manner
-) -> Hold | None:
-    """Where the hand touches the part in a manner; None where that style leaves no room.
+def choose_grasp(
+    robot: RobotModel,
+    model: mujoco.MjModel,
+    asset: ArticulatedAsset,
+    grasp_style: GraspStyle,
+    style: DemonstrationStyle,
+) -> DemonstratedGrasp | None:
+    """Where the hand touches the part in a style; None where that style leaves no room.
 
     Args:
         model: Any compiled model that holds the robot.
-        manner: Of a touch that is possible.
+        style: Of a touch that is possible.
     """
-    if manner.touch == "pinch" and not held_at_rim(asset):
-        return pinch(robot, asset, style, manner)
-    tips = closed_tips(robot, model)
-    if manner.touch == "pinch":
-        return pinch_rim(robot, asset, style, manner, tips)
-    if manner.touch == "hook":
-        return hook(robot, asset, style, tips)
-    if _facing(asset, manner.direction) < -PUSH_LIMIT:
-        return push_front(robot, asset, style, tips)
-    return push_bar(robot, asset, style, manner, tips)
+    if style.touch == "pinch" and not held_at_rim(asset):
+        return pinch(robot, asset, grasp_style, style)
+    tips = measure_closed_tips(robot, model)
+    if style.touch == "pinch":
+        return pinch_rim(robot, asset, grasp_style, style, tips)
+    if style.touch == "hook":
+        return hook(robot, asset, grasp_style, tips)
+    if _facing(asset, style.direction) < -PUSH_LIMIT:
+        return push_front(robot, asset, grasp_style, tips)
+    return push_bar(robot, asset, grasp_style, style, tips)
 
 
-def hook(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) -> Hold | None:
+def hook(
+    robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
+) -> DemonstratedGrasp | None:
     """Closed fingers reach behind the bar from its side, their width across, and pull it.
 
     None where the bar leaves no room.
     """
     normal, along = outward_normal(asset), asset.handle_axis
-    bar, foot = asset.handle_bar, handle_foot(asset)
+    bar, foot = asset.handle_bar, find_handle_mount(asset)
     if bar is None or foot is None:
         return None
-    slant = style.side * style.slant_rad
+    slant = grasp_style.side * grasp_style.slant_rad
     approach = matrix_from_rotvec(slant * along) @ -normal
-    closing = along * (-1.0 if style.flip else 1.0)
+    closing = along * (-1.0 if grasp_style.flip else 1.0)
     width = np.cross(closing, approach)
     # The side of the fingers that looks away from the front pulls.
     pulling = width * np.sign(width @ normal)
@@ -148,56 +174,62 @@ def hook(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) 
     room = float((corner - foot) @ normal)
     if room < HOOK_ROOM_M:
         return None
-    R = np.stack([width, closing, approach], 1) @ hand_axes(robot).T
+    R = np.stack([width, closing, approach], 1) @ gripper_axes(robot).T
     slack = -min(room / 2, 0.004) * normal
-    return Hold(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
 
 
 def push_bar(
-    robot: RobotModel, asset: ArticulatedAsset, style: Style, manner: Manner, tips: Array
-) -> Hold | None:
+    robot: RobotModel,
+    asset: ArticulatedAsset,
+    grasp_style: GraspStyle,
+    style: DemonstrationStyle,
+    tips: Array,
+) -> DemonstratedGrasp | None:
     """Closed fingers beside the bar push it along the front."""
     bar = asset.handle_bar
     if bar is None:
         return None
     approach = -outward_normal(asset)
-    along = manner.sign * _first_motion(asset)
+    along = style.sign * _first_motion(asset)
     along = along - (along @ approach) * approach
     along = along / np.linalg.norm(along)
-    closing = along * (-1.0 if style.flip else 1.0)
+    closing = along * (-1.0 if grasp_style.flip else 1.0)
     half = (tips[1, 1] - tips[0, 1]) / 2
     point = asset.handle_point - (_support(bar, along) + half) * along
     point = point - (tips[1, 2] - BAR_BEHIND_TIP_M) * approach
-    R = np.stack([np.cross(closing, approach), closing, approach], 1) @ hand_axes(robot).T
+    R = np.stack([np.cross(closing, approach), closing, approach], 1) @ gripper_axes(robot).T
     slack = -PUSH_SLACK_M * along
-    return Hold(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
 
 
-def push_front(robot: RobotModel, asset: ArticulatedAsset, style: Style, tips: Array) -> Hold | None:
+def push_front(
+    robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
+) -> DemonstratedGrasp | None:
     """Closed finger tips push on the front, beside the bar.
 
     None where the front ends there, or the push is nearer to the hinge than half the handle is.
     """
-    foot = handle_foot(asset)
+    foot = find_handle_mount(asset)
     if foot is None:
         return None
     normal, along = outward_normal(asset), asset.handle_axis
     across = np.cross(normal, along)
-    point = foot + style.side * style.beside_m * across
+    point = foot + grasp_style.side * grasp_style.beside_m * across
     if not _on_part(asset, point - 0.002 * normal, 0.012 * across):
         return None
     if asset.joint.type == "revolute":
         arms = [np.linalg.norm(np.cross(asset.joint.axis, p - asset.joint.origin)) for p in (point, foot)]
         if arms[0] < 0.5 * arms[1]:
             return None
-    closing = along * (-1.0 if style.flip else 1.0)
-    R = np.stack([np.cross(closing, -normal), closing, -normal], 1) @ hand_axes(robot).T
+    closing = along * (-1.0 if grasp_style.flip else 1.0)
+    R = np.stack([np.cross(closing, -normal), closing, -normal], 1) @ gripper_axes(robot).T
     place = point + tips[1, 2] * normal
     slack = PUSH_SLACK_M * normal
-    return Hold(T_asset_ee=transform(R, place), pivot=place, slack=slack, gripper=(1.0, 1.0))
+    return DemonstratedGrasp(T_asset_ee=transform(R, place), pivot=place, slack=slack, gripper=(1.0, 1.0))
 
 
-def handle_foot(asset: ArticulatedAsset) -> Array | None:
+def find_handle_mount(asset: ArticulatedAsset) -> Array | None:
     """The nearest point (3,) of the part behind its handle; None where handle and part are one."""
     feet = []
     for box in asset.moving.colliders:

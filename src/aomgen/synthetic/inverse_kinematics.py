@@ -9,12 +9,14 @@ from aomgen.core.transforms import rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 
+# Damping of the least squares: small against squared lever arms of 0.1 to 1 m, large against rounding.
 DAMPING = 1e-4
+# Largest change of a joint in one step, [rad]: the linear model holds that far.
 MAX_STEP_RAD = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
+class IkSolution:
     """Joints (J,), [rad] or [m], and what is left to the target: [m] and [rad]."""
 
     joints: Array
@@ -27,7 +29,7 @@ class Reach:
         return self.position_error < 5e-4 and self.rotation_error < np.deg2rad(0.2)
 
 
-class Arm:
+class ArmKinematics:
     """Scratch kinematics of the arm inside a compiled model; not thread safe."""
 
     def __init__(self, model: mujoco.MjModel, robot: RobotModel) -> None:
@@ -38,7 +40,7 @@ class Arm:
         self._dofs = np.array([model.joint(name).dofadr[0] for name in robot.joint_names])
         self._limits = robot.joint_limits
 
-    def solve(self, T_world_ee: Array, start: Array, *, iterations: int = 60) -> Reach:
+    def solve(self, T_world_ee: Array, start: Array, *, iterations: int = 60) -> IkSolution:
         """Joints that bring the end effector site to a pose (4, 4), near `start` (J,)."""
         joints = np.array(start, np.float64)
         position, turn = self._errors(T_world_ee, joints)
@@ -53,7 +55,7 @@ class Arm:
             step *= min(1.0, MAX_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
             joints = np.clip(joints + step, self._limits[:, 0], self._limits[:, 1])
             position, turn = self._errors(T_world_ee, joints)
-        return Reach(
+        return IkSolution(
             joints=joints,
             position_error=float(np.linalg.norm(position)),
             rotation_error=float(np.linalg.norm(turn)),

@@ -26,13 +26,14 @@ FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
 # is turned with its front across the robot's middle (searched over 360 places of three toolboxes and
 # three laptops).
 BEFORE = ((-18.0, 18.0), (0.56, 0.70))
+# The same where a lid is lifted.
 LIFTED = ((-8.0, 52.0), (0.38, 0.52))
 # An object this low lies where people work, [m]: on a mat, with things beside it.
 LOW_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
+class SceneLayout:
     """One scene: an object on a table in front of the robot.
 
     Attributes:
@@ -56,7 +57,7 @@ class Setting:
         return self.asset.joint.moved(self.T_world_object)
 
 
-def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
+def draw_layout(asset: ArticulatedAsset, rng: np.random.Generator) -> SceneLayout:
     """A random place for the object within the robot's reach; whether it is enough, planning tells."""
     heading = rng.uniform(-np.pi, np.pi)
     T_world_room = transform(matrix_from_rotvec([0.0, 0.0, heading]), np.zeros(3))
@@ -78,7 +79,7 @@ def draw_setting(asset: ArticulatedAsset, rng: np.random.Generator) -> Setting:
         wall_y=1.42,
         floor_z=table_z - 0.74,
     )
-    return Setting(
+    return SceneLayout(
         asset=asset,
         room=room,
         room_seed=int(rng.integers(1 << 31)),
@@ -114,13 +115,13 @@ def _footprint(asset: ArticulatedAsset, T_room_object: Array) -> tuple[float, fl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """A compiled setting: the model and the names of the object in it."""
+    """A compiled layout: the model and the names of the object in it."""
 
     model: mujoco.MjModel
     names: AssetNames
 
 
-def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
+def build_world(robot: RobotModel, layout: SceneLayout, *, visual: bool) -> World:
     """Compile robot, room and object into one model; gravity of the arm is compensated.
 
     With and without `visual` the joints are the same, so that `qpos` carries over.
@@ -128,10 +129,10 @@ def build_world(robot: RobotModel, setting: Setting, *, visual: bool) -> World:
     spec = robot.spec(visual=False)
     for name in robot.body_names:
         spec.body(name).gravcomp = 1.0
-    add_room(spec, setting.room, np.random.default_rng(setting.room_seed), visual=visual)
-    damping, friction = RESISTANCE[setting.asset.joint.type]
+    add_room(spec, layout.room, np.random.default_rng(layout.room_seed), visual=visual)
+    damping, friction = RESISTANCE[layout.asset.joint.type]
     names = add_asset(
-        spec, setting.asset, setting.T_world_object, damping=damping, frictionloss=friction, visual=visual
+        spec, layout.asset, layout.T_world_object, damping=damping, frictionloss=friction, visual=visual
     )
     if visual:
         add_robot_looks(spec, robot, ROBOT_CELL_M)

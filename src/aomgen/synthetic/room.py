@@ -13,13 +13,19 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
 from aomgen.synthetic import printed_textures
-from aomgen.synthetic.tabletop_objects import Thing, draw_thing, mat_mesh, thing_meshes
+from aomgen.synthetic.tabletop_objects import (
+    TabletopObject,
+    draw_object_on_table,
+    make_mat_mesh,
+    make_object_meshes,
+)
 
 TABLE_GEOM = "table"
 # Room for the gripper before an object, [m]; part of what is kept free.
 FRONT_M: Final = 0.25
-# Things beside an object lie within this distance of what is kept free, a mat reaches at most so far beyond.
+# Things beside an object lie within this distance of what is kept free, [m].
 BESIDE_M: Final = 0.17
+# A mat reaches at most so far beyond what is kept free, [m].
 MAT_BEYOND_M: Final = 0.15
 # Of the tables with a low object, so many have a mat; others are bare.
 MAT_SHARE: Final = 0.85
@@ -76,7 +82,7 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
         )
     if not visual:
         return
-    for mesh in room_meshes(room, things, rng):
+    for mesh in make_room_meshes(room, things, rng):
         add_visual_mesh(spec, body, mesh, f"room_{mesh.name}")
     # A steep lamp casts the shadows; the others only shade, so that every picture sees one light.
     lights = {
@@ -97,7 +103,7 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
         )
 
 
-def room_meshes(room: Room, things: list[Thing], rng: np.random.Generator) -> list[Mesh]:
+def make_room_meshes(room: Room, things: list[TabletopObject], rng: np.random.Generator) -> list[Mesh]:
     """All visible meshes, room frame, with the things beside the object."""
     floor = Surface(texture_srgb=printed_textures.tiles(rng), tile_m=3.0)
     wall = Surface(texture_srgb=printed_textures.plaster(rng), tile_m=3.0)
@@ -126,9 +132,9 @@ def room_meshes(room: Room, things: list[Thing], rng: np.random.Generator) -> li
     if room.desk:
         taken += [thing.area for thing in things]
         for number, thing in enumerate(things):
-            meshes += thing_meshes(f"beside_{number}", thing, rng)
+            meshes += make_object_meshes(f"beside_{number}", thing, rng)
         if rng.random() < MAT_SHARE:
-            meshes.append(mat_mesh(_mat_area(room, rng), room.table_z, rng))
+            meshes.append(make_mat_mesh(_mat_area(room, rng), room.table_z, rng))
     return [*meshes, *_posters(room, rng), *_clutter(room, taken, rng)]
 
 
@@ -166,14 +172,14 @@ def _clutter(
         # Cartons stand at the back, where they hide little.
         front = y0 + (0.55 * (y1 - y0) if kind == "carton" else 0.02)
         spans = ((x0 + 0.02, x1 - 0.02), (front, y1 - 0.02))
-        thing = draw_thing(kind, spans, room.table_z, taken, rng)
+        thing = draw_object_on_table(kind, spans, room.table_z, taken, rng)
         if thing is not None:
             taken.append(thing.area)
-            meshes += thing_meshes(f"{kind}_{len(taken)}", thing, rng)
+            meshes += make_object_meshes(f"{kind}_{len(taken)}", thing, rng)
     return meshes
 
 
-def _beside(room: Room, rng: np.random.Generator) -> list[Thing]:
+def _beside(room: Room, rng: np.random.Generator) -> list[TabletopObject]:
     """A mug, a mouse, a power adapter and a book close to what stands on the mat."""
     x0, x1, y0, y1 = room.keep_free
     table = room.table
@@ -181,10 +187,10 @@ def _beside(room: Room, rng: np.random.Generator) -> list[Thing]:
         (max(x0 - BESIDE_M, table[0]), min(x1 + BESIDE_M, table[1])),
         (max(y0 + FRONT_M, table[2]), min(y1 + BESIDE_M, table[3])),
     )
-    things: list[Thing] = []
+    things: list[TabletopObject] = []
     for kind in rng.permutation(["mug", "mouse", "adapter", "book"]):
         taken = [room.keep_free, *(thing.area for thing in things)]
-        thing = draw_thing(str(kind), ring, room.table_z, taken, rng)
+        thing = draw_object_on_table(str(kind), ring, room.table_z, taken, rng)
         if thing is not None:
             things.append(thing)
     return things

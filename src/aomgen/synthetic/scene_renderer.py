@@ -21,7 +21,7 @@ NEAR_M, FAR_M = 0.05, 20.0
 READ_NOISE, PHOTON_NOISE = 0.9, 1.6
 
 
-class Painter:
+class SceneRenderer:
     """Draws one compiled world; holds an OpenGL context until closed."""
 
     def __init__(self, robot: RobotModel, world: World, width: int, height: int) -> None:
@@ -97,7 +97,7 @@ class Painter:
         mujoco.mjr_render(rect, self._scene, self._renderer)
 
 
-def exposed(
+def expose(
     picture: NDArray[np.uint8], gain: float, noise: float, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     """The picture (H, W, 3) as a sensor records it: exposure gain, photon and read-out noise."""

@@ -9,9 +9,10 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_parts import HandDrive
-from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, Script
+from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
 from aomgen.synthetic.layout import World
 
+# Simulated time before the log begins, in which servos and contacts come to rest, [s].
 SETTLE_S = 0.3
 
 
@@ -37,7 +38,7 @@ class TrueContact:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Demonstration:
+class SimulatedDemonstration:
     """What happened, every CONTROL_STEP_S.
 
     Attributes:
@@ -68,7 +69,7 @@ class Demonstration:
             freeze(self, name, getattr(self, name), (count, None))
 
 
-def simulate(robot: RobotModel, world: World, script: Script) -> Demonstration:
+def simulate(robot: RobotModel, world: World, script: CommandedTrajectory) -> SimulatedDemonstration:
     """Run a script with position control and velocity feed-forward; the object's joint is passive.
 
     Nothing is written into the state after the first step. Autoreset is off.
@@ -99,7 +100,7 @@ def simulate(robot: RobotModel, world: World, script: Script) -> Demonstration:
     drive = _drive(robot)
     opened, closed = drive.driver_range
     columns = [model.joint(name).qposadr[0] for name in robot.joint_names]
-    return Demonstration(
+    return SimulatedDemonstration(
         times_s=script.times_s,
         qpos=qpos,
         joints=qpos[:, columns],

@@ -1,4 +1,4 @@
-"""In which manner a robot demonstrates: how far, how held, how fast, how much of it is filmed."""
+"""In which style a robot demonstrates: how far, how held, how fast, how much of it is recorded."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -7,35 +7,40 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.motion import Direction
 from aomgen.core.values import Array
 
-Direction = Literal["opening", "closing"]
-Touch = Literal["pinch", "hook", "push"]
-# "moves": the part is moved. The others are films from which no joint can be told: the arm moves in
-# the air, touches and lets go, pulls at a locked part, or the film ends before the motion.
+GraspType = Literal["pinch", "hook", "push"]
+# "moves": the part is moved. The others are videos from which no joint can be told: the arm moves in
+# the air, touches and lets go, pulls at a locked part, or the video ends before the motion.
 Outcome = Literal["moves", "nothing", "touch", "locked", "cut"]
 
-# Travel that is drawn, [rad] or [m], and the share of the joint's range that is used at most.
+# Travel that is drawn, [rad] or [m].
 TRAVEL: Final = {"revolute": (np.deg2rad(20.0), np.deg2rad(100.0)), "prismatic": (0.05, 0.30)}
+# Share of the joint's range that is used at most.
 RANGE_SHARE: Final = 0.95
 # The part's value has left its ends when it differs by this much, [rad] or [m].
 MOVED: Final = {"revolute": np.deg2rad(0.5), "prismatic": 0.002}
 # How fast a person lets a robot move a handle: peak speed, [m/s].
 SPEED: Final = (0.02, 0.50)
+# Length of a demonstration's video that is aimed at, [s].
 FILM_S: Final = (8.0, 12.0)
+# Share of the video in which the part moves: from a blink to nearly all of it.
 MOVING_SHARE: Final = (0.03, 0.85)
-# What the random cut of a film takes off on average, [s].
+# What the random cut of a video takes off on average, [s].
 CUT_S: Final = 0.6
-# Film before and after the motion that is always there, [s].
+# Video before and after the motion that is always there, [s].
 LEAST_BEFORE_S, LEAST_AFTER_S = 0.9, 0.5
+# How far a hand slides along a bar at most, [m]: less than half of a short bar.
 MAX_SLIP_M: Final = 0.015
 # Share of its force with which a hand holds that is to slide; with all of it the arm gives way first.
 SLIDING_GRIP: Final = (0.12, 0.25)
+# Longest standstill within a motion, [s].
 MAX_PAUSE_S: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Manner:
+class DemonstrationStyle:
     """How a demonstration is done.
 
     Attributes:
@@ -50,14 +55,14 @@ class Manner:
         motion_s: Duration of the commanded motion without the pause, [s].
         cruise: Share of the motion at constant speed; 0 is minimum jerk.
         pause_s, pause_at: Standstill after this share of the motion, [s].
-        before_s, after_s: Film before and after the commanded motion, [s], up to the fractions of a
-            second by which every film is cut.
+        before_s, after_s: Video before and after the commanded motion, [s], up to the fractions of a
+            second by which every video is cut.
     """
 
     travel: float
     direction: Direction = "opening"
     start: float = 0.0
-    touch: Touch = "pinch"
+    touch: GraspType = "pinch"
     outcome: Outcome = "moves"
     follow: float = 1.0
     slip_m: float = 0.0
@@ -80,24 +85,24 @@ class Manner:
         return 1.0 if self.direction == "opening" else -1.0
 
 
-def draw_manner(
+def draw_style(
     asset: ArticulatedAsset,
     rng: np.random.Generator,
     *,
     direction: Direction = "opening",
-    touch: Touch = "pinch",
+    touch: GraspType = "pinch",
     outcome: Outcome = "moves",
     moving_share: float | None = None,
-) -> Manner:
-    """A random manner for an asset.
+) -> DemonstrationStyle:
+    """A random style for an asset.
 
     Args:
         asset: Gives the joint's range and the handle's lever.
         rng: Chooses everything that is not given.
-        direction, touch, outcome: As in `Manner`; which touches a part allows, tells
+        direction, touch, outcome: As in `DemonstrationStyle`; which touches a part allows, tells
             `grasp.possible_touches`.
-        moving_share: Share of the film in which the part moves, 0.03..0.85; drawn when None. It
-            is met but for the random cut of the film (0.2 s at either end), by a longer film where
+        moving_share: Share of the video in which the part moves, 0.03..0.85; drawn when None. It
+            is met but for the random cut of the video (0.2 s at either end), by a longer video where
             the motion would be too quick.
 
     Not checked: whether the arm can reach it; `perform` tells.
@@ -117,7 +122,7 @@ def draw_manner(
     if outcome == "cut":
         timing["before_s"] = max(timing["before_s"], FILM_S[0])
     slides = rng.random() < 0.6
-    return Manner(
+    return DemonstrationStyle(
         travel=float(travel * rng.uniform(0.1, 1.0)) if outcome == "locked" else travel,
         direction=direction,
         start=start,
@@ -134,7 +139,7 @@ def draw_manner(
 def _draw_timing(
     asset: ArticulatedAsset, travel: float, moving_share: float, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Durations, so that the part moves in a share of the film."""
+    """Durations, so that the part moves in a share of the video."""
     pause_s = float(rng.uniform(0.3, MAX_PAUSE_S)) if rng.random() < 0.4 else 0.0
     # Slow starts and ends, in which the part hardly moves, leave no room for a large share.
     cruise = float(rng.uniform(0.7, 0.9) if moving_share > 0.6 else rng.uniform(0.0, 0.8))
@@ -158,7 +163,7 @@ def _draw_timing(
     }
 
 
-def progress(u: ArrayLike, cruise: float) -> Array:
+def compute_progress(u: ArrayLike, cruise: float) -> Array:
     """Share of the way (N,) after a share u (N,) of the time.
 
     Both ends are halves of a minimum-jerk motion, with constant speed between them; `cruise` 0 is
@@ -176,7 +181,7 @@ def progress(u: ArrayLike, cruise: float) -> Array:
 
 
 def peak_speed(cruise: float) -> float:
-    """Largest slope of `progress`."""
+    """Largest slope of `compute_progress`."""
     return 1.0 / ((1.0 - cruise) * 8 / 15 + cruise)
 
 
@@ -194,5 +199,5 @@ def _lever(asset: ArticulatedAsset) -> float:
 def _seen(travel: float, kind: str, cruise: float) -> float:
     """Share of a motion's time in which the part is away from both ends."""
     u = np.linspace(0.0, 1.0, 2001)
-    away = np.abs(progress(u, cruise) - 0.5) * travel < travel / 2 - MOVED[kind]
+    away = np.abs(compute_progress(u, cruise) - 0.5) * travel < travel / 2 - MOVED[kind]
     return float(max(away.mean(), 0.1))

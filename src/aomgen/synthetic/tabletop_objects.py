@@ -26,12 +26,14 @@ ABOVE: Final = 0.0005
 MAT: Final = 0.0008
 # Edge of a mat's print, [m].
 MAT_PRINT: Final = 0.9
+# Colors of mugs, sRGB 0..1: white, blue, red, gray-green.
 GLAZES: Final = ((0.88, 0.86, 0.80), (0.20, 0.36, 0.50), (0.62, 0.22, 0.18), (0.30, 0.33, 0.30))
+# Colors of a computer mouse, sRGB 0..1: black, white, gray.
 DEVICES: Final = ((0.10, 0.10, 0.11), (0.85, 0.85, 0.86), (0.35, 0.36, 0.38))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Thing:
+class TabletopObject:
     """One thing on the table, room frame.
 
     Attributes:
@@ -49,13 +51,13 @@ class Thing:
         return x0, x1, y0, y1
 
 
-def draw_thing(
+def draw_object_on_table(
     kind: str,
     spans: tuple[tuple[float, float], tuple[float, float]],
     table_z: float,
     taken: list[tuple[float, float, float, float]],
     rng: np.random.Generator,
-) -> Thing | None:
+) -> TabletopObject | None:
     """A thing of a kind at a free place; None where it finds none in a few tries.
 
     Args:
@@ -70,18 +72,18 @@ def draw_thing(
         area = (x, x + a, y, y + b)
         if area[1] <= x1 and area[3] <= y1 and not any(_meet(area, other) for other in taken):
             z = table_z + ABOVE
-            return Thing(kind=kind, solid=box(*area, z, z + c))
+            return TabletopObject(kind=kind, solid=box(*area, z, z + c))
     return None
 
 
-def thing_meshes(name: str, thing: Thing, rng: np.random.Generator) -> list[Mesh]:
+def make_object_meshes(name: str, thing: TabletopObject, rng: np.random.Generator) -> list[Mesh]:
     """What is seen of a thing; every mesh's name starts with `name`."""
     if thing.kind in ("mug", "adapter", "mouse"):
         return {"mug": _mug, "adapter": _adapter, "mouse": _mouse}[thing.kind](name, thing.solid, rng)
     return _printed_box(name, thing, rng)
 
 
-def mat_mesh(area: tuple[float, float, float, float], table_z: float, rng: np.random.Generator) -> Mesh:
+def make_mat_mesh(area: tuple[float, float, float, float], table_z: float, rng: np.random.Generator) -> Mesh:
     """A striped mat, a checked cloth or a wooden board on an area (x0, x1, y0, y1) of the table, [m]."""
     draw = (printed_textures.striped, printed_textures.checked, printed_textures.planks)[rng.integers(3)]
     x0, x1, y0, y1 = area
@@ -94,7 +96,7 @@ def _meet(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
     return a[0] < b[1] + gap and b[0] < a[1] + gap and a[2] < b[3] + gap and b[2] < a[3] + gap
 
 
-def _printed_box(name: str, thing: Thing, rng: np.random.Generator) -> list[Mesh]:
+def _printed_box(name: str, thing: TabletopObject, rng: np.random.Generator) -> list[Mesh]:
     """A box with another print on every visible face, so that no two faces can be confused."""
     (x0, y0, z0), (x1, y1, z1) = thing.solid.lower, thing.solid.upper
     carton = thing.kind == "carton"

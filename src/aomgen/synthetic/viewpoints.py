@@ -6,7 +6,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.layout import Setting
+from aomgen.synthetic.layout import SceneLayout
 
 
 def pinhole(conditions: Conditions, T_world_cam: Array) -> Camera:
@@ -18,10 +18,10 @@ def pinhole(conditions: Conditions, T_world_cam: Array) -> Camera:
     )
 
 
-def scan_cameras(setting: Setting, conditions: Conditions, rng: np.random.Generator) -> list[Camera]:
+def scan_cameras(layout: SceneLayout, conditions: Conditions, rng: np.random.Generator) -> list[Camera]:
     """A hand-held walk in three arcs around robot and object, low to high."""
-    x, y = _object_place(setting)
-    target = np.array([0.6 * x, 0.58 * y, setting.room.table_z + 0.12])
+    x, y = _object_place(layout)
+    target = np.array([0.6 * x, 0.58 * y, layout.room.table_z + 0.12])
     arcs = np.array_split(np.arange(conditions.scan_views), 3)
     cameras = []
     for number, arc in enumerate(arcs):
@@ -29,31 +29,31 @@ def scan_cameras(setting: Setting, conditions: Conditions, rng: np.random.Genera
         for share in sweep:
             angle = np.deg2rad(98.0 * share + rng.uniform(-3, 3))
             radius = (1.22, 1.18, 1.05)[number] + rng.uniform(-0.06, 0.06)
-            height = setting.room.table_z + (0.32, 0.58, 0.95)[number] + rng.uniform(-0.05, 0.05)
+            height = layout.room.table_z + (0.32, 0.58, 0.95)[number] + rng.uniform(-0.05, 0.05)
             eye = np.array([target[0] + radius * np.sin(angle), target[1] - radius * np.cos(angle), height])
             aim = target + rng.uniform(-0.07, 0.07, 3)
-            cameras.append(_in_room(setting, conditions, eye, aim))
+            cameras.append(_in_room(layout, conditions, eye, aim))
     return cameras
 
 
-def demo_candidates(setting: Setting, conditions: Conditions, rng: np.random.Generator) -> list[Camera]:
+def demo_candidates(layout: SceneLayout, conditions: Conditions, rng: np.random.Generator) -> list[Camera]:
     """Places for the fixed camera, left and right of the robot, all see the front of the object."""
-    x, y = _object_place(setting)
-    target = np.array([0.8 * x, 0.68 * y, setting.room.table_z + 0.13])
+    x, y = _object_place(layout)
+    target = np.array([0.8 * x, 0.68 * y, layout.room.table_z + 0.13])
     cameras = []
     for side in (-1.0, 1.0, -1.0, 1.0):
-        height = setting.room.table_z + rng.uniform(0.5, 0.8)
+        height = layout.room.table_z + rng.uniform(0.5, 0.8)
         eye = np.array([target[0] + side * rng.uniform(0.85, 1.15), rng.uniform(-0.4, 0.0), height])
-        cameras.append(_in_room(setting, conditions, eye, target + rng.uniform(-0.04, 0.04, 3)))
+        cameras.append(_in_room(layout, conditions, eye, target + rng.uniform(-0.04, 0.04, 3)))
     return cameras
 
 
-def _object_place(setting: Setting) -> tuple[float, float]:
+def _object_place(layout: SceneLayout) -> tuple[float, float]:
     """Middle of the object on the table (x, y), room frame, [m]."""
-    place = apply(invert(setting.room.T_world_room), setting.T_world_object[:3, 3])
+    place = apply(invert(layout.room.T_world_room), layout.T_world_object[:3, 3])
     return float(place[0]), float(place[1])
 
 
-def _in_room(setting: Setting, conditions: Conditions, eye_room: Array, target_room: Array) -> Camera:
-    T = setting.room.T_world_room
+def _in_room(layout: SceneLayout, conditions: Conditions, eye_room: Array, target_room: Array) -> Camera:
+    T = layout.room.T_world_room
     return pinhole(conditions, look_at(apply(T, eye_room), apply(T, target_room)))

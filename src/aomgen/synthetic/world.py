@@ -7,6 +7,7 @@ import numpy as np
 
 from aomgen.assets.make import make_asset
 from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.motion import Direction
 from aomgen.core.progress import Progress, silent
 from aomgen.core.robot_choice import HandChoice
 from aomgen.errors import ConfigError
@@ -17,12 +18,12 @@ from aomgen.robots.robot_store import copy_robot_files
 from aomgen.synthetic.capture_content import Recording
 from aomgen.synthetic.capture_writer import write_recording, write_truth
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demo_video import Film, best_camera, draw_take, filmed
-from aomgen.synthetic.demonstration_search import Performance, perform
-from aomgen.synthetic.grasp_selection import possible_touches
+from aomgen.synthetic.demo_video import RecordedVideo, choose_camera, draw_schedule, render_frames
+from aomgen.synthetic.demonstration_search import Performance, find_demonstration
+from aomgen.synthetic.grasp_selection import list_grasp_types
 from aomgen.synthetic.layout import build_world
-from aomgen.synthetic.scene_renderer import Painter, exposed
-from aomgen.synthetic.style import Direction, Manner, Touch, draw_manner
+from aomgen.synthetic.scene_renderer import SceneRenderer, expose
+from aomgen.synthetic.style import DemonstrationStyle, GraspType, draw_style
 from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 
 DEFAULT_ROBOT = "ur5e_2f85"
@@ -40,7 +41,7 @@ def make_capture(
     conditions: Conditions | None = None,
     robot_file: Path | None = None,
     hand: HandChoice | None = None,
-    manner: Manner | None = None,
+    style: DemonstrationStyle | None = None,
     progress: Progress = silent,
 ) -> None:
     """Write a complete capture with `truth/`: a robot moves a made asset in a made room.
@@ -55,7 +56,7 @@ def make_capture(
         conditions: Cameras and their flaws; those of `Conditions` when None.
         robot_file: URDF or MJCF of another robot, copied into the capture with all it refers to.
         hand: What its file does not tell about its hand.
-        manner: How the robot demonstrates; a random pinch that opens the object when None.
+        style: How the robot demonstrates; a random pinch that opens the object when None.
         progress: Told about pictures.
 
     Raises:
@@ -70,7 +71,7 @@ def make_capture(
     if robot_file is not None:
         root = robot_file.resolve().parents[min(PACKAGE_DEPTH, len(robot_file.resolve().parents)) - 1]
         robot = load_robot(robot_file.resolve(), hand=hand, root=root)
-    performance = perform(robot, draw_object(category, seed), rng, manner)
+    performance = find_demonstration(robot, draw_object(category, seed), rng, style)
     progress(0.05, "demonstration simulated")
     recording = record(robot, performance, conditions or Conditions(), rng, progress=progress)
     with staged_folder(folder) as staging:
@@ -92,10 +93,12 @@ def draw_object(category: str, seed: int) -> ArticulatedAsset:
     return make_asset(SHOWN.get(category, category), seed)
 
 
-def draw_capture_manner(category: str, seed: int, direction: Direction, touch: str) -> Manner | None:
-    """The manner of a capture that closes, hooks or pushes; None for the usual pinch that opens.
+def draw_capture_style(
+    category: str, seed: int, direction: Direction, touch: str
+) -> DemonstrationStyle | None:
+    """The style of a capture that closes, hooks or pushes; None for the usual pinch that opens.
 
-    The film begins and ends with the arm at rest, as people film.
+    The video begins and ends with the arm at rest, as people record.
 
     Raises:
         ConfigError: Unknown category or touch, or this part cannot be touched so.
@@ -103,19 +106,19 @@ def draw_capture_manner(category: str, seed: int, direction: Direction, touch: s
     if direction == "opening" and touch == "pinch":
         return None
     asset = draw_object(category, seed)
-    known = possible_touches(asset, direction)
-    allowed: dict[str, Touch] = {name: name for name in known}
+    known = list_grasp_types(asset, direction)
+    allowed: dict[str, GraspType] = {name: name for name in known}
     chosen = allowed.get(touch)
     if chosen is None:
         what = f"{touch!r} is none that a {category} allows when {direction}"
         raise ConfigError("touch", what, f"choose {' or '.join(known)}")
     rng = np.random.default_rng([seed, *category.encode(), 3])
-    manner = draw_manner(asset, rng, direction=direction, touch=chosen)
-    usual = Manner(travel=manner.travel)
+    style = draw_style(asset, rng, direction=direction, touch=chosen)
+    usual = DemonstrationStyle(travel=style.travel)
     return replace(
-        manner,
-        before_s=max(manner.before_s, usual.before_s),
-        after_s=max(manner.after_s, usual.after_s),
+        style,
+        before_s=max(style.before_s, usual.before_s),
+        after_s=max(style.after_s, usual.after_s),
     )
 
 
@@ -127,30 +130,32 @@ def record(
     *,
     progress: Progress = silent,
 ) -> Recording:
-    """Film a performance: stills of the scene at rest, a video, a joint log with its own clock."""
-    demonstration, setting = performance.demonstration, performance.setting
-    take = draw_take(robot, performance, conditions, rng)
-    world = build_world(robot, setting, visual=True)
-    cameras = scan_cameras(setting, conditions, rng)
-    with Painter(robot, world, *conditions.size) as painter:
-        demo_camera = best_camera(painter, demo_candidates(setting, conditions, rng), demonstration, take)
+    """Record a performance: stills of the scene at rest, a video, a joint log with its own clock."""
+    demonstration, layout = performance.demonstration, performance.layout
+    schedule = draw_schedule(robot, performance, conditions, rng)
+    world = build_world(robot, layout, visual=True)
+    cameras = scan_cameras(layout, conditions, rng)
+    with SceneRenderer(robot, world, *conditions.size) as painter:
+        demo_camera = choose_camera(
+            painter, demo_candidates(layout, conditions, rng), demonstration, schedule
+        )
         images, labels = [], []
         for number, camera in enumerate(cameras):
             gain = 1 + rng.uniform(-conditions.gain_spread, conditions.gain_spread)
-            images.append(exposed(painter.draw(camera, demonstration.qpos[0]), gain, conditions.noise, rng))
+            images.append(expose(painter.draw(camera, demonstration.qpos[0]), gain, conditions.noise, rng))
             labels.append(painter.labels(camera, demonstration.qpos[0]))
             progress(0.05 + 0.35 * number / len(cameras), "stills")
-        frames, frame_labels = filmed(
-            painter, demo_camera, demonstration, take, conditions, rng,
+        frames, frame_labels = render_frames(
+            painter, demo_camera, demonstration, schedule, conditions, rng,
             progress=lambda share, what: progress(0.4 + 0.6 * share, what),
         )  # fmt: skip
     return Recording(
-        name=setting.asset.name,
-        category=setting.asset.category,
+        name=layout.asset.name,
+        category=layout.asset.category,
         performance=performance,
         scan_cameras=cameras,
         scan_images=images,
         scan_labels=labels,
-        film=Film(take=take, camera=demo_camera, frames=frames, labels=frame_labels),
+        video=RecordedVideo(schedule=schedule, camera=demo_camera, frames=frames, labels=frame_labels),
         conditions=conditions,
     )

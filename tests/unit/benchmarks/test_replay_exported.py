@@ -26,7 +26,7 @@ from aomgen.io.episode_folder import commit_episode, read_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import save_robot
-from aomgen.synthetic.demonstration_search import Performance, perform
+from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from benchmarks.replay_exported import run_replay
 
 FPS = 10
@@ -41,7 +41,7 @@ def demonstration(robot: RobotModel, shown: Performance) -> Demonstration:
     moving = np.flatnonzero((thetas > 0.01 * thetas.max()) & (thetas < 0.99 * thetas.max()))
     start, end = moving[0] - 1, moving[-1] + 1
     poses = robot.ee_poses(simulated.joints[frames])
-    held = apply(shown.setting.T_world_object, shown.setting.asset.handle_point)
+    held = apply(shown.layout.T_world_object, shown.layout.asset.handle_point)
     return Demonstration(
         times_s=times,
         joints=simulated.joints[frames],
@@ -52,7 +52,7 @@ def demonstration(robot: RobotModel, shown: Performance) -> Demonstration:
         end_s=float(times[end]),
         joint=joint,
         grasp_ee=apply(invert(poses[start]), held),
-        ee_turn_ratio=shown.manner.follow if joint.type == "revolute" else 0.0,
+        ee_turn_ratio=shown.style.follow if joint.type == "revolute" else 0.0,
     )
 
 
@@ -61,9 +61,9 @@ def fitted_at(shown: Performance, demo: Demonstration) -> FittedAsset:
     frames = demo.contact_frames
     thetas = np.maximum.accumulate(demo.thetas[frames])
     return FittedAsset(
-        asset=shown.setting.asset,
-        T_world_asset=shown.setting.T_world_object,
-        contact_asset=shown.setting.asset.handle_point,
+        asset=shown.layout.asset,
+        T_world_asset=shown.layout.T_world_object,
+        contact_asset=shown.layout.asset.handle_point,
         shares=np.linspace(0, 1, len(frames)),
         thetas=thetas - thetas[0],
         scale=1.0,
@@ -75,7 +75,7 @@ def fitted_at(shown: Performance, demo: Demonstration) -> FittedAsset:
 
 def export(robot: RobotModel, category: str, out: Path) -> None:
     """One verified episode of a category, in the folders of a finished run; its pictures are grey."""
-    shown = perform(robot, make_asset(category, 1), np.random.default_rng(3))
+    shown = find_demonstration(robot, make_asset(category, 1), np.random.default_rng(3))
     demo = demonstration(robot, shown)
     fitted = fitted_at(shown, demo)
     params = GenerationParams(
@@ -84,7 +84,7 @@ def export(robot: RobotModel, category: str, out: Path) -> None:
         plan=PlanParams(fps=FPS),
     )
     support = SupportPlane(
-        height=float(shown.setting.T_world_object[2, 3]), low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2
+        height=float(shown.layout.T_world_object[2, 3]), low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2
     )
     made = generate_episodes([fitted], demo, robot, support, params, lambda share, text: None)
     T_world_cam = look_at((1, 1, 1), (0, 0, 0))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
-from aomgen.motion.axis_prior import AxisHint, shape_of
-from aomgen.motion.ee_path import HandPath, Hold
+from aomgen.motion.axis_prior import AxisHint, measure_shape
+from aomgen.motion.ee_path import EePath, GraspGuess
 from aomgen.motion.joint_estimation import estimate_joint
 from aomgen.motion.joint_models import Revolute
 from boxy_microwave import BODY, DOOR, R, box_points
@@ -18,18 +18,18 @@ HINGE = R @ [-0.22, -0.145, 0.13]
 
 
 def test_the_face_looks_forwards() -> None:
-    assert np.degrees(angle_between(shape_of(BODY, DOOR).face_normal, FRONT)) < 2
+    assert np.degrees(angle_between(measure_shape(BODY, DOOR).face_normal, FRONT)) < 2
 
 
 def test_one_of_the_sides_is_the_hinge() -> None:
-    shape = shape_of(BODY, DOOR)
+    shape = measure_shape(BODY, DOOR)
     misfits = [np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.hinges()]
     assert min(misfits) < 2
-    assert sum(hint.odds for hint in shape.hinges()) == pytest.approx(0.9)
+    assert sum(hint.probability for hint in shape.hinges()) == pytest.approx(0.9)
 
 
 def test_a_drawer_may_run_forwards() -> None:
-    misfits = [np.abs(hint.residuals(FRONT, HANDLE)).max() for hint in shape_of(BODY, DOOR).rails()]
+    misfits = [np.abs(hint.residuals(FRONT, HANDLE)).max() for hint in measure_shape(BODY, DOOR).rails()]
     assert min(misfits) < 3
 
 
@@ -37,20 +37,20 @@ def test_a_drawer_may_run_forwards() -> None:
 def test_a_part_that_stands_open_has_its_own_box(lean: list) -> None:
     turn = matrix_from_rotvec(lean)
     open_door = (DOOR - HINGE) @ turn.T + HINGE
-    box = shape_of(BODY, open_door).box
+    box = measure_shape(BODY, open_door).box
     thin = box.T_world_box[:3, int(np.argmin(box.half_extents))]
     assert abs(thin @ turn @ FRONT) > np.cos(np.radians(2))
 
 
 def test_a_hint_is_a_density_over_directions() -> None:
-    """Summed over the sphere, both signs, exp(-r.r/2 + log density) is the hint's odds."""
+    """Summed over the sphere, both signs, exp(-r.r/2 + log density) is the hint's probability."""
     hint = AxisHint(
         axis=np.array([0.0, 0.6, 0.8]),
         axis_sd_rad=0.05,
         at=np.zeros(3),
         across=np.zeros((0, 3)),
         across_sds_m=np.zeros(0),
-        odds=0.3,
+        probability=0.3,
     )
     axes = np.random.default_rng(0).normal(size=(400_000, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -70,10 +70,10 @@ def test_the_shape_helps_a_short_arc() -> None:
     poses = np.repeat(np.eye(4)[None], 200, 0)
     poses[:, :3, :3] = matrix_from_rotvec(np.outer(-0.8 * angles, R[:, 2]))
     poses[:, :3, 3] = hinge + turned + rng.normal(size=(200, 3)) * 0.001
-    prior = shape_of(BODY, DOOR)
+    prior = measure_shape(BODY, DOOR)
 
     def error(shape) -> float:
-        joint = estimate_joint(poses, Hold(point_ee=np.zeros(3)), shape).joint
+        joint = estimate_joint(poses, GraspGuess(point_ee=np.zeros(3)), shape).joint
         return float(np.linalg.norm(np.cross(hinge - joint.origin, joint.axis)))
 
     assert error(prior) < 0.02
@@ -82,11 +82,11 @@ def test_the_shape_helps_a_short_arc() -> None:
 
 def test_no_hinge_is_farther_away_than_the_object_reaches() -> None:
     """A straight way of 12 cm might be an arc about a hinge 1.2 m away, but there is nothing there."""
-    shape = shape_of(BODY, DOOR)
+    shape = measure_shape(BODY, DOOR)
     farthest = np.linalg.norm(np.concatenate([BODY, DOOR]) - HANDLE, axis=1).max()
     assert shape.reach_m(HANDLE) == pytest.approx(farthest, rel=0.1)
-    path = HandPath(
-        Ts_world_ee=np.repeat(np.eye(4)[None], 4, 0), hold=Hold(point_ee=np.zeros(3)), length_m=0.1
+    path = EePath(
+        Ts_world_ee=np.repeat(np.eye(4)[None], 4, 0), hold=GraspGuess(point_ee=np.zeros(3)), length_m=0.1
     )
     door = Revolute(
         path=path,
@@ -109,6 +109,6 @@ def test_another_door_of_the_object_that_stands_ajar_does_not_mislead(ajar: floa
     door = box_points((0.23, -0.17, 0.01), (0.65, -0.145, 0.25), 6)
     swung = (door - hinge) @ matrix_from_rotvec([0.0, 0.0, ajar]).T + hinge
     static = np.concatenate([BODY, box_points((0.22, -0.14, 0), (0.66, 0.2, 0.26), 5), swung])
-    shape = shape_of(static, DOOR)
+    shape = measure_shape(static, DOOR)
     assert np.degrees(angle_between(shape.face_normal, FRONT)) < 2
     assert min(np.abs(hint.residuals(R[:, 2], HINGE)).max() for hint in shape.hinges()) < 2

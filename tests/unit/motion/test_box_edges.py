@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from aomgen.errors import InputError
-from aomgen.motion.box_edges import footprint_yaw, upright_box
+from aomgen.motion.box_edges import find_footprint_yaw, fit_upright_box
 from boxy_microwave import BODY, DOOR, YAW
 
 
 def test_a_box_has_twelve_edges_of_three_directions() -> None:
-    box = upright_box(BODY, footprint_yaw(BODY))
+    box = fit_upright_box(BODY, find_footprint_yaw(BODY))
     edges = box.edges()
     assert edges.shape == (12, 2, 3)
     assert len(np.unique(np.round(edges.mean(1), 6), axis=0)) == 12
@@ -17,9 +17,9 @@ def test_a_box_has_twelve_edges_of_three_directions() -> None:
 
 
 def test_the_yaw_of_a_turned_box_is_found() -> None:
-    assert footprint_yaw(BODY) == pytest.approx(YAW, abs=np.radians(1))
+    assert find_footprint_yaw(BODY) == pytest.approx(YAW, abs=np.radians(1))
 
 
 def test_too_few_points_are_refused() -> None:
     with pytest.raises(InputError, match="need 20"):
-        upright_box(DOOR[:5], 0.0)
+        fit_upright_box(DOOR[:5], 0.0)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from aomgen.core.values import Array
-from aomgen.motion.gripper_signals import HandSignals, touch_interval
+from aomgen.motion.gripper_signals import GripperSignals, find_touch
 
 TIMES = np.arange(100) / 10
 
 
-def signals(gripper: Array, distances: Array) -> HandSignals:
+def signals(gripper: Array, distances: Array) -> GripperSignals:
     count = len(TIMES)
-    return HandSignals(
+    return GripperSignals(
         times_s=TIMES, Ts_world_ee=np.repeat(np.eye(4)[None], count, 0), speeds_m_s=np.zeros(count),
         gripper=gripper, distances_m=distances,
     )  # fmt: skip
@@ -27,34 +27,34 @@ def grip(on_s: float, off_s: float, value: float) -> Array:
 
 
 def test_a_hand_that_does_not_let_go_holds_to_the_end() -> None:
-    touch = touch_interval(signals(grip(3.05, 99, 0.8), arriving(3.0)))
+    touch = find_touch(signals(grip(3.05, 99, 0.8), arriving(3.0)))
     assert touch.gripped
     assert TIMES[touch.first] == pytest.approx(3.1)
     assert touch.last == 99
 
 
 def test_a_hand_that_holds_from_the_beginning_lets_go() -> None:
-    touch = touch_interval(signals(grip(-1, 6.05, 0.8), arriving(-1.0, 6.0)))
+    touch = find_touch(signals(grip(-1, 6.05, 0.8), arriving(-1.0, 6.0)))
     assert (touch.gripped, touch.first, TIMES[touch.last]) == (True, 0, pytest.approx(6.0))
 
 
 def test_a_fist_near_the_part_does_not_grip_it() -> None:
     """The hand closes upon itself half a second before it comes to push."""
-    touch = touch_interval(signals(grip(2.05, 99, 0.98), arriving(2.5)))
+    touch = find_touch(signals(grip(2.05, 99, 0.98), arriving(2.5)))
     assert not touch.gripped
     assert TIMES[touch.first] == pytest.approx(2.5, abs=0.11)
     assert touch.last == 99
 
 
 def test_a_hand_that_never_closes_touches_where_it_is_near() -> None:
-    touch = touch_interval(signals(np.zeros(100), arriving(4.0)))
+    touch = find_touch(signals(np.zeros(100), arriving(4.0)))
     assert not touch.gripped
     assert TIMES[touch.first] == pytest.approx(4.0, abs=0.11)
 
 
 def test_a_grasp_of_the_part_counts_and_one_elsewhere_does_not() -> None:
     both = grip(1.05, 2.05, 0.6) + grip(5.05, 8.05, 0.8)
-    touch = touch_interval(signals(both, arriving(5.0)))
+    touch = find_touch(signals(both, arriving(5.0)))
     assert TIMES[[touch.first, touch.last]] == pytest.approx([5.1, 8.0])
-    far = touch_interval(signals(grip(1.05, 2.05, 0.6), arriving(5.0)))
+    far = find_touch(signals(grip(1.05, 2.05, 0.6), arriving(5.0)))
     assert not far.gripped

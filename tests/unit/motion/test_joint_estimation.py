@@ -8,14 +8,14 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec, transform
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
-from aomgen.motion.ee_path import Hold, thin
-from aomgen.motion.joint_estimation import JointEstimate, candidates, chosen_type, estimate_joint
+from aomgen.motion.ee_path import GraspGuess, thin_path
+from aomgen.motion.joint_estimation import JointEstimate, choose_type, estimate_joint, fit_candidates
 
 HANDLE = np.array([0.55, -0.12, 0.22])
 DOOR = Joint(type="revolute", axis=[0, 0, -1], origin=[0.62, 0.19, 0.0], lower=0, upper=2)
 DRAWER = Joint(type="prismatic", axis=[-0.8, 0.6, 0], origin=HANDLE, lower=0, upper=0.3)
 GRASP_EE = np.array([0.0, 0.002, 0.005])
-HOLD = Hold(point_ee=GRASP_EE)
+HOLD = GraspGuess(point_ee=GRASP_EE)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def origin_error_m(estimate: JointEstimate, truth: Joint) -> float:
 @pytest.mark.parametrize("ratio", [1.0, 0.9, 0.5, 0.0])
 def test_a_handle_may_turn_in_the_fingers(ratio: float) -> None:
     path = hand_path(DOOR, np.radians(65), Flaws(turn_ratio=ratio), np.random.default_rng(3))
-    estimate = estimate_joint(path, Hold(point_ee=np.zeros(3)))
+    estimate = estimate_joint(path, GraspGuess(point_ee=np.zeros(3)))
     assert estimate.joint.type == "revolute"
     assert axis_error_deg(estimate, DOOR) < 1.0
     assert origin_error_m(estimate, DOOR) < 0.008
@@ -86,7 +86,9 @@ def test_errors_stay_within_three_standard_deviations() -> None:
     rng = np.random.default_rng(5)
     for _ in range(6):
         flaws = Flaws(turn_ratio=float(rng.uniform(0.6, 1)), position_m=0.001, wobble_rad=0.02)
-        estimate = estimate_joint(hand_path(DOOR, np.radians(50), flaws, rng), Hold(point_ee=np.zeros(3)))
+        estimate = estimate_joint(
+            hand_path(DOOR, np.radians(50), flaws, rng), GraspGuess(point_ee=np.zeros(3))
+        )
         assert np.radians(axis_error_deg(estimate, DOOR)) < 3 * estimate.axis_sd_rad
         assert origin_error_m(estimate, DOOR) < 3 * estimate.origin_sd_m
 
@@ -149,22 +151,22 @@ def test_five_degrees_of_a_wide_door_are_no_drawer(ratio: float) -> None:
 
 
 def test_the_film_decides_where_the_hand_cannot() -> None:
-    found = candidates(wide_pull(0.6, 17, 0.008, 2), HOLD)
-    assert chosen_type(found, 20.0) == "revolute"
-    assert chosen_type(found, -20.0) == "prismatic"
+    found = fit_candidates(wide_pull(0.6, 17, 0.008, 2), HOLD)
+    assert choose_type(found, 20.0) == "revolute"
+    assert choose_type(found, -20.0) == "prismatic"
 
 
 def test_the_film_outweighs_a_hand_that_slips() -> None:
-    found = candidates(hand_path(DRAWER, 0.18, Flaws(), np.random.default_rng(7)), HOLD)
+    found = fit_candidates(hand_path(DRAWER, 0.18, Flaws(), np.random.default_rng(7)), HOLD)
     assert found.margin < 0
     wide = replace(found, revolute=replace(found.revolute, joint=replace(DOOR, upper=1.0)))
-    assert chosen_type(wide, 5 - found.margin) == "revolute"
+    assert choose_type(wide, 5 - found.margin) == "revolute"
 
 
 def test_a_filmed_door_of_a_few_degrees_is_too_short() -> None:
-    found = candidates(wide_pull(0.6, 4, 0.002, 1), HOLD)
+    found = fit_candidates(wide_pull(0.6, 4, 0.002, 1), HOLD)
     with pytest.raises(DemonstrationTooShortError, match="turned"):
-        chosen_type(found, 50.0)
+        choose_type(found, 50.0)
 
 
 @pytest.mark.parametrize(("joint", "travel"), [(DOOR, np.radians(60)), (DRAWER, 0.15)])
@@ -189,7 +191,7 @@ def test_running_the_film_backwards_turns_the_axis(joint: Joint, travel: float) 
 def test_a_quick_hand_is_seen_from_its_first_to_its_last_place() -> None:
     """12 cm in 0.2 s, looked at every 10 ms."""
     path = hand_path(DRAWER, 0.12, Flaws(), np.random.default_rng(0), count=21)
-    points = thin(path, HOLD, nodes=24, smooth=11).points_world
+    points = thin_path(path, HOLD, nodes=24, smooth=11).points_world
     assert np.linalg.norm(points[-1] - points[0]) > 0.96 * 0.12
 
 
@@ -201,9 +203,9 @@ def sliding_pull(slide: np.ndarray) -> np.ndarray:
     return path
 
 
-def closing_along(path: np.ndarray, way: np.ndarray) -> Hold:
+def closing_along(path: np.ndarray, way: np.ndarray) -> GraspGuess:
     """A hold whose fingers close in a direction of the world (3,)."""
-    return Hold(point_ee=GRASP_EE, closing_ee=path[0, :3, :3].T @ way)
+    return GraspGuess(point_ee=GRASP_EE, closing_ee=path[0, :3, :3].T @ way)
 
 
 UP, SIDE = np.array([0.0, 0, 1]), np.array([0.6, 0.8, 0])

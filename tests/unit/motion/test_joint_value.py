@@ -7,12 +7,12 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.motion.joint_value import (
     LEAVE_RAD,
-    ValueCourse,
-    leaving_and_arriving,
-    path_values,
-    resting,
+    ValueTrajectory,
+    compute_path_values,
+    refine_interval,
+    sample_at_frames,
+    select_resting,
     smooth_within,
-    values_at_frames,
 )
 
 HINGE = np.array([0.6, 0.2, 0.0])
@@ -38,7 +38,7 @@ def opened(values: np.ndarray, slide: np.ndarray) -> np.ndarray:
 def test_the_value_does_not_depend_on_the_hands_turn(turn_share: float) -> None:
     values = np.linspace(0, 1.3, 80)
     poses = poses_at(opened(values, np.zeros(80)), turn_share * values)
-    assert path_values(DOOR, poses, np.zeros(3), 0).values == pytest.approx(values, abs=1e-9)
+    assert compute_path_values(DOOR, poses, np.zeros(3), 0).values == pytest.approx(values, abs=1e-9)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -49,7 +49,7 @@ def test_sliding_along_the_face_does_not_change_the_value(mirrored: bool) -> Non
         type="revolute", axis=DOOR.axis * (-1 if mirrored else 1), origin=flip @ HINGE, lower=0, upper=2
     )
     poses = poses_at(opened(values, slide) @ flip, np.zeros(60))
-    result = path_values(joint, poses, np.zeros(3), 0, NORMAL)
+    result = compute_path_values(joint, poses, np.zeros(3), 0, NORMAL)
     assert result.values == pytest.approx(values, abs=1e-9)
     assert result.slip_m[-1] == pytest.approx(0.08, abs=0.002)
 
@@ -58,7 +58,7 @@ def test_a_drawers_value_is_its_travel() -> None:
     drawer = Joint(type="prismatic", axis=[0, -1, 0], origin=HANDLE, lower=0, upper=0.4)
     travel = np.linspace(0, 0.3, 40)
     points = HANDLE + travel[:, None] * np.array([0, -1.0, 0]) + [0, 0, 0.001]
-    values = path_values(drawer, poses_at(points, np.zeros(40)), np.zeros(3), 5).values
+    values = compute_path_values(drawer, poses_at(points, np.zeros(40)), np.zeros(3), 5).values
     assert values == pytest.approx(travel - travel[5], abs=1e-12)
 
 
@@ -67,13 +67,13 @@ def moving_series() -> tuple[np.ndarray, np.ndarray]:
     return times, 0.3 + np.interp(times, [1.0, 3.0], [0, 1.0])
 
 
-def course(times: np.ndarray, values: np.ndarray, interval: tuple[float, float]) -> ValueCourse:
-    return ValueCourse(times_s=times, values=values, interval=interval, levels=(0.3, 1.3))
+def course(times: np.ndarray, values: np.ndarray, interval: tuple[float, float]) -> ValueTrajectory:
+    return ValueTrajectory(times_s=times, values=values, interval=interval, levels=(0.3, 1.3))
 
 
 def test_the_interval_is_where_the_value_has_left_and_not_arrived() -> None:
     times, values = moving_series()
-    (start, end), levels = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD)
+    (start, end), levels = refine_interval(times, values, (1.2, 2.7), LEAVE_RAD)
     assert start == pytest.approx(1.0 + 2 * LEAVE_RAD, abs=0.02)
     assert end == pytest.approx(3.0 - 2 * LEAVE_RAD, abs=0.02)
     assert levels == pytest.approx((0.3, 1.3), abs=0.002)
@@ -81,10 +81,10 @@ def test_the_interval_is_where_the_value_has_left_and_not_arrived() -> None:
 
 def test_running_time_backwards_swaps_start_and_end() -> None:
     times, values = moving_series()
-    (start, end), _ = leaving_and_arriving(times, values, (1.2, 2.7), LEAVE_RAD)
+    (start, end), _ = refine_interval(times, values, (1.2, 2.7), LEAVE_RAD)
     turned = times[-1] - times[::-1]
     seen = (float(times[-1]) - 2.7, float(times[-1]) - 1.2)
-    (back_start, back_end), _ = leaving_and_arriving(turned, values[::-1], seen, LEAVE_RAD)
+    (back_start, back_end), _ = refine_interval(turned, values[::-1], seen, LEAVE_RAD)
     assert back_start == pytest.approx(times[-1] - end, abs=0.03)
     assert back_end == pytest.approx(times[-1] - start, abs=0.03)
 
@@ -93,7 +93,7 @@ def test_a_film_that_begins_gripped_just_before_the_motion_knows_the_first_level
     """Held from 0.95 s on; the motion begins at 1 s."""
     times, values = moving_series()
     late = times >= 0.95
-    (start, _), levels = leaving_and_arriving(times[late], values[late], (1.04, 2.7), LEAVE_RAD)
+    (start, _), levels = refine_interval(times[late], values[late], (1.04, 2.7), LEAVE_RAD)
     assert start == pytest.approx(1.0 + 2 * LEAVE_RAD, abs=0.02)
     assert levels[0] == pytest.approx(0.3, abs=0.005)
 
@@ -101,7 +101,7 @@ def test_a_film_that_begins_gripped_just_before_the_motion_knows_the_first_level
 def test_frames_rest_before_the_start_and_after_the_end() -> None:
     times, values = moving_series()
     frames = np.array([0.0, 0.5, 2.0, 3.5, 9.0])
-    thetas = values_at_frames(frames, course(times, values, (1.0, 3.0)), LEAVE_RAD)
+    thetas = sample_at_frames(frames, course(times, values, (1.0, 3.0)), LEAVE_RAD)
     assert thetas == pytest.approx([0, 0, 0.5, 1.0, 1.0], abs=1e-6)
 
 
@@ -109,7 +109,7 @@ def test_frames_between_rest_and_leaving_show_what_the_hand_shows() -> None:
     times, values = moving_series()
     left, arrived = 1.0 + 2 * LEAVE_RAD, 3.0 - 2 * LEAVE_RAD
     frames = np.array([0.9, 1.01, arrived + 0.01, 3.1])
-    thetas = values_at_frames(frames, course(times, values, (left, arrived)), LEAVE_RAD)
+    thetas = sample_at_frames(frames, course(times, values, (left, arrived)), LEAVE_RAD)
     assert thetas[[0, 3]] == pytest.approx([0.0, 1.0], abs=1e-6)
     assert 0 < thetas[1] < LEAVE_RAD
     assert 1 - LEAVE_RAD < thetas[2] < 1
@@ -117,13 +117,13 @@ def test_frames_between_rest_and_leaving_show_what_the_hand_shows() -> None:
 
 def test_a_hand_that_moves_much_before_the_picture_does_is_not_believed() -> None:
     times, values = moving_series()
-    thetas = values_at_frames(np.array([1.6]), course(times, values, (2.0, 3.0)), LEAVE_RAD)
+    thetas = sample_at_frames(np.array([1.6]), course(times, values, (2.0, 3.0)), LEAVE_RAD)
     assert thetas[0] == 0.0
 
 
 def test_what_rests_is_looked_at_before_it_moves() -> None:
     times = np.array([0.0, 0.6, 0.8, 0.95, 1.2])
-    assert resting(times, np.arange(5.0), 1.0).tolist() == [1.0, 2.0]
+    assert select_resting(times, np.arange(5.0), 1.0).tolist() == [1.0, 2.0]
 
 
 def test_a_pull_quicker_than_the_window_is_not_smoothed_away() -> None:

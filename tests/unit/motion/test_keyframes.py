@@ -1,19 +1,19 @@
-"""Start and end of a motion in small painted films."""
+"""Start and end of a motion in small painted videos."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.motion.gripper_signals import HandSignals, Touch, touch_interval
-from aomgen.motion.keyframes import Departures, Interval, departures, find_interval, part_region
-from aomgen.motion.onset import Way
+from aomgen.motion.gripper_signals import GripperSignals, TouchInterval, find_touch
+from aomgen.motion.keyframes import Departures, Interval, find_interval, find_part_region, measure_departures
+from aomgen.motion.onset import GripperPath
 
 COUNT, FPS = 90, 10.0
 TIMES = np.arange(COUNT, dtype=np.float64) / FPS
 DENSE = np.linspace(0.0, 8.9, 891, dtype=np.float64)
 PIXEL_M = 0.005
-WHOLE = Touch(first=0, last=COUNT - 1, gripped=True)
+WHOLE = TouchInterval(first=0, last=COUNT - 1, gripped=True)
 
 # Frames, robot masks, part region.
 Film = tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]
@@ -40,20 +40,20 @@ def moves(start_s: float, end_s: float, by_px: float = 18) -> np.ndarray:
     return 22 + np.interp(TIMES, [start_s, end_s], [0, by_px])
 
 
-def way(start_s: float, end_s: float, length_m: float = 0.2) -> Way:
+def way(start_s: float, end_s: float, length_m: float = 0.2) -> GripperPath:
     """A hand that goes straight on from start to end."""
     points = np.zeros((len(DENSE), 3))
     points[:, 0] = np.interp(DENSE, [start_s, end_s], [0.0, length_m])
-    return Way(times_s=DENSE, points=points)
+    return GripperPath(times_s=DENSE, points=points)
 
 
-def found(frames: Film, hand: Way, touch: Touch = WHOLE) -> Interval:
-    return find_interval(TIMES, departures(*frames, touch, 3), hand, touch, PIXEL_M)
+def found(frames: Film, hand: GripperPath, touch: TouchInterval = WHOLE) -> Interval:
+    return find_interval(TIMES, measure_departures(*frames, touch, 3), hand, touch, PIXEL_M)
 
 
 @pytest.mark.parametrize(
     ("start", "end"), [(3.0, 5.0), (0.6, 8.2), (4.0, 4.3), (2.0, 2.5), (1.0, 7.0)]
-)  # 3 to 85 % of the film
+)  # 3 to 85 % of the video
 def test_start_and_end_are_found_for_short_and_long_motions(start: float, end: float) -> None:
     interval = found(film(moves(start, end)), way(start, end))
     pixel_s = (end - start) / 18
@@ -63,7 +63,7 @@ def test_start_and_end_are_found_for_short_and_long_motions(start: float, end: f
 
 def test_a_part_that_only_grows_is_seen() -> None:
     growth = np.interp(TIMES, [3.0, 6.0], [0, 15])
-    seen = departures(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
+    seen = measure_departures(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
     assert seen.scores[45] > 0.1
     interval = find_interval(TIMES, seen, way(3.0, 6.0), WHOLE, PIXEL_M)
     assert interval.start.time_s == pytest.approx(3.0, abs=0.2)
@@ -73,8 +73,8 @@ def test_a_part_that_only_grows_is_seen() -> None:
 def test_the_film_backwards_gives_the_curves_exchanged() -> None:
     frames, robot, region = film(moves(3.0, 5.0))
     region = region | np.roll(region, 18, axis=1)
-    forwards = departures(frames, robot, region, WHOLE, 3)
-    backwards = departures(frames[::-1], robot[::-1], region, WHOLE, 3)
+    forwards = measure_departures(frames, robot, region, WHOLE, 3)
+    backwards = measure_departures(frames[::-1], robot[::-1], region, WHOLE, 3)
     assert backwards.left[::-1] == pytest.approx(forwards.ahead, abs=1e-6)
     assert backwards.scores[::-1] == pytest.approx(forwards.scores, abs=1e-6)
 
@@ -83,7 +83,9 @@ def test_the_film_backwards_gives_the_interval_backwards() -> None:
     frames, robot, region = film(moves(3.0, 5.0))
     region = region | np.roll(region, 18, axis=1)
     hand, last = way(3.0, 5.0), TIMES[-1]
-    back = Way(times_s=DENSE, points=np.stack([np.interp(last - DENSE, DENSE, c) for c in hand.points.T], 1))
+    back = GripperPath(
+        times_s=DENSE, points=np.stack([np.interp(last - DENSE, DENSE, c) for c in hand.points.T], 1)
+    )
     forwards = found((frames, robot, region), hand)
     backwards = found((frames[::-1], robot[::-1], region), back)
     assert last - backwards.end.time_s == pytest.approx(forwards.start.time_s, abs=0.02)
@@ -94,7 +96,9 @@ def test_a_pause_in_the_middle_belongs_to_the_motion() -> None:
     times, place = [3.0, 4.0, 5.5, 6.5], [0.0, 0.5, 0.5, 1.0]
     points = np.zeros((len(DENSE), 3))
     points[:, 1] = 0.2 * np.interp(DENSE, times, place)
-    interval = found(film(22 + 18 * np.interp(TIMES, times, place)), Way(times_s=DENSE, points=points))
+    interval = found(
+        film(22 + 18 * np.interp(TIMES, times, place)), GripperPath(times_s=DENSE, points=points)
+    )
     assert interval.start.time_s == pytest.approx(3.0, abs=0.1)
     assert interval.end.time_s == pytest.approx(6.5, abs=0.1)
 
@@ -116,11 +120,11 @@ def test_a_hand_that_slides_before_the_part_follows_does_not_start_the_motion() 
 
 
 def test_the_moving_arm_alone_changes_nothing() -> None:
-    assert departures(*film(np.full(COUNT, 22.0)), WHOLE, 3).scores.max() < 0.02
+    assert measure_departures(*film(np.full(COUNT, 22.0)), WHOLE, 3).scores.max() < 0.02
 
 
 def test_frames_outside_the_touch_score_nothing() -> None:
-    seen = departures(*film(moves(3.0, 5.0)), Touch(first=25, last=70, gripped=True), 3)
+    seen = measure_departures(*film(moves(3.0, 5.0)), TouchInterval(first=25, last=70, gripped=True), 3)
     assert seen.scores[:25].max() == 0
     assert seen.scores[71:].max() == 0
     assert seen.scores[40] > 0.2
@@ -133,9 +137,9 @@ def test_noise_is_measured_about_the_smooth_course_and_not_about_the_mean() -> N
     assert interval.threshold < 0.02
 
 
-def signals(gripper: np.ndarray, distances: np.ndarray) -> HandSignals:
+def signals(gripper: np.ndarray, distances: np.ndarray) -> GripperSignals:
     zeros = np.zeros(COUNT)
-    return HandSignals(
+    return GripperSignals(
         times_s=TIMES, Ts_world_ee=np.repeat(np.eye(4)[None], COUNT, 0), speeds_m_s=zeros, gripper=gripper,
         distances_m=distances,
     )  # fmt: skip
@@ -144,10 +148,10 @@ def signals(gripper: np.ndarray, distances: np.ndarray) -> HandSignals:
 def test_a_grip_near_the_part_bounds_the_touch_and_one_elsewhere_does_not() -> None:
     near = np.abs(TIMES - 4) * 0.2
     grip = np.where((TIMES > 3.8) & (TIMES < 7), 0.8, 0.0) + np.where(TIMES < 1, 0.8, 0.0)
-    touch = touch_interval(signals(grip, near))
+    touch = find_touch(signals(grip, near))
     assert touch.gripped
     assert TIMES[[touch.first, touch.last]] == pytest.approx([3.9, 6.9], abs=0.11)
-    push = touch_interval(signals(np.full(COUNT, 0.8), near))
+    push = find_touch(signals(np.full(COUNT, 0.8), near))
     assert not push.gripped
     assert TIMES[push.first] == pytest.approx(4.0, abs=0.11)
 
@@ -158,5 +162,5 @@ def test_the_parts_pixels_are_filled_between_its_points() -> None:
     )
     rng = np.random.default_rng(0)
     points = np.stack([rng.uniform(-0.2, 0.2, 900), np.zeros(900), rng.uniform(-0.1, 0.1, 900)], 1)
-    region = part_region(points, camera)
+    region = find_part_region(points, camera)
     assert region.sum() == pytest.approx(40 * 20, rel=0.1)

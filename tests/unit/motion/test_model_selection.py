@@ -1,4 +1,4 @@
-"""Which type of joint the film looks like, on the made panel of the photometric tests."""
+"""Which type of joint the video looks like, on the made panel of the photometric tests."""
 
 from dataclasses import replace
 
@@ -7,8 +7,8 @@ import pytest
 
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array
-from aomgen.motion.model_selection import film_margin
-from aomgen.motion.photometric import witness
+from aomgen.motion.model_selection import compute_type_margin
+from aomgen.motion.photometric import select_frames
 from filmed_panel import HINGE, SLIDE, World, world
 
 
@@ -28,33 +28,38 @@ def turning(made: World) -> tuple[Joint, Array]:
 
 def test_a_door_looks_like_a_door() -> None:
     made = world()
-    seen = witness(made.demo, made.masks_at, made.hand(np.zeros(4), 1.0))
+    seen = select_frames(made.demo, made.masks_at, made.hand(np.zeros(4), 1.0))
     door, drawer = (made.joint, made.thetas), straight(made)
-    margin = film_margin(seen, (door, drawer))
+    margin = compute_type_margin(seen, (door, drawer))
     assert margin > 30
-    assert film_margin(seen, (drawer, door)) == pytest.approx(-margin, rel=1e-9)
+    assert compute_type_margin(seen, (drawer, door)) == pytest.approx(-margin, rel=1e-9)
 
 
 def test_a_drawer_looks_like_a_drawer() -> None:
     made = world(SLIDE)
-    seen = witness(made.demo, made.masks_at, made.hand(np.zeros(2), 1.0))
-    assert film_margin(seen, (turning(made), (made.joint, made.thetas))) < -30
+    seen = select_frames(made.demo, made.masks_at, made.hand(np.zeros(2), 1.0))
+    assert compute_type_margin(seen, (turning(made), (made.joint, made.thetas))) < -30
 
 
 def test_the_same_answer_twice_says_nothing() -> None:
     made = world()
     answer = (made.joint, made.thetas)
-    assert film_margin(witness(made.demo, made.masks_at, made.hand(np.zeros(4), 1.0)), (answer, answer)) == 0
+    assert (
+        compute_type_margin(
+            select_frames(made.demo, made.masks_at, made.hand(np.zeros(4), 1.0)), (answer, answer)
+        )
+        == 0
+    )
 
 
 def test_a_bare_panel_says_nothing() -> None:
     made = world(contrast=0.0)
-    seen = witness(made.demo, made.masks_at, made.hand(np.zeros(4), 1.0))
-    assert film_margin(seen, ((made.joint, made.thetas), straight(made))) == 0
+    seen = select_frames(made.demo, made.masks_at, made.hand(np.zeros(4), 1.0))
+    assert compute_type_margin(seen, ((made.joint, made.thetas), straight(made))) == 0
 
 
 def test_a_film_that_begins_with_the_motion_says_nothing() -> None:
     made = world()
     hand = replace(made.hand(np.zeros(4), 1.0), interval=(0.0, 3.0))
-    seen = witness(made.demo, made.masks_at, hand)
-    assert film_margin(seen, ((made.joint, made.thetas), straight(made))) == 0
+    seen = select_frames(made.demo, made.masks_at, hand)
+    assert compute_type_margin(seen, ((made.joint, made.thetas), straight(made))) == 0

@@ -8,19 +8,21 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.values import Array
 from aomgen.errors import NoMotionError
-from aomgen.motion.exposure import matched_frames
-from aomgen.motion.motion_test import MotionSigns
-from aomgen.motion.rendered_motion_test import Following, following
+from aomgen.motion.exposure import match_exposure
+from aomgen.motion.motion_test import MotionEvidence
+from aomgen.motion.rendered_motion_test import FollowingEstimate, estimate_following
 from aomgen.splatting.rasterizer import render
 
-BLIND = Following(share=0.0, sd=float("inf"))
+BLIND = FollowingEstimate(share=0.0, sd=float("inf"))
 CAMERA = Camera(
     fx=100, fy=100, cx=48, cy=32, width=96, height=64, T_world_cam=look_at([0, -1.0, 0], [0, 0, 0])
 )
 
 
-def signs(changed: float, share: Following = BLIND, *, near: float = 0.0, travel: float = 0.2) -> MotionSigns:
-    return MotionSigns(changed=changed, following=share, nearest_m=near, travel_m=travel)
+def signs(
+    changed: float, share: FollowingEstimate = BLIND, *, near: float = 0.0, travel: float = 0.2
+) -> MotionEvidence:
+    return MotionEvidence(changed=changed, following=share, nearest_m=near, travel_m=travel)
 
 
 @pytest.mark.parametrize(
@@ -28,26 +30,26 @@ def signs(changed: float, share: Following = BLIND, *, near: float = 0.0, travel
     [(0.4, 0.8, True), (0.02, 0.9, True), (0.0, 0.0, False), (0.1, 0.0, False), (0.4, 0.4, True), (0.2, -0.1, False)],
 )  # fmt: skip
 def test_change_and_following_are_weighed_together(changed: float, share: float, moved: bool) -> None:
-    assert (signs(changed, Following(share=share, sd=0.01)).log_odds > 0) == moved
+    assert (signs(changed, FollowingEstimate(share=share, sd=0.01)).log_likelihood_ratio > 0) == moved
 
 
 def test_what_cannot_be_seen_says_nothing() -> None:
-    assert signs(0.3).log_odds == pytest.approx(3.0)
-    assert signs(0.3, Following(share=0.0, sd=1e6)).log_odds == pytest.approx(3.0)
+    assert signs(0.3).log_likelihood_ratio == pytest.approx(3.0)
+    assert signs(0.3, FollowingEstimate(share=0.0, sd=1e6)).log_likelihood_ratio == pytest.approx(3.0)
 
 
 def test_a_hand_that_only_closes_does_not_pull() -> None:
-    pushed_around = Following(share=0.9, sd=0.02)
-    assert signs(0.01, pushed_around, travel=0.002).log_odds < 0
+    pushed_around = FollowingEstimate(share=0.9, sd=0.02)
+    assert signs(0.01, pushed_around, travel=0.002).log_likelihood_ratio < 0
 
 
 def test_refusals_name_their_reason() -> None:
     with pytest.raises(NoMotionError, match="the hand never touches the part: it stays 25 cm away"):
         signs(0.5, near=0.25).check()
-    locked = signs(0.03, Following(share=0.02, sd=0.01), travel=0.3)
+    locked = signs(0.03, FollowingEstimate(share=0.02, sd=0.01), travel=0.3)
     with pytest.raises(NoMotionError, match=r"the hand moves 300 mm .* follows by 2 % .* 3 % of its picture"):
         locked.check()
-    signs(0.4, Following(share=0.8, sd=0.01)).check()
+    signs(0.4, FollowingEstimate(share=0.8, sd=0.01)).check()
 
 
 def board(middle: tuple[float, float, float], half: float, seed: int) -> Gaussians:
@@ -96,11 +98,11 @@ def pulled(offsets: Array) -> Array:
 def test_a_part_that_follows_is_told_from_one_that_stands(way_m: float) -> None:
     way = np.linspace(0, way_m, 8, dtype=np.float64)
     hidden = np.zeros((8, 64, 96), bool)
-    moved = following(*scene(), CAMERA, filmed(way), hidden, pulled(way))
-    stood = following(*scene(), CAMERA, filmed(0 * way, shadow=True), hidden, pulled(way))
+    moved = estimate_following(*scene(), CAMERA, filmed(way), hidden, pulled(way))
+    stood = estimate_following(*scene(), CAMERA, filmed(0 * way, shadow=True), hidden, pulled(way))
     assert moved.share == pytest.approx(1.0, abs=0.15)
     assert abs(stood.share) < 0.35
-    assert signs(0.01, moved).log_odds > 0 > signs(0.05, stood).log_odds
+    assert signs(0.01, moved).log_likelihood_ratio > 0 > signs(0.05, stood).log_likelihood_ratio
 
 
 def test_frames_are_brought_to_one_exposure_and_strangers_are_named() -> None:
@@ -110,7 +112,7 @@ def test_frames_are_brought_to_one_exposure_and_strangers_are_named() -> None:
     frames = picture * gains[:, None, None, None] + rng.normal(size=(12, 48, 64, 3))
     frames[5] = 255
     frames[8] = rng.uniform(0, 255, picture.shape)
-    film = matched_frames(frames.astype(np.uint8), np.zeros((12, 48, 64), bool), np.zeros((48, 64), bool))
+    film = match_exposure(frames.astype(np.uint8), np.zeros((12, 48, 64), bool), np.zeros((48, 64), bool))
     assert np.flatnonzero(film.bad).tolist() == [5, 8]
     good = film.frames_srgb[~film.bad].astype(float)
     assert np.abs(good - good.mean(0)).mean() < 1.5

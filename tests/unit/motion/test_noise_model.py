@@ -3,21 +3,27 @@
 import numpy as np
 import pytest
 
-from aomgen.motion.noise_model import SCALES, Course, covariances, give_rate, held_rate
+from aomgen.motion.noise_model import (
+    SCALES,
+    PathNodes,
+    compute_covariances,
+    compute_give_rate,
+    compute_held_rate,
+)
 
 SIZES = np.array([0.0002, 0.0005, 0.004, 0.03, 0.016, 0.015, 0.001])
 
 
 def test_a_direction_is_held_as_far_as_the_fingers_close_in_it() -> None:
-    assert held_rate(SIZES, 1.0) == pytest.approx(0.001)
-    assert held_rate(SIZES, 0.0) == pytest.approx(0.03)
-    assert held_rate(SIZES, 0.36) == pytest.approx(np.sqrt(0.36 * 0.001**2 + 0.64 * 0.03**2))
+    assert compute_held_rate(SIZES, 1.0) == pytest.approx(0.001)
+    assert compute_held_rate(SIZES, 0.0) == pytest.approx(0.03)
+    assert compute_held_rate(SIZES, 0.36) == pytest.approx(np.sqrt(0.36 * 0.001**2 + 0.64 * 0.03**2))
 
 
 def test_a_firm_direction_varies_less() -> None:
-    course = Course.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0])
-    held, loose = (covariances(course, SIZES, firm)["straight"] for firm in (1.0, 0.0))
-    np.testing.assert_allclose(loose, covariances(course, SIZES)["bar"])
+    path_nodes = PathNodes.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0])
+    held, loose = (compute_covariances(path_nodes, SIZES, firm)["straight"] for firm in (1.0, 0.0))
+    np.testing.assert_allclose(loose, compute_covariances(path_nodes, SIZES)["bar"])
     assert held[-1, -1] == pytest.approx((0.001 * 0.1) ** 2 + 0.0002**2, rel=1e-6)
 
 
@@ -25,5 +31,5 @@ def test_a_hand_that_slides_gives_way_unless_its_fingers_close_along_the_way() -
     calm = SIZES.copy()
     calm[SCALES.index("bar")] = 0.0
     for joint_type in ("prismatic", "revolute"):
-        assert give_rate(joint_type, SIZES, 1.0) == give_rate(joint_type, calm, 0.0)
-        assert give_rate(joint_type, SIZES, 0.0) > give_rate(joint_type, SIZES, 0.9)
+        assert compute_give_rate(joint_type, SIZES, 1.0) == compute_give_rate(joint_type, calm, 0.0)
+        assert compute_give_rate(joint_type, SIZES, 0.0) > compute_give_rate(joint_type, SIZES, 0.9)

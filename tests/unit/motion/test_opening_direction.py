@@ -6,7 +6,7 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
-from aomgen.motion.opening_direction import direction_of
+from aomgen.motion.opening_direction import infer_direction
 
 
 def sheet(
@@ -54,10 +54,10 @@ def test_there_is_opening_and_back_is_closing(name: str, turned: bool) -> None:
     item, static, moving, theta = CASES[name]
     T = transform(matrix_from_rotvec([0.1, -0.2, 2.0]), np.array([0.4, -0.7, 0.1])) if turned else np.eye(4)
     item, static, moving = item.moved(T), apply(T, static), apply(T, moving)
-    assert direction_of(item, theta, static, moving) == "opening"
+    assert infer_direction(item, theta, static, moving) == "opening"
     gone = apply(item.motion(theta), moving)
     back = Joint(type=item.type, axis=-item.axis, origin=item.origin, lower=0.0, upper=1.0)
-    assert direction_of(back, theta, static, gone) == "closing"
+    assert infer_direction(back, theta, static, gone) == "closing"
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -66,7 +66,7 @@ def test_noise_and_missing_surface_change_nothing(name: str) -> None:
     rng = np.random.default_rng(5)
     static, moving = (points[rng.random(len(points)) < 0.2] for points in (static, moving))
     static, moving = (points + rng.normal(0, 0.004, points.shape) for points in (static, moving))
-    assert direction_of(item, theta, static, moving) == "opening"
+    assert infer_direction(item, theta, static, moving) == "opening"
 
 
 def test_half_a_closing_is_a_closing() -> None:
@@ -74,7 +74,7 @@ def test_half_a_closing_is_a_closing() -> None:
     item, static, moving, _ = CASES["side door"]
     ajar = apply(item.motion(np.radians(80)), moving)
     back = Joint(type="revolute", axis=-item.axis, origin=item.origin, lower=0.0, upper=1.0)
-    assert direction_of(back, np.radians(40), static, ajar) == "closing"
+    assert infer_direction(back, np.radians(40), static, ajar) == "closing"
 
 
 def test_a_panel_closes_though_the_scan_never_saw_what_it_stood_before() -> None:
@@ -84,5 +84,5 @@ def test_a_panel_closes_though_the_scan_never_saw_what_it_stood_before() -> None
     jars = [sheet((x, x + 0.04), (0.02, 0.06), (0.02, 0.13)) for x in (0.01, 0.06)]
     static = np.concatenate([seen, *jars])
     back = joint("prismatic", [-1.0, 0, 0], [0, 0, 0])
-    assert direction_of(back, 0.12, static, ajar) == "closing"
-    assert direction_of(joint("prismatic", [1.0, 0, 0], [0, 0, 0]), 0.05, static, ajar) == "opening"
+    assert infer_direction(back, 0.12, static, ajar) == "closing"
+    assert infer_direction(joint("prismatic", [1.0, 0, 0], [0, 0, 0]), 0.05, static, ajar) == "opening"

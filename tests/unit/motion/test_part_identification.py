@@ -1,4 +1,4 @@
-"""A hand that opens one of two parts in a painted film: right, swapped and foreign prompts."""
+"""A hand that opens one of two parts in a painted video: right, swapped and foreign prompts."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,14 @@ import pytest
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import WrongPromptError
-from aomgen.motion.gripper_signals import HandSignals
+from aomgen.motion.gripper_signals import GripperSignals
 from aomgen.motion.part_identification import (
     MIN_ODDS,
-    MovedPart,
-    PartSigns,
-    doubts,
-    moved_part,
-    visible_regions,
+    CandidateEvidence,
+    PartIdentification,
+    find_visible_regions,
+    identify_part,
+    list_warnings,
 )
 
 COUNT, FPS = 60, 15.0
@@ -49,12 +49,12 @@ def film(changing: list[tuple[slice, slice]], seed: int = 0) -> np.ndarray:
 DOOR_OPENS = film([(slice(40, 80), slice(30, 60))])
 
 
-def hand(gap_m: float, *, grips: bool = True) -> HandSignals:
+def hand(gap_m: float, *, grips: bool = True) -> GripperSignals:
     """The hand comes as near as `gap_m` when it closes, and goes away with the part."""
     distances = gap_m + np.interp(np.arange(COUNT), [0, GRASP, COUNT], [0.4, 0.0, 0.3])
     closed = np.zeros(COUNT)
     closed[GRASP:RELEASE] = 0.8 if grips else 0.0
-    return HandSignals(
+    return GripperSignals(
         times_s=TIMES,
         Ts_world_ee=np.tile(np.eye(4), (COUNT, 1, 1)),
         speeds_m_s=np.zeros(COUNT),
@@ -68,9 +68,9 @@ NOBODY = np.zeros((COUNT, 120, 160), bool)
 
 def judged(
     parts: tuple[Array, Array, Array], gaps_m: tuple[float, float, float], *, grips: bool = True
-) -> MovedPart:
+) -> PartIdentification:
     first, second, third = (hand(gap, grips=grips) for gap in gaps_m)
-    return moved_part(parts, (first, second, third), DOOR_OPENS, NOBODY, CAMERA)
+    return identify_part(parts, (first, second, third), DOOR_OPENS, NOBODY, CAMERA)
 
 
 @pytest.mark.parametrize("grips", [True, False])
@@ -81,7 +81,7 @@ def test_the_door_that_the_hand_opens_is_confirmed(grips: bool) -> None:
     assert moved.static.changed < 0.05
     assert moved.odds > 10
     moved.check()
-    assert doubts(moved.odds) == []
+    assert list_warnings(moved.odds) == []
 
 
 @pytest.mark.parametrize("grips", [True, False])
@@ -116,15 +116,17 @@ def test_a_handle_missing_from_the_moving_part_is_doubted_or_passed_but_not_refu
 
 
 def test_doubtful_prompts_are_told() -> None:
-    near = PartSigns(gap_m=0.01, changed=0.1)
-    moved = MovedPart(moving=near, static=near, other=PartSigns(gap_m=9.0, changed=0.05), gripped=True)
+    near = CandidateEvidence(gap_m=0.01, changed=0.1)
+    moved = PartIdentification(
+        moving=near, static=near, other=CandidateEvidence(gap_m=9.0, changed=0.05), gripped=True
+    )
     moved.check()
     assert moved.odds == pytest.approx(1.0)
-    assert doubts(moved.odds) == [
+    assert list_warnings(moved.odds) == [
         "contact and video fit the part prompted as 'moving' only 1.0 times as well as anything else, want 2; "
         "check its boxes in capture.toml"
     ]
-    assert doubts(MIN_ODDS) == []
+    assert list_warnings(MIN_ODDS) == []
 
 
 def test_a_part_out_of_the_picture_is_judged_by_contact_alone() -> None:
@@ -139,13 +141,13 @@ def test_the_robot_in_front_of_a_part_is_no_change() -> None:
     robot[GRASP:, 60:90, 60:120] = True
     frames[robot] = 250
     signals = (hand(0.003), hand(0.04), hand(0.2))
-    moved = moved_part((DOOR, BODY, BOOKS), signals, frames, robot, CAMERA)
+    moved = identify_part((DOOR, BODY, BOOKS), signals, frames, robot, CAMERA)
     assert moved.static.changed < 0.05
 
 
 def test_the_nearer_surface_is_the_one_that_is_seen() -> None:
     front, behind = wall((30, 60), (40, 80)), wall((20, 120), (30, 90), depth=1.3)
-    door, body = visible_regions((front, behind), CAMERA)
+    door, body = find_visible_regions((front, behind), CAMERA)
     assert not np.any(door & body)
     assert door[60, 45]
     assert body[60, 100]
@@ -154,6 +156,6 @@ def test_the_nearer_surface_is_the_one_that_is_seen() -> None:
 
 
 def test_a_surface_out_of_view_covers_nothing() -> None:
-    door, none = visible_regions((DOOR, np.array([[-1.0, 0, 0]])), CAMERA)
+    door, none = find_visible_regions((DOOR, np.array([[-1.0, 0, 0]])), CAMERA)
     assert door.any()
     assert not none.any()

@@ -7,13 +7,13 @@ import pytest
 
 from aomgen.conventions import BACKGROUND, MOVING
 from aomgen.core.values import Array
-from aomgen.motion.part_tracking import tracked_log_odds
+from aomgen.motion.part_tracking import track_log_likelihood_ratio
 from filmed_panel import HINGE, MOTION_S, SHARES, SLIDE, World, world
 
 
 def odds(made: World, labels: Array | None = None) -> Array:
     demo = made.demo if labels is None else replace(made.demo, labels=labels)
-    return tracked_log_odds(demo, made.joint, made.thetas, MOTION_S[0], made.masks_at)
+    return track_log_likelihood_ratio(demo, made.joint, made.thetas, MOTION_S[0], made.masks_at)
 
 
 @pytest.mark.parametrize("joint", [HINGE, SLIDE])
@@ -53,4 +53,4 @@ def test_a_plain_panel_says_little():
 
 def test_a_video_that_begins_with_the_motion_says_nothing():
     made = world()
-    assert not tracked_log_odds(made.demo, made.joint, made.thetas, 0.0, made.masks_at).any()
+    assert not track_log_likelihood_ratio(made.demo, made.joint, made.thetas, 0.0, made.masks_at).any()

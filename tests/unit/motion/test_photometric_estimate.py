@@ -1,11 +1,11 @@
-"""What the hand says about the joint as a prior for the film."""
+"""What the hand says about the joint as a prior for the video."""
 
 import numpy as np
 import pytest
 
 from aomgen.core.joint import Joint
-from aomgen.motion.photometric_estimate import line_covariance, radius_95
-from aomgen.motion.photometric_residuals import shifted
+from aomgen.motion.photometric_estimate import compute_line_covariance, find_radius_95
+from aomgen.motion.photometric_residuals import shift_joint
 
 
 @pytest.mark.parametrize("joint_type", ["revolute", "prismatic"])
@@ -15,11 +15,11 @@ def test_axes_drawn_about_a_joint_have_the_covariance_they_were_drawn_with(joint
     )
     sds = np.array([0.01, 0.02, 0.003, 0.001])
     numbers = np.random.default_rng(1).normal(0, 1, (4000, 4)) * sds
-    drawn = [shifted(joint, joint.origin, x) for x in numbers]
+    drawn = [shift_joint(joint, joint.origin, x) for x in numbers]
     # Any point of an axis will do.
     axes = np.array([item.axis for item in drawn])
     points = np.array([item.origin for item in drawn]) + 0.3 * axes
-    found = line_covariance(joint, joint.origin, (axes, points))
+    found = compute_line_covariance(joint, joint.origin, (axes, points))
     count = 4 if joint_type == "revolute" else 2
     assert found.shape == (count, count)
     assert np.sqrt(np.diag(found)) == pytest.approx(sds[:count], rel=0.05)
@@ -27,5 +27,5 @@ def test_axes_drawn_about_a_joint_have_the_covariance_they_were_drawn_with(joint
 
 def test_the_radius_of_a_round_distribution_is_known():
     """Rayleigh: 95 % lie within sqrt(-2 ln 0.05) standard deviations."""
-    assert radius_95(0.25 * np.eye(2)) == pytest.approx(0.5 * np.sqrt(-2 * np.log(0.05)), rel=0.03)
-    assert radius_95(np.diag([1.0, 1e-12])) == pytest.approx(1.96, rel=0.03)
+    assert find_radius_95(0.25 * np.eye(2)) == pytest.approx(0.5 * np.sqrt(-2 * np.log(0.05)), rel=0.03)
+    assert find_radius_95(np.diag([1.0, 1e-12])) == pytest.approx(1.96, rel=0.03)

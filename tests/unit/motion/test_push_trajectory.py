@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from aomgen.motion.gripper_signals import HandSignals, Touch, reached
-from aomgen.motion.joint_value import LEAVE_M, ValueCourse
+from aomgen.motion.gripper_signals import GripperSignals, TouchInterval, refine_touch
+from aomgen.motion.joint_value import LEAVE_M, ValueTrajectory
 from aomgen.motion.keyframes import Departures
 from aomgen.motion.noise_model import NoisePrior
-from aomgen.motion.onset import Sight, Way
-from aomgen.motion.push_trajectory import Picture, loose, pushed_course
+from aomgen.motion.onset import Detectability, GripperPath
+from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
 
 TIMES = np.arange(0.0, 8.0, 0.01, dtype=np.float64)
 FRAMES = np.arange(0.0, 8.0, 0.1, dtype=np.float64)
@@ -23,14 +23,14 @@ def course(
     seen_s: tuple[float, float],
     values: np.ndarray = HAND,
     aside_m: np.ndarray | None = None,
-) -> ValueCourse:
+) -> ValueTrajectory:
     along, aside = (np.zeros((len(TIMES), 3)) for _ in range(2))
     along[:, 0] = values
     aside[:, 2] = 0.0 if aside_m is None else aside_m
-    picture = Picture(
-        times_s=FRAMES, seen=Departures(left=left, ahead=ahead), sight=Sight(noise=0.004, pixel_m=0.0)
+    picture = TouchObservation(
+        times_s=FRAMES, seen=Departures(left=left, ahead=ahead), sight=Detectability(noise=0.004, pixel_m=0.0)
     )
-    return pushed_course(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, picture)
+    return follow_pushed_part(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, picture)
 
 
 @pytest.mark.parametrize("seen_s", [(2.0, 6.0), (1.0, 8.0)])
@@ -65,7 +65,7 @@ def test_a_fist_that_slides_along_the_part_still_pushes_it() -> None:
 
 def test_a_hand_that_holds_nothing_slides_evenly_without_telling() -> None:
     noise = NoisePrior()
-    free = loose(noise)
+    free = loosen_prior(noise)
     assert free.straight_rate > 10 * noise.straight_rate
     assert free.bar_rate > 5 * noise.bar_rate
     assert free.spreads[-1] < 0.2 < noise.spreads[-1]
@@ -77,7 +77,7 @@ def test_a_way_to_and_fro_is_longer_than_its_distance() -> None:
     points = np.zeros((300, 3))
     points[:, 0] = np.interp(times, [0, 1, 2], [0, 0.05, 0.01])
     points[:, 1] = 2e-4 * np.sin(40 * times)
-    way = Way(times_s=times, points=points)
+    way = GripperPath(times_s=times, points=points)
     assert way.travel[-1] == pytest.approx(0.05, abs=1e-3)
     assert way.length[-1] == pytest.approx(0.09, abs=3e-3)
     assert way.length[-1] - way.length[210] < 1e-3
@@ -85,12 +85,12 @@ def test_a_way_to_and_fro_is_longer_than_its_distance() -> None:
 
 def test_a_touch_without_a_grip_begins_before_the_hand_is_near() -> None:
     times = np.arange(0.0, 4.0, 0.1, dtype=np.float64)
-    signals = HandSignals(
+    signals = GripperSignals(
         times_s=times, Ts_world_ee=np.tile(np.eye(4), (40, 1, 1)), speeds_m_s=np.zeros(40),
         gripper=np.ones(40), distances_m=np.full(40, 0.1),
     )  # fmt: skip
     gaps = np.maximum(0.1 - 0.1 * (times - 1.0), 0.001)
-    touch = reached(Touch(first=30, last=39, gripped=False), signals, gaps)
+    touch = refine_touch(TouchInterval(first=30, last=39, gripped=False), signals, gaps)
     # 11 mm are left at 1.89 s.
     assert times[touch.first] == pytest.approx(1.65, abs=0.1)
     assert touch.last == 39

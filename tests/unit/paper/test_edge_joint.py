@@ -8,21 +8,21 @@ import pytest
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import angle_between
 from aomgen.errors import InputError
-from aomgen.motion.box_edges import Box, edge_terms
+from aomgen.motion.box_edges import OrientedBox, measure_edge_pairs
 from aomgen.paper.edge_joint import PairWeights, box_joint, pair_costs
 from aomgen.paper.mask_keyframes import Variant
 
 # Two unit boxes side by side along y: the moving one in front, its handle at x = 0.4.
-STATIC = Box(T_world_box=np.eye(4), half_extents=np.full(3, 0.5))
+STATIC = OrientedBox(T_world_box=np.eye(4), half_extents=np.full(3, 0.5))
 IN_FRONT = np.eye(4)
 IN_FRONT[1, 3] = -1.0
-MOVING = Box(T_world_box=IN_FRONT, half_extents=np.full(3, 0.5))
+MOVING = OrientedBox(T_world_box=IN_FRONT, half_extents=np.full(3, 0.5))
 HANDLE = np.array([0.4, -1.5, 0.0])
 APPROACH = np.array([0.0, 1.0, 0.0])
 
 
 def chosen(joint_type, signs, direction=APPROACH, weights=None):
-    terms = edge_terms(STATIC, MOVING, HANDLE, direction)
+    terms = measure_edge_pairs(STATIC, MOVING, HANDLE, direction)
     costs = pair_costs(terms, joint_type, signs, weights)
     pair = np.unravel_index(int(np.argmin(costs)), costs.shape)
     return STATIC.edges()[pair[0]], MOVING.edges()[pair[1]]
@@ -30,7 +30,7 @@ def chosen(joint_type, signs, direction=APPROACH, weights=None):
 
 def test_a_cost_is_what_the_formula_says():
     """Vertical edges on top of each other at x = 0.5, y = -0.5; diagonal sqrt(3); contact off by (0.1, 1)."""
-    terms = edge_terms(STATIC, MOVING, HANDLE, APPROACH)
+    terms = measure_edge_pairs(STATIC, MOVING, HANDLE, APPROACH)
     vertical = [
         (i, j)
         for i, j in product(range(12), range(12))
@@ -49,7 +49,7 @@ def test_a_cost_is_what_the_formula_says():
     ]
     for joint_type, signs, expected in cases:
         assert pair_costs(terms, joint_type, signs, weights)[vertical[0]] == pytest.approx(expected)
-    tilted = edge_terms(STATIC, MOVING, HANDLE, np.array([0.0, 0.6, 0.8]))
+    tilted = measure_edge_pairs(STATIC, MOVING, HANDLE, np.array([0.0, 0.6, 0.8]))
     assert pair_costs(tilted, "revolute", "printed", weights)[vertical[0]] == pytest.approx(
         3 * 0.8 + 5 * reach
     )
@@ -57,7 +57,7 @@ def test_a_cost_is_what_the_formula_says():
 
 def test_edges_apart_and_across_cost_what_they_should():
     """An x edge of one against a y edge of the other: not parallel, 0.8 at least."""
-    terms = edge_terms(STATIC, MOVING, HANDLE, APPROACH)
+    terms = measure_edge_pairs(STATIC, MOVING, HANDLE, APPROACH)
     assert terms.score.min() == pytest.approx(0.0)
     assert terms.score[0, 4] >= 0.8
 

@@ -12,7 +12,7 @@ from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import AlignmentError
 from aomgen.paper import icp_alignment as paper_alignment
-from aomgen.paper.icp_alignment import PaperParams, align_as_paper, model_points, robot_points
+from aomgen.paper.icp_alignment import align_as_paper, model_points, robot_points
 from aomgen.paper.rigid_icp import rigid_icp, weighted_rigid
 from aomgen.robots.configuration import RobotPosture
 from aomgen.robots.link_boxes import bodies_in_boxes
@@ -143,9 +143,9 @@ def test_a_wrong_size_stays_wrong(posture, model, monkeypatch) -> None:
 def test_the_table_is_not_robot(posture, model, monkeypatch) -> None:
     surface = np.asarray(scan(model[::3]).means, np.float64)
     up = S_RECON_WORLD[:3, 2] / np.linalg.norm(S_RECON_WORLD[:3, 2])
-    points = robot_points(surface, boxes(posture), up, np.random.default_rng(0), PaperParams())
+    points = robot_points(surface, boxes(posture), up, np.random.default_rng(0))
     monkeypatch.setattr(paper_alignment, "_without_support", lambda points, *_: points)
-    everything = robot_points(surface, boxes(posture), up, np.random.default_rng(0), PaperParams())
+    everything = robot_points(surface, boxes(posture), up, np.random.default_rng(0))
     low, low_of_all = (np.mean(apply(S_WORLD_RECON, found)[:, 2] < 0.01) for found in (points, everything))
     assert low < 0.06
     assert low < 0.4 * low_of_all
@@ -162,7 +162,7 @@ def test_refusals_say_why(posture, model, monkeypatch) -> None:
         align_as_paper(views(), boxes(posture), faint, posture, rng)
     elsewhere = scan(np.random.default_rng(5).uniform([-0.9, -0.5, 0.1], [0.3, 0.5, 0.9], (4000, 3)))
     with pytest.raises(AlignmentError, match="lie on the model"):
-        align_as_paper(views(), boxes(posture), elsewhere, posture, rng, PaperParams(min_matched=0.6))
+        align_as_paper(views(), boxes(posture), elsewhere, posture, rng, min_matched=0.6)
 
 
 def test_link_boxes_hold_their_links_and_nothing_far(posture) -> None:

@@ -11,10 +11,10 @@ from aomgen.core.motion import MotionCurve
 from aomgen.core.transforms import angle_between, apply, invert
 from aomgen.errors import InputError, NoMotionError
 from aomgen.io.video import Video
-from aomgen.motion.inputs import Demonstration
+from aomgen.motion.inputs import MotionInput
 from aomgen.paper.contact_points import contact_path, nearest_pair
 from aomgen.paper.mask_keyframes import PartMasks
-from aomgen.paper.motion_estimate import PaperParams, estimate_motion_paper
+from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
 from aomgen.paper.moved_masks import changed_masks
 from aomgen.robots.robot import RobotModel
 
@@ -42,7 +42,7 @@ def plate(low: tuple, high: tuple, seed: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def demonstration(robot: RobotModel) -> Demonstration:
+def demonstration(robot: RobotModel) -> MotionInput:
     """A door in front of the fingertips, hinged at y = 0.2, and a body behind it."""
     poses = robot.link_poses(JOINTS[None], [0.0])[0]
     tips = np.concatenate([apply(poses[mesh.body], mesh.vertices_body) for mesh in robot.meshes])
@@ -52,7 +52,7 @@ def demonstration(robot: RobotModel) -> Demonstration:
     means = np.concatenate([door, body])
     count = len(means)
     pose = look_at((1.5, 1.5, 0.8), (0.4, 0.0, 0.0))
-    return Demonstration(
+    return MotionInput(
         video=Video(times_s=TIMES_S, frames_srgb=np.zeros((FRAMES, 12, 16, 3), np.uint8), fps=20.0),
         camera=Camera(fx=15, fy=15, cx=8, cy=6, width=16, height=12, T_world_cam=pose),
         log=drawing_log(robot),
@@ -78,9 +78,9 @@ def sliding_masks(first: int = FIRST, last: int = LAST) -> PartMasks:
     return PartMasks(moving=moving, robot=np.zeros_like(moving))
 
 
-def test_a_door_is_recovered_with_repaired_signs(demonstration: Demonstration) -> None:
+def test_a_door_is_recovered_with_repaired_signs(demonstration: MotionInput) -> None:
     found = estimate_motion_paper(
-        demonstration, sliding_masks(), PaperParams(joint_type="revolute", signs="repaired")
+        demonstration, sliding_masks(), PaperMotionParams(joint_type="revolute", signs="repaired")
     )
     assert [found.start_s, found.end_s] == pytest.approx([TIMES_S[FIRST], TIMES_S[LAST]], abs=0.25)
     assert np.degrees(angle_between(found.joint.axis, [0, 0, 1])) < 1e-6
@@ -100,33 +100,33 @@ def test_a_door_is_recovered_with_repaired_signs(demonstration: Demonstration) -
     assert not np.any(found.theta_sd)
 
 
-def test_printed_signs_put_the_hinge_under_the_hand(demonstration: Demonstration) -> None:
-    found = estimate_motion_paper(demonstration, sliding_masks(), PaperParams(joint_type="revolute"))
+def test_printed_signs_put_the_hinge_under_the_hand(demonstration: MotionInput) -> None:
+    found = estimate_motion_paper(demonstration, sliding_masks(), PaperMotionParams(joint_type="revolute"))
     assert found.joint.origin[1] == pytest.approx(found.contacts[0].point[1], abs=0.06)
 
 
 def test_half_a_film_of_motion_is_refused_as_printed_and_found_when_repaired(
-    demonstration: Demonstration,
+    demonstration: MotionInput,
 ) -> None:
     masks = sliding_masks(50, 150)
     curves: list[MotionCurve] = []
     with pytest.raises(NoMotionError, match="threshold"):
         estimate_motion_paper(
-            demonstration, masks, PaperParams(joint_type="revolute"), on_curve=curves.append
+            demonstration, masks, PaperMotionParams(joint_type="revolute"), on_curve=curves.append
         )
     assert curves[0].smoothed.max() < curves[0].threshold
-    params = PaperParams(joint_type="revolute", threshold="repaired")
+    params = PaperMotionParams(joint_type="revolute", threshold="repaired")
     found = estimate_motion_paper(demonstration, masks, params)
     assert [found.start_s, found.end_s] == pytest.approx([TIMES_S[50], TIMES_S[150]], abs=0.25)
 
 
-def test_masks_of_another_film_are_refused(demonstration: Demonstration) -> None:
+def test_masks_of_another_film_are_refused(demonstration: MotionInput) -> None:
     short = PartMasks(moving=np.zeros((5, 8, 8), bool), robot=np.zeros((5, 8, 8), bool))
     with pytest.raises(InputError, match="5 frames, the video has 200"):
-        estimate_motion_paper(demonstration, short, PaperParams(joint_type="revolute"))
+        estimate_motion_paper(demonstration, short, PaperMotionParams(joint_type="revolute"))
 
 
-def test_the_nearest_pair_is_carried_by_its_link(demonstration: Demonstration, robot: RobotModel) -> None:
+def test_the_nearest_pair_is_carried_by_its_link(demonstration: MotionInput, robot: RobotModel) -> None:
     """A point 3 mm off one fingertip; later it lies where the finger takes it."""
     log = drawing_log(robot)
     pad = robot.pads[0]

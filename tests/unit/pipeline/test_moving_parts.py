@@ -49,7 +49,7 @@ def world(monkeypatch):
     monkeypatch.setattr(moving_parts, "cut_scan", lambda scan, evidence, log_odds: (scan, evidence))
     monkeypatch.setattr(moving_parts, "find_parts", labelled)
     monkeypatch.setattr(moving_parts, "first_motion", lambda demo: None)
-    monkeypatch.setattr(moving_parts, "motion_log_odds", shown)
+    monkeypatch.setattr(moving_parts, "compute_log_likelihood_ratio", shown)
     return made
 
 

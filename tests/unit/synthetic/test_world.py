@@ -20,13 +20,13 @@ from aomgen.io.images import read_labels
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.capture_writer import moved_range, prompt_of
+from aomgen.synthetic.capture_writer import find_moved_range, make_prompt
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demonstration_search import Performance, perform
-from aomgen.synthetic.grasp_selection import usual
-from aomgen.synthetic.layout import build_world, draw_setting
+from aomgen.synthetic.demonstration_search import Performance, find_demonstration
+from aomgen.synthetic.grasp_selection import draw_usual_style
+from aomgen.synthetic.layout import build_world, draw_layout
 from aomgen.synthetic.simulated_demonstration import simulate
-from aomgen.synthetic.style import draw_manner
+from aomgen.synthetic.style import draw_style
 from aomgen.synthetic.tabletop_objects import SIZES
 from aomgen.synthetic.world import make_capture
 from benchmarks.truth import read_truth
@@ -38,7 +38,7 @@ CONDITIONS = Conditions(size=SIZE, scan_views=VIEWS, fps=3)
 
 @pytest.fixture(scope="module", params=sorted(MAKERS))
 def performance(robot: RobotModel, request: pytest.FixtureRequest) -> Performance:
-    return perform(robot, make_asset(request.param, 2), np.random.default_rng(2))
+    return find_demonstration(robot, make_asset(request.param, 2), np.random.default_rng(2))
 
 
 @pytest.fixture(scope="module")
@@ -66,19 +66,19 @@ def test_object_moves_only_while_the_fingers_hold_it(performance: Performance) -
 
 def test_contact_normals_point_into_the_part(performance: Performance) -> None:
     """Left and right fingers press from opposite sides of the bar."""
-    shown, setting = performance.demonstration, performance.setting
+    shown, layout = performance.demonstration, performance.layout
     middle = shown.contacts[2700]
     normals = {side: np.mean([c.normal for c in middle if c.finger == side], 0) for side in ("left", "right")}
     assert normals["left"] @ normals["right"] < -0.5
-    T_world_moving = setting.joint_world.motion(shown.theta[2700]) @ setting.T_world_object
-    handle = apply(T_world_moving, setting.asset.handle_point)
+    T_world_moving = layout.joint_world.motion(shown.theta[2700]) @ layout.T_world_object
+    handle = apply(T_world_moving, layout.asset.handle_point)
     for contact in middle:
         assert np.linalg.norm(contact.point - handle) < 0.03
         assert (handle - contact.point) @ contact.normal > 0
 
 
 def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performance) -> None:
-    world = build_world(robot, performance.setting, visual=False)
+    world = build_world(robot, performance.layout, visual=False)
     open_hand = replace(performance.script, gripper=np.zeros_like(performance.script.gripper))
     no_handle = world.names.handle_geoms
     for name in no_handle:
@@ -94,7 +94,7 @@ def test_the_part_stays_where_it_is_left(performance: Performance) -> None:
     shown = performance.demonstration
     last = max(step for step, touches in enumerate(shown.contacts) if touches)
     assert last < len(shown.theta) - 300
-    limit = {"revolute": np.deg2rad(0.2), "prismatic": 0.001}[performance.setting.asset.joint.type]
+    limit = {"revolute": np.deg2rad(0.2), "prismatic": 0.001}[performance.layout.asset.joint.type]
     assert np.ptp(shown.theta[last:]) < limit
 
 
@@ -219,16 +219,16 @@ def test_prompt_of_a_ring_is_on_the_ring() -> None:
     v, u = np.mgrid[:40, :60]
     radius = np.hypot(v - 20, u - 30)
     mask = (radius < 15) & (radius > 9)
-    (column, row), bounds = prompt_of(mask)
+    (column, row), bounds = make_prompt(mask)
     assert mask[int(row), int(column)]
     assert bounds == [16.0, 6.0, 45.0, 35.0]
 
 
 def test_moved_range_names_the_moving_frames(performance: Performance) -> None:
-    joint = performance.setting.asset.joint
+    joint = performance.layout.asset.joint
     scale = 1.0 if joint.type == "revolute" else 0.1
     theta = scale * np.array([0, 0, 0.001, 0.3, 0.7, 0.999, 1.0, 1.0])
-    assert moved_range(theta, joint) == (3, 4)
+    assert find_moved_range(theta, joint) == (3, 4)
 
 
 def test_unknown_category_is_refused(tmp_path: Path) -> None:
@@ -239,31 +239,31 @@ def test_unknown_category_is_refused(tmp_path: Path) -> None:
 
 def test_laptops_are_found_closed_or_ajar(robot: RobotModel) -> None:
     rng = np.random.default_rng(0)
-    starts = np.rad2deg([usual(make_asset("laptop", 0), rng)[0].start for _ in range(40)])
+    starts = np.rad2deg([draw_usual_style(make_asset("laptop", 0), rng)[0].start for _ in range(40)])
     ajar = starts[starts > 0]
     assert 0.3 < len(ajar) / len(starts) < 0.9
     assert 3 <= ajar.min() <= ajar.max() <= 12
-    assert {usual(make_asset("dresser", 0), rng)[0].start for _ in range(10)} == {0.0}
+    assert {draw_usual_style(make_asset("dresser", 0), rng)[0].start for _ in range(10)} == {0.0}
 
 
 def test_things_beside_a_laptop_are_in_the_way_and_hide_none_of_it(robot: RobotModel) -> None:
     kinds = set()
     for seed in range(4):
-        setting = draw_setting(make_asset("laptop", seed), np.random.default_rng(seed))
+        layout = draw_layout(make_asset("laptop", seed), np.random.default_rng(seed))
         names = [
             [model.geom(number).name for number in range(model.ngeom)]
-            for model in (build_world(robot, setting, visual=shown).model for shown in (False, True))
+            for model in (build_world(robot, layout, visual=shown).model for shown in (False, True))
         ]
         solids = [[name for name in each if name.rstrip("0123456789_") in SIZES] for each in names]
         assert solids[0] == solids[1]
         kinds |= {name.rstrip("0123456789_") for name in solids[0]}
-        model = build_world(robot, setting, visual=False).model
-        x0, x1, y0, y1 = setting.room.keep_free
+        model = build_world(robot, layout, visual=False).model
+        x0, x1, y0, y1 = layout.room.keep_free
         for name in solids[0]:
             (x, y, _), (a, b, _) = model.geom(name).pos, model.geom(name).size
             assert x + a < x0 or x - a > x1 or y + b < y0 or y - b > y1
     assert kinds == {"mug", "mouse", "adapter", "book"}
-    dresser = draw_setting(make_asset("dresser", 0), np.random.default_rng(0))
+    dresser = draw_layout(make_asset("dresser", 0), np.random.default_rng(0))
     assert not dresser.room.desk
 
 
@@ -276,6 +276,6 @@ def test_a_capture_of_a_drawer_shows_a_dresser(capture: Path) -> None:
 
 def test_a_lid_is_closed_by_its_rim(robot: RobotModel) -> None:
     asset, rng = make_asset("laptop", 6000), np.random.default_rng(6000)
-    manner = draw_manner(asset, rng, direction="closing")
-    shown = perform(robot, asset, rng, manner)
-    assert shown.theta[-1] == pytest.approx(manner.travel, rel=0.1)
+    style = draw_style(asset, rng, direction="closing")
+    shown = find_demonstration(robot, asset, rng, style)
+    assert shown.theta[-1] == pytest.approx(style.travel, rel=0.1)
