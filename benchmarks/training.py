@@ -134,7 +134,8 @@ def _point(
     gaussians = without_floaters(gaussians, views.cameras, views.dense, params.near_share)
     evaluated = [evaluate_view(gaussians, camera, image) for camera, image in held_out]
     fitted = [
-        gain_fitted_psnr(view.rendered_srgb, image) for view, (_, image) in zip(evaluated, held_out, strict=True)
+        gain_fitted_psnr(view.rendered_srgb, image)
+        for view, (_, image) in zip(evaluated, held_out, strict=True)
     ]
     return {
         "seconds": round(clock.wall, 2),

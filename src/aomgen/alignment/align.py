@@ -28,6 +28,24 @@ from aomgen.errors import AlignmentError
 from aomgen.robots.configuration import RobotPosture
 
 STAGE = "alignment"
+# Least support beyond chance of the whole robot, 0..1; contours beside the robot reach 0 by definition.
+MIN_LIFT = 0.2
+# The same for every segment of the arm that a joint moves; half, because a segment has few contour points.
+MIN_SEGMENT_LIFT = 0.1
+# Least lead in support over a different hypothesis: half of the least support itself.
+MIN_MARGIN = 0.1
+# Hypotheses whose color score is this share of the best one are fitted to contours; color alone ranks coarsely.
+FINALIST_SHARE = 0.5
+# Hypotheses whose robots are farther apart than this are different, [m]: far outside the reach of the contour fit.
+DISTINCT_M = 0.05
+# Largest joint offset that the images may show, [rad]; mastered arms are within it.
+MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
+# An offset counts when it is this many of its standard deviations: four, as many joints are tested.
+JOINT_SDS = 4.0
+# An offset counts when it moves the contour by more than the error of an image edge, [px].
+MIN_JOINT_MOVE_PX = 0.5
+# Largest standard deviation of the end effector, [m]: with more, a grasp on a handle is not determined.
+MAX_SD_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,31 +58,13 @@ class AlignmentParams:
         views: Scan images used, spread over the walk.
         width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
-        min_lift: Least support beyond chance, of the robot.
-        min_segment_lift: The same for every segment of the arm that a joint moves.
-        min_margin: Least lead in support over a different hypothesis.
-        finalist_share: Places are pulled onto outlines whose colors score this share of the best one's.
-        distinct_m: Hypotheses whose robots are farther apart than this are different.
-        max_joint_offset_rad: Largest offset of a joint that the images may ask for.
-        joint_sds: An offset counts when it is this many of its standard deviations.
-        min_joint_move_px: And when it moves the outline more than edges are found apart anyway.
-        max_sd_m: Largest standard deviation of the end effector.
     """
 
     search: SearchParams = field(default_factory=SearchParams)
     views: int = 24
     width: int = 640
     contour_points: int = 400
-    min_lift: float = 0.2
-    min_segment_lift: float = 0.1
-    min_margin: float = 0.1
     guesses: tuple[int, ...] = (1, 3)
-    finalist_share: float = 0.5
-    distinct_m: float = 0.05
-    max_joint_offset_rad: float = float(np.radians(2.0))
-    joint_sds: float = 4.0
-    min_joint_move_px: float = 0.5
-    max_sd_m: float = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,16 +141,16 @@ def align(
         progress(0.9, "refined on all views")
         evidence = look(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
-        _refuse_unconfirmed(confirmed, runner_up, posture, params)
+        _refuse_unconfirmed(confirmed, runner_up, posture)
         hand = best_hand_turn(S, chosen[::2], drawing, params.contour_points, evidence)
         _refuse_turned_hand(hand, posture)
-    _refuse_wrong_joints(evidence, posture, params)
+    _refuse_wrong_joints(evidence, posture)
     result = replace(
         _summary(S @ S_unit_recon, evidence, confirmed),
         runner_up_support=runner_up,
         ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
     )
-    _refuse_vague(result, params)
+    _refuse_vague(result)
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
 
@@ -166,19 +166,19 @@ def _likeliest(
     best: list[tuple[Confirmation, Array]] = []
     for number, factor in enumerate(params.guesses):
         effort = replace(params.search, guesses=factor * params.search.guesses)
-        found = search(scan, drawing.posture, rng, effort).at_least(params.finalist_share)
+        found = search(scan, drawing.posture, rng, effort).at_least(FINALIST_SHARE)
         now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
         now(0.5, "looked for likely places")
         ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
         best = max(best, ranked, key=lambda places: places[0][0].lift if places else -1.0)
-        if best and best[0][0].lift >= params.min_lift:
+        if best and best[0][0].lift >= MIN_LIFT:
             break
     if not best:
         raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
     first, S = best[0]
-    if not first.lift >= params.min_lift / 2:
-        raise _unconfirmed(first, params)
-    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > params.distinct_m]
+    if not first.lift >= MIN_LIFT / 2:
+        raise _unconfirmed(first)
+    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > DISTINCT_M]
     return S, max(others, default=0.0)
 
 
@@ -236,21 +236,19 @@ def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation) -> Ali
     )
 
 
-def _unconfirmed(found: Confirmation, params: AlignmentParams) -> AlignmentError:
+def _unconfirmed(found: Confirmation) -> AlignmentError:
     return AlignmentError(
         STAGE,
         f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
-        f"one drawn anywhere; want a lead of {params.min_lift:.0%}",
+        f"one drawn anywhere; want a lead of {MIN_LIFT:.0%}",
         "check the robot prompts and that the first rows of the log are the scan's joint values",
     )
 
 
-def _refuse_unconfirmed(
-    found: Confirmation, runner_up: float, posture: RobotPosture, params: AlignmentParams
-) -> None:
-    if not found.lift >= params.min_lift:
-        raise _unconfirmed(found, params)
-    if not found.support - runner_up >= params.min_margin:
+def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPosture) -> None:
+    if not found.lift >= MIN_LIFT:
+        raise _unconfirmed(found)
+    if not found.support - runner_up >= MIN_MARGIN:
         raise AlignmentError(
             STAGE,
             f"two places of the robot are confirmed alike ({found.support:.0%} and {runner_up:.0%})",
@@ -258,30 +256,28 @@ def _refuse_unconfirmed(
         )
     # The base may stand behind things or on a mount, and says nothing about the joints.
     for segment, lift in sorted(found.lift_of_segment.items()):
-        if segment > 0 and not lift >= params.min_segment_lift:
+        if segment > 0 and not lift >= MIN_SEGMENT_LIFT:
             joint = posture.robot.joint_names[segment - 1]
             raise AlignmentError(
                 STAGE,
                 f"the robot is not seen where the log puts it, from {joint} on (the images confirm "
-                f"{lift:.0%} of that outline beyond chance, want {params.min_segment_lift:.0%})",
+                f"{lift:.0%} of that outline beyond chance, want {MIN_SEGMENT_LIFT:.0%})",
                 "check scan_state: the joint values must be those during the scan",
             )
 
 
-def _refuse_wrong_joints(
-    evidence: list[ViewEvidence], posture: RobotPosture, params: AlignmentParams
-) -> None:
+def _refuse_wrong_joints(evidence: list[ViewEvidence], posture: RobotPosture) -> None:
     found = joint_offsets(evidence)
     sizes = np.abs(found.offsets_rad)
-    wrong = (sizes > params.max_joint_offset_rad) & (sizes > params.joint_sds * found.sds_rad)
-    wrong &= found.moves_px > params.min_joint_move_px
+    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > JOINT_SDS * found.sds_rad)
+    wrong &= found.moves_px > MIN_JOINT_MOVE_PX
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
         offset_deg, sd_deg = np.degrees(found.offsets_rad[worst]), np.degrees(found.sds_rad[worst])
         raise AlignmentError(
             STAGE,
             f"{posture.robot.joint_names[worst]} looks {offset_deg:+.0f} deg off in the images "
-            f"(+-{sd_deg:.1f}, limit {np.degrees(params.max_joint_offset_rad):.0f})",
+            f"(+-{sd_deg:.1f}, limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f})",
             "check scan_state: the joint values must be those during the scan",
         )
 
@@ -296,11 +292,11 @@ def _refuse_turned_hand(found: HandTurn, posture: RobotPosture) -> None:
         )
 
 
-def _refuse_vague(result: Alignment, params: AlignmentParams) -> None:
-    if not result.ee_sd_m <= params.max_sd_m:
+def _refuse_vague(result: Alignment) -> None:
+    if not result.ee_sd_m <= MAX_SD_M:
         raise AlignmentError(
             STAGE,
-            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * params.max_sd_m:.0f} mm",
+            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * MAX_SD_M:.0f} mm",
             "scan the robot from more sides",
         )
 

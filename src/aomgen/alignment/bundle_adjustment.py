@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.alignment.bundle_equations import (
+    DRIFT_SDS,
     FIXED,
+    MAX_DRIFT_S,
+    MIN_SD_S,
     Block,
-    BundleParams,
     BundleProblem,
     CameraState,
     Columns,
@@ -162,20 +164,20 @@ def _gauss_newton(
 
 def _drifts(problem: BundleProblem, name: str, clock: Clock) -> bool:
     times = problem.cameras[name].frames.times_s
-    return bool(len(times)) and drifts(clock, float(times[-1] - times[0]), problem.params)
+    return bool(len(times)) and drifts(clock, float(times[-1] - times[0]))
 
 
-def drifts(clock: Clock, seconds: float, params: BundleParams) -> bool:
+def drifts(clock: Clock, seconds: float) -> bool:
     """Whether a clock's drift matters over so many seconds, and is known well enough to say so."""
     shift = abs(clock.rate) * seconds
-    return shift > params.max_drift_s and abs(clock.rate) > params.drift_sds * clock.rate_sd
+    return shift > MAX_DRIFT_S and abs(clock.rate) > DRIFT_SDS * clock.rate_sd
 
 
 def _final_clock(problem: BundleProblem, name: str, clock: Clock, *, steady: bool) -> Clock:
     given = problem.cameras[name].clock
     if not given.sd_s > 0:
         return given
-    return replace(clock, sd_s=max(clock.sd_s, problem.params.min_sd_s), rate=0.0 if steady else clock.rate)
+    return replace(clock, sd_s=max(clock.sd_s, MIN_SD_S), rate=0.0 if steady else clock.rate)
 
 
 def _move_state(state: CameraState, step: Array, pivot: Array) -> CameraState:

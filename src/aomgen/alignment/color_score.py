@@ -14,11 +14,13 @@ from aomgen.alignment.contours import AlignmentImage
 from aomgen.core.values import Array
 from aomgen.robots.configuration import RobotPosture
 
+# Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40
 # Width of the rim, as a share of the image's width: less than an arm's link is thick.
 RIM = 0.06
 # A silhouette of which less than this is in the pictures says less.
 SEEN = 0.5
+# Poses scored at once: bounds the memory, no effect on the result.
 BATCH = 128
 
 

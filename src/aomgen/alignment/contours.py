@@ -16,6 +16,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 
+# Color histogram bins a channel: 256 gray levels shifted right by 4 bits.
 BINS = 16
 
 

@@ -157,8 +157,7 @@ def calibrate_fixed_cameras(
         progress(0.8, "estimating joint zeros")
         refinement = estimate_joint_zeros(problem, splits, refinement)
     cameras = {
-        name: _calibrated_camera(name, item, splits[name], refinement, params)
-        for name, item in videos.items()
+        name: _calibrated_camera(name, item, splits[name], refinement) for name, item in videos.items()
     }
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
     return FixedCameraCalibration(
@@ -223,7 +222,7 @@ def _in_problem(item: FixedCameraVideo, split: HeldOutSplit, params: BundleParam
 
 
 def _calibrated_camera(
-    name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution, params: BundleParams
+    name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution
 ) -> CalibratedCamera:
     state = refinement.cameras[name]
     used = bool(len(split.frames.times_s))
@@ -244,7 +243,7 @@ def _calibrated_camera(
     refusal: tuple[str, ...] = ()
     if isinstance(clock, SyncError):
         refusal = (clock.where, clock.problem, clock.remedy)
-    elif drifts(clock, float(item.video.times_s[-1] - item.video.times_s[0]), params):
+    elif drifts(clock, float(item.video.times_s[-1] - item.video.times_s[0])):
         refusal = _drift_refusal(name, clock, item.video)
     else:
         clock = replace(clock, rate=0.0)

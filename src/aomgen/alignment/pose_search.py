@@ -39,33 +39,36 @@ class Generation:
     step: float
 
 
+# Poses that fit the prompted boxes worse than the best by this share of a box are dropped; boxes are drawn by hand.
+MAX_MISFIT = 0.15
+# Width of the images for the first pass over all poses, [px]: links are a few pixels wide, and it is quick.
+FIRST_WIDTH = 48
+# Rounds; steps begin at the size of the basin of attraction, about the thickness of a link.
+GENERATIONS = (
+    Generation(parents=50, apart=0.08, children=6, step=0.06),
+    Generation(parents=24, apart=0.06, children=8, step=0.04),
+    Generation(parents=12, apart=0.05, children=10, step=0.025),
+    Generation(parents=6, apart=0.03, children=12, step=0.012),
+)
+# Number of poses returned at most: the best and its rivals.
+KEPT = 3
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchParams:
     """Effort.
 
     Attributes:
         guesses: Places that are looked at first.
-        max_misfit: Worse ones than the best by this share of a box are dropped.
         width, first_width: Of the small images, and of those for the first look, [px].
         views: How many of them.
-        generations: Rounds; steps begin at the size of the basin, about a link's thickness.
         apart: The places returned differ by more than this share of the robot's size.
-        kept: How many of them, at most.
     """
 
     guesses: int = 2400
-    max_misfit: float = 0.15
     width: int = 80
-    first_width: int = 48
     views: int = 8
-    generations: tuple[Generation, ...] = (
-        Generation(parents=50, apart=0.08, children=6, step=0.06),
-        Generation(parents=24, apart=0.06, children=8, step=0.04),
-        Generation(parents=12, apart=0.05, children=10, step=0.025),
-        Generation(parents=6, apart=0.03, children=12, step=0.012),
-    )
     apart: float = 0.5
-    kept: int = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,20 +139,20 @@ def search(
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
     places = places_in_boxes(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
-    Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + params.max_misfit]
+    Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
-    first = color_score([reduced(view, params.first_width) for view in chosen], posture, rng)
+    first = color_score([reduced(view, FIRST_WIDTH) for view in chosen], posture, rng)
     score = color_score([reduced(view, params.width) for view in chosen], posture, rng)
-    parents = different(Found(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(params.generations[0]))
+    parents = different(Found(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(GENERATIONS[0]))
     parents = replace(parents, scores=score(parents.Ss_world_recon))
     looked_at = [parents]
-    for generation in params.generations:
+    for generation in GENERATIONS:
         parents = different(_joined(looked_at), probe, *_kept(generation))
         children = _near(parents.Ss_world_recon, probe, generation, rng)
         looked_at.append(Found(Ss_world_recon=children, scores=score(children)))
     found = _joined(looked_at)
-    return different(found, probe, params.apart, params.kept)
+    return different(found, probe, params.apart, KEPT)
 
 
 def _kept(generation: Generation) -> tuple[float, int]:

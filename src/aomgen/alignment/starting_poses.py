@@ -13,11 +13,13 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze
 
+# A side of a box this close to the image border is cut by it, [px]: the accuracy of a hand-drawn box.
 BORDER_PX = 3.0
 # Sides of boxes drawn by hand miss by some tenths of the box; beyond this a side counts less.
 _SIDE_ERROR = 0.1
 # A guess holds on with the weight of a side that is this many times less exact.
 _GUESS_SPREAD, _GUESS_WEIGHT = np.array([1.0, 1.0, 1.0, 0.5]), 0.02
+# Gauss-Newton steps of a starting pose; it is refined on contours later.
 _STEPS = 12
 
 

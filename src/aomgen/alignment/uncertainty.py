@@ -13,6 +13,7 @@ from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.confidence import ViewEvidence
 from aomgen.core.values import Array, freeze
 
+# Groups of views left out in turn (jackknife): each must still determine all joints.
 GROUPS = 8
 # Arms report their joints to a fraction of a degree; offsets beyond this are not expected at all.
 JOINT_PRIOR_RAD = np.radians(20.0)

@@ -20,6 +20,7 @@ from aomgen.core.values import Array
 TURNS_DEG: Final = (-60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0)
 # Neighbors on an outline are confirmed together: ten count as one.
 CORRELATED: Final = 10
+# Standard deviations by which a rotated wrist must fit better, so that chance does not report one.
 CLEAR_SDS: Final = 3.0
 
 

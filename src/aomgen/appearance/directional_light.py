@@ -32,6 +32,7 @@ PICTURES: Final = 16
 PLACES: Final = 4000
 # A place is seen when nothing that moves covers more than this of it, so many pixels around.
 COVERED: Final = 0.02
+# Margin around moving bodies, [px]: render and image differ by about this much at contours.
 MARGIN_PX: Final = 3
 # Lamps at least this high above the surface, as the sine of their elevation.
 MIN_SINE: Final = 0.25
@@ -39,11 +40,13 @@ MIN_SINE: Final = 0.25
 DIRECTIONS: Final = 700
 # The surface is looked for this far above and below where it was fitted, [m].
 NEAR_M: Final = HEIGHTS[-1]
+# Grid cells on the surface for the coarse search, [m]: finer than the shadow of an arm.
 CELL_M: Final = 0.02
 # Points of the bodies that are dropped.
 POINTS: Final = 4000
 # Steps of the refinement, [rad]; the last moves a shadow of a point 1 m high by a centimeter.
 STEPS: Final = (0.06, 0.03, 0.015, 0.0075)
+# Passes over the neighbours of a direction at each step; four cover the spacing of the coarse directions.
 ROUNDS: Final = 4
 # The shadow has to take away at least this share of the variance in pictures it was not fitted to.
 # With less, as under soft light, most of what it draws would be wrong.
@@ -54,6 +57,7 @@ CORE: Final = 0.95
 EDGE_M: Final = 0.015
 # Gaussians that count as surface, and how many around one tell its color.
 SOLID: Final = 0.3
+# Lit Gaussians whose median gives the color of the surface: outvotes single outliers.
 NEIGHBORS: Final = 16
 # Brightness is compared above this, sRGB: below, noise counts more than light.
 DARK: Final = 0.03

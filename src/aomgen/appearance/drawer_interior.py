@@ -28,12 +28,13 @@ from aomgen.twin.twin import PART, Twin, body_poses, posed_by
 
 # Images are compared in this width, where small errors of the joint value are below a pixel.
 WIDTH_PX = 320
-# Frames looked at, and the share of the whole travel from which on a drawer is open.
+# Frames used, at different openings: enough to predict each from the others.
 FRAMES = 5
+# Share of the travel from which a drawer counts as open: its interior is visible from there.
 OPEN_SHARE = 0.4
-# Shapes that are tried: how far walls stand inside the front's outline, as share of its width, and how
-# high they reach, as share of its height.
+# Insets of the walls from the outline of the front that are tried, as share of its width.
 INSETS = (0.02, 0.06)
+# Wall heights tried, as share of the front's height; a few, as the best is chosen by image error.
 HEIGHTS = (0.25, 0.5, 0.75, 0.95)
 # A tray has to take away this share of the squared error where it may be, or there is none.
 MIN_GAIN = 0.3
@@ -41,11 +42,15 @@ MIN_GAIN = 0.3
 MIN_PIXELS = 100
 # A drawer's front lies at the end of its body to which it moves, no farther inside than this share of the body.
 MAX_INSIDE_SHARE = 0.2
-# Spacing of discs in pixels, and spread of each as share of the spacing.
+# Spacing of discs, [px]: one a pixel leaves no holes.
 SPACING_PX = 1.0
+# Extent of a disc as share of the spacing, so that neighbours overlap without gaps.
 SPREAD = 0.7
+# Thickness of a disc as share of the spacing: thin, but not degenerate for the rasterizer.
 THICKNESS = 0.05
+# Limit on discs, so that a large drawer does not slow down rendering.
 MAX_DISCS = 20_000
+# Margin around the robot that is not compared, [px]: its contour is uncertain by about this much.
 ROBOT_MARGIN_PX = 3
 
 

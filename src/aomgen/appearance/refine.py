@@ -27,7 +27,9 @@ STEP_PX: Final = 0.1
 # Shadows are drawn a pixel or two beside where they are: nothing is learned where the share of light
 # that is taken changes by this much, on pixels that are mostly the surface.
 EDGE_PX: Final = 5
+# Change in the share of light, 0..1, that makes an edge of a shadow.
 EDGE_STEP: Final = 0.1
+# Share of a pixel, 0..1, from which it is mostly the surface.
 MOSTLY: Final = 0.5
 
 

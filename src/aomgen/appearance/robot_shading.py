@@ -24,14 +24,17 @@ from aomgen.twin.relit import NEGLIGIBLE, Remembered, orientation_weights
 REACH_RAD: Final = float(np.radians(10.0))
 # Orientations are remembered this far apart, in reaches.
 SPACING: Final = 1.5
+# Alternations of the least-squares fits, which share what none of them explains alone.
 ROUNDS: Final = 4
 # Linear colors below this are black: the slope of sRGB would give them all the weight.
 BLACK: Final = 0.003
 # Pull of a disc towards its material and of a material towards all others, in sightings of one pixel.
 DISC_PULL: Final = 1.0
+# Regularization of a material towards all others, relative to the data: only decides what is not observed.
 MATERIAL_PULL: Final = 1e-3
 # A disc is at most this many times as bright or dark as its material.
 MAX_RATIO: Final = 5.0
+# Nearest seen discs that give an unseen disc its color, by their mean.
 NEIGHBORS: Final = 6
 # Pull of glare towards none, in sightings (their weight is the root of their pixels).
 SPECULAR_PULL: Final = 0.3

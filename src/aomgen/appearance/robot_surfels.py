@@ -26,13 +26,16 @@ from aomgen.twin.twin import Twin
 
 # Discs lie this far apart in the pictures, [px], within limits that keep episodes fast.
 SPACING_PX: Final = 2.0
+# Least and largest number of discs: covers a small robot, keeps episodes fast.
 COUNTS: Final = (12_000, 40_000)
+# Least number of discs a body and material, so that small parts stay closed surfaces.
 MIN_PER_BODY: Final = 120
 # How far discs lie beneath the surface, [px].
 INSET_PX: Final = 1.0
 # Scanned Gaussians this far outside the model, and solid, are things it does not have, like cables.
 # Nearer ones are the scan's own blur of the same surface.
 ATTACHED_M: Final = 0.012
+# Opacity from which a Gaussian is solid: it hides more than it lets through.
 SOLID_OPACITY: Final = 0.5
 # Bodies of which the scan and the video show less are left as scanned.
 MIN_OBSERVATIONS: Final = 200

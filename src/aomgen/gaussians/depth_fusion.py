@@ -13,7 +13,9 @@ from aomgen.splatting.surfaces import ViewDepth
 
 # A depth is confirmed by a view whose own depth there differs by at most this many planes.
 MAX_PLANES_APART = 1.5
+# Neighbours that must confirm a depth: one may agree by chance.
 MIN_CONFIRMATIONS = 2
+# Least normalized correlation at a confirmed depth, -1..1: above that of unrelated texture, which is about 0.
 MIN_SCORE = 0.25
 # Pixels that must agree on a cell for it to hold a point.
 MIN_WEIGHT = 5.0

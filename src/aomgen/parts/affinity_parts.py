@@ -18,7 +18,6 @@ from aomgen.parts.likelihood import PartEvidence
 from aomgen.parts.prompted_images import PromptedImage
 from aomgen.parts.scan_views import ScanView
 from aomgen.segmentation.automatic_masks import (
-    AutomaticMasksParams,
     ViewMasks,
     best_masks,
     grid_points,
@@ -28,6 +27,10 @@ from aomgen.segmentation.interface import Segmenter
 
 # No feature is surer than this.
 LEAST_VOTE = 0.02
+# Cosine similarity over which a vote turns from the rest to the part: the width of the logistic step.
+SOFTNESS = 0.05
+# Points of the grid along either side of an image; the prompted object has a denser grid of its own.
+GRID_SIDE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,18 +40,14 @@ class AffinityPartsParams:
     Attributes:
         views: Views that are segmented, the prompted ones among them.
         object_side: Points along either side of the prompted object's box, beside the image's grid.
-        masks: Of the point grids.
         training: Of the features.
-        softness: Similarity over which a vote turns from the rest to the part.
         masks_folder: Keeps the masks of each view for a run that goes on, see `masks_of_views`;
             None keeps nothing.
     """
 
     views: int = 12
     object_side: int = 6
-    masks: AutomaticMasksParams = field(default_factory=AutomaticMasksParams)
     training: AffinityParams = field(default_factory=AffinityParams)
-    softness: float = 0.05
     masks_folder: Path | None = None
 
 
@@ -94,11 +93,11 @@ def masked_scan(
         image = prepared.get(name) or segmenter.prepare(name, view.image_srgb)
         points = np.concatenate(
             [
-                grid_points(view.robot.shape, params.masks.side, view.robot),
+                grid_points(view.robot.shape, GRID_SIDE, view.robot),
                 _object_grid(view, points_world, params.object_side),
             ]
         )
-        return best_masks(image.at_points(points), params.masks, view.robot)
+        return best_masks(image.at_points(points), view.robot)
 
     found = masks_of_views(list(by_name), find, params.masks_folder, progress)
     answers = {name: [item.best_mask for item in prompted if item.view.name == name] for name in by_name}
@@ -168,14 +167,14 @@ def query_parts(
     return answers
 
 
-def affinity_votes(answers: Mapping[int, QueryAnswer], params: AffinityPartsParams) -> Array:
+def affinity_votes(answers: Mapping[int, QueryAnswer]) -> Array:
     """Votes (N, 3) for background, static part and moving part; each row sums to 1.
 
     A prompt of the static part shows the whole object, the moving part lies on it.
     """
     shares = {}
     for value, answer in answers.items():
-        margin = (answer.similarities.astype(np.float64) - answer.threshold) / params.softness
+        margin = (answer.similarities.astype(np.float64) - answer.threshold) / SOFTNESS
         shares[value] = 1 / (1 + np.exp(-np.clip(margin, -50, 50)))
     moving = shares[MOVING]
     static = shares[STATIC] * (1 - moving)
@@ -216,6 +215,6 @@ def affinity_evidence(
         ReconstructionError: There are no masks, or the prompts show nothing.
     """
     affinity = affinity_of(gaussians, scan, part(progress, 0.0, 0.95), params)
-    votes = affinity_votes(query_parts(gaussians, affinity, prompted, params), params)
+    votes = affinity_votes(query_parts(gaussians, affinity, prompted, params))
     progress(1.0, "parts queried")
     return PartEvidence(log_likelihoods=np.log(np.maximum(votes, LEAST_VOTE)), method="saga")

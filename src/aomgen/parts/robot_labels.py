@@ -9,6 +9,7 @@ from aomgen.parts.robot_links import MAX_DISTANCE_M, nearest_links
 from aomgen.parts.scan_views import ScanView, lift, spread
 from aomgen.robots.configuration import RobotPosture
 
+# Largest distance of a robot Gaussian from its links, [m]: covers cables and housings that the model omits.
 LOOSE_DISTANCE_M = 0.06
 # Views whose drawn robot masks vote.
 VIEWS = 20

@@ -9,7 +9,9 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.robots.configuration import RobotPosture
 
+# Distance from a link within which a Gaussian belongs to it, [m]: scan noise plus alignment error.
 MAX_DISTANCE_M = 0.02
+# Surface samples a square metre: about 4 mm apart, well below the distance above.
 SAMPLES_PER_M2 = 60_000.0
 
 

@@ -12,12 +12,14 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.values import Array
 
+# Neighbours of a Gaussian in the graph: those around it on a surface.
 NEIGHBORS = 10
 # Coupling of two touching neighbors of one color, log odds; and the share of it that is left across an edge
 # in color.
 COUPLING, ACROSS_EDGE = 0.6, 0.2
 # Distance over which points are one surface, [m]; and over which colors are one, of 0..1.
 REACH_M, COLOR_SD = 0.01, 0.08
+# Mean-field iterations: labels can spread over as many neighbourhoods.
 ITERATIONS = 30
 
 

@@ -23,6 +23,7 @@ from aomgen.structure.misregistration import (
 # Two images this near are seen by a feature from the same side (SIFT holds to about 30 degrees):
 # distance of their centres as a share of the depth, and angle between their viewing directions.
 NEAR_SHARE = 0.2
+# SIFT descriptors match reliably within this angle, [deg].
 NEAR_ANGLE_DEG = 15.0
 # Candidate splits: leading eigenvectors of the evidence.
 SPLITS = 6

@@ -23,6 +23,7 @@ STILLS = ("first", "median")
 # Two placements of one camera are the same place below these; a wrong place is far beyond. Where
 # both are right they differ by 0.01 to 0.1 degrees and 0.1 % of the depth.
 SAME_ANGLE_DEG = 2.0
+# The same for the distance, as share of the depth.
 SAME_DISTANCE_SHARE = 0.03
 # Of two places the better one is believed with this many times the matches of the other.
 CLEAR_MAJORITY = 2.0

@@ -26,6 +26,7 @@ from aomgen.structure.sparse_model import (
 # the share of the squared error it removes. Where the simpler model is right they stay below 1 and 0.1 %;
 # a lens that bends the border by two pixels, or a focal length 2 % off, gives 4 to 6 and 2 %.
 MIN_SIGNIFICANCE = 3.0
+# Least relative gain: well below the 2 % that a real distortion gives.
 MIN_GAIN = 0.005
 # Errors above this many medians are outliers and count no more than this.
 OUTLIER_MEDIANS = 2.0

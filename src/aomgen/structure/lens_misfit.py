@@ -6,8 +6,9 @@ import pycolmap
 from aomgen.errors import ReconstructionError
 from aomgen.structure.lens_choice import residuals
 
-# Cells across and down the picture, and features without which one says nothing.
+# Cells across and down the image.
 CELLS = np.array([8, 6])
+# Features a cell for a stable median.
 MIN_FEATURES = 30
 # The right model leaves 0.01 to 0.02 px, a pinhole where the border is bent by 5 px leaves 0.07 px.
 MAX_MISFIT_PX = 0.25

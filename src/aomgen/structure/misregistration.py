@@ -16,8 +16,11 @@ from aomgen.core.values import Array
 # Repeated prints and plain texture give false pairs of up to about this many "verified" matches
 # (measured: 15 to 33 where true neighbours have 40 to 500); only what is above counts as evidence.
 FALSE_MATCHES = 35
+# Matches from which a pair is a test at all: COLMAP verifies a pair from 15 inliers on.
 MIN_MATCHES = 15
+# Epipolar error of a match that agrees, [px]: the default error of COLMAP's two-view geometry.
 MAX_ERROR_PX = 4.0
+# Share of its matches that must agree with an image: the majority.
 MIN_SHARE = 0.5
 
 

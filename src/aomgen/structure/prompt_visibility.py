@@ -15,6 +15,7 @@ NEAREST_POINTS = 5
 # Below this a surface's depth is a guess: three views, and the angle between the outermost ones at
 # which a pixel of error is six pixels' worth of depth (1 / sin).
 MIN_VIEWS = 3
+# See above, [deg]: 1 / sin(10 deg) is about 6.
 MIN_ANGLE_DEG = 10.0
 
 

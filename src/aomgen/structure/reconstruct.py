@@ -46,29 +46,31 @@ class Photographs:
     prompts: tuple[Prompt, ...] = ()
 
 
+# SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
+PEAK_THRESHOLD = 0.0035
+# With more images than this only neighbours and a coarse grid are matched, to bound the time (pairs grow with the square).
+EXHAUSTIVE_LIMIT = 90
+# Least number of different images of a scan.
+MIN_IMAGES = 8
+# Least share of the different scan images that must be registered: with less, sides of the scene are missing.
+MIN_REGISTERED = 0.8
+# When fewer than this share are registered, a second mapper is tried as well.
+RETRY_BELOW = 0.95
+# Largest mean reprojection error of a valid reconstruction, [px]; SIFT locates features to about half a pixel.
+MAX_ERROR_PX = 1.5
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StructureParams:
     """Limits and effort.
 
     Attributes:
         max_features: SIFT features kept an image.
-        peak_threshold: SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
-        exhaustive_limit: With more images than this only neighbours and a coarse grid are matched.
-        min_images: Different images without which there is no scan.
-        min_registered: Share of the different scan images that must survive.
-        retry_below: When fewer than this share survive, a second mapper tries as well.
-        max_error_px: Mean reprojection error that still counts as a reconstruction.
         seed: Of every random choice.
         threads: -1 = all cores.
     """
 
     max_features: int = 8192
-    peak_threshold: float = 0.0035
-    exhaustive_limit: int = 90
-    min_images: int = 8
-    min_registered: float = 0.8
-    retry_below: float = 0.95
-    max_error_px: float = 1.5
     seed: int = 0
     threads: int = -1
 
@@ -91,17 +93,17 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
     Not checked: rolling shutter; a lens that changes between the images (zoom, focus).
     """
     names = sorted(photographs.images)
-    _require_images(len(names), 0, params)
+    _require_images(len(names), 0)
     with tempfile.TemporaryDirectory(prefix="aomgen-structure-") as folder:
         work = Workspace(folder=Path(folder), seed=params.seed, threads=params.threads)
         _extract(work, photographs, params, progress)
         progress(0.25, "matching features")
-        work.match(params.exhaustive_limit)
+        work.match(EXHAUSTIVE_LIMIT)
         prompted = {prompt.image for prompt in photographs.prompts}
         same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
-        _require_images(len(names), len(same), params)
+        _require_images(len(names), len(same))
         work.leave_out("scan", set(same))
-        inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
+        inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), progress)
         progress(0.99, "placing the fixed cameras")
         placed = {
             name: place_fixed_camera(work, inliers.mapped, name, view, photographs.intrinsics)
@@ -112,12 +114,12 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
     return _covered(structure, photographs.prompts)
 
 
-def _require_images(count: int, repeated: int, params: StructureParams) -> None:
-    if not count - repeated >= params.min_images:
+def _require_images(count: int, repeated: int) -> None:
+    if not count - repeated >= MIN_IMAGES:
         again = f", {repeated} of them twice" if repeated else ""
         raise ReconstructionError(
             "scan",
-            f"has {count} images{again}, at least {params.min_images} are needed",
+            f"has {count} images{again}, at least {MIN_IMAGES} are needed",
             "record more images from more places",
         )
 
@@ -131,11 +133,11 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
         sets.append(ImageSet(group=f"demo:{name}", images=stills, intrinsics=view.intrinsics))
     for index, item in enumerate(sets):
         progress(0.2 * index / len(sets), "finding features")
-        work.extract(item, params.max_features, params.peak_threshold)
+        work.extract(item, params.max_features, PEAK_THRESHOLD)
 
 
 def _solve(
-    work: Workspace, intrinsics: Intrinsics | None, count: int, params: StructureParams, progress: Progress
+    work: Workspace, intrinsics: Intrinsics | None, count: int, progress: Progress
 ) -> tuple[InlierModel, Figures]:
     """The better of incremental and global mapping; the second only when the first leaves images out.
 
@@ -149,7 +151,7 @@ def _solve(
         if mapped is not None:
             progress(0.97, "checking every image")
             attempts[mapper] = reject_outliers(work, mapped), lens_figures
-            if attempts[mapper][0].count >= params.retry_below * count:
+            if attempts[mapper][0].count >= RETRY_BELOW * count:
                 break
         progress(0.97, "mapping in another way")
     if not attempts:
@@ -159,10 +161,10 @@ def _solve(
     names = list(attempts)
     best = names[0]
     for other in names[1:]:
-        if is_better(attempts[other][0], attempts[best][0], params.max_error_px):
+        if is_better(attempts[other][0], attempts[best][0], MAX_ERROR_PX):
             best = other
     inliers, lens_figures = attempts[best]
-    _gate(count, inliers, params)
+    _gate(count, inliers)
     tried = {
         name: {"registered": item.count, "reprojection_error_px": item.mapped.error_px}
         for name, (item, _) in attempts.items()
@@ -188,20 +190,20 @@ def _map(
     return work.mapped("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
 
 
-def _gate(count: int, inliers: InlierModel, params: StructureParams) -> None:
+def _gate(count: int, inliers: InlierModel) -> None:
     share = inliers.count / count
-    if not share >= params.min_registered:
+    if not share >= MIN_REGISTERED:
         raise ReconstructionError(
             "scan",
             f"{inliers.count} of {count} images could be registered "
             f"({len(inliers.dropped)} contradicted their neighbours), "
-            f"at least {params.min_registered:.0%} are needed",
+            f"at least {MIN_REGISTERED:.0%} are needed",
             "record with more overlap, more texture and fewer repeated prints",
         )
-    if not inliers.mapped.error_px <= params.max_error_px:
+    if not inliers.mapped.error_px <= MAX_ERROR_PX:
         raise ReconstructionError(
             "scan",
-            f"reprojection error is {inliers.mapped.error_px:.2f} px, limit {params.max_error_px:.2f} px",
+            f"reprojection error is {inliers.mapped.error_px:.2f} px, limit {MAX_ERROR_PX:.2f} px",
             "check the intrinsics, lens distortion and motion blur",
         )
 

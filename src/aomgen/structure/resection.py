@@ -20,9 +20,13 @@ from aomgen.structure.lens_choice import (
 )
 from aomgen.structure.sparse_model import LensModel, free_lens, lens_of, set_camera
 
+# Matches that must agree on a camera: twice what COLMAP asks of a pair, as one view carries it alone.
 MIN_INLIERS = 30
+# Reprojection error of an inlier, [px]: leaves room for a lens that is not yet estimated.
 MAX_ERROR_PX = 6.0
+# Folds of the jackknife over matches.
 FOLDS = 5
+# Alternations of inlier selection and lens estimation.
 LENS_ROUNDS = 3
 
 

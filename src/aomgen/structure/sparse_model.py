@@ -17,6 +17,7 @@ LensModel = Literal["stated", "scan", "focal", "radial", "full"]
 
 # Beyond the usual error of a SIFT feature matches fade: mismatches, shadows and smeared images err far.
 FEATURE_SD_PX = 0.5
+# Iterations of bundle adjustment at most: it starts from a mapped model, near the optimum.
 MAX_ITERATIONS = 30
 
 

@@ -8,14 +8,19 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from aomgen.core.values import Array
 
+# Pyramid levels: motion of up to four windows between frames is followed.
 LEVELS = 3
+# Lucas-Kanade steps a level; converged steps end earlier, see `CONVERGED_PX`.
 ITERATIONS = 6
+# Half side of the tracked window, [px]: 11 x 11, a usual size for corners.
 HALF_WINDOW = 5
+# Cells across and down the image, so that points cover the view.
 GRID = (12, 9)
 # A patch is still the first one while their correlation is at least this.
 MIN_CORRELATION = 0.75
 # Texture that can be followed: smaller eigenvalue of the mean squared gradient, [grey^2 / px^2].
 MIN_TEXTURE = 4.0
+# Step that ends the iteration, [px]: far below the motion that decides anything.
 CONVERGED_PX = 0.02
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from aomgen.alignment.bundle_adjustment import drifts
-from aomgen.alignment.bundle_equations import BundleParams
 from aomgen.alignment.calibrated_cameras import (
     CAMERAS_FILE,
     CalibratedCamera,
@@ -105,4 +104,4 @@ def test_structure_rows_match_finite_differences() -> None:
 )
 def test_a_drift_counts_when_it_matters_and_is_known(rate, rate_sd, seconds, drifting) -> None:
     clock = Clock(offset_s=0.2, sd_s=0.001, rate=rate, rate_sd=rate_sd)
-    assert drifts(clock, seconds, BundleParams()) is drifting
+    assert drifts(clock, seconds) is drifting

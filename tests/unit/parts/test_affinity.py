@@ -24,7 +24,6 @@ from aomgen.parts.prompted_images import ask_prompts
 from aomgen.parts.scan_views import ScanView
 from aomgen.parts.smoothing import smooth_posterior
 from aomgen.segmentation.automatic_masks import (
-    AutomaticMasksParams,
     ViewMasks,
     best_masks,
     grid_points,
@@ -312,13 +311,13 @@ def test_good_masks_are_kept_once_and_best_first():
         quality=np.array([0.9, 0.95, 1, 1, 0.85, 0.3], np.float32),
         stability=np.array([0.9, 0.95, 1, 1, 0.9, 1], np.float32),
     )
-    kept = best_masks(answers, AutomaticMasksParams())
+    kept = best_masks(answers)
     assert np.array_equal(kept.masks, np.stack([disc, other]))
     assert np.all(np.diff(kept.scores) <= 0)
 
 
 def test_nothing_found_is_no_mask():
-    assert best_masks(masks_of_logits([], [], (20, 30)), AutomaticMasksParams()).masks.shape == (0, 20, 30)
+    assert best_masks(masks_of_logits([], [], (20, 30))).masks.shape == (0, 20, 30)
 
 
 def test_stored_masks_come_back(tmp_path):
