@@ -11,10 +11,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from aomgen.alignment.camera_uncertainty import CameraErrors
-from aomgen.alignment.confidence import Confirmation, ViewEvidence, confirmation, look
+from aomgen.alignment.confidence import Confirmation, ViewEvidence, collect_evidence, confirmation
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Scan, SearchParams, search
-from aomgen.alignment.silhouette_fit import FINE, MIDDLE, RobotDrawing, reduced, refine, robot_drawing, spread
+from aomgen.alignment.silhouette_fit import (
+    FINE,
+    MIDDLE,
+    RobotDrawing,
+    limit_width,
+    refine,
+    robot_drawing,
+    spread,
+)
 from aomgen.alignment.uncertainty import (
     covariance_from_cameras,
     joint_offsets,
@@ -34,9 +42,11 @@ MIN_LIFT = 0.2
 MIN_SEGMENT_LIFT = 0.1
 # Least lead in support over a different hypothesis: half of the least support itself.
 MIN_MARGIN = 0.1
-# Hypotheses whose color score is this share of the best one are fitted to contours; color alone ranks coarsely.
+# Hypotheses whose color score is this share of the best one are fitted to contours; color alone ranks
+# coarsely.
 FINALIST_SHARE = 0.5
-# Hypotheses whose robots are farther apart than this are different, [m]: far outside the reach of the contour fit.
+# Hypotheses whose robots are farther apart than this are different, [m]: far outside the reach of the
+# contour fit.
 DISTINCT_M = 0.05
 # Largest joint offset that the images may show, [rad]; mastered arms are within it.
 MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
@@ -112,7 +122,7 @@ def align(
     Args:
         scan: Images that show the robot in `posture`, with at least one prompted box.
         posture: Robot and its joint values during the scan.
-        progress: Told after each hypothesis.
+        progress: Called after each hypothesis.
         rng: Random choices of the search.
         params: See `AlignmentParams`.
 
@@ -131,7 +141,7 @@ def align(
     cameras = [view.camera_recon for view in scan.views]
     S_unit_recon = unit_frame([camera.center for camera in cameras], cameras[0].T_world_cam)
     scan = scan.seen_from(S_unit_recon)
-    scan = replace(scan, views=[reduced(view, params.width) for view in scan.views])
+    scan = replace(scan, views=[limit_width(view, params.width) for view in scan.views])
     width = max(view.camera_recon.width for view in scan.views)
     height = max(view.camera_recon.height for view in scan.views)
     with robot_drawing(posture, width, height) as drawing:
@@ -139,7 +149,7 @@ def align(
         chosen = spread(scan.views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
-        evidence = look(S, chosen, drawing, params.contour_points)
+        evidence = collect_evidence(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
         _refuse_unconfirmed(confirmed, runner_up, posture)
         hand = best_hand_turn(S, chosen[::2], drawing, params.contour_points, evidence)
@@ -213,7 +223,7 @@ def _refine_starts(
         chosen = spread(views, start, drawing, 8)
         if chosen:
             S = refine(start, chosen, drawing, MIDDLE, 200)
-            ranked.append((confirmation(look(S, chosen, drawing, 200)), S))
+            ranked.append((confirmation(collect_evidence(S, chosen, drawing, 200)), S))
         progress((index + 1) / len(starts), f"place {index + 1} of {len(starts)}")
     return sorted(ranked, key=lambda item: -item[0].support)
 

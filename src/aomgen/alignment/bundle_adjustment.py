@@ -24,7 +24,7 @@ from aomgen.alignment.bundle_equations import (
     camera_block,
 )
 from aomgen.alignment.scan_information import ScanContour, scan_block, trace_scan
-from aomgen.alignment.silhouette_fit import moved_similarity
+from aomgen.alignment.silhouette_fit import move_similarity
 from aomgen.alignment.silhouette_residuals import (
     BIAS,
     OFFSET,
@@ -38,7 +38,8 @@ from aomgen.core.clock import Clock
 from aomgen.core.transforms import invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 
-# Search reach and robust kernel of each round of rendering, [px]: from the error of the start down to a pixel.
+# Search reach and robust kernel of each round of rendering, [px]: from the error of the start down to a
+# pixel.
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
 # Gauss-Newton steps between two renderings, so that the robust weights converge.
 _SOLVES = 4
@@ -152,7 +153,7 @@ def _gauss_newton(
                 A[at, at] += FIXED
                 b[at] -= FIXED * states[name].clock.rate
         step: Array = np.asarray(np.linalg.solve(A, b), np.float64)
-        S = moved_similarity(S, step[:7], problem.pivot)
+        S = move_similarity(S, step[:7], problem.pivot)
         zeros = zeros + step[columns.zeros]
         states = {
             name: _move_state(states[name], step[columns.camera(k)], problem.pivot)

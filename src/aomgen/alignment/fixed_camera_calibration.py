@@ -17,7 +17,7 @@ from aomgen.alignment.calibration_check import deviation, refuse_gross
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.held_out_frames import HeldOutSplit, estimate_joint_zeros, reject_unconfirmed
 from aomgen.alignment.scan_information import Scanned
-from aomgen.alignment.silhouette_fit import gray_levels, reduced, robot_drawing, spread
+from aomgen.alignment.silhouette_fit import gray_levels, limit_width, robot_drawing, spread
 from aomgen.alignment.silhouette_residuals import (
     LoggedRobot,
     choose_frames,
@@ -131,7 +131,7 @@ def calibrate_fixed_cameras(
     for index, (name, item) in enumerate(videos.items()):
         clocks[name] = _first_clock(scene, item)
         progress(0.5 * (index + 1) / len(videos), f"clock of camera '{name}'")
-    views = [reduced(view, params.width) for view in scene.views]
+    views = [limit_width(view, params.width) for view in scene.views]
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
     with robot_drawing(scene.posture, width, height) as drawing:

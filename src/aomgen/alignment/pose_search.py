@@ -14,7 +14,7 @@ from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.color_score import color_score
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.gravity import up_candidates
-from aomgen.alignment.silhouette_fit import reduced
+from aomgen.alignment.silhouette_fit import limit_width
 from aomgen.alignment.starting_poses import RobotBox, places_in_boxes
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
@@ -39,7 +39,8 @@ class Generation:
     step: float
 
 
-# Poses that fit the prompted boxes worse than the best by this share of a box are dropped; boxes are drawn by hand.
+# Poses that fit the prompted boxes worse than the best by this share of a box are dropped; boxes are drawn
+# by hand.
 MAX_MISFIT = 0.15
 # Width of the images for the first pass over all poses, [px]: links are a few pixels wide, and it is quick.
 FIRST_WIDTH = 48
@@ -142,16 +143,16 @@ def search(
     Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
-    first = color_score([reduced(view, FIRST_WIDTH) for view in chosen], posture, rng)
-    score = color_score([reduced(view, params.width) for view in chosen], posture, rng)
+    first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], posture, rng)
+    score = color_score([limit_width(view, params.width) for view in chosen], posture, rng)
     parents = different(Found(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(GENERATIONS[0]))
     parents = replace(parents, scores=score(parents.Ss_world_recon))
     looked_at = [parents]
     for generation in GENERATIONS:
-        parents = different(_joined(looked_at), probe, *_kept(generation))
+        parents = different(_join(looked_at), probe, *_kept(generation))
         children = _near(parents.Ss_world_recon, probe, generation, rng)
         looked_at.append(Found(Ss_world_recon=children, scores=score(children)))
-    found = _joined(looked_at)
+    found = _join(looked_at)
     return different(found, probe, params.apart, KEPT)
 
 
@@ -159,7 +160,7 @@ def _kept(generation: Generation) -> tuple[float, int]:
     return generation.apart, generation.parents
 
 
-def _joined(parts: list[Found]) -> Found:
+def _join(parts: list[Found]) -> Found:
     """All places of several searches."""
     return Found(
         Ss_world_recon=np.concatenate([part.Ss_world_recon for part in parts]),
@@ -170,7 +171,7 @@ def _joined(parts: list[Found]) -> Found:
 def different(found: Found, points_world: Array, apart: float, count: int) -> Found:
     """The best places, at most `count`, no two nearer than a share of the robot's size."""
     Ss = found.Ss_world_recon
-    placed = _transformed(np.asarray(np.linalg.inv(Ss), np.float64), points_world)
+    placed = _transform_points(np.asarray(np.linalg.inv(Ss), np.float64), points_world)
     sizes = np.linalg.norm(placed - placed.mean(1, keepdims=True), axis=2).mean(1)
     left = np.argsort(-found.scores, kind="stable")
     kept = []
@@ -212,6 +213,6 @@ def _views_on(views: list[AlignmentImage], centers: Array, count: int) -> list[A
     return [views[usable[i]] for i in chosen]
 
 
-def _transformed(Ss: Array, points: Array) -> Array:
+def _transform_points(Ss: Array, points: Array) -> Array:
     """Points (P, 3) moved by each of a stack (H, 4, 4): (H, P, 3)."""
     return np.asarray(points @ np.swapaxes(Ss[:, :3, :3], 1, 2) + Ss[:, None, :3, 3], np.float64)

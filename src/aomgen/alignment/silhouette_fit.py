@@ -87,7 +87,7 @@ class RobotDrawing:
     joint_motions: Array
 
     def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> Drawn | None:
-        """The robot in one picture, or None when too little of it, or nothing else, is there."""
+        """The robot in one image, or None when too little of it, or nothing else, is there."""
         renderer = self.fine if fine else self.coarse
         bodies, depth = renderer.draw(camera, self.posture.joints, self.posture.gripper)
         mask = bodies >= 0
@@ -102,7 +102,7 @@ class RobotDrawing:
 
 @contextmanager
 def robot_drawing(posture: RobotPosture, width: int, height: int) -> Iterator[RobotDrawing]:
-    """A drawing for pictures up to a size [px]; holds two OpenGL contexts."""
+    """A drawing for images up to a size [px]; holds two OpenGL contexts."""
     limits = {"max_width": width, "max_height": height}
     with (
         SilhouetteRenderer(posture.robot, **limits) as fine,
@@ -127,7 +127,7 @@ def refine(
 ) -> Array:
     """The similarity after the drawn outlines were pulled onto those of the images."""
     for level in levels:
-        resized = [reduced(view, level.width) for view in views]
+        resized = [limit_width(view, level.width) for view in views]
         grays = [gray_levels(view.image_srgb) for view in resized]
         for _ in range(level.draws):
             lines = [
@@ -170,7 +170,7 @@ def _descend(S: Array, lines: list[_Lines], drawing: RobotDrawing, level: Level)
             A += J.T @ (weights[:, None] * J)
             b += J.T @ (weights * shifts)
         step = np.linalg.solve(A + 1e-9 * np.trace(A) * np.eye(7) + 1e-9 * np.eye(7), b)
-        S = moved_similarity(S, step, drawing.pivot)
+        S = move_similarity(S, step, drawing.pivot)
         if np.linalg.norm(step[3:6]) < SETTLED_M and np.linalg.norm(step[:3]) < SETTLED_RAD:
             return S, number == 0
     return S, False
@@ -198,7 +198,7 @@ def region_weights(shifts: Array, variances: Array, reach: int) -> Array:
     return 1 / (variances + 0.5) / (1 + (shifts / (0.5 * reach)) ** 2)
 
 
-def moved_similarity(S: Array, step: Array, pivot: Array) -> Array:
+def move_similarity(S: Array, step: Array, pivot: Array) -> Array:
     """The similarity after the robot was found to sit `step` (7,) away from where it was drawn."""
     step = np.concatenate([np.clip(step[:6], -0.2, 0.2), np.clip(step[6:], -0.15, 0.15)])
     scale, R = float(np.exp(step[6])), matrix_from_rotvec(step[:3])
@@ -231,12 +231,12 @@ def spread(views: list[AlignmentImage], S: Array, drawing: RobotDrawing, count: 
     return [usable[i] for i in sorted(chosen)]
 
 
-def reduced(view: AlignmentImage, width: int) -> AlignmentImage:
+def limit_width(view: AlignmentImage, width: int) -> AlignmentImage:
     """The view at most `width` pixels wide."""
-    return scaled(view, min(1.0, width / view.camera_recon.width))
+    return scale_image(view, min(1.0, width / view.camera_recon.width))
 
 
-def scaled(view: AlignmentImage, scale: float) -> AlignmentImage:
+def scale_image(view: AlignmentImage, scale: float) -> AlignmentImage:
     if scale == 1.0:
         return view
     width = round(view.camera_recon.width * scale)

@@ -31,7 +31,8 @@ POSE, OFFSET, RATE, BIAS = slice(0, 6), 6, 7, 8
 COLUMNS = 9
 # Readings within this time to either side are averaged against encoder noise, [s].
 _READING_S = 0.02
-# Half of the time over which velocities are differentiated, [s]: twice the averaging time, against encoder noise.
+# Half of the time over which velocities are differentiated, [s]: twice the averaging time, against encoder
+# noise.
 _SPEED_S = 0.05
 # Gray-level step of an edge that counts fully.
 CLEAR_EDGE = 0.05

@@ -84,20 +84,20 @@ def places_in_boxes(
     Rs_world_recon = _headings(ups_recon, rng, count)
     turned = hull @ Rs_world_recon
     center, depth, size = _guesses(boxes, points_recon, float(np.ptp(hull, axis=0).max()), rng, count)
-    sides = [_drawn_again(box, rng, count) for box in boxes]
+    sides = [_perturb_box(box, rng, count) for box in boxes]
     cuts = [_maybe_cut(box, rng, count) for box in boxes]
     x = np.zeros((count, 4))
     for _ in range(_STEPS):
         A = np.tile(np.diag((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2), (count, 1, 1))
         b = -((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2) * x
-        arms, points = _placed(turned, center, depth, size, x)
+        arms, points = _place_points(turned, center, depth, size, x)
         for box, own, cut in zip(boxes, sides, cuts, strict=True):
             gaps, J = _gaps(box, own, cut, points, arms, depth)
             weights = 1 / np.sqrt(1 + (gaps / _SIDE_ERROR) ** 2)
             A += np.einsum("hk,hki,hkj->hij", weights, J, J)
             b -= np.einsum("hk,hki,hk->hi", weights, J, gaps)
         x = x + np.clip(np.linalg.solve(A, b[..., None])[..., 0], -0.3, 0.3)
-    arms, points = _placed(turned, center, depth, size, x)
+    arms, points = _place_points(turned, center, depth, size, x)
     gaps = np.concatenate(
         [
             _gaps(box, own, cut, points, arms, depth)[0]
@@ -183,7 +183,7 @@ def _maybe_cut(box: RobotBox, rng: np.random.Generator, count: int) -> NDArray[n
     return _cut(box) | (_cut(box, 2 * _SIDE_ERROR) & (rng.random((count, 4)) < 0.5))
 
 
-def _drawn_again(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
+def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
     """Sides (N, 4) of a box, off by what hands are off; a quarter stays, and so do cut sides."""
     spans = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     noise = rng.uniform(-_SIDE_ERROR, _SIDE_ERROR, (count, 4)) * spans
@@ -191,7 +191,7 @@ def _drawn_again(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
     return np.asarray(box.box_px + np.where(_cut(box), 0.0, noise), np.float64)
 
 
-def _placed(turned: Array, center: Array, depth: Array, size: Array, x: Array) -> tuple[Array, Array]:
+def _place_points(turned: Array, center: Array, depth: Array, size: Array, x: Array) -> tuple[Array, Array]:
     """Points of the robot about its middle (H, V, 3), and in the recon frame."""
     arms = turned * (size * np.exp(x[:, 3]))[:, None, None]
     return arms, arms + (center + depth[:, None] * x[:, :3])[:, None]
@@ -213,7 +213,7 @@ def _gaps(
         ],
         -1,
     )
-    # A box is drawn around what the picture shows of the robot.
+    # A box is drawn around what the image shows of the robot.
     shown = (pixels >= 0) & (pixels <= [camera.width, camera.height])
     span = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     rows = np.arange(len(points))

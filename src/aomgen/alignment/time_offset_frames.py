@@ -24,7 +24,8 @@ CHANGE_LIKELIHOOD = 0.6
 MAX_RIVAL = 0.85
 # Offsets farther than this from the best are rivals, [s]: beyond the width of its own peak.
 RIVAL_DISTANCE_S = 0.5
-# Largest clock drift among the hypotheses, in seconds a second: above a 25 fps video that is labelled as 24 fps (0.04).
+# Largest clock drift among the hypotheses, in seconds a second: above a 25 fps video that is labelled as 24
+# fps (0.04).
 MAX_RATE = 0.06
 # Least share of the image by which the silhouette has to change at once, above compression noise.
 MIN_CHANGE = 0.003

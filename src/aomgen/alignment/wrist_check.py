@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.alignment.confidence import ViewEvidence, look
+from aomgen.alignment.confidence import ViewEvidence, collect_evidence
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.silhouette_fit import RobotDrawing
 from aomgen.core.values import Array
@@ -77,7 +77,7 @@ def best_hand_turn(
         return replace(drawing, posture=replace(drawing.posture, joints=joints))
 
     own, count = confirmed(logged)
-    shares = [confirmed(look(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
+    shares = [confirmed(collect_evidence(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
     best = int(np.argmax(shares))
     if count == 0 or shares[best] <= own:
         return HandTurn(turn_rad=0.0, gain=0.0, gain_sd=0.0)

@@ -95,7 +95,7 @@ def densify(
     Not checked: mirrors and glass, which give points at the mirrored place.
     """
     names = [name for name in structure.cameras_recon if name in images_srgb]
-    views = [_reduced(structure.cameras_recon[name], images_srgb[name], params.width) for name in names]
+    views = [_limit_width(structure.cameras_recon[name], images_srgb[name], params.width) for name in names]
     neighbours = choose_neighbours(structure, names, params.sources)
     nearest = nearest_depth(structure, names)
     grays = [_gray(image) for _, image in views]
@@ -193,7 +193,7 @@ def nearest_depth(structure: Structure, names: list[str]) -> Array:
     return result
 
 
-def _reduced(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
+def _limit_width(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
     height = round(camera.height * width / camera.width)
     if width >= camera.width:
         return camera, image

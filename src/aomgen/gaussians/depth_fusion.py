@@ -81,7 +81,7 @@ def join_samples(parts: list[Samples]) -> Samples:
 
 
 def confirmed_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
-    """What a view sees where its neighbours confirm it (H, W); unknown elsewhere."""
+    """Depth of a view where its neighbours confirm it (H, W); NaN elsewhere."""
     known = (votes >= MIN_CONFIRMATIONS) & (depth_map.inverse_depth > depth_map.step)
     depth = np.where(known, 1.0 / np.maximum(depth_map.inverse_depth, depth_map.step), np.nan)
     return ViewDepth(camera=depth_map.camera, depth=depth.astype(np.float32))

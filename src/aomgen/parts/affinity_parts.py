@@ -11,7 +11,7 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.values import Array
-from aomgen.parts.affinity import Affinity, SizedMasks, sized_masks, surface_depth
+from aomgen.parts.affinity import Affinity, SizedMasks, measure_masks, surface_depth
 from aomgen.parts.affinity_query import Query, QueryAnswer, answer_query
 from aomgen.parts.affinity_training import AffinityParams, train_affinity
 from aomgen.parts.likelihood import PartEvidence
@@ -64,7 +64,7 @@ class MaskedScan:
     found: Mapping[str, NDArray[np.bool_]]
 
 
-def masked_scan(
+def find_all_masks(
     gaussians: Gaussians,
     views: Sequence[ScanView],
     prompted: Sequence[PromptedImage],
@@ -79,7 +79,7 @@ def masked_scan(
         views: Scan views in the world frame, held-out ones left out.
         prompted: Answers to the prompts.
         segmenter: Turns points into masks.
-        progress: Told about each view.
+        progress: Called about each view.
         params: Effort, and where masks are kept.
     """
     prepared = {item.view.name: item.prepared for item in prompted}
@@ -144,7 +144,7 @@ def affinity_of(
     largest_m = 2 * float(np.linalg.norm(centers.std(axis=0)))
     sized = []
     for view in scan.views:
-        item = sized_masks(gaussians, view.camera, scan.found[view.name], params.training.width)
+        item = measure_masks(gaussians, view.camera, scan.found[view.name], params.training.width)
         kept = item.sizes_m <= largest_m
         sized.append(SizedMasks(camera=item.camera, masks=item.masks[kept], sizes_m=item.sizes_m[kept]))
     return train_affinity(gaussians, sized, progress, params.training)
@@ -208,7 +208,7 @@ def affinity_evidence(
         gaussians: The scene, world frame.
         scan: Its masks.
         prompted: Answers to the prompts.
-        progress: Told now and then.
+        progress: Called now and then.
         params: Effort.
 
     Raises:

@@ -69,7 +69,7 @@ def train_affinity(
     Args:
         gaussians: N Gaussians, world frame.
         views: Masks; one without any is left out.
-        progress: Told now and then.
+        progress: Called now and then.
         params: Effort and weights.
 
     Raises:
@@ -84,7 +84,7 @@ def train_affinity(
         )
     rng = np.random.default_rng(params.seed)
     draw = make_rasterizer(params.device)
-    scene = _frozen(gaussians, params.device)
+    scene = _freeze(gaussians, params.device)
     mean = _neighbor_mean(gaussians, params)
     values = rng.normal(0, 1 / np.sqrt(params.channels), (len(gaussians), params.channels))
     features = torch.tensor(values, dtype=torch.float32, device=params.device, requires_grad=True)
@@ -102,7 +102,7 @@ def train_affinity(
         size = float(rng.choice(view.sizes_m))
         gate = torch.sigmoid(slopes * float(relative_sizes(np.array([size]), sizes)[0]) + offsets)
         pixels = _sample_pixels(view, size, params, rng)
-        seen = _drawn(draw, scene, view, mean(features))[pixels]
+        seen = _render_features(draw, scene, view, mean(features))[pixels]
         loss = _pair_loss(seen, gate, view, pixels, size)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -121,7 +121,7 @@ def train_affinity(
     )
 
 
-def _frozen(gaussians: Gaussians, device: str) -> GaussianTensors:
+def _freeze(gaussians: Gaussians, device: str) -> GaussianTensors:
     g = gaussians.with_sh_degree(0)
     opacities = np.clip(g.opacities, 1e-6, 1 - 1e-6)
     arrays = (g.means, g.quats, np.log(g.scales), np.log(opacities / (1 - opacities)), g.sh)
@@ -129,7 +129,7 @@ def _frozen(gaussians: Gaussians, device: str) -> GaussianTensors:
     return GaussianTensors(means=means, quats=quats, log_scales=log_scales, logit_opacities=logits, sh=sh)
 
 
-def _drawn(draw: Rasterizer, scene: GaussianTensors, view: SizedMasks, features: Tensor) -> Tensor:
+def _render_features(draw: Rasterizer, scene: GaussianTensors, view: SizedMasks, features: Tensor) -> Tensor:
     """Features (H * W, D) of a view, relative to what hides the background."""
     with_features = GaussianTensors(
         means=scene.means,

@@ -20,7 +20,7 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError, WrongPromptError
-from aomgen.parts.affinity_parts import AffinityPartsParams, affinity_evidence, masked_scan
+from aomgen.parts.affinity_parts import AffinityPartsParams, affinity_evidence, find_all_masks
 from aomgen.parts.cutting import Cut, cut_at_faces, no_cut
 from aomgen.parts.likelihood import (
     LABELS,
@@ -143,7 +143,7 @@ class PromptedScan:
     seed: int
 
 
-def prompted_scan(
+def segment_scan(
     gaussians: Gaussians,
     views: list[ScanView],
     prompts: tuple[Prompt, ...],
@@ -160,7 +160,7 @@ def prompted_scan(
         prompts: Of the capture; boxes of "moving" and "static" are used.
         segmenter: Turns boxes into masks.
         posture: Robot as scanned.
-        progress: Told about each step.
+        progress: Called at each step.
         params: See `PartsParams`.
 
     Raises:
@@ -177,7 +177,9 @@ def prompted_scan(
     progress(0.7, "prompts answered")
     given, surfaces = None, []
     if params.method == "saga":
-        scan = masked_scan(gaussians, views, prompted, segmenter, part(progress, 0.7, 0.85), params.affinity)
+        scan = find_all_masks(
+            gaussians, views, prompted, segmenter, part(progress, 0.7, 0.85), params.affinity
+        )
         given = affinity_evidence(gaussians, scan, prompted, part(progress, 0.85, 1.0), params.affinity)
     else:
         surfaces = surface_views(gaussians, spread(views, DRAWN_VIEWS))
@@ -197,7 +199,7 @@ def part_evidence(scan: PromptedScan, motion_log_odds: Array | None = None) -> P
     """What prompts, masks and the demonstration say of all Gaussians.
 
     Args:
-        scan: See `prompted_scan`.
+        scan: See `segment_scan`.
         motion_log_odds: Natural logarithm of how much more likely the demonstration is if a Gaussian (N,)
             moves than if it stands still; None before the demonstration was looked at.
     """

@@ -32,9 +32,9 @@ def smooth_posterior(points: ArrayLike, colors: ArrayLike, log_likelihoods: Arra
         log_likelihoods: (N, L), of all evidence about a point alone.
     """
     coupling = _coupling(np.asarray(points, np.float64), np.asarray(colors, np.float64))
-    posterior = _normalized(log_likelihoods)
+    posterior = _normalize(log_likelihoods)
     for _ in range(ITERATIONS):
-        posterior = _normalized(log_likelihoods + coupling @ posterior)
+        posterior = _normalize(log_likelihoods + coupling @ posterior)
     return posterior
 
 
@@ -52,6 +52,6 @@ def _coupling(points: Array, colors: Array) -> csr_matrix:
     return csr_matrix((one_way + one_way.T) / 2)
 
 
-def _normalized(log_weights: Array) -> Array:
+def _normalize(log_weights: Array) -> Array:
     weights = np.exp(log_weights - log_weights.max(1, keepdims=True))
     return np.asarray(weights / weights.sum(1, keepdims=True), np.float64)

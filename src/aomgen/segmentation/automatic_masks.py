@@ -92,14 +92,14 @@ def masks_of_views(
         find: Finds the masks of one view.
         folder: Holds one file a view; None keeps nothing. It must belong to these views, this
             segmenter and these parameters: nothing here compares them.
-        progress: Told about each view.
+        progress: Called about each view.
 
     Raises:
         MalformedFileError: A stored file is damaged.
     """
     found = {}
     for index, name in enumerate(names):
-        stored = stored_masks(folder, name)
+        stored = load_stored_masks(folder, name)
         found[name] = find(name) if stored is None else stored
         if folder is not None and stored is None:
             save_masks(_file_of(folder, name), found[name])
@@ -108,7 +108,7 @@ def masks_of_views(
     return found
 
 
-def stored_masks(folder: Path | None, name: str) -> ViewMasks | None:
+def load_stored_masks(folder: Path | None, name: str) -> ViewMasks | None:
     """Masks of a view that an earlier run left in the folder, or None.
 
     Raises:

@@ -51,7 +51,7 @@ class FixedCamera:
     """A placed camera.
 
     Attributes:
-        camera_recon: Optics of its straightened frames, and pose.
+        camera_recon: Optics of its undistorted frames, and pose.
         lens: Its optics as photographed.
         figures: What was found and which still is used (JSON values).
     """
@@ -75,7 +75,7 @@ def place_fixed_camera(
     group = f"demo:{name}"
     stated, lens = view.intrinsics, work.lens(group)
     focal_known = stated is not None
-    found = _placed(work, mapped, group, lens, focal_known=focal_known)
+    found = _to_fixed_camera(work, mapped, group, lens, focal_known=focal_known)
     figures: dict[str, object] = {}
     if found:
         still, best = max(found.items(), key=lambda item: item[1].count)
@@ -86,8 +86,8 @@ def place_fixed_camera(
         figures |= {"lens": choice.model, "lens_gain": choice.gain, "lens_significance": choice.significance}
         lens, focal_known = choice.lens, True
         work.set_lens(group, lens)
-        found = _placed(work, mapped, group, lens, focal_known=True)
-    used, reason = _chosen(name, found)
+        found = _to_fixed_camera(work, mapped, group, lens, focal_known=True)
+    used, reason = _choose(name, found)
     best = found[used[0]]
     if len(used) == 2:
         best = (
@@ -109,7 +109,7 @@ def _links(work: Workspace, mapped: Mapped, group: str, stills: tuple[str, ...])
     return first
 
 
-def _placed(
+def _to_fixed_camera(
     work: Workspace, mapped: Mapped, group: str, lens: Lens, *, focal_known: bool
 ) -> dict[str, Resection]:
     found = {
@@ -119,7 +119,7 @@ def _placed(
     return {still: placed for still, placed in found.items() if placed is not None}
 
 
-def _chosen(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], str]:
+def _choose(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], str]:
     """The stills that are believed, and why.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Which images of a model are believed: groups first, then every image by itself."""
+"""Rejection of misregistered images: groups first, then every image by itself."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from aomgen.structure.sparse_model import Mapped
 
 @dataclass(frozen=True, kw_only=True)
 class InlierModel:
-    """A model without the images that contradict it.
+    """A model and the images that were rejected from it.
 
     Attributes:
         mapped: The model.
-        dropped: Images taken out of it, with the reason.
-        worst_agreement: Smallest share of an image's matches that fit its pose, of those kept.
+        dropped: Rejected images, with the reason.
+        worst_agreement: Smallest share of matches that fit the pose, over the inlier images.
     """
 
     mapped: Mapped
@@ -27,12 +27,12 @@ class InlierModel:
 
     @property
     def count(self) -> int:
-        """Images that are believed."""
+        """Number of inlier images."""
         return len(set(self.mapped.Ts_recon_cam) - set(self.dropped))
 
 
 def is_better(new: InlierModel, old: InlierModel, max_error_px: float) -> bool:
-    """Whether a model is the better one: within the error limit, more images, then less error."""
+    """Compare two models: within the error limit, more images, then less error."""
     first, second = (
         (item.mapped.error_px <= max_error_px, item.count, -item.mapped.error_px) for item in (new, old)
     )
@@ -40,7 +40,7 @@ def is_better(new: InlierModel, old: InlierModel, max_error_px: float) -> bool:
 
 
 def reject_outliers(work: Workspace, mapped: Mapped) -> InlierModel:
-    """Take out of the workspace's model what its matches contradict."""
+    """Remove the images that the matches contradict from a model and map the rest again."""
     pairs = work.pairs("scan", mapped.lens)
     views = Views(Ts_recon_cam=mapped.Ts_recon_cam, depths=_depths(mapped), K=mapped.K)
     dropped: dict[str, str] = {}

@@ -2,7 +2,7 @@
 
 Source: AOMGen, sec. 4.1; the mapper is COLMAP's (Schoenberger & Frahm, 2016). What is ours: the
 choice of pairs, the decision about lens distortion (`lens_choice`), the search for misregistered
-images (`vetting`), the choice between two mappers, the fixed cameras (`fixed_cameras`), the gates.
+images (`outlier_rejection`), the choice between two mappers, the fixed cameras (`fixed_cameras`), the gates.
 """
 
 import tempfile
@@ -20,8 +20,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.structure.clusters import duplicates
 from aomgen.structure.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
-from aomgen.structure.lens_choice import choose_lens, fit_lens
-from aomgen.structure.lens_misfit import lens_misfit_px, require_lens_fits
+from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import ImageSet, Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better, reject_outliers
 from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage
@@ -48,7 +47,8 @@ class Photographs:
 
 # SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
 PEAK_THRESHOLD = 0.0035
-# With more images than this only neighbours and a coarse grid are matched, to bound the time (pairs grow with the square).
+# With more images than this only neighbours and a coarse grid are matched, to bound the time (pairs grow
+# with the square).
 EXHAUSTIVE_LIMIT = 90
 # Least number of different images of a scan.
 MIN_IMAGES = 8
@@ -56,7 +56,8 @@ MIN_IMAGES = 8
 MIN_REGISTERED = 0.8
 # When fewer than this share are registered, a second mapper is tried as well.
 RETRY_BELOW = 0.95
-# Largest mean reprojection error of a valid reconstruction, [px]; SIFT locates features to about half a pixel.
+# Largest mean reprojection error of a valid reconstruction, [px]; SIFT locates features to about half a
+# pixel.
 MAX_ERROR_PX = 1.5
 
 
@@ -111,7 +112,7 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         }
     dropped = inliers.dropped | {name: f"shows the same as {other}" for name, other in same.items()}
     structure = _structure(names, replace(inliers, dropped=dropped), placed, figures)
-    return _covered(structure, photographs.prompts)
+    return _check_coverage(structure, photographs.prompts)
 
 
 def _require_images(count: int, repeated: int) -> None:
@@ -256,7 +257,7 @@ def _structure(
     )
 
 
-def _covered(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
+def _check_coverage(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
     """The structure with the coverage of every prompt in its figures.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A mapper's model as plain values, in straight (undistorted) pixels."""
+"""A mapper's model as plain values, in undistorted pixels."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -27,7 +27,7 @@ class Mapped:
 
     Attributes:
         Ts_recon_cam: Pose (4, 4) by image name.
-        lens: The scan camera's optics; its straightened images have `K`.
+        lens: The scan camera's optics; its undistorted images have `K`.
         points_recon: (P, 3).
         colors_srgb: (P, 3) uint8.
         observations: (point index, image name).
@@ -45,7 +45,7 @@ class Mapped:
 
     @property
     def K(self) -> Array:
-        """Intrinsics (3, 3) of the straightened scan images, [px]."""
+        """Intrinsics (3, 3) of the undistorted scan images, [px]."""
         straight = self.lens.straight()
         return np.array([[straight.fx, 0, straight.cx], [0, straight.fy, straight.cy], [0, 0, 1.0]])
 

@@ -95,7 +95,7 @@ def extract_frames(
     """
     params = params or FrameParams()
     if (folder / LISTING).is_file():
-        return extracted_frames(folder)
+        return find_extracted_frames(folder)
     candidates = list(_candidates(video, part(progress, 0.0, 0.5)))
     chosen = choose_frames(candidates, params)
     if not len(chosen) >= params.min_frames:
@@ -116,7 +116,7 @@ def extract_frames(
     return _paths(folder, sorted(wanted))
 
 
-def extracted_frames(folder: Path) -> dict[str, Path]:
+def find_extracted_frames(folder: Path) -> dict[str, Path]:
     """What `extract_frames` wrote into a stage's folder: path by name, in the order of time.
 
     Raises:
@@ -129,7 +129,7 @@ def choose_frames(candidates: list[Candidate], params: FrameParams) -> list[int]
     """Numbers of the frames to keep, ascending; see the top of this file."""
     if not candidates:
         return []
-    places, ways = _moved_on(candidates, params)
+    places, ways = _select_moved(candidates, params)
     keep = max(min(params.target, len(places)), int(np.ceil(ways[-1] / MAX_STEP)) + 1)
     picks = np.abs(ways - np.linspace(0.0, ways[-1], keep)[:, None]).argmin(1)
     wanted = [places[i] for i in np.unique(picks)]
@@ -164,7 +164,7 @@ def _near(sharpness: Array, middle: int) -> Array:
     return sharpness * (1 - 0.1 * distance)
 
 
-def _moved_on(candidates: list[Candidate], params: FrameParams) -> tuple[list[int], Array]:
+def _select_moved(candidates: list[Candidate], params: FrameParams) -> tuple[list[int], Array]:
     """Places in `candidates` at which the view has moved on by a step each, and the way up to each.
 
     The way is the sum of the motions, as shares of the width; a view that was lost counts as the
@@ -191,7 +191,7 @@ def _candidates(video: Path, progress: Progress) -> Iterator[Candidate]:
     for index, (time_s, frame) in enumerate(decoded_frames(video)):
         progress(index / total, "looking for sharp frames")
         gray = _gray(frame, SHARPNESS_WIDTH)
-        found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halved(gray))
+        found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halve(gray))
         if best is not None and int(time_s / CANDIDATE_S) != int(best.time_s / CANDIDATE_S):
             yield best
             best = found
@@ -202,7 +202,7 @@ def _candidates(video: Path, progress: Progress) -> Iterator[Candidate]:
 
 
 def sharpness_of(gray: NDArray[np.uint8]) -> float:
-    """Energy of the second differences of a picture (H, W) of mean brightness 1."""
+    """Energy of the second differences of an image (H, W) of mean brightness 1."""
     image = gray.astype(np.float32)
     second = np.square(np.diff(image, 2, axis=0)).mean() + np.square(np.diff(image, 2, axis=1)).mean()
     return float(second / max(float(image.mean()) ** 2, 1.0))
@@ -215,7 +215,7 @@ def _gray(frame: VideoFrame, width: int) -> NDArray[np.uint8]:
     return np.asarray(small.to_ndarray(), np.uint8)
 
 
-def _halved(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _halve(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return pyramid(gray).levels[1].round().astype(np.uint8)
 
 

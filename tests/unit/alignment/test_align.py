@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from aomgen.alignment.align import Alignment, AlignmentParams, align
-from aomgen.alignment.confidence import ViewEvidence, look
+from aomgen.alignment.confidence import ViewEvidence, collect_evidence
 from aomgen.alignment.contours import AlignmentImage, Contour, edge_shifts, region_shifts, shift_jacobian
 from aomgen.alignment.gravity import up_candidates
 from aomgen.alignment.pose_search import Scan, SearchParams
@@ -110,7 +110,7 @@ def test_a_hand_turned_against_the_log_is_noticed(posture, off_deg):
     joints = JOINTS.copy()
     joints[-1] += np.radians(off_deg)
     with robot_drawing(replace(posture, joints=joints), 320, 240) as drawing:
-        logged = look(S_WORLD_RECON, views, drawing, 400)
+        logged = collect_evidence(S_WORLD_RECON, views, drawing, 400)
         found = best_hand_turn(S_WORLD_RECON, views, drawing, 400, logged)
     assert found.clear == (off_deg != 0)
     assert np.degrees(found.turn_rad) == pytest.approx(-off_deg, abs=1e-6)

@@ -171,7 +171,7 @@ def sightings_of_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np
     disc, picture, color, directions = (np.concatenate(items) for items in zip(*rows, strict=True))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     observations = SurfelObservations(
-        disc=disc, picture=picture, color_srgb=color, pixels=np.full(len(disc), 4.0),
+        disc=disc, image_index=picture, color_srgb=color, pixels=np.full(len(disc), 4.0),
         directions_body=directions, Ts_world_body=Ts,
     )  # fmt: skip
     return observations, normals
