@@ -1,7 +1,7 @@
-"""The similarity that brings the structure's frame into the robot's: `S_world_recon`.
+"""Alignment of the structure with the robot: the similarity `S_world_recon`.
 
-Likely places come from the prompted boxes and a quick look at colors (`alignment_search`); each is
-pulled onto the outlines that the scan images show (`contours`), the best is refined on all views,
+Hypotheses come from the prompted boxes and a coarse color score (`pose_search`); each is fitted to
+the contours in the scan images (`contours`), the best is refined on all views,
 and doubtful answers are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
 known scale and clean robot points, so outlines in the images take its place.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.confidence import Confirmation, ViewEvidence, collect_evidence, confirmation
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import Scan, SearchParams, search
+from aomgen.alignment.pose_search import Scan, SearchParams, search_poses
 from aomgen.alignment.silhouette_fit import (
     FINE,
     MIDDLE,
@@ -28,7 +28,7 @@ from aomgen.alignment.uncertainty import (
     joint_offsets,
     similarity_covariance,
 )
-from aomgen.alignment.wrist_check import HandTurn, best_hand_turn
+from aomgen.alignment.wrist_check import WristRotation, find_wrist_rotation
 from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array, freeze
@@ -63,8 +63,8 @@ class AlignmentParams:
     """Effort and limits.
 
     Attributes:
-        search: Effort of the search for likely places.
-        guesses: Factors of its guesses; each but the first is for when what was found is not confirmed.
+        search: Effort of the search for hypotheses.
+        guesses: Factors of its guesses, tried in turn until a hypothesis is confirmed.
         views: Scan images used, spread over the walk.
         width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
@@ -79,7 +79,7 @@ class AlignmentParams:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """The answer and how far it can be trusted.
+    """The similarity and its confidence.
 
     Attributes:
         S_world_recon: Similarity (4, 4), metres per recon unit included.
@@ -117,7 +117,7 @@ def align(
     rng: np.random.Generator,
     params: AlignmentParams | None = None,
 ) -> Alignment:
-    """Find `S_world_recon` from the robot's outlines in the scan images.
+    """Find `S_world_recon` from the robot's contours in the scan images.
 
     Args:
         scan: Images that show the robot in `posture`, with at least one prompted box.
@@ -152,7 +152,7 @@ def align(
         evidence = collect_evidence(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
         _refuse_unconfirmed(confirmed, runner_up, posture)
-        hand = best_hand_turn(S, chosen[::2], drawing, params.contour_points, evidence)
+        hand = find_wrist_rotation(S, chosen[::2], drawing, params.contour_points, evidence)
         _refuse_turned_hand(hand, posture)
     _refuse_wrong_joints(evidence, posture)
     result = replace(
@@ -168,15 +168,15 @@ def align(
 def _likeliest(
     scan: Scan, drawing: RobotDrawing, progress: Progress, rng: np.random.Generator, params: AlignmentParams
 ) -> tuple[Array, float]:
-    """The best place on coarse images, and the support of the best different one; 0 without one.
+    """Find the best hypothesis on coarse images, and the support of the best different one; 0 without one.
 
     Raises:
-        AlignmentError: Images confirm nothing that was found.
+        AlignmentError: The images confirm no hypothesis.
     """
     best: list[tuple[Confirmation, Array]] = []
     for number, factor in enumerate(params.guesses):
         effort = replace(params.search, guesses=factor * params.search.guesses)
-        found = search(scan, drawing.posture, rng, effort).at_least(FINALIST_SHARE)
+        found = search_poses(scan, drawing.posture, rng, effort).at_least(FINALIST_SHARE)
         now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
         now(0.5, "looked for likely places")
         ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
@@ -217,7 +217,7 @@ def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
 def _refine_starts(
     starts: Array, views: list[AlignmentImage], drawing: RobotDrawing, progress: Progress
 ) -> list[tuple[Confirmation, Array]]:
-    """Pull every start (H, 4, 4) onto the outlines of some views; best support first."""
+    """Fit every start (H, 4, 4) to the contours of some views; best support first."""
     ranked = []
     for index, start in enumerate(starts):
         chosen = spread(views, start, drawing, 8)
@@ -292,7 +292,7 @@ def _refuse_wrong_joints(evidence: list[ViewEvidence], posture: RobotPosture) ->
         )
 
 
-def _refuse_turned_hand(found: HandTurn, posture: RobotPosture) -> None:
+def _refuse_turned_hand(found: WristRotation, posture: RobotPosture) -> None:
     if found.clear:
         raise AlignmentError(
             STAGE,

@@ -244,7 +244,7 @@ def _structure_prior(
     if not len(chosen):
         return np.zeros((0, 13)), np.zeros(0)
     J, r = structure_rows(state.camera, camera, points[chosen], S, problem.pivot)
-    # Six degrees of freedom, each known to `structure_sd_px`.
+    # Six degrees of freedom, each known to `STRUCTURE_SD_PX`.
     scale = np.sqrt(6 / len(r)) / STRUCTURE_SD_PX
     return scale * J, scale * r
 

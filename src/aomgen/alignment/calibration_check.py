@@ -1,4 +1,4 @@
-"""Hand-eye calibrations of fixed cameras against the place that the scan gives them."""
+"""Comparison of hand-eye calibrations of fixed cameras with their poses from the scan."""
 
 from dataclasses import dataclass
 

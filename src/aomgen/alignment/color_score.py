@@ -1,8 +1,8 @@
-"""A quick look at many places of the robot: do colors differ between its silhouette and the rim?
+"""Color score of many poses of the robot: difference in color between its silhouette and a band around it.
 
-The robot looks alike in all images, and unlike what is around it. Colors inside and just outside
-the silhouette, pooled over a few small images, differ most where the robot stands. Silhouettes are
-drawn as points on the surface, thousands in a second; what looks good is judged by outlines later.
+The robot has the same colors in all images, and others than its surroundings. Colors inside and just outside
+the silhouette, pooled over a few small images, differ most at the true pose. Silhouettes are
+drawn as points on the surface, thousands in a second; good poses are verified by contours later.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from aomgen.robots.configuration import RobotPosture
 
 # Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40
-# Width of the rim, as a share of the image's width: less than an arm's link is thick.
+# Width of the band, as a share of the image's width: less than an arm's link is thick.
 RIM = 0.06
 # A silhouette of which less than this is in the images says less.
 SEEN = 0.5

@@ -1,7 +1,7 @@
-"""How well images confirm an outline that was drawn into them, and what they would rather see.
+"""Confirmation of rendered contours by image edges and colors, and the shifts that would fit better.
 
-A share of confirmed points says little by itself: clutter confirms outlines that lie anywhere. So
-each drawing is also moved aside in its own image, and what is confirmed there is chance.
+A share of confirmed points means little by itself: clutter confirms contours that lie anywhere. So
+each contour is also moved aside in its own image; what is confirmed there estimates chance.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ ASIDE = 0.06
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewEvidence:
-    """What one image says about the outline drawn into it; C points, J arm joints.
+    """Evidence of one image for the contour rendered into it; C points, J arm joints.
 
     Attributes:
         name: Of the view.
@@ -81,12 +81,12 @@ class ViewEvidence:
 def collect_evidence(
     S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int, width: int = 640
 ) -> list[ViewEvidence]:
-    """Evidence of every view that shows enough robot.
+    """Collect the evidence of every view that shows enough of the robot.
 
     Args:
-        S: `S_world_recon` to be judged.
+        S: `S_world_recon` to evaluate.
         views: Images.
-        drawing: Draws the robot.
+        drawing: Renders the robot.
         contour_points: Outline points a view.
         width: Images wider than this are reduced, [px].
     """

@@ -109,7 +109,7 @@ def scan_block(
 def structure_rows(
     camera: Camera, camera_recon: Camera, points_recon: Array, S: Array, pivot: Array
 ) -> tuple[Array, Array]:
-    """Where structure from motion sees the structure's points against where `camera` sees them.
+    """Reprojection residuals between a camera of the structure and the same camera in the world frame.
 
     Args:
         camera: World frame.

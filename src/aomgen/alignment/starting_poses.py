@@ -1,7 +1,7 @@
-"""Places of the robot that its prompted boxes allow: many guesses, each pulled onto the boxes.
+"""Starting poses of the robot from its prompted boxes: many guesses, each fitted to the boxes.
 
-Two whole boxes leave one place for a heading; one box leaves the depth open, and a box that the
-image border cuts leaves more. What boxes leave open keeps the value that was guessed.
+Two whole boxes determine the pose for a given heading; one box leaves the depth open, and a box that
+the image border cuts leaves more. What boxes leave open keeps the value that was guessed.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class RobotBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Places:
+class StartingPoses:
     """H similarities and how well their boxes fit.
 
     Attributes:
@@ -57,17 +57,17 @@ class Places:
         freeze(self, "misfits", self.misfits, (len(self.Ss_world_recon),))
 
 
-def places_in_boxes(
+def find_starting_poses(
     boxes: list[RobotBox],
     vertices_world: Array,
     ups_recon: list[Array],
     points_recon: Array,
     rng: np.random.Generator,
     count: int,
-) -> Places:
+) -> StartingPoses:
     """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
-    Every guess but the first few has its own boxes, off by what boxes drawn by hand are off.
+    Every guess but the first few has its own boxes, perturbed by the error of boxes drawn by hand.
 
     Args:
         boxes: Prompted boxes, one or more.
@@ -112,7 +112,7 @@ def places_in_boxes(
         similarity(1 / s, R, middle - R @ p / s)
         for s, R, p in zip(scales_recon, Rs_world_recon, places, strict=True)
     ]
-    return Places(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
+    return StartingPoses(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
 
 
 def _outline_points(points: Array, rng: np.random.Generator, count: int = 150) -> Array:
@@ -179,12 +179,12 @@ def _cut(box: RobotBox, near: float = 0.0) -> NDArray[np.bool_]:
 
 
 def _maybe_cut(box: RobotBox, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
-    """Which sides the border cuts (N, 4): a side that hands drew short of it may be cut, too."""
+    """Which sides the border cuts (N, 4): a side drawn a little short of it may be cut, too."""
     return _cut(box) | (_cut(box, 2 * _SIDE_ERROR) & (rng.random((count, 4)) < 0.5))
 
 
 def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
-    """Sides (N, 4) of a box, off by what hands are off; a quarter stays, and so do cut sides."""
+    """Perturb the sides (N, 4) of a box by the error of drawing by hand; a quarter stays, and so do cut sides."""
     spans = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     noise = rng.uniform(-_SIDE_ERROR, _SIDE_ERROR, (count, 4)) * spans
     noise[::4] = 0
@@ -192,7 +192,7 @@ def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
 
 
 def _place_points(turned: Array, center: Array, depth: Array, size: Array, x: Array) -> tuple[Array, Array]:
-    """Points of the robot about its middle (H, V, 3), and in the recon frame."""
+    """Place points of the robot: about its middle (H, V, 3), and in the recon frame."""
     arms = turned * (size * np.exp(x[:, 3]))[:, None, None]
     return arms, arms + (center + depth[:, None] * x[:, :3])[:, None]
 

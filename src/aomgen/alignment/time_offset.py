@@ -5,7 +5,7 @@ have changed there between these moments; where it covers the pixel at neither, 
 The offset under which that is most likely wins, first on a grid over everything the two clocks
 allow, with clocks that drift against one another among the hypotheses, then in steps of a fraction
 of a frame. Only changes count, so a small error of the camera pose hardly moves the answer; what is
-left of it is absorbed by a common shift of the silhouettes. `joint_refinement` goes on from here.
+left of it is absorbed by a common shift of the silhouettes. `bundle_adjustment` continues from here.
 """
 
 from dataclasses import replace

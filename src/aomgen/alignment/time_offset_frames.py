@@ -1,4 +1,4 @@
-"""A video as the search for its clock sees it: small frames, and what changed between two of them."""
+"""Small frames of a video and the changes between them, for the search of its clock offset."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,7 @@
-"""How far an alignment, and the joint values behind it, can be trusted.
+"""Covariance of an alignment and of the joint values it assumes.
 
-Neighbouring outline points err together, and so do neighbouring views. Nothing is therefore read
-off the number of points: groups of neighbouring views are left out in turn (jackknife).
+Errors of neighbouring contour points are correlated, and so are those of neighbouring views. The
+number of points therefore carries no information: groups of neighbouring views are left out in turn (jackknife).
 """
 
 from collections.abc import Callable
@@ -62,7 +62,7 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointOffsets:
-    """What the images would add to each of J joint values.
+    """Estimated offsets of J joint values.
 
     Attributes:
         offsets_rad, sds_rad: Offsets (J,) and their standard deviations (J,).
@@ -80,7 +80,7 @@ class JointOffsets:
 
 
 def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:
-    """Offsets that the images ask for, seen in at least one view.
+    """Estimate joint offsets from at least one view.
 
     Joints and similarity are solved together, linearly about the drawn state, so that offsets of
     more than some ten degrees are only recognised as large.
@@ -117,7 +117,7 @@ def _jackknife(
 
 
 def _similarity_step(evidence: list[ViewEvidence]) -> Array:
-    """Step (7,) to the robust optimum of the edges, from where they were looked at."""
+    """Step (7,) to the robust optimum of the edges, from the rendered pose."""
     J = np.concatenate([view.jacobian for view in evidence])
     shifts = np.concatenate([view.edge_px for view in evidence])
     weights = np.concatenate([view.edge_weights for view in evidence])

@@ -47,7 +47,7 @@ class FrameParams:
         step: Motion between wanted frames, as a share of the image's width: a fifth of the motion
             at which half of the view has gone.
         target: As many frames as this are kept of a long walk; more only if their motion would
-            otherwise exceed `max_step`.
+            otherwise exceed `MAX_STEP`.
         min_frames: Fewer different views than this are no scan.
     """
 

@@ -155,7 +155,7 @@ def test_what_does_not_show_the_same_is_not_compared(toy_scene):
     assert np.abs(matched.images_srgb[0][:, 20:].astype(int) - 128).max() <= 1
 
 
-def sightings_of_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np.ndarray]:
+def observe_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np.ndarray]:
     """A ball that turns about z under a light, half of it seen in every picture."""
     rng = np.random.default_rng(2)
     normals = rng.normal(size=(400, 3))
@@ -179,7 +179,7 @@ def sightings_of_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np
 
 def test_light_is_told_from_paint_by_turning(toy_scene):
     albedo = np.array([0.2, 0.3, 0.4])
-    observations, normals = sightings_of_a_ball(toy_scene.light, albedo, 12)
+    observations, normals = observe_a_ball(toy_scene.light, albedo, 12)
     ones = np.ones(400, np.int32)
     colors = fit_robot_colors(observations, ones, 0 * ones, normals, 0.1 * normals)
     # Orientations between those seen, without their memories.
