@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.scan_information import Scanned, structure_rows
+from aomgen.alignment.scan_information import ScanViews, structure_rows
 from aomgen.alignment.silhouette_residuals import (
     BIAS,
     BIAS_SD_PX,
@@ -106,7 +106,7 @@ class BundleProblem:
     """
 
     S_world_recon: Array
-    scan: Scanned
+    scan: ScanViews
     points_recon: Array
     arm: LoggedRobot
     cameras: dict[str, CameraEvidence]

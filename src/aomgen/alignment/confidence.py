@@ -19,7 +19,7 @@ from aomgen.alignment.contours import (
     shift_jacobian,
 )
 from aomgen.alignment.silhouette_fit import (
-    Drawn,
+    RenderedRobot,
     RobotDrawing,
     edge_weights,
     gray_levels,
@@ -100,7 +100,7 @@ def collect_evidence(
 
 
 def _evidence(
-    S: Array, number: int, view: AlignmentImage, drawn: Drawn, drawing: RobotDrawing
+    S: Array, number: int, view: AlignmentImage, drawn: RenderedRobot, drawing: RobotDrawing
 ) -> ViewEvidence:
     camera = camera_in_world(S, view.camera_recon)
     gray = gray_levels(view.image_srgb)
@@ -144,7 +144,7 @@ def _find_confirmed(
     return (np.abs(edge) <= NEAR_EDGE_PX) & (strength > MIN_STEP) & (np.abs(border) <= NEAR_BORDER_PX)
 
 
-def _move_aside(drawn: Drawn, number: int, width: int) -> Drawn:
+def _move_aside(drawn: RenderedRobot, number: int, width: int) -> RenderedRobot:
     """The same outline elsewhere in the image; directions differ from view to view."""
     golden = number * np.pi * (3 - np.sqrt(5))
     shift = np.round(ASIDE * width * np.array([np.cos(golden), np.sin(golden)]))

@@ -16,7 +16,7 @@ from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.alignment.calibration_check import deviation, refuse_gross
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.held_out_frames import HeldOutSplit, estimate_joint_zeros, reject_unconfirmed
-from aomgen.alignment.scan_information import Scanned
+from aomgen.alignment.scan_information import ScanViews
 from aomgen.alignment.silhouette_fit import gray_levels, limit_width, robot_drawing, spread
 from aomgen.alignment.silhouette_residuals import (
     LoggedRobot,
@@ -144,7 +144,7 @@ def calibrate_fixed_cameras(
         splits = {name: _split_frames(S, item, clocks[name], arm, params) for name, item in videos.items()}
         problem = BundleProblem(
             S_world_recon=S,
-            scan=Scanned(
+            scan=ScanViews(
                 views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing
             ),
             points_recon=scene.points_recon,

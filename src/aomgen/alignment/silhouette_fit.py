@@ -60,7 +60,7 @@ CONVERGED_M, CONVERGED_RAD = 5e-5, 5e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
+class RenderedRobot:
     """A rendered robot: its outline, its silhouette, and the body (C,) at each outline point."""
 
     contour: Contour
@@ -86,7 +86,7 @@ class RobotDrawing:
     segments: NDArray[np.int64]
     joint_motions: Array
 
-    def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> Drawn | None:
+    def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> RenderedRobot | None:
         """The robot in one image, or None when too little of it, or nothing else, is there."""
         renderer = self.fine if fine else self.coarse
         bodies, depth = renderer.draw(camera, self.posture.joints, self.posture.gripper)
@@ -97,7 +97,7 @@ class RobotDrawing:
         if len(contour.pixels) < 20:
             return None
         column, row = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
-        return Drawn(contour=contour, mask=mask, bodies=bodies[row, column])
+        return RenderedRobot(contour=contour, mask=mask, bodies=bodies[row, column])
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The scene as Gaussians: started from dense points, trained, cleaned and judged on held-out images."""
+"""The scene as Gaussians: started from dense points, trained, cleaned and evaluated on held-out images."""
 
 from dataclasses import dataclass, field, replace
 from functools import partial

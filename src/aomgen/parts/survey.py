@@ -1,4 +1,4 @@
-"""Which sides of object, robot and table the scan looked at, in numbers and in words.
+"""Coverage of the sides of object, robot and table by the scan, in numbers and in words.
 
 Sides are named as the robot sees them: the near side of the object faces the robot's base, left is
 the robot's left when it looks at the object.

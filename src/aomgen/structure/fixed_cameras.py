@@ -17,7 +17,7 @@ from aomgen.structure.resection import (
     choose_view_lens,
     resect,
 )
-from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.sparse_model import SparseModel
 
 STILLS = ("first", "median")
 # Two placements of one camera are the same place below these; a wrong place is far beyond. Where
@@ -33,7 +33,7 @@ MIN_SPREAD = 0.15
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoView:
-    """What a fixed camera shows: its first frame and the temporal median of its video.
+    """Images of a fixed camera: its first frame and the temporal median of its video.
 
     Attributes:
         first_srgb: (H, W, 3) uint8, robot as in the scan.
@@ -62,7 +62,7 @@ class FixedCamera:
 
 
 def place_fixed_camera(
-    work: Workspace, mapped: Mapped, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
+    work: Workspace, mapped: SparseModel, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
 ) -> FixedCamera:
     """Find a fixed camera and its lens.
 
@@ -102,7 +102,7 @@ def place_fixed_camera(
     return FixedCamera(camera_recon=camera, lens=lens, figures=figures)
 
 
-def _links(work: Workspace, mapped: Mapped, group: str, stills: tuple[str, ...]) -> Links:
+def _links(work: Workspace, mapped: SparseModel, group: str, stills: tuple[str, ...]) -> Links:
     first, *others = (work.links(group, still, mapped) for still in stills)
     for other in others:
         first = first.with_links(other)
@@ -110,7 +110,7 @@ def _links(work: Workspace, mapped: Mapped, group: str, stills: tuple[str, ...])
 
 
 def _to_fixed_camera(
-    work: Workspace, mapped: Mapped, group: str, lens: Lens, *, focal_known: bool
+    work: Workspace, mapped: SparseModel, group: str, lens: Lens, *, focal_known: bool
 ) -> dict[str, Resection]:
     found = {
         still: resect(work.links(group, still, mapped), lens, focal_known=focal_known, seed=work.seed)
@@ -120,10 +120,10 @@ def _to_fixed_camera(
 
 
 def _choose(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], str]:
-    """The stills that are believed, and why.
+    """Choose the stills to use, with the reason.
 
     Raises:
-        ReconstructionError: None can be believed.
+        ReconstructionError: None can be used.
     """
     where = f"demo camera {name!r}"
     remedy = "scan from nearby this camera, so that its view is covered"

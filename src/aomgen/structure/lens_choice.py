@@ -44,7 +44,7 @@ MAX_MISFIT_PX = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensChoice:
-    """What held-out tracks say about the lens.
+    """The lens model chosen on held-out tracks.
 
     Attributes:
         lens: Fitted to all tracks under the chosen model.
@@ -148,7 +148,7 @@ def _convincing(gain: float, significance: float) -> bool:
 def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
     """Share of the squared error removed, and its significance, from squared errors by group.
 
-    Groups (images, or folds of one image) are the independent witnesses; errors within one share
+    Groups (images, or folds of one image) are the independent samples; errors within one share
     a pose. Outliers are cut at the same value in both.
     """
     limit = OUTLIER_MEDIANS**2 * float(np.median(np.concatenate(before)))

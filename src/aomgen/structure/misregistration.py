@@ -1,4 +1,4 @@
-"""Finding images that registered at a wrong place.
+"""Detection of images that registered at a wrong pose.
 
 A mapper accepts an image when enough of its matches agree with each other; with the same print on
 several cartons a wrong place can gather enough. Two-view geometry is evidence the mapper did not
@@ -81,9 +81,9 @@ def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array)
 
 
 def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
-    """Judge every registered image by the verified matches it has with the accepted ones.
+    """Check every registered image by the verified matches it has with the accepted ones.
 
-    The worst image is dropped first and the rest judged again without it, so that a wrong image
+    The worst image is dropped first and the rest checked again without it, so that a wrong image
     does not drag its neighbours down.
 
     Args:

@@ -8,7 +8,7 @@ from aomgen.core.transforms import apply, invert
 from aomgen.structure.clusters import Views, wrong_groups
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.misregistration import check_registration
-from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.sparse_model import SparseModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,7 @@ class InlierModel:
         worst_agreement: Smallest share of matches that fit the pose, over the inlier images.
     """
 
-    mapped: Mapped
+    mapped: SparseModel
     dropped: dict[str, str]
     worst_agreement: float
 
@@ -39,7 +39,7 @@ def is_better(new: InlierModel, old: InlierModel, max_error_px: float) -> bool:
     return first > second
 
 
-def reject_outliers(work: Workspace, mapped: Mapped) -> InlierModel:
+def reject_outliers(work: Workspace, mapped: SparseModel) -> InlierModel:
     """Remove the images that the matches contradict from a model and map the rest again."""
     pairs = work.pairs("scan", mapped.lens)
     views = Views(Ts_recon_cam=mapped.Ts_recon_cam, depths=_depths(mapped), K=mapped.K)
@@ -60,7 +60,7 @@ def reject_outliers(work: Workspace, mapped: Mapped) -> InlierModel:
     return InlierModel(mapped=mapped, dropped=dropped, worst_agreement=min(shares, default=0.0))
 
 
-def _depths(mapped: Mapped) -> dict[str, float]:
+def _depths(mapped: SparseModel) -> dict[str, float]:
     depths = {}
     for name, T_recon_cam in mapped.Ts_recon_cam.items():
         points = np.unique(mapped.point_of_feature[name])

@@ -80,7 +80,7 @@ def require_coverage(found: list[PromptVisibility]) -> None:
 
     Raises:
         ReconstructionError: All images a part was prompted on are missing from the model, or too
-            few views from too few sides have the place.
+            few views from too few sides see it.
     """
     for part in sorted({item.part for item in found}):
         own = [item for item in found if item.part == part]

@@ -24,19 +24,19 @@ from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, 
 from aomgen.structure.mapping import ImageSet, Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better, reject_outliers
 from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage
-from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.sparse_model import SparseModel
 from aomgen.structure.undistortion import undistort_prompts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photographs:
-    """What structure is recovered from.
+    """Input images and prompts of the structure.
 
     Attributes:
         images: Scan images by file name; all of one size and one camera.
         intrinsics: Stated intrinsics, a prior, or None.
         demo: Fixed cameras by name.
-        prompts: What a person clicked, in pixels of the images as they are.
+        prompts: In pixels of the images as recorded.
     """
 
     images: dict[str, Path]
@@ -174,8 +174,8 @@ def _solve(
 
 
 def _map(
-    work: Workspace, run: Callable[[str], Mapped | None], intrinsics: Intrinsics | None
-) -> tuple[Mapped | None, Figures]:
+    work: Workspace, run: Callable[[str], SparseModel | None], intrinsics: Intrinsics | None
+) -> tuple[SparseModel | None, Figures]:
     """Map the scan with its stated lens, then adjust it with the one that the matches call for."""
     mapped = run("scan")
     if mapped is None:
@@ -258,10 +258,10 @@ def _structure(
 
 
 def _check_coverage(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
-    """The structure with the coverage of every prompt in its figures.
+    """Add the visibility of every prompt to the metrics of the structure.
 
     Raises:
-        ReconstructionError: A prompted part was not looked at.
+        ReconstructionError: A prompted part is not covered.
     """
     if structure.scan_lens is not None:
         prompts = undistort_prompts(prompts, structure.scan_lens)

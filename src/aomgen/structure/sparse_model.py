@@ -22,8 +22,8 @@ MAX_ITERATIONS = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mapped:
-    """A model as the mapper left it.
+class SparseModel:
+    """Camera poses and points of a mapped scan.
 
     Attributes:
         Ts_recon_cam: Pose (4, 4) by image name.
@@ -50,7 +50,7 @@ class Mapped:
         return np.array([[straight.fx, 0, straight.cx], [0, straight.fy, straight.cy], [0, 0, 1.0]])
 
 
-def mapped_of(model: pycolmap.Reconstruction, names: dict[str, str]) -> Mapped:
+def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseModel:
     """Values of a model of one camera; `names` gives the image name of each file."""
     rows = {point_id: row for row, point_id in enumerate(sorted(model.points3D))}
     points = [model.points3D[point_id] for point_id in sorted(model.points3D)]
@@ -63,7 +63,7 @@ def mapped_of(model: pycolmap.Reconstruction, names: dict[str, str]) -> Mapped:
         point_of = [rows[p.point3D_id] if p.has_point3D() else -1 for p in image.points2D]
         features[name] = np.array(point_of, np.int64)
         observations += [(row, name) for row in sorted({row for row in point_of if row >= 0})]
-    return Mapped(
+    return SparseModel(
         Ts_recon_cam=poses,
         lens=lens_of(next(iter(model.cameras.values()))),
         points_recon=np.array([p.xyz for p in points], np.float64).reshape(-1, 3),

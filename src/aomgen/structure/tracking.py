@@ -1,4 +1,4 @@
-"""Following points from image to image: how far a camera's view has moved."""
+"""Tracking of points from image to image: how far the view of a camera has moved."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Stills out of a scan video: sharp ones, each with something new to see, none twice.
+"""Selection of frames from a scan video: sharp ones, each with new content.
 
 A frame is wanted when the view has moved on by `step` since the last wanted one, measured on
 points that are followed from frame to frame, so that standing still (and trembling while doing
