@@ -1,4 +1,4 @@
-"""Fixed cameras come back from disk as they were settled, and damaged files are named."""
+"""Fixed cameras come back from disk as they were calibrated, and damaged files are named."""
 
 import json
 

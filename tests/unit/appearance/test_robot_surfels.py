@@ -129,7 +129,7 @@ def test_a_cable_that_the_model_does_not_have_stays(toy_scene):
     assert all(tuple(row) in kept for row in means[cable].tolist())
 
 
-def film_of(image: np.ndarray, toy_scene) -> PosedImages:
+def make_images(image: np.ndarray, toy_scene) -> PosedImages:
     return PosedImages(
         camera=toy_scene.camera, images_srgb=(image, image), states=(toy_scene.twin.scan_state,) * 2
     )
@@ -140,7 +140,7 @@ def test_exposure_of_a_film_is_taken_back(toy_scene):
     scan = rng.uniform(0.3, 0.7, (24, 32, 3))
     gains = np.array([0.7, 0.8, 1.1])
     darker = np.rint(255 * scan * gains ** (1 / 2.2)).astype(np.uint8)
-    matched = match_exposure(film_of(darker, toy_scene), scan, np.ones((24, 32), bool))
+    matched = match_exposure(make_images(darker, toy_scene), scan, np.ones((24, 32), bool))
     for image in matched.images_srgb:
         assert np.abs(image / 255 - scan).mean() < 0.02
 
@@ -151,7 +151,7 @@ def test_what_does_not_show_the_same_is_not_compared(toy_scene):
     image[:, :20] = 40
     compared = np.zeros((24, 32), bool)
     compared[:, 20:] = True
-    matched = match_exposure(film_of(image, toy_scene), scan, compared)
+    matched = match_exposure(make_images(image, toy_scene), scan, compared)
     assert np.abs(matched.images_srgb[0][:, 20:].astype(int) - 128).max() <= 1
 
 
