@@ -168,7 +168,7 @@ def _about(sizes_m: np.ndarray, size_m: float, octaves: float) -> np.ndarray:
 def pair_evidence(
     masks: np.ndarray, sizes_m: np.ndarray, size_m: float, octaves: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the masks of a view say about pairs of its pixels at a size.
+    """Which pairs of pixels the masks of a view join or separate at a size.
 
     Args:
         masks: (M, P), whether each pixel lies in each mask.

@@ -30,7 +30,7 @@ from aomgen.parts.likelihood import (
     prompted_evidence,
     surface_views,
 )
-from aomgen.parts.prompted_images import PromptedImage, PromptFit, ask_prompts
+from aomgen.parts.prompted_images import PromptedImage, PromptFit, segment_prompts
 from aomgen.parts.robot_labels import robot_bodies
 from aomgen.parts.scan_views import ScanView, spread
 from aomgen.parts.smoothing import smooth_posterior
@@ -120,7 +120,7 @@ class Parts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptedScan:
-    """Everything about a scan's parts that is asked once, whatever the demonstration shows later.
+    """Segmentation of a scan that does not depend on the demonstration.
 
     Attributes:
         gaussians: World frame, cut.
@@ -152,7 +152,7 @@ def segment_scan(
     progress: Progress,
     params: PartsParams | None = None,
 ) -> PromptedScan:
-    """Find the robot and ask the prompts.
+    """Segment the robot and the prompted parts in the scan images.
 
     Args:
         gaussians: The scan, world frame.
@@ -173,7 +173,7 @@ def segment_scan(
     else:
         bodies, share = robot_bodies(gaussians, views, posture, np.random.default_rng(params.seed))
     progress(0.3, "robot labelled")
-    prompted = ask_prompts(views, prompts, segmenter)
+    prompted = segment_prompts(views, prompts, segmenter)
     progress(0.7, "prompts answered")
     given, surfaces = None, []
     if params.method == "saga":
@@ -196,7 +196,7 @@ def segment_scan(
 
 
 def part_evidence(scan: PromptedScan, motion_log_odds: Array | None = None) -> PartEvidence:
-    """What prompts, masks and the demonstration say of all Gaussians.
+    """Log-likelihoods of all Gaussians from prompts, masks and the demonstration.
 
     Args:
         scan: See `segment_scan`.

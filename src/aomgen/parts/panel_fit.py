@@ -66,10 +66,10 @@ SEAM, REACH, BODY_LOW, BODY_HIGH, YAW, NUMBERS = 4, 5, slice(6, 9), slice(9, 12)
 
 
 class Term(Protocol):
-    """Some evidence about the boxes."""
+    """One loss term of the boxes."""
 
     def loss(self, panel: Panel) -> float:
-        """How badly boxes explain it, 0 at best."""
+        """Loss of the boxes, 0 at best."""
         ...
 
 

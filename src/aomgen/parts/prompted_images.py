@@ -1,4 +1,4 @@
-"""What the prompted images show: surface points, and the segmenter's answers to each box."""
+"""Prompted images with their surface points and the masks of each box."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -63,7 +63,7 @@ class PromptedImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFit:
-    """How labels, drawn into the prompted images, fit what was asked there.
+    """Agreement of labels, rendered into the prompted images, with the prompts.
 
     Attributes:
         misfit: `box_misfit`, mean over the prompts.
@@ -88,10 +88,10 @@ class PromptFit:
         )
 
 
-def ask_prompts(
+def segment_prompts(
     views: list[ScanView], prompts: tuple[Prompt, ...], segmenter: Segmenter
 ) -> list[PromptedImage]:
-    """Ask the segmenter about every box of the object's parts, with and without its points.
+    """Segment every box of the object's parts, with and without its points.
 
     A point may pull a mask to a detail (a label, a window), its absence to a neighbor.
 

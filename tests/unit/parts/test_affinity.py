@@ -20,7 +20,7 @@ from aomgen.parts.affinity_parts import (
 )
 from aomgen.parts.affinity_query import Query, answer_query, best_threshold
 from aomgen.parts.affinity_training import AffinityParams, pair_evidence, train_affinity
-from aomgen.parts.prompted_images import ask_prompts
+from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.scan_views import ScanView
 from aomgen.parts.smoothing import smooth_posterior
 from aomgen.segmentation.automatic_masks import (
@@ -128,7 +128,7 @@ def scanned(gaussians, labels, folder, progress=silent):
     """A segmented scan, answers to its prompts and the segmenter, which counts what it prepares."""
     views = scan_views(gaussians)
     segmenter = TrueSegmenter(gaussians, labels, views)
-    prompted = ask_prompts(views, prompts(gaussians, labels, views[1].camera), segmenter)
+    prompted = segment_prompts(views, prompts(gaussians, labels, views[1].camera), segmenter)
     params = AffinityPartsParams(views=6, object_side=4, training=TRAINING, masks_folder=folder)
     return (
         find_all_masks(gaussians, views, prompted, segmenter, progress, params),
