@@ -11,7 +11,7 @@ from aomgen.core.progress import silent
 from aomgen.core.recording import Capture
 from aomgen.gaussians.stage import load_gaussians
 from aomgen.motion.stage import load_motion
-from aomgen.parts.label import PartsParams, find_parts, part_evidence, prompted_scan
+from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_scan
 from aomgen.parts.stage import scan_views
 from aomgen.pipeline.aligning import align_by_paper
 from aomgen.pipeline.recovery import posture_of, scanned_twin
@@ -52,7 +52,7 @@ def paper_twin(out: Path, capture: Capture, estimates: dict[str, Any]) -> tuple[
     views = scan_views(structure, S_world_recon, images, posture)
     segmenter = choose_segmenter(capture.mask_folders)
     params = PartsParams(robot="boxes")
-    scan = prompted_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    scan = segment_scan(world, views, capture.prompts, segmenter, posture, silent, params)
     parts = find_parts(scan, part_evidence(scan))
     joint = load_motion(folders["motion"]).joint
     return (

@@ -7,9 +7,9 @@ from aomgen.alignment.stage import load_alignment
 from aomgen.core.progress import silent
 from aomgen.core.recording import Capture
 from aomgen.motion.stage import load_motion
-from aomgen.parts.affinity_parts import AffinityPartsParams, masked_scan
-from aomgen.parts.label import PartsParams, find_parts, part_evidence, prompted_scan
-from aomgen.parts.prompted_images import ask_prompts
+from aomgen.parts.affinity_parts import AffinityPartsParams, find_all_masks
+from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_scan
+from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.stage import MASKS_FOLDER, scan_views
 from aomgen.pipeline.recovery import posture_of, scanned_twin, scanned_world
 from aomgen.pipeline.stages import STAGES
@@ -39,11 +39,11 @@ def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
     segmenter = choose_segmenter(capture.mask_folders)
     affinity = AffinityPartsParams(masks_folder=out / FOLDER / MASKS_FOLDER)
     started = time.monotonic()
-    prompted = ask_prompts(views, capture.prompts, segmenter)
-    masked_scan(world, views, prompted, segmenter, silent, affinity)
+    prompted = segment_prompts(views, capture.prompts, segmenter)
+    find_all_masks(world, views, prompted, segmenter, silent, affinity)
     masked = time.monotonic()
     params = PartsParams(method="saga", affinity=affinity)
-    scan = prompted_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    scan = segment_scan(world, views, capture.prompts, segmenter, posture, silent, params)
     parts = find_parts(scan, part_evidence(scan))
     seconds = {"masks": masked - started, "features": time.monotonic() - masked}
     twin = scanned_twin(world, parts, load_motion(folders["motion"]).joint, posture)

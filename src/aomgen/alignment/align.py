@@ -1,7 +1,7 @@
-"""The similarity that brings the structure's frame into the robot's: `S_world_recon`.
+"""Alignment of the structure with the robot: the similarity `S_world_recon`.
 
-Likely places come from the prompted boxes and a quick look at colors (`alignment_search`); each is
-pulled onto the outlines that the scan images show (`contours`), the best is refined on all views,
+Hypotheses come from the prompted boxes and a coarse color score (`pose_search`); each is fitted to
+the contours in the scan images (`contours`), the best is refined on all views,
 and doubtful answers are refused. Source: AOMGen, sec. 4.1, "Scene and robot alignment"; the paper's rigid ICP needs a
 known scale and clean robot points, so outlines in the images take its place.
 """
@@ -11,16 +11,24 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from aomgen.alignment.camera_uncertainty import CameraErrors
-from aomgen.alignment.confidence import Confirmation, ViewEvidence, confirmation, look
+from aomgen.alignment.confidence import Confirmation, ViewEvidence, collect_evidence, confirmation
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import Scan, SearchParams, search
-from aomgen.alignment.silhouette_fit import FINE, MIDDLE, RobotDrawing, reduced, refine, robot_drawing, spread
+from aomgen.alignment.pose_search import Scan, SearchParams, search_poses
+from aomgen.alignment.silhouette_fit import (
+    FINE,
+    MIDDLE,
+    RobotDrawing,
+    limit_width,
+    refine,
+    robot_drawing,
+    spread,
+)
 from aomgen.alignment.uncertainty import (
     covariance_from_cameras,
     joint_offsets,
     similarity_covariance,
 )
-from aomgen.alignment.wrist_check import HandTurn, best_hand_turn
+from aomgen.alignment.wrist_check import WristRotation, find_wrist_rotation
 from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array, freeze
@@ -28,6 +36,26 @@ from aomgen.errors import AlignmentError
 from aomgen.robots.configuration import RobotPosture
 
 STAGE = "alignment"
+# Least support beyond chance of the whole robot, 0..1; contours beside the robot reach 0 by definition.
+MIN_LIFT = 0.2
+# The same for every segment of the arm that a joint moves; half, because a segment has few contour points.
+MIN_SEGMENT_LIFT = 0.1
+# Least lead in support over a different hypothesis: half of the least support itself.
+MIN_MARGIN = 0.1
+# Hypotheses whose color score is this share of the best one are fitted to contours; color alone ranks
+# coarsely.
+FINALIST_SHARE = 0.5
+# Hypotheses whose robots are farther apart than this are different, [m]: far outside the reach of the
+# contour fit.
+DISTINCT_M = 0.05
+# Largest joint offset that the images may show, [rad]; mastered arms are within it.
+MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
+# An offset counts when it is this many of its standard deviations: four, as many joints are tested.
+JOINT_SDS = 4.0
+# An offset counts when it moves the contour by more than the error of an image edge, [px].
+MIN_JOINT_MOVE_PX = 0.5
+# Largest standard deviation of the end effector, [m]: with more, a grasp on a handle is not determined.
+MAX_SD_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,41 +63,23 @@ class AlignmentParams:
     """Effort and limits.
 
     Attributes:
-        search: Effort of the search for likely places.
-        guesses: Factors of its guesses; each but the first is for when what was found is not confirmed.
+        search: Effort of the search for hypotheses.
+        guesses: Factors of its guesses, tried in turn until a hypothesis is confirmed.
         views: Scan images used, spread over the walk.
         width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
-        min_lift: Least support beyond chance, of the robot.
-        min_segment_lift: The same for every segment of the arm that a joint moves.
-        min_margin: Least lead in support over a different hypothesis.
-        finalist_share: Places are pulled onto outlines whose colors score this share of the best one's.
-        distinct_m: Hypotheses whose robots are farther apart than this are different.
-        max_joint_offset_rad: Largest offset of a joint that the images may ask for.
-        joint_sds: An offset counts when it is this many of its standard deviations.
-        min_joint_move_px: And when it moves the outline more than edges are found apart anyway.
-        max_sd_m: Largest standard deviation of the end effector.
     """
 
     search: SearchParams = field(default_factory=SearchParams)
     views: int = 24
     width: int = 640
     contour_points: int = 400
-    min_lift: float = 0.2
-    min_segment_lift: float = 0.1
-    min_margin: float = 0.1
     guesses: tuple[int, ...] = (1, 3)
-    finalist_share: float = 0.5
-    distinct_m: float = 0.05
-    max_joint_offset_rad: float = float(np.radians(2.0))
-    joint_sds: float = 4.0
-    min_joint_move_px: float = 0.5
-    max_sd_m: float = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """The answer and how far it can be trusted.
+    """The similarity and its confidence.
 
     Attributes:
         S_world_recon: Similarity (4, 4), metres per recon unit included.
@@ -107,12 +117,12 @@ def align(
     rng: np.random.Generator,
     params: AlignmentParams | None = None,
 ) -> Alignment:
-    """Find `S_world_recon` from the robot's outlines in the scan images.
+    """Find `S_world_recon` from the robot's contours in the scan images.
 
     Args:
         scan: Images that show the robot in `posture`, with at least one prompted box.
         posture: Robot and its joint values during the scan.
-        progress: Told after each hypothesis.
+        progress: Called after each hypothesis.
         rng: Random choices of the search.
         params: See `AlignmentParams`.
 
@@ -131,7 +141,7 @@ def align(
     cameras = [view.camera_recon for view in scan.views]
     S_unit_recon = unit_frame([camera.center for camera in cameras], cameras[0].T_world_cam)
     scan = scan.seen_from(S_unit_recon)
-    scan = replace(scan, views=[reduced(view, params.width) for view in scan.views])
+    scan = replace(scan, views=[limit_width(view, params.width) for view in scan.views])
     width = max(view.camera_recon.width for view in scan.views)
     height = max(view.camera_recon.height for view in scan.views)
     with robot_drawing(posture, width, height) as drawing:
@@ -139,18 +149,18 @@ def align(
         chosen = spread(scan.views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
-        evidence = look(S, chosen, drawing, params.contour_points)
+        evidence = collect_evidence(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
-        _refuse_unconfirmed(confirmed, runner_up, posture, params)
-        hand = best_hand_turn(S, chosen[::2], drawing, params.contour_points, evidence)
+        _refuse_unconfirmed(confirmed, runner_up, posture)
+        hand = find_wrist_rotation(S, chosen[::2], drawing, params.contour_points, evidence)
         _refuse_turned_hand(hand, posture)
-    _refuse_wrong_joints(evidence, posture, params)
+    _refuse_wrong_joints(evidence, posture)
     result = replace(
         _summary(S @ S_unit_recon, evidence, confirmed),
         runner_up_support=runner_up,
         ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
     )
-    _refuse_vague(result, params)
+    _refuse_vague(result)
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
 
@@ -158,27 +168,27 @@ def align(
 def _likeliest(
     scan: Scan, drawing: RobotDrawing, progress: Progress, rng: np.random.Generator, params: AlignmentParams
 ) -> tuple[Array, float]:
-    """The best place on coarse images, and the support of the best different one; 0 without one.
+    """Find the best hypothesis on coarse images, and the support of the best different one; 0 without one.
 
     Raises:
-        AlignmentError: Images confirm nothing that was found.
+        AlignmentError: The images confirm no hypothesis.
     """
     best: list[tuple[Confirmation, Array]] = []
     for number, factor in enumerate(params.guesses):
         effort = replace(params.search, guesses=factor * params.search.guesses)
-        found = search(scan, drawing.posture, rng, effort).at_least(params.finalist_share)
+        found = search_poses(scan, drawing.posture, rng, effort).at_least(FINALIST_SHARE)
         now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
         now(0.5, "looked for likely places")
         ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
         best = max(best, ranked, key=lambda places: places[0][0].lift if places else -1.0)
-        if best and best[0][0].lift >= params.min_lift:
+        if best and best[0][0].lift >= MIN_LIFT:
             break
     if not best:
         raise AlignmentError(STAGE, "no start puts the robot into the images", "check the robot prompts")
     first, S = best[0]
-    if not first.lift >= params.min_lift / 2:
-        raise _unconfirmed(first, params)
-    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > params.distinct_m]
+    if not first.lift >= MIN_LIFT / 2:
+        raise _unconfirmed(first)
+    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > DISTINCT_M]
     return S, max(others, default=0.0)
 
 
@@ -207,13 +217,13 @@ def unit_frame(centers_recon: list[Array], T_recon_cam: Array) -> Array:
 def _refine_starts(
     starts: Array, views: list[AlignmentImage], drawing: RobotDrawing, progress: Progress
 ) -> list[tuple[Confirmation, Array]]:
-    """Pull every start (H, 4, 4) onto the outlines of some views; best support first."""
+    """Fit every start (H, 4, 4) to the contours of some views; best support first."""
     ranked = []
     for index, start in enumerate(starts):
         chosen = spread(views, start, drawing, 8)
         if chosen:
             S = refine(start, chosen, drawing, MIDDLE, 200)
-            ranked.append((confirmation(look(S, chosen, drawing, 200)), S))
+            ranked.append((confirmation(collect_evidence(S, chosen, drawing, 200)), S))
         progress((index + 1) / len(starts), f"place {index + 1} of {len(starts)}")
     return sorted(ranked, key=lambda item: -item[0].support)
 
@@ -236,21 +246,19 @@ def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation) -> Ali
     )
 
 
-def _unconfirmed(found: Confirmation, params: AlignmentParams) -> AlignmentError:
+def _unconfirmed(found: Confirmation) -> AlignmentError:
     return AlignmentError(
         STAGE,
         f"the images confirm {found.support:.0%} of the robot's outline, and {found.chance:.0%} of "
-        f"one drawn anywhere; want a lead of {params.min_lift:.0%}",
+        f"one drawn anywhere; want a lead of {MIN_LIFT:.0%}",
         "check the robot prompts and that the first rows of the log are the scan's joint values",
     )
 
 
-def _refuse_unconfirmed(
-    found: Confirmation, runner_up: float, posture: RobotPosture, params: AlignmentParams
-) -> None:
-    if not found.lift >= params.min_lift:
-        raise _unconfirmed(found, params)
-    if not found.support - runner_up >= params.min_margin:
+def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPosture) -> None:
+    if not found.lift >= MIN_LIFT:
+        raise _unconfirmed(found)
+    if not found.support - runner_up >= MIN_MARGIN:
         raise AlignmentError(
             STAGE,
             f"two places of the robot are confirmed alike ({found.support:.0%} and {runner_up:.0%})",
@@ -258,35 +266,33 @@ def _refuse_unconfirmed(
         )
     # The base may stand behind things or on a mount, and says nothing about the joints.
     for segment, lift in sorted(found.lift_of_segment.items()):
-        if segment > 0 and not lift >= params.min_segment_lift:
+        if segment > 0 and not lift >= MIN_SEGMENT_LIFT:
             joint = posture.robot.joint_names[segment - 1]
             raise AlignmentError(
                 STAGE,
                 f"the robot is not seen where the log puts it, from {joint} on (the images confirm "
-                f"{lift:.0%} of that outline beyond chance, want {params.min_segment_lift:.0%})",
+                f"{lift:.0%} of that outline beyond chance, want {MIN_SEGMENT_LIFT:.0%})",
                 "check scan_state: the joint values must be those during the scan",
             )
 
 
-def _refuse_wrong_joints(
-    evidence: list[ViewEvidence], posture: RobotPosture, params: AlignmentParams
-) -> None:
+def _refuse_wrong_joints(evidence: list[ViewEvidence], posture: RobotPosture) -> None:
     found = joint_offsets(evidence)
     sizes = np.abs(found.offsets_rad)
-    wrong = (sizes > params.max_joint_offset_rad) & (sizes > params.joint_sds * found.sds_rad)
-    wrong &= found.moves_px > params.min_joint_move_px
+    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > JOINT_SDS * found.sds_rad)
+    wrong &= found.moves_px > MIN_JOINT_MOVE_PX
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
         offset_deg, sd_deg = np.degrees(found.offsets_rad[worst]), np.degrees(found.sds_rad[worst])
         raise AlignmentError(
             STAGE,
             f"{posture.robot.joint_names[worst]} looks {offset_deg:+.0f} deg off in the images "
-            f"(+-{sd_deg:.1f}, limit {np.degrees(params.max_joint_offset_rad):.0f})",
+            f"(+-{sd_deg:.1f}, limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f})",
             "check scan_state: the joint values must be those during the scan",
         )
 
 
-def _refuse_turned_hand(found: HandTurn, posture: RobotPosture) -> None:
+def _refuse_turned_hand(found: WristRotation, posture: RobotPosture) -> None:
     if found.clear:
         raise AlignmentError(
             STAGE,
@@ -296,11 +302,11 @@ def _refuse_turned_hand(found: HandTurn, posture: RobotPosture) -> None:
         )
 
 
-def _refuse_vague(result: Alignment, params: AlignmentParams) -> None:
-    if not result.ee_sd_m <= params.max_sd_m:
+def _refuse_vague(result: Alignment) -> None:
+    if not result.ee_sd_m <= MAX_SD_M:
         raise AlignmentError(
             STAGE,
-            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * params.max_sd_m:.0f} mm",
+            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * MAX_SD_M:.0f} mm",
             "scan the robot from more sides",
         )
 

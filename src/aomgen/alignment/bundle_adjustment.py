@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.alignment.bundle_equations import (
+    DRIFT_SDS,
     FIXED,
+    MAX_DRIFT_S,
+    MIN_SD_S,
     Block,
-    BundleParams,
     BundleProblem,
     CameraState,
     Columns,
@@ -22,7 +24,7 @@ from aomgen.alignment.bundle_equations import (
     camera_block,
 )
 from aomgen.alignment.scan_information import ScanContour, scan_block, trace_scan
-from aomgen.alignment.silhouette_fit import moved_similarity
+from aomgen.alignment.silhouette_fit import move_similarity
 from aomgen.alignment.silhouette_residuals import (
     BIAS,
     OFFSET,
@@ -36,7 +38,8 @@ from aomgen.core.clock import Clock
 from aomgen.core.transforms import invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 
-# Search reach and robust kernel of each round of rendering, [px]: from the error of the start down to a pixel.
+# Search reach and robust kernel of each round of rendering, [px]: from the error of the start down to a
+# pixel.
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
 # Gauss-Newton steps between two renderings, so that the robust weights converge.
 _SOLVES = 4
@@ -150,7 +153,7 @@ def _gauss_newton(
                 A[at, at] += FIXED
                 b[at] -= FIXED * states[name].clock.rate
         step: Array = np.asarray(np.linalg.solve(A, b), np.float64)
-        S = moved_similarity(S, step[:7], problem.pivot)
+        S = move_similarity(S, step[:7], problem.pivot)
         zeros = zeros + step[columns.zeros]
         states = {
             name: _move_state(states[name], step[columns.camera(k)], problem.pivot)
@@ -162,20 +165,20 @@ def _gauss_newton(
 
 def _drifts(problem: BundleProblem, name: str, clock: Clock) -> bool:
     times = problem.cameras[name].frames.times_s
-    return bool(len(times)) and drifts(clock, float(times[-1] - times[0]), problem.params)
+    return bool(len(times)) and drifts(clock, float(times[-1] - times[0]))
 
 
-def drifts(clock: Clock, seconds: float, params: BundleParams) -> bool:
+def drifts(clock: Clock, seconds: float) -> bool:
     """Whether a clock's drift matters over so many seconds, and is known well enough to say so."""
     shift = abs(clock.rate) * seconds
-    return shift > params.max_drift_s and abs(clock.rate) > params.drift_sds * clock.rate_sd
+    return shift > MAX_DRIFT_S and abs(clock.rate) > DRIFT_SDS * clock.rate_sd
 
 
 def _final_clock(problem: BundleProblem, name: str, clock: Clock, *, steady: bool) -> Clock:
     given = problem.cameras[name].clock
     if not given.sd_s > 0:
         return given
-    return replace(clock, sd_s=max(clock.sd_s, problem.params.min_sd_s), rate=0.0 if steady else clock.rate)
+    return replace(clock, sd_s=max(clock.sd_s, MIN_SD_S), rate=0.0 if steady else clock.rate)
 
 
 def _move_state(state: CameraState, step: Array, pivot: Array) -> CameraState:

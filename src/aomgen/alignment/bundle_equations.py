@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.scan_information import Scanned, structure_rows
+from aomgen.alignment.scan_information import ScanViews, structure_rows
 from aomgen.alignment.silhouette_residuals import (
     BIAS,
     BIAS_SD_PX,
@@ -30,6 +30,22 @@ from aomgen.core.values import Array
 _SEGMENTS = 8
 # Information that fixes an unknown: far above that of any data.
 FIXED = 1e12
+# Points that carry the pose of a camera in the structure; six degrees of freedom need no more.
+STRUCTURE_POINTS = 300
+# How far a camera placed in the structure is off, in its own image, [px]: about half the reprojection error
+# of a single image.
+STRUCTURE_SD_PX = 0.25
+# Standard deviation assumed of a hand-eye calibration, [m].
+CALIBRATION_SD_M = 0.003
+# The same of its rotation, [rad], 0.2 degrees.
+CALIBRATION_SD_RAD = 0.0035
+# Least standard deviation of a clock, [s]: time stamps are rounded to a millisecond.
+MIN_SD_S = 0.001
+# A drift that shifts the ends of the video by less than this against one another is none: 20 ms at either
+# end are 6 mm of an arm that moves at 0.3 m/s, [s].
+MAX_DRIFT_S = 0.04
+# Standard deviations that a drift has to be away from none; four, so that chance never makes one.
+DRIFT_SDS = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,27 +56,13 @@ class BundleParams:
         frames: Frames of each video; 0 leaves cameras where the scan placed them.
         width: Images wider than this are reduced, [px].
         points: Contour points a frame.
-        structure_points: Points that carry the camera's place in the structure.
-        structure_sd_px: How far a camera placed in the structure is off, in its own picture, [px]:
-            about half the reprojection error of a single image.
         calibration_sd_m, calibration_sd_rad: What a hand-eye calibration is good to.
-        min_sd_s: Smallest standard deviation of a clock that is believed, [s].
-        max_drift_s: A drift that shifts the ends of the video by less than this against one another is
-            none: 20 ms at either end are 6 mm of an arm that moves at 0.3 m/s, [s].
-        drift_sds: Standard deviations that a drift has to be away from none.
         zero_sd_rad: How far the zero of a joint of a mastered arm is off; next to 0 keeps the log's.
     """
 
     frames: int = 32
     width: int = 640
     points: int = 300
-    structure_points: int = 300
-    structure_sd_px: float = 0.25
-    calibration_sd_m: float = 0.003
-    calibration_sd_rad: float = 0.0035
-    min_sd_s: float = 0.001
-    max_drift_s: float = 0.04
-    drift_sds: float = 4.0
     zero_sd_rad: float = float(np.radians(0.3))
 
 
@@ -104,7 +106,7 @@ class BundleProblem:
     """
 
     S_world_recon: Array
-    scan: Scanned
+    scan: ScanViews
     points_recon: Array
     arm: LoggedRobot
     cameras: dict[str, CameraEvidence]
@@ -238,20 +240,20 @@ def _structure_prior(
     pixels, depths = camera.project(points)
     size = np.array([camera.width, camera.height])
     seen = np.flatnonzero((depths > 0) & np.all((pixels > 0) & (pixels < size), axis=1))
-    chosen = seen[:: max(1, len(seen) // problem.params.structure_points)]
+    chosen = seen[:: max(1, len(seen) // STRUCTURE_POINTS)]
     if not len(chosen):
         return np.zeros((0, 13)), np.zeros(0)
     J, r = structure_rows(state.camera, camera, points[chosen], S, problem.pivot)
-    # Six degrees of freedom, each known to `structure_sd_px`.
-    scale = np.sqrt(6 / len(r)) / problem.params.structure_sd_px
+    # Six degrees of freedom, each known to `STRUCTURE_SD_PX`.
+    scale = np.sqrt(6 / len(r)) / STRUCTURE_SD_PX
     return scale * J, scale * r
 
 
 def _calibration_prior(problem: BundleProblem, T_world_cam: Array, state: CameraState) -> tuple[Array, Array]:
-    params, T = problem.params, state.camera.T_world_cam
+    T = state.camera.T_world_cam
     turn = rotvec_from_matrix(T_world_cam[:3, :3] @ T[:3, :3].T)
     J, r = np.zeros((6, 6)), np.zeros(6)
     J[:3, :3], r[:3] = -np.eye(3), turn
     J[3:, :3], J[3:, 3:], r[3:] = skew(T[:3, 3] - problem.pivot), -np.eye(3), T_world_cam[:3, 3] - T[:3, 3]
-    sds = np.repeat([params.calibration_sd_rad, params.calibration_sd_m], 3)
+    sds = np.repeat([CALIBRATION_SD_RAD, CALIBRATION_SD_M], 3)
     return J / sds[:, None], r / sds

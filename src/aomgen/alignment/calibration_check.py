@@ -1,4 +1,4 @@
-"""Hand-eye calibrations of fixed cameras against the place that the scan gives them."""
+"""Comparison of hand-eye calibrations of fixed cameras with their poses from the scan."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from aomgen.core.transforms import invert, rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
 
-# A calibration that shows the robot elsewhere in the picture by more than this share of its width is
+# A calibration that shows the robot elsewhere in the image by more than this share of its width is
 # not inaccurate but wrong: hand-eye calibrations are good to millimetres, alignments likewise.
 _GROSS_SHARE = 0.04
 # A known mistake explains a calibration when it takes this share of the deviation away.
@@ -69,7 +69,7 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
 
 
 def _shift_share(T_world_cam: Array, camera: Camera, robot_world: Array) -> float:
-    """Median shift of the robot in the picture, as share of its width; infinite when it is behind."""
+    """Median shift of the robot in the image, as share of its width; infinite when it is behind."""
     there, depths = camera.moved(T_world_cam).project(robot_world)
     here, _ = camera.project(robot_world)
     if not np.median(depths) > 0:

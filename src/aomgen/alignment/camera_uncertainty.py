@@ -1,6 +1,6 @@
-"""How far the cameras of a structure are off, together: the covariance of its bundle adjustment.
+"""Joint covariance of the camera poses of a structure, from its bundle adjustment.
 
-Errors of neighbouring cameras are alike, since they see the same points; an alignment that rests
+Errors of neighbouring cameras are correlated, since they see the same points; an alignment that rests
 on many views averages little of them away. Source: Triggs et al., "Bundle adjustment - a modern
 synthesis", 2000, sec. 6 (reduced camera system) and 9 (gauge).
 """
@@ -21,7 +21,7 @@ _RAYLEIGH = float(np.sqrt(np.pi / 2))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraErrors:
-    """How far cameras are off, together.
+    """Joint covariance of camera poses.
 
     Attributes:
         names: Of N cameras.

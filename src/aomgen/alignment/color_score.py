@@ -1,8 +1,8 @@
-"""A quick look at many places of the robot: do colors differ between its silhouette and the rim?
+"""Color score of many poses of the robot: difference in color between its silhouette and a band around it.
 
-The robot looks alike in all images, and unlike what is around it. Colors inside and just outside
-the silhouette, pooled over a few small images, differ most where the robot stands. Silhouettes are
-drawn as points on the surface, thousands in a second; what looks good is judged by outlines later.
+The robot has the same colors in all images, and others than its surroundings. Colors inside and just outside
+the silhouette, pooled over a few small images, differ most at the true pose. Silhouettes are
+drawn as points on the surface, thousands in a second; good poses are verified by contours later.
 """
 
 from dataclasses import dataclass
@@ -14,11 +14,13 @@ from aomgen.alignment.contours import AlignmentImage
 from aomgen.core.values import Array
 from aomgen.robots.configuration import RobotPosture
 
+# Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40
-# Width of the rim, as a share of the image's width: less than an arm's link is thick.
+# Width of the band, as a share of the image's width: less than an arm's link is thick.
 RIM = 0.06
-# A silhouette of which less than this is in the pictures says less.
+# A silhouette of which less than this is in the images says less.
 SEEN = 0.5
+# Poses scored at once: bounds the memory, no effect on the result.
 BATCH = 128
 
 
@@ -48,7 +50,7 @@ class ColorScore:
         seen = np.zeros(count)
         for view, labels in zip(self.views, self.labels, strict=True):
             masks, share = self._silhouettes(view, Ss_recon_world)
-            rims = _grown(masks, max(2, round(RIM * view.camera_recon.width))) & ~masks
+            rims = _dilate(masks, max(2, round(RIM * view.camera_recon.width))) & ~masks
             inside += masks.reshape(count, -1).astype(np.float32) @ labels
             outside += rims.reshape(count, -1).astype(np.float32) @ labels
             seen += share / len(self.views)
@@ -57,7 +59,7 @@ class ColorScore:
         return divergence(inside, outside) * length * np.minimum(seen / SEEN, 1.0)
 
     def _silhouettes(self, view: AlignmentImage, Ss_recon_world: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Masks (H, h, w), and which share of the robot is in the picture (H,)."""
+        """Masks (H, h, w), and which share of the robot is in the image (H,)."""
         camera = view.camera_recon
         K = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
         Ms = K @ (camera.T_cam_world @ Ss_recon_world)[:, :3]
@@ -71,7 +73,7 @@ class ColorScore:
         masks = np.zeros(len(Ms) * width * height, bool)
         masks[(first + np.where(inside, v * width + u, 0).astype(np.int64))[inside]] = True
         masks = masks.reshape(len(Ms), height, width)
-        return ~_grown(~_grown(masks, 1), 1), inside.mean(1)
+        return ~_dilate(~_dilate(masks, 1), 1), inside.mean(1)
 
     def _homogeneous(self) -> NDArray[np.float32]:
         ones = np.ones((len(self.points_world), 1))
@@ -136,7 +138,7 @@ def _nearest(pixels: NDArray[np.float32], palette: NDArray[np.float32]) -> NDArr
     return np.argmin((palette**2).sum(1) - 2 * pixels @ palette.T, axis=1)
 
 
-def _grown(masks: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
+def _dilate(masks: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
     """Masks (H, h, w) dilated by a square of side 2 * by + 1."""
     for axis in (1, 2):
         reach = 0

@@ -1,7 +1,7 @@
-"""How well images confirm an outline that was drawn into them, and what they would rather see.
+"""Confirmation of rendered contours by image edges and colors, and the shifts that would fit better.
 
-A share of confirmed points says little by itself: clutter confirms outlines that lie anywhere. So
-each drawing is also moved aside in its own image, and what is confirmed there is chance.
+A share of confirmed points means little by itself: clutter confirms contours that lie anywhere. So
+each contour is also moved aside in its own image; what is confirmed there estimates chance.
 """
 
 from dataclasses import dataclass, replace
@@ -19,11 +19,11 @@ from aomgen.alignment.contours import (
     shift_jacobian,
 )
 from aomgen.alignment.silhouette_fit import (
-    Drawn,
+    RenderedRobot,
     RobotDrawing,
     edge_weights,
     gray_levels,
-    reduced,
+    limit_width,
     region_weights,
 )
 from aomgen.core.camera import camera_in_world
@@ -39,13 +39,13 @@ ASIDE = 0.06
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewEvidence:
-    """What one image says about the outline drawn into it; C points, J arm joints.
+    """Evidence of one image for the contour rendered into it; C points, J arm joints.
 
     Attributes:
         name: Of the view.
         segments: Number (C,) of arm joints that move the body at each point.
         confirmed: (C,) bool.
-        by_chance: (D,) bool, the same for those points that stay in the picture moved aside.
+        by_chance: (D,) bool, the same for those points that stay in the image moved aside.
         edge_px, edge_weights: Signed shift outwards to the image's edge (C,), and its weight.
         border_px, border_weights: The same for the border between two colors, farther reaching.
         jacobian: (C, 7), see `shift_jacobian`, about the end effector.
@@ -78,21 +78,21 @@ class ViewEvidence:
         freeze(self, "normals", self.normals, (count, 2))
 
 
-def look(
+def collect_evidence(
     S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int, width: int = 640
 ) -> list[ViewEvidence]:
-    """Evidence of every view that shows enough robot.
+    """Collect the evidence of every view that shows enough of the robot.
 
     Args:
-        S: `S_world_recon` to be judged.
+        S: `S_world_recon` to evaluate.
         views: Images.
-        drawing: Draws the robot.
+        drawing: Renders the robot.
         contour_points: Outline points a view.
         width: Images wider than this are reduced, [px].
     """
     found = []
     for number, view in enumerate(views):
-        small = reduced(view, width)
+        small = limit_width(view, width)
         drawn = drawing.draw(camera_in_world(S, small.camera_recon), contour_points)
         if drawn is not None:
             found.append(_evidence(S, number, small, drawn, drawing))
@@ -100,7 +100,7 @@ def look(
 
 
 def _evidence(
-    S: Array, number: int, view: AlignmentImage, drawn: Drawn, drawing: RobotDrawing
+    S: Array, number: int, view: AlignmentImage, drawn: RenderedRobot, drawing: RobotDrawing
 ) -> ViewEvidence:
     camera = camera_in_world(S, view.camera_recon)
     gray = gray_levels(view.image_srgb)
@@ -108,7 +108,7 @@ def _evidence(
     edges, strength = edge_shifts(contour, gray, REACH_PX)
     ratio = color_ratio(view.image_srgb, drawn.mask, 2 * BORDER_REACH_PX)
     borders, variances = region_shifts(contour, ratio, BORDER_REACH_PX)
-    aside = _moved_aside(drawn, number, camera.width)
+    aside = _move_aside(drawn, number, camera.width)
     size = np.array([camera.width, camera.height])
     inside = np.all((aside.contour.pixels > 3) & (aside.contour.pixels < size - 3), axis=1)
     gradient = shift_gradient(camera, contour)
@@ -121,8 +121,8 @@ def _evidence(
     return ViewEvidence(
         name=view.name,
         segments=segments,
-        confirmed=_confirmed(contour, drawn.mask, view, gray),
-        by_chance=_confirmed(aside.contour, aside.mask, view, gray)[inside],
+        confirmed=_find_confirmed(contour, drawn.mask, view, gray),
+        by_chance=_find_confirmed(aside.contour, aside.mask, view, gray)[inside],
         edge_px=edges,
         edge_weights=edge_weights(edges, strength),
         border_px=borders,
@@ -136,7 +136,7 @@ def _evidence(
     )
 
 
-def _confirmed(
+def _find_confirmed(
     contour: Contour, mask: NDArray[np.bool_], view: AlignmentImage, gray: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
     edge, strength = edge_shifts(contour, gray, REACH_PX)
@@ -144,8 +144,8 @@ def _confirmed(
     return (np.abs(edge) <= NEAR_EDGE_PX) & (strength > MIN_STEP) & (np.abs(border) <= NEAR_BORDER_PX)
 
 
-def _moved_aside(drawn: Drawn, number: int, width: int) -> Drawn:
-    """The same outline elsewhere in the picture; directions differ from view to view."""
+def _move_aside(drawn: RenderedRobot, number: int, width: int) -> RenderedRobot:
+    """The same outline elsewhere in the image; directions differ from view to view."""
     golden = number * np.pi * (3 - np.sqrt(5))
     shift = np.round(ASIDE * width * np.array([np.cos(golden), np.sin(golden)]))
     contour = replace(drawn.contour, pixels=drawn.contour.pixels + shift)

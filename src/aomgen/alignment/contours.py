@@ -1,6 +1,6 @@
-"""How far the robot's drawn outline lies from the outline that an image shows.
+"""Distance between the rendered contour of the robot and the contour in an image.
 
-Each point of the drawn outline carries a short line of pixels across it. Colors seen inside and
+Each point of the rendered contour carries a short line of pixels across it. Colors seen inside and
 outside say, pixel by pixel, which side of the true outline the line is on; the gradient says
 where exactly. Source: the sparse region-based trackers of Stoiber et al., "SRT3D", 2022, here
 with many views at once and a similarity instead of a rigid motion.
@@ -16,6 +16,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 
+# Color histogram bins a channel: 256 gray levels shifted right by 4 bits.
 BINS = 16
 
 
@@ -36,7 +37,7 @@ class AlignmentImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contour:
-    """Points of a drawn outline.
+    """Points of a rendered contour.
 
     Attributes:
         pixels: (C, 2), on the outline, [px].

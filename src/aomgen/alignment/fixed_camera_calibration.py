@@ -16,8 +16,8 @@ from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.alignment.calibration_check import deviation, refuse_gross
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.held_out_frames import HeldOutSplit, estimate_joint_zeros, reject_unconfirmed
-from aomgen.alignment.scan_information import Scanned
-from aomgen.alignment.silhouette_fit import gray_levels, reduced, robot_drawing, spread
+from aomgen.alignment.scan_information import ScanViews
+from aomgen.alignment.silhouette_fit import gray_levels, limit_width, robot_drawing, spread
 from aomgen.alignment.silhouette_residuals import (
     LoggedRobot,
     choose_frames,
@@ -131,7 +131,7 @@ def calibrate_fixed_cameras(
     for index, (name, item) in enumerate(videos.items()):
         clocks[name] = _first_clock(scene, item)
         progress(0.5 * (index + 1) / len(videos), f"clock of camera '{name}'")
-    views = [reduced(view, params.width) for view in scene.views]
+    views = [limit_width(view, params.width) for view in scene.views]
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
     with robot_drawing(scene.posture, width, height) as drawing:
@@ -144,7 +144,7 @@ def calibrate_fixed_cameras(
         splits = {name: _split_frames(S, item, clocks[name], arm, params) for name, item in videos.items()}
         problem = BundleProblem(
             S_world_recon=S,
-            scan=Scanned(
+            scan=ScanViews(
                 views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing
             ),
             points_recon=scene.points_recon,
@@ -157,8 +157,7 @@ def calibrate_fixed_cameras(
         progress(0.8, "estimating joint zeros")
         refinement = estimate_joint_zeros(problem, splits, refinement)
     cameras = {
-        name: _calibrated_camera(name, item, splits[name], refinement, params)
-        for name, item in videos.items()
+        name: _calibrated_camera(name, item, splits[name], refinement) for name, item in videos.items()
     }
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
     return FixedCameraCalibration(
@@ -223,7 +222,7 @@ def _in_problem(item: FixedCameraVideo, split: HeldOutSplit, params: BundleParam
 
 
 def _calibrated_camera(
-    name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution, params: BundleParams
+    name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution
 ) -> CalibratedCamera:
     state = refinement.cameras[name]
     used = bool(len(split.frames.times_s))
@@ -244,7 +243,7 @@ def _calibrated_camera(
     refusal: tuple[str, ...] = ()
     if isinstance(clock, SyncError):
         refusal = (clock.where, clock.problem, clock.remedy)
-    elif drifts(clock, float(item.video.times_s[-1] - item.video.times_s[0]), params):
+    elif drifts(clock, float(item.video.times_s[-1] - item.video.times_s[0])):
         refusal = _drift_refusal(name, clock, item.video)
     else:
         clock = replace(clock, rate=0.0)

@@ -1,4 +1,4 @@
-"""Which way is up in the structure's frame: what cameras and the scene's large planes say."""
+"""Direction of gravity in the structure's frame, from the cameras and the large planes of the scene."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.alignment.bundle_adjustment import BundleSolution, adjust_bundle
-from aomgen.alignment.bundle_equations import BundleProblem
+from aomgen.alignment.bundle_equations import CALIBRATION_SD_M, CALIBRATION_SD_RAD, BundleProblem
 from aomgen.alignment.calibration_check import deviation
 from aomgen.alignment.silhouette_residuals import GrayFrames, empty_frames, misfit, misfits
 from aomgen.core.camera import camera_in_world
@@ -112,7 +112,7 @@ def _first_contradiction(
     for name, split in splits.items():
         camera, state = problem.cameras[name], refinement.cameras[name]
         if camera.T_world_cam is not None and not deviation(camera.T_world_cam, state.camera).within(
-            3 * problem.params.calibration_sd_m, 3 * problem.params.calibration_sd_rad
+            3 * CALIBRATION_SD_M, 3 * CALIBRATION_SD_RAD
         ):
             return name, "", True
         if len(split.held_out.times_s) and isinstance(split.clock, Clock):

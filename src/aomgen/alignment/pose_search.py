@@ -1,8 +1,8 @@
-"""Where the robot may stand: many places that the prompted boxes allow, the likeliest bred further.
+"""Search for the pose of the robot: many poses that agree with the prompted boxes, the best improved further.
 
-Boxes leave headings and depths open, and hands draw them carelessly, so a thousand places are
-looked at in small images (`color_score`). The best of them, kept apart from one another, spread
-to places near them, in ever smaller steps. Source: a plain evolution strategy, Beyer and Schwefel,
+Boxes leave heading and depth open and are drawn by hand, so a thousand poses are scored in small
+images (`color_score`). The best of them, kept apart from one another, are perturbed in ever smaller
+steps. Source: a plain evolution strategy, Beyer and Schwefel,
 2002, with niches.
 """
 
@@ -14,8 +14,8 @@ from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.color_score import color_score
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.gravity import up_candidates
-from aomgen.alignment.silhouette_fit import reduced
-from aomgen.alignment.starting_poses import RobotBox, places_in_boxes
+from aomgen.alignment.silhouette_fit import limit_width
+from aomgen.alignment.starting_poses import RobotBox, find_starting_poses
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
@@ -24,12 +24,12 @@ from aomgen.robots.configuration import RobotPosture
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Generation:
-    """One round of breeding.
+    """One round of the evolution strategy.
 
     Attributes:
-        parents: Places kept.
+        parents: Poses kept.
         apart: They differ by more than this, as a share of the robot's size.
-        children: New places near each.
+        children: New poses near each.
         step: Standard deviation of their distance along each axis, same share.
     """
 
@@ -39,38 +39,42 @@ class Generation:
     step: float
 
 
+# Poses that fit the prompted boxes worse than the best by this share of a box are dropped; boxes are drawn
+# by hand.
+MAX_MISFIT = 0.15
+# Width of the images for the first pass over all poses, [px]: links are a few pixels wide, and it is quick.
+FIRST_WIDTH = 48
+# Rounds; steps begin at the size of the basin of attraction, about the thickness of a link.
+GENERATIONS = (
+    Generation(parents=50, apart=0.08, children=6, step=0.06),
+    Generation(parents=24, apart=0.06, children=8, step=0.04),
+    Generation(parents=12, apart=0.05, children=10, step=0.025),
+    Generation(parents=6, apart=0.03, children=12, step=0.012),
+)
+# Number of poses returned at most: the best and its rivals.
+KEPT = 3
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchParams:
     """Effort.
 
     Attributes:
-        guesses: Places that are looked at first.
-        max_misfit: Worse ones than the best by this share of a box are dropped.
-        width, first_width: Of the small images, and of those for the first look, [px].
+        guesses: Poses scored first.
+        width, first_width: Of the small images, and of those for the first pass, [px].
         views: How many of them.
-        generations: Rounds; steps begin at the size of the basin, about a link's thickness.
-        apart: The places returned differ by more than this share of the robot's size.
-        kept: How many of them, at most.
+        apart: The poses returned differ by more than this share of the robot's size.
     """
 
     guesses: int = 2400
-    max_misfit: float = 0.15
     width: int = 80
-    first_width: int = 48
     views: int = 8
-    generations: tuple[Generation, ...] = (
-        Generation(parents=50, apart=0.08, children=6, step=0.06),
-        Generation(parents=24, apart=0.06, children=8, step=0.04),
-        Generation(parents=12, apart=0.05, children=10, step=0.025),
-        Generation(parents=6, apart=0.03, children=12, step=0.012),
-    )
     apart: float = 0.5
-    kept: int = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What a structure and the prompts give the alignment.
+    """Input of the alignment, from structure and prompts.
 
     Attributes:
         views: Images that show the robot as it stood during the scan.
@@ -104,8 +108,8 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
-    """Places of the robot, best first: `S_world_recon` (H, 4, 4) and their color scores (H,)."""
+class PoseCandidates:
+    """Candidate poses of the robot, best first: `S_world_recon` (H, 4, 4) and their color scores (H,)."""
 
     Ss_world_recon: Array
     scores: Array
@@ -114,16 +118,16 @@ class Found:
         freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
         freeze(self, "scores", self.scores, (len(self.Ss_world_recon),))
 
-    def at_least(self, share: float) -> "Found":
+    def at_least(self, share: float) -> "PoseCandidates":
         """Those whose score is this share of the best one's."""
         good = self.scores >= share * self.scores.max()
-        return Found(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
+        return PoseCandidates(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
 
 
-def search(
+def search_poses(
     scan: Scan, posture: RobotPosture, rng: np.random.Generator, params: SearchParams | None = None
-) -> Found:
-    """Likely places of the robot, best first and far from one another.
+) -> PoseCandidates:
+    """Find likely poses of the robot, best first and far from one another.
 
     Args:
         scan: Images with cameras, one prompted box or more.
@@ -135,39 +139,41 @@ def search(
     vertices = posture.points_world()
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
-    places = places_in_boxes(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
-    Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + params.max_misfit]
+    places = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
+    Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
-    first = color_score([reduced(view, params.first_width) for view in chosen], posture, rng)
-    score = color_score([reduced(view, params.width) for view in chosen], posture, rng)
-    parents = different(Found(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(params.generations[0]))
+    first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], posture, rng)
+    score = color_score([limit_width(view, params.width) for view in chosen], posture, rng)
+    parents = select_distinct(
+        PoseCandidates(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(GENERATIONS[0])
+    )
     parents = replace(parents, scores=score(parents.Ss_world_recon))
     looked_at = [parents]
-    for generation in params.generations:
-        parents = different(_joined(looked_at), probe, *_kept(generation))
+    for generation in GENERATIONS:
+        parents = select_distinct(_join(looked_at), probe, *_kept(generation))
         children = _near(parents.Ss_world_recon, probe, generation, rng)
-        looked_at.append(Found(Ss_world_recon=children, scores=score(children)))
-    found = _joined(looked_at)
-    return different(found, probe, params.apart, params.kept)
+        looked_at.append(PoseCandidates(Ss_world_recon=children, scores=score(children)))
+    found = _join(looked_at)
+    return select_distinct(found, probe, params.apart, KEPT)
 
 
 def _kept(generation: Generation) -> tuple[float, int]:
     return generation.apart, generation.parents
 
 
-def _joined(parts: list[Found]) -> Found:
-    """All places of several searches."""
-    return Found(
+def _join(parts: list[PoseCandidates]) -> PoseCandidates:
+    """Join the candidates of several searches."""
+    return PoseCandidates(
         Ss_world_recon=np.concatenate([part.Ss_world_recon for part in parts]),
         scores=np.concatenate([part.scores for part in parts]),
     )
 
 
-def different(found: Found, points_world: Array, apart: float, count: int) -> Found:
-    """The best places, at most `count`, no two nearer than a share of the robot's size."""
+def select_distinct(found: PoseCandidates, points_world: Array, apart: float, count: int) -> PoseCandidates:
+    """Select the best poses, at most `count`, no two nearer than a share of the robot's size."""
     Ss = found.Ss_world_recon
-    placed = _transformed(np.asarray(np.linalg.inv(Ss), np.float64), points_world)
+    placed = _transform_points(np.asarray(np.linalg.inv(Ss), np.float64), points_world)
     sizes = np.linalg.norm(placed - placed.mean(1, keepdims=True), axis=2).mean(1)
     left = np.argsort(-found.scores, kind="stable")
     kept = []
@@ -176,7 +182,7 @@ def different(found: Found, points_world: Array, apart: float, count: int) -> Fo
         kept.append(best)
         distances = np.linalg.norm(placed[left] - placed[best], axis=2).mean(1)
         left = left[distances > apart * np.sqrt(sizes[left] * sizes[best])]
-    return Found(Ss_world_recon=Ss[kept], scores=found.scores[kept])
+    return PoseCandidates(Ss_world_recon=Ss[kept], scores=found.scores[kept])
 
 
 def _near(Ss: Array, points_world: Array, generation: Generation, rng: np.random.Generator) -> Array:
@@ -209,6 +215,6 @@ def _views_on(views: list[AlignmentImage], centers: Array, count: int) -> list[A
     return [views[usable[i]] for i in chosen]
 
 
-def _transformed(Ss: Array, points: Array) -> Array:
-    """Points (P, 3) moved by each of a stack (H, 4, 4): (H, P, 3)."""
+def _transform_points(Ss: Array, points: Array) -> Array:
+    """Transform points (P, 3) by each of a stack (H, 4, 4): (H, P, 3)."""
     return np.asarray(points @ np.swapaxes(Ss[:, :3, :3], 1, 2) + Ss[:, None, :3, 3], np.float64)

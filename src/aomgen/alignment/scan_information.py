@@ -30,7 +30,7 @@ _HELD = 1e12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scanned:
+class ScanViews:
     """Scan views at the size they are rendered at, with gray levels."""
 
     views: list[AlignmentImage]
@@ -55,7 +55,7 @@ class ScanContour:
     zeros_rad: Array
 
 
-def trace_scan(scan: Scanned, S_world_recon: Array, zeros_rad: Array) -> list[ScanContour]:
+def trace_scan(scan: ScanViews, S_world_recon: Array, zeros_rad: Array) -> list[ScanContour]:
     """Contours of the robot as scanned, with joint zeros, in the views that show enough of it."""
     posture = replace(scan.drawing.posture, joints=scan.drawing.posture.joints + zeros_rad)
     drawing = replace(scan.drawing, posture=posture)
@@ -69,7 +69,7 @@ def trace_scan(scan: Scanned, S_world_recon: Array, zeros_rad: Array) -> list[Sc
 
 
 def scan_block(
-    scan: Scanned,
+    scan: ScanViews,
     contours: list[ScanContour],
     S_world_recon: Array,
     zeros_rad: Array,
@@ -109,7 +109,7 @@ def scan_block(
 def structure_rows(
     camera: Camera, camera_recon: Camera, points_recon: Array, S: Array, pivot: Array
 ) -> tuple[Array, Array]:
-    """Where structure from motion sees the structure's points against where `camera` sees them.
+    """Reprojection residuals between a camera of the structure and the same camera in the world frame.
 
     Args:
         camera: World frame.

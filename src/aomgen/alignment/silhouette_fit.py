@@ -1,6 +1,6 @@
-"""Moving the drawn robot onto the outlines that many images show, all views at once.
+"""Fit of the rendered robot to its contours in many images, all views at once.
 
-Gauss-Newton over the seven parameters of a similarity; see `contours` for the evidence.
+Gauss-Newton over the seven parameters of a similarity; see `contours` for the residuals.
 """
 
 from collections.abc import Iterator
@@ -34,10 +34,10 @@ class Level:
     Attributes:
         width: Image width, [px].
         reach: How far across the outline is searched, [px].
-        draws: How often the robot is drawn anew.
-        steps: Gauss-Newton steps on one drawing; the outline's points move with the robot.
+        draws: How often the robot is rendered again.
+        steps: Gauss-Newton steps on one rendering; the outline's points move with the robot.
         edges: Pull to image edges; else to the border between two colors.
-        fine: Draw with the finer meshes.
+        fine: Render the finer meshes.
     """
 
     width: int
@@ -56,12 +56,12 @@ FINE = (Level(width=640, reach=4, draws=3, steps=3, edges=True, fine=True),)
 # Cells of the meshes that are drawn coarsely: a pixel of a small image sees as much at two metres.
 COARSE_CELL_M = 0.006
 # Steps shorter than this change no digit that is reported.
-SETTLED_M, SETTLED_RAD = 5e-5, 5e-5
+CONVERGED_M, CONVERGED_RAD = 5e-5, 5e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
-    """A drawn robot: its outline, its silhouette, and the body (C,) at each outline point."""
+class RenderedRobot:
+    """A rendered robot: its outline, its silhouette, and the body (C,) at each outline point."""
 
     contour: Contour
     mask: NDArray[np.bool_]
@@ -70,7 +70,7 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotDrawing:
-    """The posed robot, ready to be drawn with fine or coarse meshes.
+    """The posed robot with renderers of its fine and coarse meshes.
 
     Attributes:
         fine, coarse: Renderers of the same robot.
@@ -86,8 +86,8 @@ class RobotDrawing:
     segments: NDArray[np.int64]
     joint_motions: Array
 
-    def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> Drawn | None:
-        """The robot in one picture, or None when too little of it, or nothing else, is there."""
+    def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> RenderedRobot | None:
+        """The robot in one image, or None when too little of it, or nothing else, is there."""
         renderer = self.fine if fine else self.coarse
         bodies, depth = renderer.draw(camera, self.posture.joints, self.posture.gripper)
         mask = bodies >= 0
@@ -97,12 +97,12 @@ class RobotDrawing:
         if len(contour.pixels) < 20:
             return None
         column, row = np.floor(contour.pixels - 0.5 * contour.normals).astype(int).T
-        return Drawn(contour=contour, mask=mask, bodies=bodies[row, column])
+        return RenderedRobot(contour=contour, mask=mask, bodies=bodies[row, column])
 
 
 @contextmanager
 def robot_drawing(posture: RobotPosture, width: int, height: int) -> Iterator[RobotDrawing]:
-    """A drawing for pictures up to a size [px]; holds two OpenGL contexts."""
+    """A drawing for images up to a size [px]; holds two OpenGL contexts."""
     limits = {"max_width": width, "max_height": height}
     with (
         SilhouetteRenderer(posture.robot, **limits) as fine,
@@ -125,9 +125,9 @@ def refine(
     levels: tuple[Level, ...],
     contour_points: int,
 ) -> Array:
-    """The similarity after the drawn outlines were pulled onto those of the images."""
+    """Refine a similarity until the rendered contours fit those of the images."""
     for level in levels:
-        resized = [reduced(view, level.width) for view in views]
+        resized = [limit_width(view, level.width) for view in views]
         grays = [gray_levels(view.image_srgb) for view in resized]
         for _ in range(level.draws):
             lines = [
@@ -143,7 +143,7 @@ def refine(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Lines:
-    """What one view says about the outline drawn in it: a field of pixels to look across."""
+    """Search lines of one view across its rendered contour."""
 
     view: AlignmentImage
     contour: Contour
@@ -161,7 +161,7 @@ def _lines(
 
 
 def _descend(S: Array, lines: list[_Lines], drawing: RobotDrawing, level: Level) -> tuple[Array, bool]:
-    """Some Gauss-Newton steps on one set of drawings, and whether the first was negligible."""
+    """Take Gauss-Newton steps on one set of renderings; also returns whether the first was negligible."""
     for number in range(level.steps):
         A, b = np.zeros((7, 7)), np.zeros(7)
         for line in lines:
@@ -170,8 +170,8 @@ def _descend(S: Array, lines: list[_Lines], drawing: RobotDrawing, level: Level)
             A += J.T @ (weights[:, None] * J)
             b += J.T @ (weights * shifts)
         step = np.linalg.solve(A + 1e-9 * np.trace(A) * np.eye(7) + 1e-9 * np.eye(7), b)
-        S = moved_similarity(S, step, drawing.pivot)
-        if np.linalg.norm(step[3:6]) < SETTLED_M and np.linalg.norm(step[:3]) < SETTLED_RAD:
+        S = move_similarity(S, step, drawing.pivot)
+        if np.linalg.norm(step[3:6]) < CONVERGED_M and np.linalg.norm(step[:3]) < CONVERGED_RAD:
             return S, number == 0
     return S, False
 
@@ -198,8 +198,8 @@ def region_weights(shifts: Array, variances: Array, reach: int) -> Array:
     return 1 / (variances + 0.5) / (1 + (shifts / (0.5 * reach)) ** 2)
 
 
-def moved_similarity(S: Array, step: Array, pivot: Array) -> Array:
-    """The similarity after the robot was found to sit `step` (7,) away from where it was drawn."""
+def move_similarity(S: Array, step: Array, pivot: Array) -> Array:
+    """Update a similarity by a `step` (7,) of the robot from its rendered pose."""
     step = np.concatenate([np.clip(step[:6], -0.2, 0.2), np.clip(step[6:], -0.15, 0.15)])
     scale, R = float(np.exp(step[6])), matrix_from_rotvec(step[:3])
     D = similarity(scale, R, pivot + step[3:6] - scale * R @ pivot)
@@ -231,12 +231,12 @@ def spread(views: list[AlignmentImage], S: Array, drawing: RobotDrawing, count: 
     return [usable[i] for i in sorted(chosen)]
 
 
-def reduced(view: AlignmentImage, width: int) -> AlignmentImage:
-    """The view at most `width` pixels wide."""
-    return scaled(view, min(1.0, width / view.camera_recon.width))
+def limit_width(view: AlignmentImage, width: int) -> AlignmentImage:
+    """Reduce a view to at most `width` pixels."""
+    return scale_image(view, min(1.0, width / view.camera_recon.width))
 
 
-def scaled(view: AlignmentImage, scale: float) -> AlignmentImage:
+def scale_image(view: AlignmentImage, scale: float) -> AlignmentImage:
     if scale == 1.0:
         return view
     width = round(view.camera_recon.width * scale)

@@ -27,9 +27,12 @@ from aomgen.robots.silhouette import SilhouetteRenderer
 # Columns of the equations: rotation and translation of the robot before the camera, clock offset,
 # drift, bias of the contours; the zero of each arm joint follows.
 POSE, OFFSET, RATE, BIAS = slice(0, 6), 6, 7, 8
+# Six of the pose, then offset, rate and bias.
 COLUMNS = 9
-# Readings within this time are averaged to beat encoder noise, and differentiated over twice as much, [s].
+# Readings within this time to either side are averaged against encoder noise, [s].
 _READING_S = 0.02
+# Half of the time over which velocities are differentiated, [s]: twice the averaging time, against encoder
+# noise.
 _SPEED_S = 0.05
 # Gray-level step of an edge that counts fully.
 CLEAR_EDGE = 0.05
@@ -39,6 +42,7 @@ TOGETHER = 10.0
 BIAS_SD_PX = 1.0
 # Least and largest share of the image that the robot may cover: below is no signal, above no contour.
 _SHARES = (0.002, 0.7)
+# Contour points without which a frame does not determine six degrees of freedom.
 _MIN_POINTS = 20
 
 

@@ -44,7 +44,7 @@ def run_alignment(
         prompts: Of the capture; those of the robot that carry a box are used.
         posture: Robot and its joint values during the scan.
         folder: Receives the result.
-        progress: Told about each step.
+        progress: Called at each step.
         params: Effort and limits.
         seed: Of the plane search.
 

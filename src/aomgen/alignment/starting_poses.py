@@ -1,7 +1,7 @@
-"""Places of the robot that its prompted boxes allow: many guesses, each pulled onto the boxes.
+"""Starting poses of the robot from its prompted boxes: many guesses, each fitted to the boxes.
 
-Two whole boxes leave one place for a heading; one box leaves the depth open, and a box that the
-image border cuts leaves more. What boxes leave open keeps the value that was guessed.
+Two whole boxes determine the pose for a given heading; one box leaves the depth open, and a box that
+the image border cuts leaves more. What boxes leave open keeps the value that was guessed.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,13 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze
 
+# A side of a box this close to the image border is cut by it, [px]: the accuracy of a hand-drawn box.
 BORDER_PX = 3.0
 # Sides of boxes drawn by hand miss by some tenths of the box; beyond this a side counts less.
 _SIDE_ERROR = 0.1
 # A guess holds on with the weight of a side that is this many times less exact.
 _GUESS_SPREAD, _GUESS_WEIGHT = np.array([1.0, 1.0, 1.0, 0.5]), 0.02
+# Gauss-Newton steps of a starting pose; it is refined on contours later.
 _STEPS = 12
 
 
@@ -38,7 +40,7 @@ class RobotBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Places:
+class StartingPoses:
     """H similarities and how well their boxes fit.
 
     Attributes:
@@ -55,17 +57,17 @@ class Places:
         freeze(self, "misfits", self.misfits, (len(self.Ss_world_recon),))
 
 
-def places_in_boxes(
+def find_starting_poses(
     boxes: list[RobotBox],
     vertices_world: Array,
     ups_recon: list[Array],
     points_recon: Array,
     rng: np.random.Generator,
     count: int,
-) -> Places:
+) -> StartingPoses:
     """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
-    Every guess but the first few has its own boxes, off by what boxes drawn by hand are off.
+    Every guess but the first few has its own boxes, perturbed by the error of boxes drawn by hand.
 
     Args:
         boxes: Prompted boxes, one or more.
@@ -82,20 +84,20 @@ def places_in_boxes(
     Rs_world_recon = _headings(ups_recon, rng, count)
     turned = hull @ Rs_world_recon
     center, depth, size = _guesses(boxes, points_recon, float(np.ptp(hull, axis=0).max()), rng, count)
-    sides = [_drawn_again(box, rng, count) for box in boxes]
+    sides = [_perturb_box(box, rng, count) for box in boxes]
     cuts = [_maybe_cut(box, rng, count) for box in boxes]
     x = np.zeros((count, 4))
     for _ in range(_STEPS):
         A = np.tile(np.diag((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2), (count, 1, 1))
         b = -((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2) * x
-        arms, points = _placed(turned, center, depth, size, x)
+        arms, points = _place_points(turned, center, depth, size, x)
         for box, own, cut in zip(boxes, sides, cuts, strict=True):
             gaps, J = _gaps(box, own, cut, points, arms, depth)
             weights = 1 / np.sqrt(1 + (gaps / _SIDE_ERROR) ** 2)
             A += np.einsum("hk,hki,hkj->hij", weights, J, J)
             b -= np.einsum("hk,hki,hk->hi", weights, J, gaps)
         x = x + np.clip(np.linalg.solve(A, b[..., None])[..., 0], -0.3, 0.3)
-    arms, points = _placed(turned, center, depth, size, x)
+    arms, points = _place_points(turned, center, depth, size, x)
     gaps = np.concatenate(
         [
             _gaps(box, own, cut, points, arms, depth)[0]
@@ -110,7 +112,7 @@ def places_in_boxes(
         similarity(1 / s, R, middle - R @ p / s)
         for s, R, p in zip(scales_recon, Rs_world_recon, places, strict=True)
     ]
-    return Places(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
+    return StartingPoses(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
 
 
 def _outline_points(points: Array, rng: np.random.Generator, count: int = 150) -> Array:
@@ -177,20 +179,20 @@ def _cut(box: RobotBox, near: float = 0.0) -> NDArray[np.bool_]:
 
 
 def _maybe_cut(box: RobotBox, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
-    """Which sides the border cuts (N, 4): a side that hands drew short of it may be cut, too."""
+    """Which sides the border cuts (N, 4): a side drawn a little short of it may be cut, too."""
     return _cut(box) | (_cut(box, 2 * _SIDE_ERROR) & (rng.random((count, 4)) < 0.5))
 
 
-def _drawn_again(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
-    """Sides (N, 4) of a box, off by what hands are off; a quarter stays, and so do cut sides."""
+def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
+    """Perturb the sides (N, 4) of a box by the error of drawing by hand; a quarter stays, and so do cut sides."""
     spans = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     noise = rng.uniform(-_SIDE_ERROR, _SIDE_ERROR, (count, 4)) * spans
     noise[::4] = 0
     return np.asarray(box.box_px + np.where(_cut(box), 0.0, noise), np.float64)
 
 
-def _placed(turned: Array, center: Array, depth: Array, size: Array, x: Array) -> tuple[Array, Array]:
-    """Points of the robot about its middle (H, V, 3), and in the recon frame."""
+def _place_points(turned: Array, center: Array, depth: Array, size: Array, x: Array) -> tuple[Array, Array]:
+    """Place points of the robot: about its middle (H, V, 3), and in the recon frame."""
     arms = turned * (size * np.exp(x[:, 3]))[:, None, None]
     return arms, arms + (center + depth[:, None] * x[:, :3])[:, None]
 
@@ -211,7 +213,7 @@ def _gaps(
         ],
         -1,
     )
-    # A box is drawn around what the picture shows of the robot.
+    # A box is drawn around what the image shows of the robot.
     shown = (pixels >= 0) & (pixels <= [camera.width, camera.height])
     span = np.tile(box.box_px[2:] - box.box_px[:2], 2)
     rows = np.arange(len(points))

@@ -5,7 +5,7 @@ have changed there between these moments; where it covers the pixel at neither, 
 The offset under which that is most likely wins, first on a grid over everything the two clocks
 allow, with clocks that drift against one another among the hypotheses, then in steps of a fraction
 of a frame. Only changes count, so a small error of the camera pose hardly moves the answer; what is
-left of it is absorbed by a common shift of the silhouettes. `joint_refinement` goes on from here.
+left of it is absorbed by a common shift of the silhouettes. `bundle_adjustment` continues from here.
 """
 
 from dataclasses import replace
@@ -14,15 +14,29 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.time_offset_frames import ClockFrames, ClockParams, change_gains
+from aomgen.alignment.time_offset_frames import (
+    FINE_STEPS,
+    LAGS,
+    MAX_RATE,
+    MAX_RIVAL,
+    MIN_CHANGE,
+    MIN_GAIN_SD,
+    MIN_OVERLAP,
+    RIVAL_DISTANCE_S,
+    SHIFTS_PX,
+    ClockFrames,
+    ClockParams,
+    change_gains,
+)
 from aomgen.core.clock import Clock
 from aomgen.core.values import Array
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
 from aomgen.robots.robot_masks import MasksAt
 
-# Stretches of time left out in turn for the standard deviation, and the smallest one believed.
+# Segments of time left out in turn for the standard deviation (jackknife).
 _BLOCKS = 5
+# Smallest standard deviation believed, [s]: a few milliseconds are within the jitter of video time stamps.
 _MIN_SD_S = 0.002
 
 
@@ -48,10 +62,10 @@ def estimate_clock(
     """
     params = params or ClockParams()
     frames = ClockFrames.of(video, params)
-    tables = _coarse_tables(frames, log_times_s, masks_at, params)
-    rates, candidates, scores = _coarse_scores(frames, tables, log_times_s, params)
+    tables = _coarse_tables(frames, log_times_s, masks_at)
+    rates, candidates, scores = _coarse_scores(frames, tables, log_times_s)
     none, best = len(rates) // 2, int(np.argmax(scores.max(1)))
-    _refuse_ambiguous(candidates, scores[best], params)
+    _refuse_ambiguous(candidates, scores[best])
     found = [
         _fine(frames, _guess(frames, rates, candidates, scores, row), log_times_s, masks_at, params)
         for row in sorted({none, best})
@@ -59,26 +73,24 @@ def estimate_clock(
     return max(found, key=lambda item: item[1])[0]
 
 
-def _coarse_tables(
-    frames: ClockFrames, log_times_s: Array, masks_at: MasksAt, params: ClockParams
-) -> list[Array]:
+def _coarse_tables(frames: ClockFrames, log_times_s: Array, masks_at: MasksAt) -> list[Array]:
     """For each lag, the score (K, M) of video frame k and its follower shown at grid time m."""
     grid = _grid(frames, log_times_s)
-    if not len(grid) > max(params.lags):
+    if not len(grid) > max(LAGS):
         raise _too_short(frames, log_times_s)
     masks = masks_at(grid, *frames.size).reshape(len(grid), -1)
-    moved = max(float((masks[:-lag] ^ masks[lag:]).mean(1).max()) for lag in params.lags)
-    if not moved >= params.min_change:
+    moved = max(float((masks[:-lag] ^ masks[lag:]).mean(1).max()) for lag in LAGS)
+    if not moved >= MIN_CHANGE:
         raise SyncError(
             "clock offset",
             f"the arm stands still in the joint log or moves out of view: its silhouette changes by at most "
-            f"{moved:.2%} of the picture, want {params.min_change:.1%}",
+            f"{moved:.2%} of the picture, want {MIN_CHANGE:.1%}",
             "record a demonstration that this camera sees, or give clock_offset_s",
         )
     tables = []
-    for lag in params.lags:
+    for lag in LAGS:
         changes = np.stack([frames.change(k, k + lag) for k in range(len(frames.images) - lag)])
-        differ, still = change_gains(changes, params)
+        differ, still = change_gains(changes)
         first, second = masks[:-lag], masks[lag:]
         apart, away = first ^ second, ~(first | second)
         tables.append(differ @ apart.astype(np.float32).T + still @ away.astype(np.float32).T)
@@ -86,19 +98,19 @@ def _coarse_tables(
 
 
 def _coarse_scores(
-    frames: ClockFrames, tables: list[Array], log_times_s: Array, params: ClockParams
+    frames: ClockFrames, tables: list[Array], log_times_s: Array
 ) -> tuple[Array, Array, Array]:
     """Drifts (R,), offsets at the middle of the video (C,), and the score (R, C) of each pair of them.
 
     Frame pairs that the log does not cover neither help nor hurt.
     """
     count, size = len(frames.images), len(_grid(frames, log_times_s))
-    need = int(np.ceil(params.min_overlap * count))
+    need = int(np.ceil(MIN_OVERLAP * count))
     shifts = np.arange(need - count, size - need + 1)
     if not len(shifts):
         raise _too_short(frames, log_times_s)
     # One step of drift moves the ends of the video by half a step of time.
-    half = int(np.ceil(params.max_rate * count))
+    half = int(np.ceil(MAX_RATE * count))
     rates = np.arange(-half, half + 1) / count
     scores = np.zeros((len(rates), len(shifts)))
     for row, rate in enumerate(rates):
@@ -135,25 +147,25 @@ def _too_short(frames: ClockFrames, log_times_s: Array) -> SyncError:
     )
 
 
-def _refuse_ambiguous(candidates: Array, scores: Array, params: ClockParams) -> None:
+def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
     best = int(np.argmax(scores))
     base = float(np.median(scores))
     spread = 1.4826 * float(np.median(np.abs(scores - base)))
     gain = float(scores[best]) - base
-    if not gain > params.min_gain_sd * max(spread, 1e-9) * 0.5:
+    if not gain > MIN_GAIN_SD * max(spread, 1e-9) * 0.5:
         raise SyncError(
             "clock offset",
             f"no offset stands out (best {gain:.0f} over a spread of {spread:.0f})",
             "check the camera pose, or give clock_offset_s",
         )
-    far = np.abs(candidates - candidates[best]) > params.rival_distance_s
+    far = np.abs(candidates - candidates[best]) > RIVAL_DISTANCE_S
     rival = float(scores[far].max() - base) / gain if far.any() else 0.0
-    if not rival < params.max_rival:
+    if not rival < MAX_RIVAL:
         other = candidates[far][int(np.argmax(scores[far]))]
         raise SyncError(
             "clock offset",
             f"{candidates[best]:.2f} s and {other:.2f} s explain the video nearly equally well "
-            f"({rival:.0%}, limit {params.max_rival:.0%})",
+            f"({rival:.0%}, limit {MAX_RIVAL:.0%})",
             "give clock_offset_s",
         )
 
@@ -163,20 +175,20 @@ def _fine(
 ) -> tuple[Clock, float]:
     """The clock with its offset between grid points, and its score, from pairs spread over the motion."""
     pairs = _telling_pairs(frames, guess, log_times_s, params)
-    weights = change_gains(np.stack([frames.change(*pair) for pair in pairs]), params)
-    step = frames.step_s / params.fine_steps
+    weights = change_gains(np.stack([frames.change(*pair) for pair in pairs]))
+    step = frames.step_s / FINE_STEPS
     columns: dict[int, Array] = {}
     low, high = -2, 2
     while True:
         for index in range(low, high + 1):
             if index not in columns:
                 clock = replace(guess, offset_s=guess.offset_s + index * step)
-                columns[index] = _fine_scores(frames, pairs, weights, clock, masks_at, params)
+                columns[index] = _fine_scores(frames, pairs, weights, clock, masks_at)
         offsets = guess.offset_s + np.arange(low, high + 1) * step
         table = np.stack([columns[index] for index in range(low, high + 1)], 1)
         top = low + int(np.argmax(table.sum(0).max(1)))
         # The silhouettes' shift may draw the optimum away from the coarse guess: follow it.
-        if low < top < high or high - low >= 2 * params.fine_steps:
+        if low < top < high or high - low >= 2 * FINE_STEPS:
             break
         low, high = min(low, top - 1), max(high, top + 1)
     best = _peak(offsets, table.sum(0))
@@ -193,7 +205,6 @@ def _fine_scores(
     weights: tuple[NDArray, NDArray],
     clock: Clock,
     masks_at: MasksAt,
-    params: ClockParams,
 ) -> Array:
     """Score (K, S) of each pair under each shift of the silhouettes."""
     moments = sorted({k for pair in pairs for k in pair})
@@ -203,7 +214,7 @@ def _fine_scores(
     apart, away = first ^ second, ~(first | second)
     differ, still = weights
     scores = []
-    for shift in product(params.shift_px, repeat=2):
+    for shift in product(SHIFTS_PX, repeat=2):
         moved = [np.roll(part, shift, (1, 2)).reshape(len(pairs), -1) for part in (apart, away)]
         scores.append((differ * moved[0] + still * moved[1]).sum(1))
     return np.stack(scores, 1)
@@ -212,7 +223,7 @@ def _fine_scores(
 def _telling_pairs(
     frames: ClockFrames, clock: Clock, log_times_s: Array, params: ClockParams
 ) -> list[tuple[int, int]]:
-    lag = params.lags[len(params.lags) // 2]
+    lag = LAGS[len(LAGS) // 2]
     moments = clock.log_times(frames.times_s)
     covered = [
         k

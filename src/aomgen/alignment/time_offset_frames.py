@@ -1,4 +1,4 @@
-"""A video as the search for its clock sees it: small frames, and what changed between two of them."""
+"""Small frames of a video and the changes between them, for the search of its clock offset."""
 
 from dataclasses import dataclass
 
@@ -10,6 +10,28 @@ from aomgen.errors import SyncError
 from aomgen.io.images import resize
 from aomgen.io.video import Video
 
+# Distances between compared frames, in coarse steps: fast, usual and slow motion of an arm.
+LAGS = (1, 3, 8)
+# Share of the video that the log has to cover: the greater part must vote.
+MIN_OVERLAP = 0.5
+# Fine steps in one coarse step, 25 ms each: less than a frame, a parabola does the rest.
+FINE_STEPS = 4
+# Silhouette shifts tried along x and y in the fine search, [px]: the error of an unrefined camera pose.
+SHIFTS_PX = (-4, -2, 0, 2, 4)
+# Probability of a change where silhouettes differ; below 1, as robot and background may look alike.
+CHANGE_LIKELIHOOD = 0.6
+# Largest score of another offset, as share of the best one: with more, the offset is ambiguous.
+MAX_RIVAL = 0.85
+# Offsets farther than this from the best are rivals, [s]: beyond the width of its own peak.
+RIVAL_DISTANCE_S = 0.5
+# Largest clock drift among the hypotheses, in seconds a second: above a 25 fps video that is labelled as 24
+# fps (0.04).
+MAX_RATE = 0.06
+# Least share of the image by which the silhouette has to change at once, above compression noise.
+MIN_CHANGE = 0.003
+# Least height of the best score over the others, in standard deviations of these.
+MIN_GAIN_SD = 4.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockParams:
@@ -18,32 +40,12 @@ class ClockParams:
     Attributes:
         width: Image width for the comparison, [px].
         step_s: Coarse step; frames are taken this far apart, [s].
-        lags: Distances between compared frames, in coarse steps.
-        min_overlap: Share of the video that the log has to cover.
         fine_pairs: Frame pairs used for the fine search.
-        fine_steps: Fine steps in one coarse step; five or more are tried around the coarse optimum.
-        shift_px: Silhouette shifts tried along x and y in the fine search, [px].
-        change_likelihood: Probability of a change where the silhouettes differ.
-        max_rival: Largest score of another offset, as share of the best one's.
-        rival_distance_s: Offsets farther than this from the best are rivals, [s].
-        max_rate: Largest drift among the hypotheses.
-        min_change: Share of the picture that the silhouette has to change by at once.
-        min_gain_sd: Smallest height of the best score over the others, in their spread.
     """
 
     width: int = 160
     step_s: float = 0.1
-    lags: tuple[int, ...] = (1, 3, 8)
-    min_overlap: float = 0.5
     fine_pairs: int = 14
-    fine_steps: int = 4
-    shift_px: tuple[int, ...] = (-4, -2, 0, 2, 4)
-    change_likelihood: float = 0.6
-    max_rival: float = 0.85
-    rival_distance_s: float = 0.5
-    max_rate: float = 0.06
-    min_change: float = 0.003
-    min_gain_sd: float = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +63,7 @@ class ClockFrames:
         height, width = video.frames_srgb.shape[1:3]
         size = (params.width, max(1, round(params.width * height / width)))
         images = np.stack([resize(frame, *size) for frame in video.frames_srgb[::stride]]).astype(np.float32)
-        if not len(images) > max(params.lags):
+        if not len(images) > max(LAGS):
             raise SyncError("video", f"has only {len(images)} frames to compare", "record the whole motion")
         times = video.times_s[::stride]
         noise = 1.4826 * float(np.median(np.abs(np.diff(images, axis=0))))
@@ -85,12 +87,12 @@ class ClockFrames:
         return np.clip((strength - low) / (2 * low), 0, 1)
 
 
-def change_gains(changes: NDArray[np.float32], params: ClockParams) -> tuple[NDArray, NDArray]:
+def change_gains(changes: NDArray[np.float32]) -> tuple[NDArray, NDArray]:
     """Log-likelihood gains (K, P) of "the silhouettes differ here" and of "no robot at either moment"."""
-    usual = float(np.clip(changes.mean(), 1e-3, 0.5 * params.change_likelihood))
+    usual = float(np.clip(changes.mean(), 1e-3, 0.5 * CHANGE_LIKELIHOOD))
     still = usual / 2
 
     def gain(probability: float) -> NDArray[np.float32]:
         return changes * np.log(probability / usual) + (1 - changes) * np.log((1 - probability) / (1 - usual))
 
-    return gain(params.change_likelihood), gain(still)
+    return gain(CHANGE_LIKELIHOOD), gain(still)

@@ -1,7 +1,7 @@
-"""How far an alignment, and the joint values behind it, can be trusted.
+"""Covariance of an alignment and of the joint values it assumes.
 
-Neighbouring outline points err together, and so do neighbouring views. Nothing is therefore read
-off the number of points: groups of neighbouring views are left out in turn (jackknife).
+Errors of neighbouring contour points are correlated, and so are those of neighbouring views. The
+number of points therefore carries no information: groups of neighbouring views are left out in turn (jackknife).
 """
 
 from collections.abc import Callable
@@ -13,6 +13,7 @@ from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.confidence import ViewEvidence
 from aomgen.core.values import Array, freeze
 
+# Groups of views left out in turn (jackknife): each must still determine all joints.
 GROUPS = 8
 # Arms report their joints to a fraction of a degree; offsets beyond this are not expected at all.
 JOINT_PRIOR_RAD = np.radians(20.0)
@@ -61,7 +62,7 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointOffsets:
-    """What the images would add to each of J joint values.
+    """Estimated offsets of J joint values.
 
     Attributes:
         offsets_rad, sds_rad: Offsets (J,) and their standard deviations (J,).
@@ -79,7 +80,7 @@ class JointOffsets:
 
 
 def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:
-    """Offsets that the images ask for, seen in at least one view.
+    """Estimate joint offsets from at least one view.
 
     Joints and similarity are solved together, linearly about the drawn state, so that offsets of
     more than some ten degrees are only recognised as large.
@@ -116,7 +117,7 @@ def _jackknife(
 
 
 def _similarity_step(evidence: list[ViewEvidence]) -> Array:
-    """Step (7,) to the robust optimum of the edges, from where they were looked at."""
+    """Step (7,) to the robust optimum of the edges, from the rendered pose."""
     J = np.concatenate([view.jacobian for view in evidence])
     shifts = np.concatenate([view.edge_px for view in evidence])
     weights = np.concatenate([view.edge_weights for view in evidence])

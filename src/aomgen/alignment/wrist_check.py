@@ -1,8 +1,8 @@
-"""Is the hand turned as the log says? A turn of the last joint hardly moves the outline of the rest.
+"""Check of the last wrist joint: its rotation hardly moves the contour of anything but the gripper.
 
-Small errors of a joint show in where edges lie, see `outline_errors.joint_offsets`. A hand that is
-turned far leaves its edges' reach, and part of its outline is confirmed all the same; so other turns
-are drawn too.
+Small errors of a joint show in where edges lie, see `uncertainty.joint_offsets`. A gripper
+that is rotated far leaves the search reach, and part of its contour is confirmed by chance; so other
+rotations are rendered, too.
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.alignment.confidence import ViewEvidence, look
+from aomgen.alignment.confidence import ViewEvidence, collect_evidence
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.silhouette_fit import RobotDrawing
 from aomgen.core.values import Array
@@ -20,12 +20,13 @@ from aomgen.core.values import Array
 TURNS_DEG: Final = (-60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0)
 # Neighbors on an outline are confirmed together: ten count as one.
 CORRELATED: Final = 10
+# Standard deviations by which a rotated wrist must fit better, so that chance does not report one.
 CLEAR_SDS: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HandTurn:
-    """The turn of the last joint whose hand the images confirm best, among those drawn.
+class WristRotation:
+    """Rotation of the last joint that the images confirm best, among those rendered.
 
     Attributes:
         turn_rad: Against the log; 0 when the log's is best.
@@ -43,14 +44,14 @@ class HandTurn:
         return self.gain > CLEAR_SDS * self.gain_sd
 
 
-def best_hand_turn(
+def find_wrist_rotation(
     S: Array,
     views: list[AlignmentImage],
     drawing: RobotDrawing,
     contour_points: int,
     logged: list[ViewEvidence],
-) -> HandTurn:
-    """Draw the hand turned by the last joint and compare what images confirm of it.
+) -> WristRotation:
+    """Render the gripper at several rotations of the last joint and compare how far images confirm it.
 
     Args:
         S: `S_world_recon`.
@@ -76,11 +77,11 @@ def best_hand_turn(
         return replace(drawing, posture=replace(drawing.posture, joints=joints))
 
     own, count = confirmed(logged)
-    shares = [confirmed(look(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
+    shares = [confirmed(collect_evidence(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
     best = int(np.argmax(shares))
     if count == 0 or shares[best] <= own:
-        return HandTurn(turn_rad=0.0, gain=0.0, gain_sd=0.0)
+        return WristRotation(turn_rad=0.0, gain=0.0, gain_sd=0.0)
     variance = (own * (1 - own) + shares[best] * (1 - shares[best])) * CORRELATED / count
-    return HandTurn(
+    return WristRotation(
         turn_rad=float(np.radians(TURNS_DEG[best])), gain=shares[best] - own, gain_sd=float(np.sqrt(variance))
     )

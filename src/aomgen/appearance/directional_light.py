@@ -1,4 +1,4 @@
-"""The lamp that throws the robot's shadow, found on the surface the robot works over.
+"""Estimation of the directional light that casts the shadow of the robot on its work surface.
 
 A fixed camera sees the same place in light and in shadow. A direction is right when the shadow
 that the posed twin would throw from there explains how the brightness of every place goes up and
@@ -26,12 +26,13 @@ from aomgen.twin.lamp import MOVES, STANDS, Lamp, on_surface, shadowed, silhouet
 from aomgen.twin.shadow import HEIGHTS
 from aomgen.twin.twin import Twin, posed, shadow_roles
 
-# Pictures that are compared; a half of them to find the lamp, the other to judge it.
+# Images that are compared; a half of them to find the lamp, the other to judge it.
 PICTURES: Final = 16
 # Places that are watched.
 PLACES: Final = 4000
 # A place is seen when nothing that moves covers more than this of it, so many pixels around.
 COVERED: Final = 0.02
+# Margin around moving bodies, [px]: render and image differ by about this much at contours.
 MARGIN_PX: Final = 3
 # Lamps at least this high above the surface, as the sine of their elevation.
 MIN_SINE: Final = 0.25
@@ -39,13 +40,15 @@ MIN_SINE: Final = 0.25
 DIRECTIONS: Final = 700
 # The surface is looked for this far above and below where it was fitted, [m].
 NEAR_M: Final = HEIGHTS[-1]
+# Grid cells on the surface for the coarse search, [m]: finer than the shadow of an arm.
 CELL_M: Final = 0.02
 # Points of the bodies that are dropped.
 POINTS: Final = 4000
 # Steps of the refinement, [rad]; the last moves a shadow of a point 1 m high by a centimeter.
 STEPS: Final = (0.06, 0.03, 0.015, 0.0075)
+# Passes over the neighbours of a direction at each step; four cover the spacing of the coarse directions.
 ROUNDS: Final = 4
-# The shadow has to take away at least this share of the variance in pictures it was not fitted to.
+# The shadow has to take away at least this share of the variance in images it was not fitted to.
 # With less, as under soft light, most of what it draws would be wrong.
 MIN_EXPLAINED: Final = 0.5
 # What is this much in shadow is wholly in it.
@@ -54,20 +57,21 @@ CORE: Final = 0.95
 EDGE_M: Final = 0.015
 # Gaussians that count as surface, and how many around one tell its color.
 SOLID: Final = 0.3
+# Lit Gaussians whose median gives the color of the surface: outvotes single outliers.
 NEIGHBORS: Final = 16
 # Brightness is compared above this, sRGB: below, noise counts more than light.
 DARK: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Watched:
-    """Places of the surface over time, T pictures and N places.
+class SurfaceObservations:
+    """Places of the surface over time, T images and N places.
 
     Attributes:
         points: World frame (N, 3).
         logs: Logarithms of sRGB colors (T, N, 3).
         seen: (T, N), whether nothing moving hides it.
-        moving: What throws shadows that come and go, in every picture, world frame.
+        moving: What throws shadows that come and go, in every image, world frame.
         fixed: What throws the same shadow in all of them.
     """
 
@@ -77,8 +81,8 @@ class Watched:
     moving: tuple[Gaussians, ...]
     fixed: Gaussians
 
-    def part(self, which: slice) -> "Watched":
-        """Some of the pictures."""
+    def part(self, which: slice) -> "SurfaceObservations":
+        """Some of the images."""
         return replace(self, logs=self.logs[which], seen=self.seen[which], moving=self.moving[which])
 
     def dark(self, direction: Array) -> Array:
@@ -90,36 +94,36 @@ class Watched:
 def find_directional_light(
     twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array
 ) -> Lamp | None:
-    """The lamp of a scene; None when no direction explains what the film shows.
+    """Find the directional light of a scene; None when no direction explains the video.
 
     Args:
         twin: With all surfaces of its robot.
         robot: Its robot.
-        view: A fixed camera's pictures of many postures.
+        view: A fixed camera's images of many joint configurations.
         T_world_plane: Surface (4, 4) whose brightness is watched.
     """
     T_world_plane = raise_plane(T_world_plane, twin, view.camera)
-    watched = _watched(twin, robot, view, T_world_plane)
-    if watched is None:
+    observed = _observe_surface(twin, robot, view, T_world_plane)
+    if observed is None:
         return None
     up = T_world_plane[:3, 2]
-    learned, unseen = watched.part(slice(0, None, 2)), watched.part(slice(1, None, 2))
+    fitted, unseen = observed.part(slice(0, None, 2)), observed.part(slice(1, None, 2))
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions @ up > MIN_SINE]
-    fallen = _Fallen(learned, T_world_plane)
-    scores = [explained_variance(learned, fallen.dark(direction)) for direction in directions]
+    projected = _ProjectedShadow(fitted, T_world_plane)
+    scores = [explained_variance(fitted, projected.dark(direction)) for direction in directions]
     best = directions[int(np.argmax(scores))]
-    best = _refined(best, lambda direction: explained_variance(learned, learned.dark(direction)))
+    best = _refine_direction(best, lambda direction: explained_variance(fitted, fitted.dark(direction)))
     if explained_variance(unseen, unseen.dark(best)) < MIN_EXPLAINED:
         return None
-    shade = estimate_shadow_color(watched, watched.dark(best))
+    shade = estimate_shadow_color(observed, observed.dark(best))
     if shade is None or not (shade < 1).all():
         return None
     return Lamp(direction=best, T_world_plane=T_world_plane, shade=shade)
 
 
 def remove_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
-    """The twin under a lamp: the surface's own colors are those in light, its shadows are cast anew."""
+    """Remove the baked shadow: surface colors become those in light, and shadows are cast by the twin."""
     world = posed(twin, robot, twin.scan_state)
     points = np.array(world.means, np.float64)
     roles = shadow_roles(twin, robot)
@@ -164,41 +168,43 @@ def _level(gaussians: Gaussians) -> Array:
     return np.maximum(0.5 + SH_C0 * gaussians.sh[:, 0].astype(np.float64), DARK).mean(1)
 
 
-def explained_variance(watched: Watched, dark: Array) -> float:
+def explained_variance(observed: SurfaceObservations, dark: Array) -> float:
     """Share of the variance of brightness over time that shadows (T, N), 0..1, account for; 0 for none.
 
     Every place has its own color, so both are compared without their means over time.
     """
-    weight = watched.seen.astype(np.float64)
+    weight = observed.seen.astype(np.float64)
     count = np.maximum(weight.sum(0), 1)
-    bright, shadow = (values - (weight * values).sum(0) / count for values in (watched.logs.mean(-1), dark))
+    bright, shadow = (values - (weight * values).sum(0) / count for values in (observed.logs.mean(-1), dark))
     below = (weight * shadow**2).sum() * (weight * bright**2).sum()
     slope = (weight * shadow * bright).sum()
     return float(slope**2 / below) if below > 0 and slope < 0 else 0.0
 
 
-class _Fallen:
+class _ProjectedShadow:
     """Points of the bodies dropped onto the surface along a direction: coarse, but quick."""
 
-    def __init__(self, watched: Watched, T_world_plane: Array) -> None:
+    def __init__(self, observed: SurfaceObservations, T_world_plane: Array) -> None:
         to_plane = invert(T_world_plane)
         self._turn = to_plane[:3, :3]
-        self._moving = [apply(to_plane, _some(bodies)) for bodies in watched.moving]
-        self._still = apply(to_plane, _some(watched.fixed))
-        places = apply(to_plane, watched.points)[:, :2]
+        self._moving = [apply(to_plane, _some(bodies)) for bodies in observed.moving]
+        self._still = apply(to_plane, _some(observed.fixed))
+        places = apply(to_plane, observed.points)[:, :2]
         self._low = places.min(0) - 2 * CELL_M
         cells = ((places - self._low) / CELL_M).astype(int)
         self._cells = cells[:, 0], cells[:, 1]
         self._shape = tuple(cells.max(0) + 3)
 
     def dark(self, direction: Array) -> Array:
-        """Which places are in shadow in every picture (T, N), 0 or 1."""
+        """Which places are in shadow in every image (T, N), 0 or 1."""
         x, y, z = self._turn @ direction
         lean = np.array([x, y]) / z
-        lit = ~self._reached(self._still, lean)
-        return np.stack([self._reached(points, lean) & lit for points in self._moving]).astype(np.float64)
+        lit = ~self._shadow_cells(self._still, lean)
+        return np.stack([self._shadow_cells(points, lean) & lit for points in self._moving]).astype(
+            np.float64
+        )
 
-    def _reached(self, points: Array, lean: Array) -> NDArray[np.bool_]:
+    def _shadow_cells(self, points: Array, lean: Array) -> NDArray[np.bool_]:
         cells = ((points[:, :2] - points[:, 2:] * lean - self._low) / CELL_M).astype(int)
         cells = cells[((cells >= 0) & (cells < self._shape)).all(1) & (points[:, 2] > 0)]
         grid = np.zeros(self._shape, bool)
@@ -223,7 +229,7 @@ def _some(bodies: Gaussians) -> Array:
     return np.asarray(bodies.means[:: max(1, len(bodies) // POINTS)], np.float64)
 
 
-def _refined(direction: Array, score: Callable[[Array], float]) -> Array:
+def _refine_direction(direction: Array, score: Callable[[Array], float]) -> Array:
     """The best direction around one, by ever smaller steps to four sides."""
     best = score(direction)
     for step in STEPS:
@@ -240,25 +246,25 @@ def _refined(direction: Array, score: Callable[[Array], float]) -> Array:
     return direction
 
 
-def estimate_shadow_color(watched: Watched, dark: Array) -> Array | None:
+def estimate_shadow_color(observed: SurfaceObservations, dark: Array) -> Array | None:
     """Color in shadow over color in light (3,), of places seen in both; None when there are none.
 
     Only what is in the core of a shadow, or far from all, is compared: at edges a shadow is often
     a little beside where it is drawn.
     """
-    shadow, light = watched.seen & (dark > CORE), watched.seen & (dark < 1 - CORE)
+    shadow, light = observed.seen & (dark > CORE), observed.seen & (dark < 1 - CORE)
     both = shadow.any(0) & light.any(0)
     if not both.any():
         return None
     mean = [
-        (watched.logs[:, both] * which[:, both, None]).sum(0) / which[:, both].sum(0)[:, None]
+        (observed.logs[:, both] * which[:, both, None]).sum(0) / which[:, both].sum(0)[:, None]
         for which in (shadow, light)
     ]
     return np.exp(np.median(mean[0] - mean[1], 0))
 
 
 def raise_plane(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
-    """A surface (4, 4) moved along its normal to where a camera sees it.
+    """Move a surface (4, 4) along its normal to where a camera sees it.
 
     Centers of trained Gaussians lie below the surface that they paint.
     """
@@ -274,8 +280,10 @@ def raise_plane(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
     return T
 
 
-def _watched(twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array) -> Watched | None:
-    """Places of the surface in some pictures of a film; None when it is hardly seen."""
+def _observe_surface(
+    twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array
+) -> SurfaceObservations | None:
+    """Places of the surface in some images of a video; None when it is hardly seen."""
     count = len(view.states)
     chosen = np.unique(np.linspace(0, count - 1, min(PICTURES, count)).astype(int))
     camera, still = view.camera, twin.bodies == 0
@@ -298,7 +306,7 @@ def _watched(twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Ar
     logs = np.log(np.maximum(colors, DARK))
     # Exposure changes everything at once; most places are lit most of the time.
     logs -= np.median(logs - np.median(logs, 0), axis=1, keepdims=True)
-    return Watched(
+    return SurfaceObservations(
         points=points.reshape(-1, 3)[usable],
         logs=logs,
         seen=seen,

@@ -1,4 +1,4 @@
-"""What a drawer hides: walls and bottom behind its front, which only the demonstration shows.
+"""Interior of a drawer: walls and bottom behind its front, which only the demonstration shows.
 
 A scan sees a closed drawer, so that a twin's open front would stand in the air. Walls and bottom move
 with the front; those that predict the video best from its other frames are kept, or none.
@@ -28,24 +28,30 @@ from aomgen.twin.twin import PART, Twin, body_poses, posed_by
 
 # Images are compared in this width, where small errors of the joint value are below a pixel.
 WIDTH_PX = 320
-# Frames looked at, and the share of the whole travel from which on a drawer is open.
+# Frames used, at different openings: enough to predict each from the others.
 FRAMES = 5
+# Share of the travel from which a drawer counts as open: its interior is visible from there.
 OPEN_SHARE = 0.4
-# Shapes that are tried: how far walls stand inside the front's outline, as share of its width, and how
-# high they reach, as share of its height.
+# Insets of the walls from the outline of the front that are tried, as share of its width.
 INSETS = (0.02, 0.06)
+# Wall heights tried, as share of the front's height; a few, as the best is chosen by image error.
 HEIGHTS = (0.25, 0.5, 0.75, 0.95)
 # A tray has to take away this share of the squared error where it may be, or there is none.
 MIN_GAIN = 0.3
 # Pixels that make a judgement.
 MIN_PIXELS = 100
-# A drawer's front lies at the end of its body to which it moves, no farther inside than this share of the body.
+# A drawer's front lies at the end of its body to which it moves, no farther inside than this share of the
+# body.
 MAX_INSIDE_SHARE = 0.2
-# Spacing of discs in pixels, and spread of each as share of the spacing.
+# Spacing of discs, [px]: one a pixel leaves no holes.
 SPACING_PX = 1.0
+# Extent of a disc as share of the spacing, so that neighbours overlap without gaps.
 SPREAD = 0.7
+# Thickness of a disc as share of the spacing: thin, but not degenerate for the rasterizer.
 THICKNESS = 0.05
+# Limit on discs, so that a large drawer does not slow down rendering.
 MAX_DISCS = 20_000
+# Margin around the robot that is not compared, [px]: its contour is uncertain by about this much.
 ROBOT_MARGIN_PX = 3
 
 
@@ -72,7 +78,7 @@ class _Shot:
 
 
 def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twin:
-    """The twin with walls and bottom behind the front of a drawer, colored from the film.
+    """Add walls and bottom behind the front of a drawer, with colors from the video.
 
     Args:
         twin: As bound from the scan.
@@ -80,7 +86,7 @@ def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twi
         view: The demonstration.
 
     Returns:
-        The same twin when the part does not slide out of its body, or when no tray explains the film clearly better.
+        The same twin when the part does not slide out of its body, or when no interior explains the video clearly better.
 
     Not checked: that the drawer's floor is level with the front's lower edge, and what it holds.
     """
@@ -100,10 +106,10 @@ def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twi
     for inset, height in product(INSETS, HEIGHTS):
         discs = _discs(front, inset, height, spacing)
         ids = _ids(discs, shots)
-        error = _error(_predicted(discs, ids, shots), shots, regions)
+        error = _error(_predict(discs, ids, shots), shots, regions)
         if error < best_error:
-            best, best_error = _colored(discs, ids, shots), error
-    return twin if best is None else _joined(twin, best)
+            best, best_error = _color_discs(discs, ids, shots), error
+    return twin if best is None else _append(twin, best)
 
 
 def _front(twin: Twin, travel_m: float) -> _Front | None:
@@ -127,7 +133,7 @@ def _front(twin: Twin, travel_m: float) -> _Front | None:
 def _shots(twin: Twin, robot: RobotModel, view: PosedImages, travel_m: float) -> list[_Shot]:
     opened = [k for k, state in enumerate(view.states) if state.theta >= OPEN_SHARE * travel_m]
     thetas = np.array([view.states[k].theta for k in opened])
-    # Frames of different openings: the same picture twice says nothing new.
+    # Frames of different openings: the same image twice says nothing new.
     wanted = np.linspace(OPEN_SHARE * travel_m, travel_m, FRAMES)
     chosen = sorted({opened[int(np.argmin(np.abs(thetas - value)))] for value in wanted}) if opened else []
     camera = view.camera
@@ -228,7 +234,7 @@ def _mean_colors(discs: Gaussians, totals: Array, pixels: Array) -> Array:
     return colors
 
 
-def _predicted(discs: Gaussians, ids: Sequence[NDArray[np.int64]], shots: Sequence[_Shot]) -> list[Array]:
+def _predict(discs: Gaussians, ids: Sequence[NDArray[np.int64]], shots: Sequence[_Shot]) -> list[Array]:
     """Each shot as the others' colors of the tray foretell it."""
     sums, counts = _sums(ids, shots, len(discs))
     total, number = np.sum(sums, axis=0), np.sum(counts, axis=0)
@@ -240,7 +246,7 @@ def _predicted(discs: Gaussians, ids: Sequence[NDArray[np.int64]], shots: Sequen
 
 
 def _error(pictures: Sequence[Array], shots: Sequence[_Shot], regions: Sequence[NDArray[np.bool_]]) -> float:
-    """Mean squared difference to the film in the regions."""
+    """Mean squared difference to the video in the regions."""
     squares = [
         np.square(picture - shot.seen_srgb)[region]
         for picture, shot, region in zip(pictures, shots, regions, strict=True)
@@ -248,14 +254,14 @@ def _error(pictures: Sequence[Array], shots: Sequence[_Shot], regions: Sequence[
     return float(np.concatenate(squares).mean())
 
 
-def _colored(discs: Gaussians, ids: Sequence[NDArray[np.int64]], shots: Sequence[_Shot]) -> Gaussians:
-    """Discs in the film's colors."""
+def _color_discs(discs: Gaussians, ids: Sequence[NDArray[np.int64]], shots: Sequence[_Shot]) -> Gaussians:
+    """Discs in the video's colors."""
     sums, counts = _sums(ids, shots, len(discs))
     colors = _mean_colors(discs, np.sum(sums, axis=0), np.sum(counts, axis=0))
     return discs.with_sh(((colors - 0.5) / SH_C0)[:, None].astype(np.float32))
 
 
-def _joined(twin: Twin, tray: Gaussians) -> Twin:
+def _append(twin: Twin, tray: Gaussians) -> Twin:
     """The twin with a tray at its end, so that all indices stay."""
     count = len(tray)
     return replace(

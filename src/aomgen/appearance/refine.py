@@ -1,9 +1,9 @@
-"""The whole twin fitted to the pictures of the scan and of the demonstration, each in its posture.
+"""The whole twin fitted to the images of the scan and of the demonstration, each in its joint configuration.
 
-The scan shows one posture. The video shows what was hidden then: the inside of what was opened,
+The scan shows one joint configuration. The video shows what was hidden then: the inside of what was opened,
 the other side of a door, a table without the shadow that the arm threw on it while it was scanned.
 Shapes stay opaque surfaces on their bodies; brief shadows of what moves count little, because
-the loss is an absolute difference and every picture has them elsewhere.
+the loss is an absolute difference and every image has them elsewhere.
 """
 
 from collections.abc import Sequence
@@ -22,21 +22,23 @@ from aomgen.twin.lamp import darkened, draw_lit
 from aomgen.twin.relit import Relit, Surface, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
 
-# Gaussians move this much in a step, [px] of the usual picture at the robot.
+# Gaussians move this much in a step, [px] of the usual image at the robot.
 STEP_PX: Final = 0.1
 # Shadows are drawn a pixel or two beside where they are: nothing is learned where the share of light
 # that is taken changes by this much, on pixels that are mostly the surface.
 EDGE_PX: Final = 5
+# Change in the share of light, 0..1, that makes an edge of a shadow.
 EDGE_STEP: Final = 0.1
+# Share of a pixel, 0..1, from which it is mostly the surface.
 MOSTLY: Final = 0.5
 
 
 def refine_twin(
     twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
 ) -> Twin:
-    """The twin with its Gaussians fitted to pictures.
+    """Fit the Gaussians of the twin to images.
 
-    Shape, glare and the colors of what is not lit anew are the same in all postures. Colors of
+    Shape, specular term and the colors of what is not relit are shared by all joint configurations. Colors of
     relit surfaces are learned for the orientations of the scan, beyond what they were given, and
     come back as much as memories of them do.
 
@@ -44,7 +46,7 @@ def refine_twin(
         twin: If something in it is lit anew, those are its last Gaussians.
         robot: Its robot.
         views: What to fit to; with none the twin stays as it is.
-        rng: Order of the pictures.
+        rng: Order of the images.
     """
     if not views:
         return twin
@@ -73,7 +75,7 @@ def _training_view(
     nearest: dict[int, int],
     place: tuple[PosedImages, int],
 ) -> Lesson:
-    """One picture, the n-th of a film, with the colors of relit surfaces in its posture."""
+    """One image, the n-th of a video, with the colors of relit surfaces in its joint configuration."""
     view, index = place
     count = 0 if twin.relit is None else len(twin.relit.indices)
     colors, recall = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
@@ -92,7 +94,7 @@ def _training_view(
 
 
 def _with_shadows(training_view: Lesson, twin: Twin, roles: NDArray[np.uint8]) -> Lesson:
-    """A lesson whose drawn picture is darkened by the shadows of its posture."""
+    """A training view whose drawn image is darkened by the shadows of its joint configuration."""
     if twin.lamp is None:
         return training_view
     world = posed_by(twin, training_view.Ts_world_part)

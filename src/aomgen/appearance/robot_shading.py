@@ -1,8 +1,8 @@
-"""Colors of the robot's surface that turn with its links, fitted to all that pictures show of it.
+"""Colors of the robot's surface that turn with its links, fitted to all that images show of it.
 
 A disc's color is its material's answer to its direction (nine harmonics, so that the light stays
 where it is while links turn), times what distinguishes the disc from others of its material, plus
-what was seen of it near this orientation of its link, plus glare: a function of where it is seen from.
+what was seen of it near this orientation of its link, plus specular term: a function of where it is seen from.
 """
 
 from dataclasses import dataclass
@@ -19,21 +19,24 @@ from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
 from aomgen.twin.relit import NEGLIGIBLE, Remembered, orientation_weights
 
-# Turn over which a seen color fades. A link's glare moves twice as fast as the link; halves and
-# doubles of this were worse or no better on pictures between those that were fitted.
+# Turn over which a seen color fades. A link's specular term moves twice as fast as the link; halves and
+# doubles of this were worse or no better on images between those that were fitted.
 REACH_RAD: Final = float(np.radians(10.0))
 # Orientations are remembered this far apart, in reaches.
 SPACING: Final = 1.5
+# Alternations of the least-squares fits, which share what none of them explains alone.
 ROUNDS: Final = 4
 # Linear colors below this are black: the slope of sRGB would give them all the weight.
 BLACK: Final = 0.003
-# Pull of a disc towards its material and of a material towards all others, in sightings of one pixel.
+# Pull of a disc towards its material and of a material towards all others, in observations of one pixel.
 DISC_PULL: Final = 1.0
+# Regularization of a material towards all others, relative to the data: only decides what is not observed.
 MATERIAL_PULL: Final = 1e-3
 # A disc is at most this many times as bright or dark as its material.
 MAX_RATIO: Final = 5.0
+# Nearest seen discs that give an unseen disc its color, by their mean.
 NEIGHBORS: Final = 6
-# Pull of glare towards none, in sightings (their weight is the root of their pixels).
+# Pull of specular term towards none, in observations (their weight is the root of their pixels).
 SPECULAR_PULL: Final = 0.3
 
 
@@ -71,20 +74,20 @@ def fit_robot_colors(
     normals_body: Array,
     means_body: Array,
 ) -> RobotColors:
-    """Fit colors to sightings.
+    """Fit colors to observations.
 
     Args:
-        observations: What pictures show.
+        observations: What images show.
         bodies: Body of every disc (M,), index into the twin's `body_names`.
         materials: Material of every disc (M,), 0..P-1.
         normals_body, means_body: (M, 3), body frames.
     """
     discs = _Discs(bodies, materials, normals_body, means_body)
-    R = observations.Ts_world_body[observations.picture, bodies[observations.disc], :3, :3]
+    R = observations.Ts_world_body[observations.image_index, bodies[observations.disc], :3, :3]
     answers = open_transfer(np.einsum("nij,nj->ni", R, normals_body[observations.disc])).astype(np.float64)
     seen = np.asarray(linear_from_srgb(observations.color_srgb), np.float64)
     ratio, radiance, lit = _fit(observations, discs, answers, seen)
-    # Lit as the twin lights it, clipped to what a picture can show.
+    # Lit as the twin lights it, clipped to what an image can show.
     predicted = np.asarray(srgb_from_linear(np.clip(ratio[observations.disc] * lit, 0, 1)))
     difference = observations.color_srgb - predicted
     views = sh_basis(observations.directions_body, 2)[:, 1:]
@@ -119,13 +122,13 @@ def _fit_specular(observations: SurfelObservations, views: Array, left: Array, c
 def _predict_residual_colors(
     observations: SurfelObservations, discs: _Discs, memories: tuple[Remembered, ...]
 ) -> Array:
-    """What memories add to the color of every sighting (N, 3)."""
+    """What memories add to the color of every observation (N, 3)."""
     result = np.zeros((len(observations.disc), 3))
     owners = discs.bodies[observations.disc]
     for memory in memories:
         mine = np.flatnonzero(owners == memory.body)
         Rs = observations.Ts_world_body[:, memory.body, :3, :3]
-        weights = orientation_weights(memory.Rs_world_body, Rs, REACH_RAD)[observations.picture[mine]]
+        weights = orientation_weights(memory.Rs_world_body, Rs, REACH_RAD)[observations.image_index[mine]]
         column = np.searchsorted(memory.rows, observations.disc[mine])
         for k in range(len(memory.Rs_world_body)):
             near = np.flatnonzero(weights[:, k] > NEGLIGIBLE)
@@ -182,7 +185,7 @@ def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: A
 def _fit_residual_colors(
     observations: SurfelObservations, discs: _Discs, difference: Array
 ) -> tuple[Remembered, ...]:
-    """What remains of every body's sightings, averaged near a few of its orientations."""
+    """What remains of every body's observations, averaged near a few of its orientations."""
     memories = []
     owners = discs.bodies[observations.disc]
     for body in np.unique(discs.bodies):
@@ -191,11 +194,11 @@ def _fit_residual_colors(
         if not len(mine):
             continue
         Rs = observations.Ts_world_body[:, body, :3, :3]
-        chosen = _spaced(Rs, SPACING * REACH_RAD)
-        # Not normalised: a picture far from all remembered orientations teaches none of them.
+        chosen = _select_spaced(Rs, SPACING * REACH_RAD)
+        # Not normalised: an image far from all remembered orientations teaches none of them.
         kernel = orientation_weights(Rs[chosen], Rs, REACH_RAD)
         column = np.searchsorted(rows, observations.disc[mine])
-        weights = kernel[observations.picture[mine]] * observations.pixels[mine, None]
+        weights = kernel[observations.image_index[mine]] * observations.pixels[mine, None]
         remembered = np.zeros((len(chosen), len(rows), 3))
         for k in range(len(chosen)):
             below = np.bincount(column, weights[:, k], len(rows)) + DISC_PULL
@@ -214,7 +217,7 @@ def _fit_residual_colors(
     return tuple(memories)
 
 
-def _spaced(Rs: Array, spacing_rad: float) -> NDArray[np.int64]:
+def _select_spaced(Rs: Array, spacing_rad: float) -> NDArray[np.int64]:
     """Orientations (T, 3, 3), the first and then the farthest from all chosen, until none is far."""
     chosen = [0]
     nearest = _turn(Rs, Rs[0])
@@ -229,7 +232,7 @@ def _turn(Rs: Array, R: Array) -> Array:
 
 
 def _spread(ratio: Array, seen: NDArray[np.bool_], discs: _Discs) -> Array:
-    """Ratios (M, 3) where discs that no picture shows take the mean of their nearest seen neighbours."""
+    """Ratios (M, 3) where discs that no image shows take the mean of their nearest seen neighbours."""
     result = ratio.copy()
     groups = np.stack([discs.bodies, discs.materials], 1)
     for body, material in np.unique(groups[~seen], axis=0):

@@ -1,6 +1,6 @@
 """The robot as its model's surface, colored from everything that the capture shows of it.
 
-A scan sees one side of a robot in one posture, from outside: its undersides are missing, outlines
+A scan sees one side of a robot in one joint configuration, from outside: its undersides are missing, outlines
 are ragged and light is baked in. The model's shape has none of that.
 """
 
@@ -24,15 +24,18 @@ from aomgen.splatting.surfels import Surfels, open_surfels_of
 from aomgen.twin.relit import Relit
 from aomgen.twin.twin import Twin
 
-# Discs lie this far apart in the pictures, [px], within limits that keep episodes fast.
+# Discs lie this far apart in the images, [px], within limits that keep episodes fast.
 SPACING_PX: Final = 2.0
+# Least and largest number of discs: covers a small robot, keeps episodes fast.
 COUNTS: Final = (12_000, 40_000)
+# Least number of discs a body and material, so that small parts stay closed surfaces.
 MIN_PER_BODY: Final = 120
 # How far discs lie beneath the surface, [px].
 INSET_PX: Final = 1.0
 # Scanned Gaussians this far outside the model, and solid, are things it does not have, like cables.
 # Nearer ones are the scan's own blur of the same surface.
 ATTACHED_M: Final = 0.012
+# Opacity from which a Gaussian is solid: it hides more than it lets through.
 SOLID_OPACITY: Final = 0.5
 # Bodies of which the scan and the video show less are left as scanned.
 MIN_OBSERVATIONS: Final = 200
@@ -51,16 +54,16 @@ class _Cover:
 def replace_robot_gaussians(
     twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
 ) -> Twin:
-    """The twin with its robot's scanned Gaussians replaced by the model's surface.
+    """Replace the scanned Gaussians of the robot by surfels on its model.
 
     Args:
         twin: As bound from the scan.
         robot: Its robot.
-        views: Pictures of the scan and of the demonstration, in one exposure.
-        rng: Chooses places on the surface.
+        views: Images of the scan and of the demonstration, in one exposure.
+        rng: Samples the surface.
 
     Returns:
-        The same twin when the model has no meshes or pictures hardly show it.
+        The same twin when the model has no meshes or images hardly show it.
     """
     if not robot.meshes or not views:
         return twin
@@ -193,7 +196,7 @@ def _is_attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
 
 
 def _orient_normals(cover: _Cover, observations: SurfelObservations) -> _Cover:
-    """The cover with normals on the side from which pictures see the discs."""
+    """The cover with normals on the side from which images see the discs."""
     towards = np.einsum("ni,ni->n", cover.normals[observations.disc], -observations.directions_body)
     sides = np.bincount(observations.disc, towards * observations.pixels, len(cover.normals))
     return replace(cover, normals=np.where(sides[:, None] < 0, -cover.normals, cover.normals))

@@ -1,4 +1,4 @@
-"""What pictures show of the robot's surface: a color for every disc in every picture that sees it."""
+"""Observed colors of the robot's surface: one for every surfel in every image that sees it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,12 +27,12 @@ MAX_GAIN: Final = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PosedImages:
-    """Pictures from one place with one exposure.
+    """Images from one place with one exposure.
 
     Attributes:
-        camera: Where they were taken, world frame.
+        camera: Camera of all of them, world frame.
         images_srgb: (H, W, 3) uint8 each.
-        states: What was there, one for each picture.
+        states: State of the twin in each image.
     """
 
     camera: Camera
@@ -42,19 +42,19 @@ class PosedImages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfelObservations:
-    """Colors of discs as pictures show them, N sightings in V pictures.
+    """Colors of surfels (discs): N observations in V images.
 
     Attributes:
         disc: Which disc (N,), an index into the relit Gaussians of the twin.
-        picture: Which picture (N,).
+        image_index: Which image (N,).
         color_srgb: Mean color (N, 3), 0..1.
         pixels: How many pixels show it (N,).
         directions_body: Unit direction (N, 3) from the camera to the disc, in its body's frame.
-        Ts_world_body: Body poses in every picture (V, B, 4, 4).
+        Ts_world_body: Body poses in every image (V, B, 4, 4).
     """
 
     disc: NDArray[np.int64]
-    picture: NDArray[np.int64]
+    image_index: NDArray[np.int64]
     color_srgb: Array
     pixels: Array
     directions_body: Array
@@ -63,7 +63,7 @@ class SurfelObservations:
     def __post_init__(self) -> None:
         count = len(self.disc)
         freeze(self, "disc", self.disc, (count,), np.int64)
-        freeze(self, "picture", self.picture, (count,), np.int64)
+        freeze(self, "image_index", self.image_index, (count,), np.int64)
         freeze(self, "color_srgb", self.color_srgb, (count, 3))
         freeze(self, "pixels", self.pixels, (count,))
         freeze(self, "directions_body", self.directions_body, (count, 3))
@@ -71,12 +71,12 @@ class SurfelObservations:
 
 
 def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:
-    """Look up every disc in every picture where nothing hides it.
+    """Measure the color of every surfel in every image where it is visible.
 
     Args:
         twin: Its relit Gaussians are the discs (M); whatever else is in it may hide them.
         robot: The twin's robot.
-        views: At least one picture.
+        views: At least one image.
     """
     moving = moving_layer(twin)
     disc_of = _discs_of_moving(twin, moving)
@@ -99,10 +99,12 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
             directions = _directions(twin, which, Ts, view.camera)
             pieces.append((which, np.full(len(which), len(poses)), mean, pixels, directions))
             poses.append(Ts)
-    disc, picture, color, pixels, directions = (np.concatenate(items) for items in zip(*pieces, strict=True))
+    disc, image_index, color, pixels, directions = (
+        np.concatenate(items) for items in zip(*pieces, strict=True)
+    )
     return SurfelObservations(
         disc=disc,
-        picture=picture,
+        image_index=image_index,
         color_srgb=color,
         pixels=pixels,
         directions_body=directions,
@@ -111,11 +113,11 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
 
 
 def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bool_]) -> PosedImages:
-    """The film as the scan's camera would have exposed it.
+    """Match exposure and white balance to those of the scan.
 
     Args:
-        view: Its first picture shows what `drawn_srgb` shows.
-        drawn_srgb: The twin from the film's camera in the state of the first picture (H, W, 3), 0..1.
+        view: Its first image shows what `drawn_srgb` shows.
+        drawn_srgb: The twin from the video's camera in the state of the first image (H, W, 3), 0..1.
         compared: Pixels (H, W) that show the same thing in both.
 
     Exposure and white balance are a gain for each channel in linear light.
@@ -139,7 +141,7 @@ def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bo
 
 
 def pixel_size(robot: RobotModel, twin: Twin, views: Sequence[PosedImages]) -> float:
-    """Size of a pixel at the robot in the usual picture, [m]."""
+    """Size of a pixel at the robot in the usual image, [m]."""
     places = body_poses(twin, robot, twin.scan_state)[1 : 1 + len(robot.body_names), :3, 3]
     sizes = [
         np.median(np.linalg.norm(places - view.camera.center, axis=1)) / max(view.camera.fx, view.camera.fy)

@@ -15,14 +15,17 @@ from scipy.spatial import cKDTree
 from aomgen.core.values import Array
 from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, join_samples, thin
 
+# Planes at most: walls, floor and ceiling of a room, or a table and its surroundings.
 MAX_PLANES = 5
 # Mean color difference between views that still is the same color, 0..255.
 MAX_DIFFERENCE = 11.0
 # Infinity must explain a pixel better than a plane by this much.
 INFINITY_HANDICAP = 1.5
+# Every second pixel is sampled, [px]: plane regions are plain, so more samples add no detail.
 STRIDE = 2
 # Radius of the far sphere over the cameras' reach: a step aside moves it by less than a pixel.
 SHELL_DISTANCE = 500.0
+# Directions of the coarse far sphere, about 4 degrees apart: only closes holes that no view covers.
 COARSE_DIRECTIONS = 3000
 # Weights of pixels that neighbours explain, and of those that only this view vouches for: the shell
 # behind everything may take them, but never against an explanation.

@@ -1,7 +1,7 @@
 """Dense colored points of the scene from a sparse model: where the Gaussians will start."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from aomgen.gaussians.depth_fusion import (
     count_confirmations,
     thin,
 )
-from aomgen.gaussians.plane_sweep import SweepParams, plane_sweep
+from aomgen.gaussians.plane_sweep import plane_sweep
 from aomgen.io.images import resize
 from aomgen.splatting.surfaces import in_free_space
 
@@ -35,7 +35,6 @@ class DensifyParams:
         planes: Depth hypotheses a pixel, evenly spaced in inverse depth from infinity on.
         sources: Neighbours a view is matched with.
         shell_points: At most this many on the far sphere, where it was seen.
-        sweep: Matching parameters.
         threads: Views worked on at once.
     """
 
@@ -44,7 +43,6 @@ class DensifyParams:
     planes: int = 128
     sources: int = 4
     shell_points: int = 12_000
-    sweep: SweepParams = field(default_factory=SweepParams)
     threads: int = 2
 
 
@@ -97,7 +95,7 @@ def densify(
     Not checked: mirrors and glass, which give points at the mirrored place.
     """
     names = [name for name in structure.cameras_recon if name in images_srgb]
-    views = [_reduced(structure.cameras_recon[name], images_srgb[name], params.width) for name in names]
+    views = [_limit_width(structure.cameras_recon[name], images_srgb[name], params.width) for name in names]
     neighbours = choose_neighbours(structure, names, params.sources)
     nearest = nearest_depth(structure, names)
     grays = [_gray(image) for _, image in views]
@@ -109,7 +107,6 @@ def densify(
             (camera, grays[index]),
             [(views[other][0], grays[other]) for other in neighbours[index]],
             planes,
-            params.sweep,
         )
         return DepthMap(
             camera=camera,
@@ -196,7 +193,7 @@ def nearest_depth(structure: Structure, names: list[str]) -> Array:
     return result
 
 
-def _reduced(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
+def _limit_width(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
     height = round(camera.height * width / camera.width)
     if width >= camera.width:
         return camera, image

@@ -13,7 +13,9 @@ from aomgen.splatting.surfaces import ViewDepth
 
 # A depth is confirmed by a view whose own depth there differs by at most this many planes.
 MAX_PLANES_APART = 1.5
+# Neighbours that must confirm a depth: one may agree by chance.
 MIN_CONFIRMATIONS = 2
+# Least normalized correlation at a confirmed depth, -1..1: above that of unrelated texture, which is about 0.
 MIN_SCORE = 0.25
 # Pixels that must agree on a cell for it to hold a point.
 MIN_WEIGHT = 5.0
@@ -79,7 +81,7 @@ def join_samples(parts: list[Samples]) -> Samples:
 
 
 def confirmed_depth(depth_map: DepthMap, votes: NDArray[np.int32]) -> ViewDepth:
-    """What a view sees where its neighbours confirm it (H, W); unknown elsewhere."""
+    """Depth of a view where its neighbours confirm it (H, W); NaN elsewhere."""
     known = (votes >= MIN_CONFIRMATIONS) & (depth_map.inverse_depth > depth_map.step)
     depth = np.where(known, 1.0 / np.maximum(depth_map.inverse_depth, depth_map.step), np.nan)
     return ViewDepth(camera=depth_map.camera, depth=depth.astype(np.float32))

@@ -1,7 +1,6 @@
 """Dense inverse depth of one view from its neighbours (cpp/plane_sweep.h)."""
 
 from ctypes import POINTER, Structure, byref, c_float, c_int32, c_void_p
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,25 +12,16 @@ from aomgen.errors import BackendError
 from aomgen.splatting.native import library
 
 _STATUS = {1: "refuses its arguments", 2: "is short of memory"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepParams:
-    """Matching effort and smoothness; penalties are in matching cost, 0..255.
-
-    Attributes:
-        window_radius: Of the correlation window, [px].
-        best_sources: Sources averaged at a pixel: fewer tolerate more occlusion.
-        noise: Standard deviation of image noise, 0..1.
-        small_jump_penalty: Of a change by one plane between neighbours.
-        large_jump_penalty: Of a larger change.
-    """
-
-    window_radius: int = 2
-    best_sources: int = 2
-    noise: float = 0.012
-    small_jump_penalty: float = 10.0
-    large_jump_penalty: float = 60.0
+# Radius of the correlation window, [px]: 5 x 5, small against the objects at the width of the views.
+WINDOW_RADIUS = 2
+# Sources averaged at a pixel: fewer tolerate more occlusion.
+BEST_SOURCES = 2
+# Standard deviation of image noise, 0..1: three 8-bit steps.
+NOISE = 0.012
+# Penalty of a change by one plane between neighbours, in matching cost 0..255: slanted surfaces are common.
+SMALL_JUMP_PENALTY = 10.0
+# Penalty of a larger change, in matching cost: depth edges are rare.
+LARGE_JUMP_PENALTY = 60.0
 
 
 class _Sweep(Structure):
@@ -58,7 +48,6 @@ def plane_sweep(
     reference: tuple[Camera, NDArray[np.float32]],
     sources: list[tuple[Camera, NDArray[np.float32]]],
     inverse_depths: Array,
-    params: SweepParams,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Inverse depth and matching score of every pixel of a view.
 
@@ -66,7 +55,6 @@ def plane_sweep(
         reference: Camera and gray image (H, W), 0..1.
         sources: Up to 16 neighbours, images of the same size.
         inverse_depths: (D,) evenly increasing, D <= 256; 0 is infinity.
-        params: See `SweepParams`.
 
     Returns:
         Inverse depth (H, W) and correlation at it (H, W), -1..1. Every pixel gets an answer; what
@@ -98,11 +86,11 @@ def plane_sweep(
         translations=translations.ctypes.data,
         first_inverse_depth=float(inverse_depths[0]),
         inverse_depth_step=float(inverse_depths[1] - inverse_depths[0]),
-        window_radius=params.window_radius,
-        best_sources=min(params.best_sources, len(sources)),
-        noise=params.noise,
-        small_jump_penalty=params.small_jump_penalty,
-        large_jump_penalty=params.large_jump_penalty,
+        window_radius=WINDOW_RADIUS,
+        best_sources=min(BEST_SOURCES, len(sources)),
+        noise=NOISE,
+        small_jump_penalty=SMALL_JUMP_PENALTY,
+        large_jump_penalty=LARGE_JUMP_PENALTY,
     )
     inverse_depth = np.empty((height, width), np.float32)
     score = np.empty((height, width), np.float32)

@@ -52,7 +52,7 @@ def load_gaussians(folder: Path) -> TrainedScene:
     figures = read_json(folder / METRICS_FILE)
     nothing = np.zeros((0, 0, 3), np.uint8)
     return TrainedScene(
-        gaussians_recon=_loaded(folder),
+        gaussians_recon=_load(folder),
         heldout={
             name: HeldOut(psnr_db=view["psnr"], ssim=view["ssim"], rendered_srgb=nothing)
             for name, view in figures.get("heldout", {}).items()
@@ -61,7 +61,7 @@ def load_gaussians(folder: Path) -> TrainedScene:
     )
 
 
-def _loaded(folder: Path) -> Gaussians:
+def _load(folder: Path) -> Gaussians:
     return read_gaussians(folder / GAUSSIANS_FILE)
 
 

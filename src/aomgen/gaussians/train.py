@@ -1,4 +1,4 @@
-"""The scene as Gaussians: started from dense points, trained, cleaned and judged on held-out images."""
+"""The scene as Gaussians: started from dense points, trained, cleaned and evaluated on held-out images."""
 
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -74,12 +74,12 @@ class TrainedScene:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingViews:
-    """What a training starts from and learns.
+    """Initial Gaussians and training images.
 
     Attributes:
         dense: Points of the scene.
         initial: A Gaussian for each.
-        cameras: Of the images to learn, recon frame.
+        cameras: Of the training images, recon frame.
         images_srgb: (H, W, 3) uint8 each.
         test: Names of the images that are held out and have a camera.
     """
@@ -94,12 +94,12 @@ class TrainingViews:
 def select_training_views(
     structure: Structure, images_srgb: dict[str, NDArray[np.uint8]], params: DensifyParams, progress: Progress
 ) -> TrainingViews:
-    """Divide a scan into images to learn and to hold out, and find where Gaussians start.
+    """Split a scan into training and held-out images and initialize the Gaussians.
 
     Args:
         structure: Cameras and sparse points.
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
-        params: Of the dense points, which come from images to learn alone.
+        params: Of the dense points, which come from the training images alone.
         progress: Share done and a few words.
     """
     test = held_out(list(images_srgb))
@@ -123,7 +123,7 @@ def train_scene(
     *,
     checkpoint: Checkpoint | None = None,
 ) -> TrainedScene:
-    """Train Gaussians on a scan and judge them on images they never saw.
+    """Train Gaussians on a scan and evaluate them on held-out images.
 
     Args:
         structure: Cameras and sparse points.

@@ -13,7 +13,7 @@ import numpy as np
 from aomgen.alignment.align import Alignment, unit_frame
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.gravity import up_candidates
-from aomgen.alignment.pose_search import Scan, different, search
+from aomgen.alignment.pose_search import Scan, search_poses, select_distinct
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import camera_in_world
 from aomgen.core.gaussians import Gaussians
@@ -198,5 +198,5 @@ def _starts(
 ) -> Array:
     """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
     scan = Scan(views=views, boxes=boxes, points_recon=points)
-    found = search(scan, posture, rng).at_least(_START_SHARE)
-    return different(found, posture.points_world(60), _APART, _STARTS).Ss_world_recon
+    found = search_poses(scan, posture, rng).at_least(_START_SHARE)
+    return select_distinct(found, posture.points_world(60), _APART, _STARTS).Ss_world_recon

@@ -87,7 +87,7 @@ def unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
 
 
-def sized_masks(gaussians: Gaussians, camera: Camera, masks: NDArray[np.bool_], width: int) -> SizedMasks:
+def measure_masks(gaussians: Gaussians, camera: Camera, masks: NDArray[np.bool_], width: int) -> SizedMasks:
     """Masks at a smaller resolution with their sizes from the rendered depth.
 
     Args:

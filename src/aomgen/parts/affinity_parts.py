@@ -11,14 +11,13 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.values import Array
-from aomgen.parts.affinity import Affinity, SizedMasks, sized_masks, surface_depth
+from aomgen.parts.affinity import Affinity, SizedMasks, measure_masks, surface_depth
 from aomgen.parts.affinity_query import Query, QueryAnswer, answer_query
 from aomgen.parts.affinity_training import AffinityParams, train_affinity
 from aomgen.parts.likelihood import PartEvidence
 from aomgen.parts.prompted_images import PromptedImage
 from aomgen.parts.scan_views import ScanView
 from aomgen.segmentation.automatic_masks import (
-    AutomaticMasksParams,
     ViewMasks,
     best_masks,
     grid_points,
@@ -28,6 +27,10 @@ from aomgen.segmentation.interface import Segmenter
 
 # No feature is surer than this.
 LEAST_VOTE = 0.02
+# Cosine similarity over which a vote turns from the rest to the part: the width of the logistic step.
+SOFTNESS = 0.05
+# Points of the grid along either side of an image; the prompted object has a denser grid of its own.
+GRID_SIDE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,18 +40,14 @@ class AffinityPartsParams:
     Attributes:
         views: Views that are segmented, the prompted ones among them.
         object_side: Points along either side of the prompted object's box, beside the image's grid.
-        masks: Of the point grids.
         training: Of the features.
-        softness: Similarity over which a vote turns from the rest to the part.
         masks_folder: Keeps the masks of each view for a run that goes on, see `masks_of_views`;
             None keeps nothing.
     """
 
     views: int = 12
     object_side: int = 6
-    masks: AutomaticMasksParams = field(default_factory=AutomaticMasksParams)
     training: AffinityParams = field(default_factory=AffinityParams)
-    softness: float = 0.05
     masks_folder: Path | None = None
 
 
@@ -65,7 +64,7 @@ class MaskedScan:
     found: Mapping[str, NDArray[np.bool_]]
 
 
-def masked_scan(
+def find_all_masks(
     gaussians: Gaussians,
     views: Sequence[ScanView],
     prompted: Sequence[PromptedImage],
@@ -80,7 +79,7 @@ def masked_scan(
         views: Scan views in the world frame, held-out ones left out.
         prompted: Answers to the prompts.
         segmenter: Turns points into masks.
-        progress: Told about each view.
+        progress: Called about each view.
         params: Effort, and where masks are kept.
     """
     prepared = {item.view.name: item.prepared for item in prompted}
@@ -94,11 +93,11 @@ def masked_scan(
         image = prepared.get(name) or segmenter.prepare(name, view.image_srgb)
         points = np.concatenate(
             [
-                grid_points(view.robot.shape, params.masks.side, view.robot),
+                grid_points(view.robot.shape, GRID_SIDE, view.robot),
                 _object_grid(view, points_world, params.object_side),
             ]
         )
-        return best_masks(image.at_points(points), params.masks, view.robot)
+        return best_masks(image.at_points(points), view.robot)
 
     found = masks_of_views(list(by_name), find, params.masks_folder, progress)
     answers = {name: [item.best_mask for item in prompted if item.view.name == name] for name in by_name}
@@ -145,7 +144,7 @@ def affinity_of(
     largest_m = 2 * float(np.linalg.norm(centers.std(axis=0)))
     sized = []
     for view in scan.views:
-        item = sized_masks(gaussians, view.camera, scan.found[view.name], params.training.width)
+        item = measure_masks(gaussians, view.camera, scan.found[view.name], params.training.width)
         kept = item.sizes_m <= largest_m
         sized.append(SizedMasks(camera=item.camera, masks=item.masks[kept], sizes_m=item.sizes_m[kept]))
     return train_affinity(gaussians, sized, progress, params.training)
@@ -168,14 +167,14 @@ def query_parts(
     return answers
 
 
-def affinity_votes(answers: Mapping[int, QueryAnswer], params: AffinityPartsParams) -> Array:
+def affinity_votes(answers: Mapping[int, QueryAnswer]) -> Array:
     """Votes (N, 3) for background, static part and moving part; each row sums to 1.
 
     A prompt of the static part shows the whole object, the moving part lies on it.
     """
     shares = {}
     for value, answer in answers.items():
-        margin = (answer.similarities.astype(np.float64) - answer.threshold) / params.softness
+        margin = (answer.similarities.astype(np.float64) - answer.threshold) / SOFTNESS
         shares[value] = 1 / (1 + np.exp(-np.clip(margin, -50, 50)))
     moving = shares[MOVING]
     static = shares[STATIC] * (1 - moving)
@@ -209,13 +208,13 @@ def affinity_evidence(
         gaussians: The scene, world frame.
         scan: Its masks.
         prompted: Answers to the prompts.
-        progress: Told now and then.
+        progress: Called now and then.
         params: Effort.
 
     Raises:
         ReconstructionError: There are no masks, or the prompts show nothing.
     """
     affinity = affinity_of(gaussians, scan, part(progress, 0.0, 0.95), params)
-    votes = affinity_votes(query_parts(gaussians, affinity, prompted, params), params)
+    votes = affinity_votes(query_parts(gaussians, affinity, prompted, params))
     progress(1.0, "parts queried")
     return PartEvidence(log_likelihoods=np.log(np.maximum(votes, LEAST_VOTE)), method="saga")

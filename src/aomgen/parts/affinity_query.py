@@ -18,7 +18,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.errors import BackendError, ReconstructionError
-from aomgen.parts.affinity import SOLID_ALPHA, Affinity, sized_masks, unit
+from aomgen.parts.affinity import SOLID_ALPHA, Affinity, measure_masks, unit
 from aomgen.splatting.rasterizer import contribution_weights, render
 
 STAGE = "affinity"
@@ -81,7 +81,7 @@ def answer_query(
     """
     looks = []
     for query in queries:
-        sized = sized_masks(gaussians, query.camera, (query.mask & ~query.ignored)[None], width)
+        sized = measure_masks(gaussians, query.camera, (query.mask & ~query.ignored)[None], width)
         if len(sized.masks):
             looks.append((sized, query))
     if not looks:

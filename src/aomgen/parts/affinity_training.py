@@ -28,6 +28,14 @@ from aomgen.splatting.differentiable import GaussianTensors, Rasterizer, RasterO
 from aomgen.splatting.rasterizers import make_rasterizer
 
 STAGE = "affinity"
+# Gaussians, itself included, whose mean feature each one is rendered with: local smoothing against noise.
+NEIGHBORS = 8
+# Masks within this factor (a power of two) below the sampled size separate.
+OCTAVES = 0.5
+# Weight of pairs that no mask separates and only a larger mask joins: far below that of certain pairs.
+WEAK_WEIGHT = 0.05
+# Weight of the regularization that makes all Gaussians on a ray agree.
+NORM_WEIGHT = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,11 +47,7 @@ class AffinityParams:
         iterations: Steps; one view each.
         pixels: Pixels sampled a step.
         width: Width of the drawn features, [px].
-        neighbors: Gaussians, itself included, whose mean feature each one is drawn with.
-        octaves: Masks within this factor (a power of two) below the sampled size separate.
         rate: Learning rate of the features; gates learn ten times slower.
-        weak_weight: Of pairs that no mask separates and only a larger mask joins.
-        norm_weight: Of the pull that makes all Gaussians on a ray agree.
         seed: Of first features and samples.
         device: "cpu" or "cuda".
     """
@@ -52,11 +56,7 @@ class AffinityParams:
     iterations: int = 300
     pixels: int = 600
     width: int = 200
-    neighbors: int = 8
-    octaves: float = 0.5
     rate: float = 0.02
-    weak_weight: float = 0.05
-    norm_weight: float = 0.2
     seed: int = 0
     device: str = "cpu"
 
@@ -69,7 +69,7 @@ def train_affinity(
     Args:
         gaussians: N Gaussians, world frame.
         views: Masks; one without any is left out.
-        progress: Told now and then.
+        progress: Called now and then.
         params: Effort and weights.
 
     Raises:
@@ -84,7 +84,7 @@ def train_affinity(
         )
     rng = np.random.default_rng(params.seed)
     draw = make_rasterizer(params.device)
-    scene = _frozen(gaussians, params.device)
+    scene = _freeze(gaussians, params.device)
     mean = _neighbor_mean(gaussians, params)
     values = rng.normal(0, 1 / np.sqrt(params.channels), (len(gaussians), params.channels))
     features = torch.tensor(values, dtype=torch.float32, device=params.device, requires_grad=True)
@@ -102,8 +102,8 @@ def train_affinity(
         size = float(rng.choice(view.sizes_m))
         gate = torch.sigmoid(slopes * float(relative_sizes(np.array([size]), sizes)[0]) + offsets)
         pixels = _sample_pixels(view, size, params, rng)
-        seen = _drawn(draw, scene, view, mean(features))[pixels]
-        loss = _pair_loss(seen, gate, view, pixels, size, params)
+        seen = _render_features(draw, scene, view, mean(features))[pixels]
+        loss = _pair_loss(seen, gate, view, pixels, size)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
@@ -121,7 +121,7 @@ def train_affinity(
     )
 
 
-def _frozen(gaussians: Gaussians, device: str) -> GaussianTensors:
+def _freeze(gaussians: Gaussians, device: str) -> GaussianTensors:
     g = gaussians.with_sh_degree(0)
     opacities = np.clip(g.opacities, 1e-6, 1 - 1e-6)
     arrays = (g.means, g.quats, np.log(g.scales), np.log(opacities / (1 - opacities)), g.sh)
@@ -129,7 +129,7 @@ def _frozen(gaussians: Gaussians, device: str) -> GaussianTensors:
     return GaussianTensors(means=means, quats=quats, log_scales=log_scales, logit_opacities=logits, sh=sh)
 
 
-def _drawn(draw: Rasterizer, scene: GaussianTensors, view: SizedMasks, features: Tensor) -> Tensor:
+def _render_features(draw: Rasterizer, scene: GaussianTensors, view: SizedMasks, features: Tensor) -> Tensor:
     """Features (H * W, D) of a view, relative to what hides the background."""
     with_features = GaussianTensors(
         means=scene.means,
@@ -151,7 +151,7 @@ def _sample_pixels(
     """Indices of masked pixels; half of them evenly over the masks of about the size, so that small things count."""
     flat = view.masks.reshape(len(view.masks), -1)
     masked = np.flatnonzero(flat.any(0))
-    near = np.flatnonzero(_about(view.sizes_m, size_m, params.octaves))
+    near = np.flatnonzero(_about(view.sizes_m, size_m, OCTAVES))
     if not len(near):
         near = np.arange(len(flat))
     share = max(1, params.pixels // (2 * len(near)))
@@ -168,7 +168,7 @@ def _about(sizes_m: np.ndarray, size_m: float, octaves: float) -> np.ndarray:
 def pair_evidence(
     masks: np.ndarray, sizes_m: np.ndarray, size_m: float, octaves: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the masks of a view say about pairs of its pixels at a size.
+    """Which pairs of pixels the masks of a view join or separate at a size.
 
     Args:
         masks: (M, P), whether each pixel lies in each mask.
@@ -195,21 +195,19 @@ def pair_evidence(
     return together, apart, same & (around >= 0) & ~together & ~apart
 
 
-def _pair_loss(
-    seen: Tensor, gate: Tensor, view: SizedMasks, pixels: np.ndarray, size_m: float, params: AffinityParams
-) -> Tensor:
+def _pair_loss(seen: Tensor, gate: Tensor, view: SizedMasks, pixels: np.ndarray, size_m: float) -> Tensor:
     flat = view.masks.reshape(len(view.masks), -1)[:, pixels]
-    evidence = pair_evidence(flat, view.sizes_m, size_m, params.octaves)
+    evidence = pair_evidence(flat, view.sizes_m, size_m, OCTAVES)
     together, apart, perhaps = (torch.from_numpy(item).to(seen.device) for item in evidence)
     gated = torch.nn.functional.normalize(seen * gate, dim=1, eps=1e-6)
     cosines = gated @ gated.T
-    loss = params.norm_weight * (1 - seen.norm(dim=1)).clamp_min(0).mean()
+    loss = NORM_WEIGHT * (1 - seen.norm(dim=1)).clamp_min(0).mean()
     if together.any():
         loss = loss + (1 - cosines)[together].mean()
     if apart.any():
         loss = loss + cosines.clamp_min(0)[apart].mean()
     if perhaps.any():
-        loss = loss + params.weak_weight * (1 - cosines)[perhaps].mean()
+        loss = loss + WEAK_WEIGHT * (1 - cosines)[perhaps].mean()
     return loss
 
 
@@ -242,7 +240,7 @@ def _neighbor_mean(gaussians: Gaussians, params: AffinityParams) -> _NeighborMea
     from scipy.sparse import csr_matrix
 
     count = len(gaussians)
-    k = min(params.neighbors, count)
+    k = min(NEIGHBORS, count)
     _, nearest = cKDTree(gaussians.means).query(gaussians.means, k=k)
     nearest = np.asarray(nearest).reshape(count, k)
     rows = np.arange(0, k * count + 1, k)

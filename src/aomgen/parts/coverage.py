@@ -1,4 +1,4 @@
-"""Where a scan looked: how many views saw each place, and from how different directions.
+"""Coverage of a scan: how many views see each place, and from how different directions.
 
 A place is anything with a position: a Gaussian, a point on the side of a box. A view sees it when
 it lies inside the image, faces the camera, and the surface drawn there is not in front of it.
@@ -20,7 +20,7 @@ MIN_COSINE = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """How N places were looked at.
+    """Coverage of N places.
 
     Attributes:
         views: Number of views that see each, (N,).
@@ -42,7 +42,7 @@ class Coverage:
 
 
 def coverage_of(points: Array, views: list[ViewDepth], normals: Array | None = None) -> Coverage:
-    """How points (N, 3) were looked at.
+    """Compute the coverage of points (N, 3).
 
     Args:
         points: In the frame of the views' cameras.

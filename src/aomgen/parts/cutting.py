@@ -2,7 +2,7 @@
 
 Gaussians on a plain front are large and lie across the seam around a drawer or a door. With one label they
 would drag a strip of the body along when the part moves. Each half is the moment match of the Gaussian
-truncated at the face: its mean and covariance, its weight kept, so that pictures of the scan stay.
+truncated at the face: its mean and covariance, its weight kept, so that images of the scan stay.
 """
 
 from dataclasses import dataclass

@@ -20,7 +20,7 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ReconstructionError, WrongPromptError
-from aomgen.parts.affinity_parts import AffinityPartsParams, affinity_evidence, masked_scan
+from aomgen.parts.affinity_parts import AffinityPartsParams, affinity_evidence, find_all_masks
 from aomgen.parts.cutting import Cut, cut_at_faces, no_cut
 from aomgen.parts.likelihood import (
     LABELS,
@@ -30,7 +30,7 @@ from aomgen.parts.likelihood import (
     prompted_evidence,
     surface_views,
 )
-from aomgen.parts.prompted_images import PromptedImage, PromptFit, ask_prompts
+from aomgen.parts.prompted_images import PromptedImage, PromptFit, segment_prompts
 from aomgen.parts.robot_labels import robot_bodies
 from aomgen.parts.scan_views import ScanView, spread
 from aomgen.parts.smoothing import smooth_posterior
@@ -120,7 +120,7 @@ class Parts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptedScan:
-    """Everything about a scan's parts that is asked once, whatever the demonstration shows later.
+    """Segmentation of a scan that does not depend on the demonstration.
 
     Attributes:
         gaussians: World frame, cut.
@@ -143,7 +143,7 @@ class PromptedScan:
     seed: int
 
 
-def prompted_scan(
+def segment_scan(
     gaussians: Gaussians,
     views: list[ScanView],
     prompts: tuple[Prompt, ...],
@@ -152,7 +152,7 @@ def prompted_scan(
     progress: Progress,
     params: PartsParams | None = None,
 ) -> PromptedScan:
-    """Find the robot and ask the prompts.
+    """Segment the robot and the prompted parts in the scan images.
 
     Args:
         gaussians: The scan, world frame.
@@ -160,7 +160,7 @@ def prompted_scan(
         prompts: Of the capture; boxes of "moving" and "static" are used.
         segmenter: Turns boxes into masks.
         posture: Robot as scanned.
-        progress: Told about each step.
+        progress: Called at each step.
         params: See `PartsParams`.
 
     Raises:
@@ -173,11 +173,13 @@ def prompted_scan(
     else:
         bodies, share = robot_bodies(gaussians, views, posture, np.random.default_rng(params.seed))
     progress(0.3, "robot labelled")
-    prompted = ask_prompts(views, prompts, segmenter)
+    prompted = segment_prompts(views, prompts, segmenter)
     progress(0.7, "prompts answered")
     given, surfaces = None, []
     if params.method == "saga":
-        scan = masked_scan(gaussians, views, prompted, segmenter, part(progress, 0.7, 0.85), params.affinity)
+        scan = find_all_masks(
+            gaussians, views, prompted, segmenter, part(progress, 0.7, 0.85), params.affinity
+        )
         given = affinity_evidence(gaussians, scan, prompted, part(progress, 0.85, 1.0), params.affinity)
     else:
         surfaces = surface_views(gaussians, spread(views, DRAWN_VIEWS))
@@ -194,10 +196,10 @@ def prompted_scan(
 
 
 def part_evidence(scan: PromptedScan, motion_log_odds: Array | None = None) -> PartEvidence:
-    """What prompts, masks and the demonstration say of all Gaussians.
+    """Log-likelihoods of all Gaussians from prompts, masks and the demonstration.
 
     Args:
-        scan: See `prompted_scan`.
+        scan: See `segment_scan`.
         motion_log_odds: Natural logarithm of how much more likely the demonstration is if a Gaussian (N,)
             moves than if it stands still; None before the demonstration was looked at.
     """

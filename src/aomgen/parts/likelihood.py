@@ -1,4 +1,4 @@
-"""What prompts, masks and fitted boxes say of every Gaussian, as log-likelihoods of its labels."""
+"""Log-likelihoods of the labels of every Gaussian, from prompts, masks and fitted boxes."""
 
 from dataclasses import dataclass, replace
 from typing import Final, Self
@@ -40,7 +40,7 @@ BACKGROUND_ODDS = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartEvidence:
-    """What is known of N Gaussians.
+    """Evidence for the labels of N Gaussians.
 
     Attributes:
         log_likelihoods: (N, 3), of background, static and moving part.

@@ -26,6 +26,7 @@ STAGE = "parts"
 COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
 # Steps of the search, as shares of the panel's diagonal: coarse ones on fewer pixels.
 COARSE_STEPS = (0.2, 0.1, 0.05, 0.025)
+# Fine steps on all pixels, same share: down to a few millimetres on a door.
 FINE_STEPS = (0.025, 0.012, 0.006, 0.003)
 # So many of the best coarse answers are refined.
 REFINED = 2
@@ -44,7 +45,8 @@ SIZE_PRICE = 0.03
 # Of panel outside the body's footprint, per diagonal: most objects are scanned closed, and a side that no
 # prompt shows is where the panel ends. Doors that stand open gain more than this by their masks.
 UNCOVERED_PRICE = 0.15
-# Of a body that is not square to its panel, per radian, and at most: closed and ajar ones are, open doors stand
+# Of a body that is not square to its panel, per radian, and at most: closed and ajar ones are, open doors
+# stand
 # at any angle.
 YAW_PRICE, MAX_YAW_PRICE = 0.5, 0.1
 # First seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
@@ -64,10 +66,10 @@ SEAM, REACH, BODY_LOW, BODY_HIGH, YAW, NUMBERS = 4, 5, slice(6, 9), slice(9, 12)
 
 
 class Term(Protocol):
-    """Some evidence about the boxes."""
+    """One loss term of the boxes."""
 
     def loss(self, panel: Panel) -> float:
-        """How badly boxes explain it, 0 at best."""
+        """Loss of the boxes, 0 at best."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""What the prompted images show: surface points, and the segmenter's answers to each box."""
+"""Prompted images with their surface points and the masks of each box."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -13,7 +13,7 @@ from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import BackendError, ReconstructionError
 from aomgen.parts.panel_views import PromptedView, box_misfit, iou, share_inside
-from aomgen.parts.scan_views import ScanView, drawn_parts
+from aomgen.parts.scan_views import ScanView, render_parts
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import MasksOnDisk
 from aomgen.splatting.rasterizer import render
@@ -23,7 +23,8 @@ STAGE = "parts"
 SURFACE_ALPHA = 0.5
 # Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
 MAX_MISFIT = 0.1
-# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as far
+# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as
+# far
 # as this share of it is inside the box.
 GRID, MIN_INSIDE = 6, 0.95
 
@@ -62,7 +63,7 @@ class PromptedImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFit:
-    """How labels, drawn into the prompted images, fit what was asked there.
+    """Agreement of labels, rendered into the prompted images, with the prompts.
 
     Attributes:
         misfit: `box_misfit`, mean over the prompts.
@@ -78,7 +79,7 @@ class PromptFit:
         misfits: list[float] = []
         overlaps: dict[int, list[float]] = {STATIC: [], MOVING: []}
         for item in prompted:
-            drawn = drawn_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
+            drawn = render_parts(gaussians, labels, item.view.camera)[item.part] & ~item.view.robot
             misfits.append(box_misfit(drawn, item.box))
             overlaps[item.part].append(max((iou(drawn, mask) for mask in item.masks), default=0.0))
         return cls(
@@ -87,10 +88,10 @@ class PromptFit:
         )
 
 
-def ask_prompts(
+def segment_prompts(
     views: list[ScanView], prompts: tuple[Prompt, ...], segmenter: Segmenter
 ) -> list[PromptedImage]:
-    """Ask the segmenter about every box of the object's parts, with and without its points.
+    """Segment every box of the object's parts, with and without its points.
 
     A point may pull a mask to a detail (a label, a window), its absence to a neighbor.
 

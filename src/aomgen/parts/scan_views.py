@@ -34,7 +34,7 @@ def lift(gaussians: Gaussians, view: ScanView, masks: list[Mask]) -> NDArray[np.
     return contribution_weights(gaussians, view.camera, np.stack(masks).astype(np.float32))
 
 
-def drawn_parts(gaussians: Gaussians, labels: NDArray[np.uint8], camera: Camera) -> dict[int, Mask]:
+def render_parts(gaussians: Gaussians, labels: NDArray[np.uint8], camera: Camera) -> dict[int, Mask]:
     """Masks of static and moving part as their Gaussians paint them, occlusion included."""
     features = np.stack([labels == STATIC, labels == MOVING], 1).astype(np.float32)
     shares = render(gaussians, camera, features=features).features

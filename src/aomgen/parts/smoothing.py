@@ -12,12 +12,14 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.values import Array
 
+# Neighbours of a Gaussian in the graph: those around it on a surface.
 NEIGHBORS = 10
 # Coupling of two touching neighbors of one color, log odds; and the share of it that is left across an edge
 # in color.
 COUPLING, ACROSS_EDGE = 0.6, 0.2
 # Distance over which points are one surface, [m]; and over which colors are one, of 0..1.
 REACH_M, COLOR_SD = 0.01, 0.08
+# Mean-field iterations: labels can spread over as many neighbourhoods.
 ITERATIONS = 30
 
 
@@ -30,9 +32,9 @@ def smooth_posterior(points: ArrayLike, colors: ArrayLike, log_likelihoods: Arra
         log_likelihoods: (N, L), of all evidence about a point alone.
     """
     coupling = _coupling(np.asarray(points, np.float64), np.asarray(colors, np.float64))
-    posterior = _normalized(log_likelihoods)
+    posterior = _normalize(log_likelihoods)
     for _ in range(ITERATIONS):
-        posterior = _normalized(log_likelihoods + coupling @ posterior)
+        posterior = _normalize(log_likelihoods + coupling @ posterior)
     return posterior
 
 
@@ -50,6 +52,6 @@ def _coupling(points: Array, colors: Array) -> csr_matrix:
     return csr_matrix((one_way + one_way.T) / 2)
 
 
-def _normalized(log_weights: Array) -> Array:
+def _normalize(log_weights: Array) -> Array:
     weights = np.exp(log_weights - log_weights.max(1, keepdims=True))
     return np.asarray(weights / weights.sum(1, keepdims=True), np.float64)

@@ -1,4 +1,4 @@
-"""Which sides of object, robot and table the scan looked at, in numbers and in words.
+"""Coverage of the sides of object, robot and table by the scan, in numbers and in words.
 
 Sides are named as the robot sees them: the near side of the object faces the robot's base, left is
 the robot's left when it looks at the object.
@@ -39,7 +39,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """How all sides were looked at.
+    """Coverage of all sides.
 
     Attributes:
         names: Of the sides.
@@ -94,7 +94,7 @@ def survey(
     views: list[ViewDepth],
     rng: np.random.Generator,
 ) -> Survey:
-    """Look up how the sides of object, robot and table were seen.
+    """Measure the coverage of the sides of object, robot and table.
 
     Args:
         gaussians_world: The scene, [m].

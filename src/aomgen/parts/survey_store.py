@@ -19,6 +19,7 @@ from aomgen.robots.configuration import RobotPosture
 from aomgen.splatting.surfaces import view_depths
 
 COVERAGE_FILE = "coverage.npz"
+# Of the samples of the survey, fixed so that a run can be repeated.
 SEED = 0
 
 

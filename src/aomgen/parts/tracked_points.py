@@ -1,4 +1,4 @@
-"""Points of which the demonstration shows whether they move: what the gripper held, what the video tracked."""
+"""Points known to move or to stand still: from the grasp and from tracks in the video."""
 
 from dataclasses import dataclass
 

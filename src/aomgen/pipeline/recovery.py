@@ -34,7 +34,7 @@ from aomgen.motion.stage import load_motion, run_motion
 from aomgen.paper.motion_estimate import run_paper_motion
 from aomgen.paper.true_part_masks import part_masks
 from aomgen.parts.affinity_parts import AffinityPartsParams
-from aomgen.parts.label import Parts, PartsParams, prompted_scan
+from aomgen.parts.label import Parts, PartsParams, segment_scan
 from aomgen.parts.stage import MASKS_FOLDER, load_parts, save_parts, scan_views
 from aomgen.parts.survey_store import run_survey
 from aomgen.pipeline.estimates import REFUSED_MOTION, estimates_of
@@ -131,7 +131,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     images = {path.name: path for path in capture.scan_images}
     views = scan_views(scene, S_world_recon, images, posture)
     progress(0.1, "robot drawn into the scan")
-    scan = prompted_scan(
+    scan = segment_scan(
         world,
         views,
         capture.prompts,

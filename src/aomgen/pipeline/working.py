@@ -9,7 +9,7 @@ from aomgen.core.recording import Capture
 from aomgen.pipeline.stage import Run
 from aomgen.structure.stage import load_structure
 from aomgen.structure.undistortion import IMAGES_FOLDER, MASKS_FOLDER, undistort_prompts
-from aomgen.structure.video_frames import extracted_frames
+from aomgen.structure.video_frames import find_extracted_frames
 
 
 def capture_of(run: Run) -> Capture:
@@ -59,7 +59,7 @@ def working_capture(capture: Capture, structure: Path) -> Capture:
     found = load_structure(structure)
     images = capture.scan_images
     if capture.scan_video is not None:
-        images = tuple(extracted_frames(structure).values())
+        images = tuple(find_extracted_frames(structure).values())
     cameras = tuple(replace(camera, lens=found.demo_lenses.get(camera.name)) for camera in capture.cameras)
     if found.scan_lens is None:
         return replace(capture, cameras=cameras, scan_images=images)

@@ -18,28 +18,18 @@ from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_bytes
-from aomgen.segmentation.interface import Mask, PointMasks, PreparedImage
+from aomgen.segmentation.interface import Mask, PointMasks
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AutomaticMasksParams:
-    """Effort and limits.
-
-    Attributes:
-        side: Points along either side of the image.
-        min_quality: Least IoU that the segmenter expects of its answer.
-        min_stability: Least IoU between tighter and looser cut.
-        min_share: Least share of the image that a mask covers: below it a mask is a speck.
-        max_share: Largest share: above it a mask is the image.
-        max_overlap: IoU above which two masks are the same thing.
-    """
-
-    side: int = 8
-    min_quality: float = 0.8
-    min_stability: float = 0.8
-    min_share: float = 0.0005
-    max_share: float = 0.9
-    max_overlap: float = 0.8
+# Least IoU that the segmenter expects of its answer; the default of SAM 2's mask generator.
+MIN_QUALITY = 0.8
+# Least IoU between tighter and looser cut of a mask: the same limit.
+MIN_STABILITY = 0.8
+# Least share of the image that a mask covers: below it a mask is a speck.
+MIN_SHARE = 0.0005
+# Largest share: above it a mask is the image.
+MAX_SHARE = 0.9
+# IoU above which two masks are the same thing.
+MAX_OVERLAP = 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,40 +59,22 @@ def grid_points(shape: tuple[int, ...], side: int, skip: Mask | None = None) -> 
     return points[~skip[rows, columns]]
 
 
-def automatic_masks(
-    image: PreparedImage,
-    shape: tuple[int, ...],
-    params: AutomaticMasksParams,
-    known: Mask | None = None,
-) -> ViewMasks:
-    """Masks of everything a segmenter finds in an image (H, W).
-
-    Args:
-        image: An image the segmenter has prepared.
-        shape: Its height and width.
-        params: Effort and limits.
-        known: Pixels that need no answer and belong to no mask, the drawn robot's for example.
-    """
-    answers = image.at_points(grid_points(shape, params.side, known))
-    return best_masks(answers, params, known)
-
-
-def best_masks(answers: PointMasks, params: AutomaticMasksParams, known: Mask | None = None) -> ViewMasks:
+def best_masks(answers: PointMasks, known: Mask | None = None) -> ViewMasks:
     """The good ones among many answers, best first, none of them twice."""
     masks = answers.masks if known is None else answers.masks & ~known
     if not len(masks):
         return ViewMasks(masks=masks, scores=answers.quality)
     shares = masks.mean((1, 2))
     scores = answers.quality * answers.stability
-    good = (answers.quality >= params.min_quality) & (answers.stability >= params.min_stability)
-    good &= (shares >= params.min_share) & (shares <= params.max_share)
+    good = (answers.quality >= MIN_QUALITY) & (answers.stability >= MIN_STABILITY)
+    good &= (shares >= MIN_SHARE) & (shares <= MAX_SHARE)
     # Every fourth row and column tells overlaps well enough, and sixteen times faster.
     small = masks[:, 1::4, 1::4].reshape(len(masks), -1).astype(np.float32)
     shared, areas = small @ small.T, small.sum(1)
     overlaps = shared / np.maximum(areas[:, None] + areas - shared, 1)
     kept: list[int] = []
     for index in np.argsort(-scores, kind="stable"):
-        if good[index] and np.all(overlaps[index, kept] <= params.max_overlap):
+        if good[index] and np.all(overlaps[index, kept] <= MAX_OVERLAP):
             kept.append(int(index))
     return ViewMasks(masks=masks[kept], scores=scores[kept])
 
@@ -120,14 +92,14 @@ def masks_of_views(
         find: Finds the masks of one view.
         folder: Holds one file a view; None keeps nothing. It must belong to these views, this
             segmenter and these parameters: nothing here compares them.
-        progress: Told about each view.
+        progress: Called about each view.
 
     Raises:
         MalformedFileError: A stored file is damaged.
     """
     found = {}
     for index, name in enumerate(names):
-        stored = stored_masks(folder, name)
+        stored = load_stored_masks(folder, name)
         found[name] = find(name) if stored is None else stored
         if folder is not None and stored is None:
             save_masks(_file_of(folder, name), found[name])
@@ -136,7 +108,7 @@ def masks_of_views(
     return found
 
 
-def stored_masks(folder: Path | None, name: str) -> ViewMasks | None:
+def load_stored_masks(folder: Path | None, name: str) -> ViewMasks | None:
     """Masks of a view that an earlier run left in the folder, or None.
 
     Raises:

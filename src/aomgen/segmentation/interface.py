@@ -64,7 +64,7 @@ class PointMasks:
 def masks_of_logits(
     logits: Sequence[NDArray[np.floating]], quality: ArrayLike, shape: tuple[int, ...]
 ) -> PointMasks:
-    """Point masks of full size from small score images that cover the whole picture."""
+    """Point masks of full size from small score images that cover the whole image."""
     if not len(logits):
         return given_masks([], shape)
     size = (shape[1], shape[0])

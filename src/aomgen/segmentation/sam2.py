@@ -43,7 +43,7 @@ def transformers_module(name: str) -> ModuleType:
 
 
 def load_pretrained(module: str, model: str, files: Sam2Files, device: str) -> Any:
-    """A network with its weights, ready to be asked.
+    """A network with its weights.
 
     Args:
         module: Of `transformers.models`.

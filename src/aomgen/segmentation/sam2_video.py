@@ -52,7 +52,7 @@ def carry_prompts(
         names: Images in the order in which the camera saw them.
         image_of: Reads an image (H, W, 3), sRGB.
         prompts: Boxes or points of "static" (the object) and "moving"; other parts are not followed.
-        progress: Told about each image.
+        progress: Called about each image.
 
     Yields:
         Each name once, with its labels (H, W), see `conventions.PART_LABELS`.

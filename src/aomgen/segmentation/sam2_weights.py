@@ -38,7 +38,7 @@ class Sam2Files:
     weights: Path
 
 
-def installed_names(folder: Path | None = None) -> tuple[str, ...]:
+def list_installed(folder: Path | None = None) -> tuple[str, ...]:
     """Names of the sets of weights that are installed, sorted."""
     root = (folder or weights_folder()) / FOLDER
     return tuple(sorted(path.parent.name for path in root.glob(f"*/{NOTE}")))
@@ -54,7 +54,7 @@ def find_sam2(name: str, folder: Path | None = None) -> Sam2Files:
     Raises:
         BackendError: They are missing, or not the installed ones any more.
     """
-    known = installed_names(folder)
+    known = list_installed(folder)
     if name not in known:
         raise BackendError(
             name,

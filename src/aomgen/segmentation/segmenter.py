@@ -25,6 +25,7 @@ from aomgen.segmentation.interface import (
 )
 from aomgen.segmentation.weights import find_weights
 
+# Input side of the network, [px]; fixed by its weights.
 _SIDE: Final = 1024
 _MEAN: Final = np.array([123.675, 116.28, 103.53], np.float32)
 _SPREAD: Final = np.array([58.395, 57.12, 57.375], np.float32)

@@ -22,6 +22,7 @@ SHA256: Final = {
     "sam.onnx": "800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
 }
 COMMAND: Final = "python -m aomgen.segmentation.weights"
+# Limit on a file before it is read, [bytes]: above any of the listed weights.
 MAX_BYTES: Final = 64 << 20
 
 

@@ -1,4 +1,4 @@
-"""Finding groups of images that registered wrongly as a whole, and images that show nothing new.
+"""Detection of groups of images that are misregistered as a whole, and images that show nothing new.
 
 A group at a wrong place agrees with itself, so that no image of it stands out alone. Between such
 a group and the rest there is evidence against it: verified matches that contradict the poses, and
@@ -23,6 +23,7 @@ from aomgen.structure.misregistration import (
 # Two images this near are seen by a feature from the same side (SIFT holds to about 30 degrees):
 # distance of their centres as a share of the depth, and angle between their viewing directions.
 NEAR_SHARE = 0.2
+# SIFT descriptors match reliably within this angle, [deg].
 NEAR_ANGLE_DEG = 15.0
 # Candidate splits: leading eigenvectors of the evidence.
 SPLITS = 6
@@ -46,7 +47,7 @@ class Views:
 
 
 def wrong_groups(views: Views, pairs: list[Pair]) -> list[set[str]]:
-    """Groups of images that the rest contradicts more than it supports; the larger side is believed.
+    """Groups of images that the rest contradicts more than it supports; the larger side is kept.
 
     Args:
         views: Registered images.

@@ -17,12 +17,13 @@ from aomgen.structure.resection import (
     choose_view_lens,
     resect,
 )
-from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.sparse_model import SparseModel
 
 STILLS = ("first", "median")
 # Two placements of one camera are the same place below these; a wrong place is far beyond. Where
 # both are right they differ by 0.01 to 0.1 degrees and 0.1 % of the depth.
 SAME_ANGLE_DEG = 2.0
+# The same for the distance, as share of the depth.
 SAME_DISTANCE_SHARE = 0.03
 # Of two places the better one is believed with this many times the matches of the other.
 CLEAR_MAJORITY = 2.0
@@ -32,7 +33,7 @@ MIN_SPREAD = 0.15
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoView:
-    """What a fixed camera shows: its first frame and the temporal median of its video.
+    """Images of a fixed camera: its first frame and the temporal median of its video.
 
     Attributes:
         first_srgb: (H, W, 3) uint8, robot as in the scan.
@@ -50,7 +51,7 @@ class FixedCamera:
     """A placed camera.
 
     Attributes:
-        camera_recon: Optics of its straightened frames, and pose.
+        camera_recon: Optics of its undistorted frames, and pose.
         lens: Its optics as photographed.
         figures: What was found and which still is used (JSON values).
     """
@@ -61,7 +62,7 @@ class FixedCamera:
 
 
 def place_fixed_camera(
-    work: Workspace, mapped: Mapped, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
+    work: Workspace, mapped: SparseModel, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
 ) -> FixedCamera:
     """Find a fixed camera and its lens.
 
@@ -74,7 +75,7 @@ def place_fixed_camera(
     group = f"demo:{name}"
     stated, lens = view.intrinsics, work.lens(group)
     focal_known = stated is not None
-    found = _placed(work, mapped, group, lens, focal_known=focal_known)
+    found = _to_fixed_camera(work, mapped, group, lens, focal_known=focal_known)
     figures: dict[str, object] = {}
     if found:
         still, best = max(found.items(), key=lambda item: item[1].count)
@@ -85,8 +86,8 @@ def place_fixed_camera(
         figures |= {"lens": choice.model, "lens_gain": choice.gain, "lens_significance": choice.significance}
         lens, focal_known = choice.lens, True
         work.set_lens(group, lens)
-        found = _placed(work, mapped, group, lens, focal_known=True)
-    used, reason = _chosen(name, found)
+        found = _to_fixed_camera(work, mapped, group, lens, focal_known=True)
+    used, reason = _choose(name, found)
     best = found[used[0]]
     if len(used) == 2:
         best = (
@@ -101,15 +102,15 @@ def place_fixed_camera(
     return FixedCamera(camera_recon=camera, lens=lens, figures=figures)
 
 
-def _links(work: Workspace, mapped: Mapped, group: str, stills: tuple[str, ...]) -> Links:
+def _links(work: Workspace, mapped: SparseModel, group: str, stills: tuple[str, ...]) -> Links:
     first, *others = (work.links(group, still, mapped) for still in stills)
     for other in others:
         first = first.with_links(other)
     return first
 
 
-def _placed(
-    work: Workspace, mapped: Mapped, group: str, lens: Lens, *, focal_known: bool
+def _to_fixed_camera(
+    work: Workspace, mapped: SparseModel, group: str, lens: Lens, *, focal_known: bool
 ) -> dict[str, Resection]:
     found = {
         still: resect(work.links(group, still, mapped), lens, focal_known=focal_known, seed=work.seed)
@@ -118,11 +119,11 @@ def _placed(
     return {still: placed for still, placed in found.items() if placed is not None}
 
 
-def _chosen(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], str]:
-    """The stills that are believed, and why.
+def _choose(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], str]:
+    """Choose the stills to use, with the reason.
 
     Raises:
-        ReconstructionError: None can be believed.
+        ReconstructionError: None can be used.
     """
     where = f"demo camera {name!r}"
     remedy = "scan from nearby this camera, so that its view is covered"

@@ -14,6 +14,7 @@ import pycolmap
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
 from aomgen.core.values import Array
+from aomgen.errors import ReconstructionError
 from aomgen.structure.sparse_model import (
     LensModel,
     adjust,
@@ -26,17 +27,24 @@ from aomgen.structure.sparse_model import (
 # the share of the squared error it removes. Where the simpler model is right they stay below 1 and 0.1 %;
 # a lens that bends the border by two pixels, or a focal length 2 % off, gives 4 to 6 and 2 %.
 MIN_SIGNIFICANCE = 3.0
+# Least relative gain: well below the 2 % that a real distortion gives.
 MIN_GAIN = 0.005
 # Errors above this many medians are outliers and count no more than this.
 OUTLIER_MEDIANS = 2.0
 # What focal lengths from two halves of a scan repeat to at best, as a share: blur and compression
 # move the features of both halves alike.
 MIN_FOCAL_SD = 0.002
+# Cells across and down the image.
+CELLS = np.array([8, 6])
+# Features a cell for a stable median.
+MIN_FEATURES = 30
+# The right model leaves 0.01 to 0.02 px, a pinhole where the border is bent by 5 px leaves 0.07 px.
+MAX_MISFIT_PX = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensChoice:
-    """What held-out tracks say about the lens.
+    """The lens model chosen on held-out tracks.
 
     Attributes:
         lens: Fitted to all tracks under the chosen model.
@@ -140,7 +148,7 @@ def _convincing(gain: float, significance: float) -> bool:
 def compare(before: list[Array], after: list[Array]) -> tuple[float, float]:
     """Share of the squared error removed, and its significance, from squared errors by group.
 
-    Groups (images, or folds of one image) are the independent witnesses; errors within one share
+    Groups (images, or folds of one image) are the independent samples; errors within one share
     a pose. Outliers are cut at the same value in both.
     """
     limit = OUTLIER_MEDIANS**2 * float(np.median(np.concatenate(before)))
@@ -197,3 +205,35 @@ def _copy_cameras(source: pycolmap.Reconstruction, target: pycolmap.Reconstructi
     for image_id in source.reg_image_ids():
         frame_id = target.images[image_id].frame_id
         target.frames[frame_id].rig_from_world = source.frames[frame_id].rig_from_world
+
+
+def lens_misfit_px(model: pycolmap.Reconstruction) -> float:
+    """Root mean square, over cells of the image, of the median shift of features from their points, [px]."""
+    found = residuals(model)
+    pixels, shifts = (np.concatenate(part) for part in zip(*found, strict=True))
+    camera = next(iter(model.cameras.values()))
+    cells = np.clip((pixels / [camera.width, camera.height] * CELLS).astype(int), 0, CELLS - 1) @ [
+        CELLS[1],
+        1,
+    ]
+    medians = [
+        np.median(shifts[cells == cell], axis=0)
+        for cell in range(CELLS.prod())
+        if np.sum(cells == cell) >= MIN_FEATURES
+    ]
+    return float(np.sqrt(np.mean(np.sum(np.square(medians), axis=1)))) if medians else 0.0
+
+
+def require_lens_fits(misfit_px: float, where: str) -> None:
+    """Refuse images whose lens no model describes.
+
+    Raises:
+        ReconstructionError: With the shift that is left.
+    """
+    if not misfit_px <= MAX_MISFIT_PX:
+        raise ReconstructionError(
+            where,
+            f"is bent in a way that no lens model explains: features lie {misfit_px:.2f} px aside at the same "
+            f"places of all images, limit {MAX_MISFIT_PX:.2f} px",
+            "record with the main lens, without fisheye, zoom, stabilisation or cropping",
+        )

@@ -15,7 +15,7 @@ from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.structure.misregistration import Pair
 from aomgen.structure.resection import Links
-from aomgen.structure.sparse_model import Mapped, adjust, lens_of, mapped_of, set_camera
+from aomgen.structure.sparse_model import SparseModel, adjust, lens_of, read_model, set_camera
 
 # Twice the error that verified matches may have: a lens that bends the border by more costs some.
 MAX_SHIFT_PX = 8.0
@@ -141,7 +141,7 @@ class Workspace:
         """Map a set without some of its images from now on."""
         self._files[group] = {name: file for name, file in self._files[group].items() if name not in names}
 
-    def map(self, group: str) -> Mapped | None:
+    def map(self, group: str) -> SparseModel | None:
         """Incremental mapping of one set; the largest model, or None."""
         models = pycolmap.incremental_mapping(
             self.database, self.folder / "images", self.folder / "models", self._mapper_options(group)
@@ -151,8 +151,8 @@ class Workspace:
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
         return self.mapped(group)
 
-    def map_globally(self, group: str) -> Mapped | None:
-        """Global mapping of one set: all rotations at once, then all places; the model, or None.
+    def map_globally(self, group: str) -> SparseModel | None:
+        """Global mapping of one set: all rotations at once, then all positions; the model, or None.
 
         Source: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024.
         """
@@ -169,7 +169,7 @@ class Workspace:
 
     @property
     def model(self) -> pycolmap.Reconstruction:
-        """The model as it is now.
+        """The current model.
 
         Raises:
             ReconstructionError: Nothing was mapped yet.
@@ -178,7 +178,7 @@ class Workspace:
             raise ReconstructionError("scan", "nothing was mapped yet", "map before using the model")
         return self._model
 
-    def remap(self, mapped: Mapped, bad: set[str]) -> Mapped:
+    def remap(self, mapped: SparseModel, bad: set[str]) -> SparseModel:
         """The model without some images: points triangulated again, poses adjusted again."""
         model = self.model
         keep = [self._files["scan"][name] for name in mapped.Ts_recon_cam if name not in bad]
@@ -192,7 +192,7 @@ class Workspace:
         return self.mapped("scan")
 
     def pairs(self, group: str, lens: Lens) -> list[Pair]:
-        """Every pair of a set that was tried, with its verified matches, as straight pixels."""
+        """Every pair of a set that was tried, with its verified matches, in undistorted pixels."""
         names = {file: name for name, file in self._files[group].items()}
         tried = [line.split() for line in self._listing.read_text("utf-8").splitlines()]
         result = []
@@ -215,7 +215,7 @@ class Workspace:
                 )
         return result
 
-    def links(self, group: str, still: str, mapped: Mapped) -> Links:
+    def links(self, group: str, still: str, mapped: SparseModel) -> Links:
         """Pixels of a still, as photographed, and the scan's points they were matched to."""
         file = self._files[group][still]
         features, points = [], []
@@ -278,9 +278,9 @@ class Workspace:
     def _listing(self) -> Path:
         return self.folder / "pairs.txt"
 
-    def mapped(self, group: str) -> Mapped:
+    def mapped(self, group: str) -> SparseModel:
         """The model as values."""
-        return mapped_of(self.model, {file: name for name, file in self._files[group].items()})
+        return read_model(self.model, {file: name for name, file in self._files[group].items()})
 
 
 def _pixels(database: pycolmap.Database, image_id: int) -> Array:

@@ -1,4 +1,4 @@
-"""Finding images that registered at a wrong place.
+"""Detection of images that registered at a wrong pose.
 
 A mapper accepts an image when enough of its matches agree with each other; with the same print on
 several cartons a wrong place can gather enough. Two-view geometry is evidence the mapper did not
@@ -16,8 +16,11 @@ from aomgen.core.values import Array
 # Repeated prints and plain texture give false pairs of up to about this many "verified" matches
 # (measured: 15 to 33 where true neighbours have 40 to 500); only what is above counts as evidence.
 FALSE_MATCHES = 35
+# Matches from which a pair is a test at all: COLMAP verifies a pair from 15 inliers on.
 MIN_MATCHES = 15
+# Epipolar error of a match that agrees, [px]: the default error of COLMAP's two-view geometry.
 MAX_ERROR_PX = 4.0
+# Share of its matches that must agree with an image: the majority.
 MIN_SHARE = 0.5
 
 
@@ -78,9 +81,9 @@ def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array)
 
 
 def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
-    """Judge every registered image by the verified matches it has with the accepted ones.
+    """Check every registered image by the verified matches it has with the accepted ones.
 
-    The worst image is dropped first and the rest judged again without it, so that a wrong image
+    The worst image is dropped first and the rest checked again without it, so that a wrong image
     does not drag its neighbours down.
 
     Args:

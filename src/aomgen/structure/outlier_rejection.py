@@ -1,4 +1,4 @@
-"""Which images of a model are believed: groups first, then every image by itself."""
+"""Rejection of misregistered images: groups first, then every image by itself."""
 
 from dataclasses import dataclass
 
@@ -8,39 +8,39 @@ from aomgen.core.transforms import apply, invert
 from aomgen.structure.clusters import Views, wrong_groups
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.misregistration import check_registration
-from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.sparse_model import SparseModel
 
 
 @dataclass(frozen=True, kw_only=True)
 class InlierModel:
-    """A model without the images that contradict it.
+    """A model and the images that were rejected from it.
 
     Attributes:
         mapped: The model.
-        dropped: Images taken out of it, with the reason.
-        worst_agreement: Smallest share of an image's matches that fit its pose, of those kept.
+        dropped: Rejected images, with the reason.
+        worst_agreement: Smallest share of matches that fit the pose, over the inlier images.
     """
 
-    mapped: Mapped
+    mapped: SparseModel
     dropped: dict[str, str]
     worst_agreement: float
 
     @property
     def count(self) -> int:
-        """Images that are believed."""
+        """Number of inlier images."""
         return len(set(self.mapped.Ts_recon_cam) - set(self.dropped))
 
 
 def is_better(new: InlierModel, old: InlierModel, max_error_px: float) -> bool:
-    """Whether a model is the better one: within the error limit, more images, then less error."""
+    """Compare two models: within the error limit, more images, then less error."""
     first, second = (
         (item.mapped.error_px <= max_error_px, item.count, -item.mapped.error_px) for item in (new, old)
     )
     return first > second
 
 
-def reject_outliers(work: Workspace, mapped: Mapped) -> InlierModel:
-    """Take out of the workspace's model what its matches contradict."""
+def reject_outliers(work: Workspace, mapped: SparseModel) -> InlierModel:
+    """Remove the images that the matches contradict from a model and map the rest again."""
     pairs = work.pairs("scan", mapped.lens)
     views = Views(Ts_recon_cam=mapped.Ts_recon_cam, depths=_depths(mapped), K=mapped.K)
     dropped: dict[str, str] = {}
@@ -60,7 +60,7 @@ def reject_outliers(work: Workspace, mapped: Mapped) -> InlierModel:
     return InlierModel(mapped=mapped, dropped=dropped, worst_agreement=min(shares, default=0.0))
 
 
-def _depths(mapped: Mapped) -> dict[str, float]:
+def _depths(mapped: SparseModel) -> dict[str, float]:
     depths = {}
     for name, T_recon_cam in mapped.Ts_recon_cam.items():
         points = np.unique(mapped.point_of_feature[name])

@@ -1,4 +1,4 @@
-"""Did the scan look at what matters? Views of the places that a person prompted."""
+"""Visibility of the prompted places: how many scan images see them, and from how many sides."""
 
 from dataclasses import dataclass
 
@@ -15,18 +15,19 @@ NEAREST_POINTS = 5
 # Below this a surface's depth is a guess: three views, and the angle between the outermost ones at
 # which a pixel of error is six pixels' worth of depth (1 / sin).
 MIN_VIEWS = 3
+# See above, [deg]: 1 / sin(10 deg) is about 6.
 MIN_ANGLE_DEG = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptVisibility:
-    """One prompt, as the model sees it.
+    """Visibility of one prompt.
 
     Attributes:
         part: robot, moving or static.
         image: The prompted image.
         registered: Whether that image is in the model.
-        views: Registered images that have the place in their picture.
+        views: Registered images that have the place in their image.
         angle_deg: Largest angle between their directions to it.
     """
 
@@ -43,15 +44,15 @@ def measure_prompt_visibility(
     points_recon: Array,
     observations: NDArray[np.int32],
 ) -> list[PromptVisibility]:
-    """How often, and from how many sides, each prompted place was seen.
+    """Count the views of each prompted place and measure the angle between them.
 
     Args:
-        prompts: Pixels of the images that `cameras_recon` belong to (straight ones).
+        prompts: Pixels of the images that `cameras_recon` belong to (undistorted).
         cameras_recon: Registered images, in name order.
         points_recon: (P, 3).
         observations: (M, 2), rows of (point, index of image).
 
-    Not checked: what hides the place from a view.
+    Not checked: occlusion.
     """
     names = list(cameras_recon)
     found = []
@@ -75,11 +76,11 @@ def measure_prompt_visibility(
 
 
 def require_coverage(found: list[PromptVisibility]) -> None:
-    """Refuse when a prompted part was not looked at.
+    """Refuse a scan that does not cover a prompted part.
 
     Raises:
         ReconstructionError: All images a part was prompted on are missing from the model, or too
-            few views from too few sides have the place.
+            few views from too few sides see it.
     """
     for part in sorted({item.part for item in found}):
         own = [item for item in found if item.part == part]

@@ -2,7 +2,7 @@
 
 Source: AOMGen, sec. 4.1; the mapper is COLMAP's (Schoenberger & Frahm, 2016). What is ours: the
 choice of pairs, the decision about lens distortion (`lens_choice`), the search for misregistered
-images (`vetting`), the choice between two mappers, the fixed cameras (`fixed_cameras`), the gates.
+images (`outlier_rejection`), the choice between two mappers, the fixed cameras (`fixed_cameras`), the gates.
 """
 
 import tempfile
@@ -20,24 +20,23 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.structure.clusters import duplicates
 from aomgen.structure.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
-from aomgen.structure.lens_choice import choose_lens, fit_lens
-from aomgen.structure.lens_misfit import lens_misfit_px, require_lens_fits
+from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import ImageSet, Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better, reject_outliers
 from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage
-from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.sparse_model import SparseModel
 from aomgen.structure.undistortion import undistort_prompts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Photographs:
-    """What structure is recovered from.
+    """Input images and prompts of the structure.
 
     Attributes:
         images: Scan images by file name; all of one size and one camera.
         intrinsics: Stated intrinsics, a prior, or None.
         demo: Fixed cameras by name.
-        prompts: What a person clicked, in pixels of the images as they are.
+        prompts: In pixels of the images as recorded.
     """
 
     images: dict[str, Path]
@@ -46,29 +45,33 @@ class Photographs:
     prompts: tuple[Prompt, ...] = ()
 
 
+# SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
+PEAK_THRESHOLD = 0.0035
+# With more images than this only neighbours and a coarse grid are matched, to bound the time (pairs grow
+# with the square).
+EXHAUSTIVE_LIMIT = 90
+# Least number of different images of a scan.
+MIN_IMAGES = 8
+# Least share of the different scan images that must be registered: with less, sides of the scene are missing.
+MIN_REGISTERED = 0.8
+# When fewer than this share are registered, a second mapper is tried as well.
+RETRY_BELOW = 0.95
+# Largest mean reprojection error of a valid reconstruction, [px]; SIFT locates features to about half a
+# pixel.
+MAX_ERROR_PX = 1.5
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StructureParams:
     """Limits and effort.
 
     Attributes:
         max_features: SIFT features kept an image.
-        peak_threshold: SIFT contrast threshold; half of COLMAP's default, for plain surfaces.
-        exhaustive_limit: With more images than this only neighbours and a coarse grid are matched.
-        min_images: Different images without which there is no scan.
-        min_registered: Share of the different scan images that must survive.
-        retry_below: When fewer than this share survive, a second mapper tries as well.
-        max_error_px: Mean reprojection error that still counts as a reconstruction.
         seed: Of every random choice.
         threads: -1 = all cores.
     """
 
     max_features: int = 8192
-    peak_threshold: float = 0.0035
-    exhaustive_limit: int = 90
-    min_images: int = 8
-    min_registered: float = 0.8
-    retry_below: float = 0.95
-    max_error_px: float = 1.5
     seed: int = 0
     threads: int = -1
 
@@ -91,17 +94,17 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
     Not checked: rolling shutter; a lens that changes between the images (zoom, focus).
     """
     names = sorted(photographs.images)
-    _require_images(len(names), 0, params)
+    _require_images(len(names), 0)
     with tempfile.TemporaryDirectory(prefix="aomgen-structure-") as folder:
         work = Workspace(folder=Path(folder), seed=params.seed, threads=params.threads)
         _extract(work, photographs, params, progress)
         progress(0.25, "matching features")
-        work.match(params.exhaustive_limit)
+        work.match(EXHAUSTIVE_LIMIT)
         prompted = {prompt.image for prompt in photographs.prompts}
         same = duplicates(work.pairs("scan", work.lens("scan")), prompted)
-        _require_images(len(names), len(same), params)
+        _require_images(len(names), len(same))
         work.leave_out("scan", set(same))
-        inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), params, progress)
+        inliers, figures = _solve(work, photographs.intrinsics, len(names) - len(same), progress)
         progress(0.99, "placing the fixed cameras")
         placed = {
             name: place_fixed_camera(work, inliers.mapped, name, view, photographs.intrinsics)
@@ -109,15 +112,15 @@ def reconstruct_structure(photographs: Photographs, params: StructureParams, pro
         }
     dropped = inliers.dropped | {name: f"shows the same as {other}" for name, other in same.items()}
     structure = _structure(names, replace(inliers, dropped=dropped), placed, figures)
-    return _covered(structure, photographs.prompts)
+    return _check_coverage(structure, photographs.prompts)
 
 
-def _require_images(count: int, repeated: int, params: StructureParams) -> None:
-    if not count - repeated >= params.min_images:
+def _require_images(count: int, repeated: int) -> None:
+    if not count - repeated >= MIN_IMAGES:
         again = f", {repeated} of them twice" if repeated else ""
         raise ReconstructionError(
             "scan",
-            f"has {count} images{again}, at least {params.min_images} are needed",
+            f"has {count} images{again}, at least {MIN_IMAGES} are needed",
             "record more images from more places",
         )
 
@@ -131,11 +134,11 @@ def _extract(work: Workspace, photographs: Photographs, params: StructureParams,
         sets.append(ImageSet(group=f"demo:{name}", images=stills, intrinsics=view.intrinsics))
     for index, item in enumerate(sets):
         progress(0.2 * index / len(sets), "finding features")
-        work.extract(item, params.max_features, params.peak_threshold)
+        work.extract(item, params.max_features, PEAK_THRESHOLD)
 
 
 def _solve(
-    work: Workspace, intrinsics: Intrinsics | None, count: int, params: StructureParams, progress: Progress
+    work: Workspace, intrinsics: Intrinsics | None, count: int, progress: Progress
 ) -> tuple[InlierModel, Figures]:
     """The better of incremental and global mapping; the second only when the first leaves images out.
 
@@ -149,7 +152,7 @@ def _solve(
         if mapped is not None:
             progress(0.97, "checking every image")
             attempts[mapper] = reject_outliers(work, mapped), lens_figures
-            if attempts[mapper][0].count >= params.retry_below * count:
+            if attempts[mapper][0].count >= RETRY_BELOW * count:
                 break
         progress(0.97, "mapping in another way")
     if not attempts:
@@ -159,10 +162,10 @@ def _solve(
     names = list(attempts)
     best = names[0]
     for other in names[1:]:
-        if is_better(attempts[other][0], attempts[best][0], params.max_error_px):
+        if is_better(attempts[other][0], attempts[best][0], MAX_ERROR_PX):
             best = other
     inliers, lens_figures = attempts[best]
-    _gate(count, inliers, params)
+    _gate(count, inliers)
     tried = {
         name: {"registered": item.count, "reprojection_error_px": item.mapped.error_px}
         for name, (item, _) in attempts.items()
@@ -171,8 +174,8 @@ def _solve(
 
 
 def _map(
-    work: Workspace, run: Callable[[str], Mapped | None], intrinsics: Intrinsics | None
-) -> tuple[Mapped | None, Figures]:
+    work: Workspace, run: Callable[[str], SparseModel | None], intrinsics: Intrinsics | None
+) -> tuple[SparseModel | None, Figures]:
     """Map the scan with its stated lens, then adjust it with the one that the matches call for."""
     mapped = run("scan")
     if mapped is None:
@@ -188,20 +191,20 @@ def _map(
     return work.mapped("scan"), {**asdict(choice), **asdict(lens), "misfit_px": misfit_px}
 
 
-def _gate(count: int, inliers: InlierModel, params: StructureParams) -> None:
+def _gate(count: int, inliers: InlierModel) -> None:
     share = inliers.count / count
-    if not share >= params.min_registered:
+    if not share >= MIN_REGISTERED:
         raise ReconstructionError(
             "scan",
             f"{inliers.count} of {count} images could be registered "
             f"({len(inliers.dropped)} contradicted their neighbours), "
-            f"at least {params.min_registered:.0%} are needed",
+            f"at least {MIN_REGISTERED:.0%} are needed",
             "record with more overlap, more texture and fewer repeated prints",
         )
-    if not inliers.mapped.error_px <= params.max_error_px:
+    if not inliers.mapped.error_px <= MAX_ERROR_PX:
         raise ReconstructionError(
             "scan",
-            f"reprojection error is {inliers.mapped.error_px:.2f} px, limit {params.max_error_px:.2f} px",
+            f"reprojection error is {inliers.mapped.error_px:.2f} px, limit {MAX_ERROR_PX:.2f} px",
             "check the intrinsics, lens distortion and motion blur",
         )
 
@@ -254,11 +257,11 @@ def _structure(
     )
 
 
-def _covered(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
-    """The structure with the coverage of every prompt in its figures.
+def _check_coverage(structure: Structure, prompts: tuple[Prompt, ...]) -> Structure:
+    """Add the visibility of every prompt to the metrics of the structure.
 
     Raises:
-        ReconstructionError: A prompted part was not looked at.
+        ReconstructionError: A prompted part is not covered.
     """
     if structure.scan_lens is not None:
         prompts = undistort_prompts(prompts, structure.scan_lens)

@@ -20,9 +20,13 @@ from aomgen.structure.lens_choice import (
 )
 from aomgen.structure.sparse_model import LensModel, free_lens, lens_of, set_camera
 
+# Matches that must agree on a camera: twice what COLMAP asks of a pair, as one view carries it alone.
 MIN_INLIERS = 30
+# Reprojection error of an inlier, [px]: leaves room for a lens that is not yet estimated.
 MAX_ERROR_PX = 6.0
+# Folds of the jackknife over matches.
 FOLDS = 5
+# Alternations of inlier selection and lens estimation.
 LENS_ROUNDS = 3
 
 
@@ -46,7 +50,7 @@ class Resection:
     """A placed camera.
 
     Attributes:
-        camera_recon: Optics of the straightened image, and pose.
+        camera_recon: Optics of the undistorted image, and pose.
         inliers: Which matches (M,) fit.
         depth: Median depth of these, recon units.
         spread: Extent of these in the image: the smaller of width and height between the 5th and
@@ -149,7 +153,9 @@ def choose_view_lens(
     plain = _pinhole(start) if stated is None or stated.distortion is None else stated_lens(stated, start)
     inliers = placed.inliers
     for _ in range(LENS_ROUNDS):
-        inliers = _squared(links, *_refined(links, inliers, plain, start, "full")) <= MAX_ERROR_PX**2
+        inliers = (
+            _squared_errors(links, *_refine_camera(links, inliers, plain, start, "full")) <= MAX_ERROR_PX**2
+        )
     rows = np.random.default_rng(seed).permutation(np.flatnonzero(inliers))
     folds = [np.isin(np.arange(len(inliers)), rows[k::FOLDS]) for k in range(FOLDS)]
     fits: dict[LensModel, list[tuple[Lens, Array]]] = {}
@@ -157,11 +163,11 @@ def choose_view_lens(
     def held_out_errors(kind: LensModel) -> list[Array]:
         lens = scan_lens if kind == "scan" and scan_lens is not None else plain
         if kind not in fits:
-            fits[kind] = [_refined(links, inliers & ~fold, lens, start, kind) for fold in folds]
+            fits[kind] = [_refine_camera(links, inliers & ~fold, lens, start, kind) for fold in folds]
         return [
             error[None]
             for fold, fit in zip(folds, fits[kind], strict=True)
-            for error in _squared(links, *fit)[fold]
+            for error in _squared_errors(links, *fit)[fold]
         ]
 
     chosen, gain, significance = climb(held_out_errors, stated)
@@ -169,11 +175,11 @@ def choose_view_lens(
         gain, significance = compare(held_out_errors("scan"), held_out_errors(chosen))
         if significance < MIN_SIGNIFICANCE:
             return LensChoice(lens=scan_lens, model="scan", gain=gain, significance=significance)
-    lens, _ = _refined(links, inliers, plain, start, chosen)
+    lens, _ = _refine_camera(links, inliers, plain, start, chosen)
     if stated is not None and chosen != "stated":
         focals = np.log([fit.fx for fit, _ in fits[chosen]])
         lens = lean_on_stated(lens, stated, float(np.sqrt((FOLDS - 1) * focals.var())))
-        lens, _ = _refined(links, inliers, lens, start, chosen, focal=False)
+        lens, _ = _refine_camera(links, inliers, lens, start, chosen, focal=False)
     return LensChoice(lens=lens, model=chosen, gain=gain, significance=significance)
 
 
@@ -189,7 +195,7 @@ def _pinhole(camera: Camera) -> Lens:
     return Lens(**optics, width=camera.width, height=camera.height)
 
 
-def _refined(
+def _refine_camera(
     links: Links, use: NDArray[np.bool_], lens: Lens, start: Camera, kind: LensModel, *, focal: bool = True
 ) -> tuple[Lens, Array]:
     """Lens and pose (4, 4) fitted to some matches; the focal length can be held."""
@@ -211,7 +217,7 @@ def _refined(
     return lens_of(camera), _T_recon_cam(found["cam_from_world"])
 
 
-def _squared(links: Links, lens: Lens, T_recon_cam: Array) -> Array:
+def _squared_errors(links: Links, lens: Lens, T_recon_cam: Array) -> Array:
     points_cam = (links.points_recon - T_recon_cam[:3, 3]) @ T_recon_cam[:3, :3]
     depths = np.where(np.abs(points_cam[:, 2:]) < 1e-9, 1e-9, points_cam[:, 2:])
     errors = ((lens.pixels(points_cam[:, :2] / depths) - links.pixels) ** 2).sum(1)

@@ -1,4 +1,4 @@
-"""A mapper's model as plain values, in straight (undistorted) pixels."""
+"""A mapper's model as plain values, in undistorted pixels."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,16 +17,17 @@ LensModel = Literal["stated", "scan", "focal", "radial", "full"]
 
 # Beyond the usual error of a SIFT feature matches fade: mismatches, shadows and smeared images err far.
 FEATURE_SD_PX = 0.5
+# Iterations of bundle adjustment at most: it starts from a mapped model, near the optimum.
 MAX_ITERATIONS = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mapped:
-    """A model as the mapper left it.
+class SparseModel:
+    """Camera poses and points of a mapped scan.
 
     Attributes:
         Ts_recon_cam: Pose (4, 4) by image name.
-        lens: The scan camera's optics; its straightened images have `K`.
+        lens: The scan camera's optics; its undistorted images have `K`.
         points_recon: (P, 3).
         colors_srgb: (P, 3) uint8.
         observations: (point index, image name).
@@ -44,12 +45,12 @@ class Mapped:
 
     @property
     def K(self) -> Array:
-        """Intrinsics (3, 3) of the straightened scan images, [px]."""
+        """Intrinsics (3, 3) of the undistorted scan images, [px]."""
         straight = self.lens.straight()
         return np.array([[straight.fx, 0, straight.cx], [0, straight.fy, straight.cy], [0, 0, 1.0]])
 
 
-def mapped_of(model: pycolmap.Reconstruction, names: dict[str, str]) -> Mapped:
+def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseModel:
     """Values of a model of one camera; `names` gives the image name of each file."""
     rows = {point_id: row for row, point_id in enumerate(sorted(model.points3D))}
     points = [model.points3D[point_id] for point_id in sorted(model.points3D)]
@@ -62,7 +63,7 @@ def mapped_of(model: pycolmap.Reconstruction, names: dict[str, str]) -> Mapped:
         point_of = [rows[p.point3D_id] if p.has_point3D() else -1 for p in image.points2D]
         features[name] = np.array(point_of, np.int64)
         observations += [(row, name) for row in sorted({row for row in point_of if row >= 0})]
-    return Mapped(
+    return SparseModel(
         Ts_recon_cam=poses,
         lens=lens_of(next(iter(model.cameras.values()))),
         points_recon=np.array([p.xyz for p in points], np.float64).reshape(-1, 3),

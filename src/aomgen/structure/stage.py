@@ -29,7 +29,7 @@ def run_structure(
 ) -> Structure:
     """Reconstruct (see `reconstruct_structure`) and write `structure.json`, `points.npz`.
 
-    When the scan is distorted, its images and masks are written straightened as well.
+    When the scan is distorted, its images and masks are written undistorted as well.
     """
     structure = reconstruct_structure(photographs, params or StructureParams(), part(progress, 0.0, 0.97))
     save_structure(structure, folder)

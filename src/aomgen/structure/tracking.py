@@ -1,4 +1,4 @@
-"""Following points from picture to picture: how far a camera's view has moved."""
+"""Tracking of points from image to image: how far the view of a camera has moved."""
 
 from dataclasses import dataclass
 
@@ -8,30 +8,35 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from aomgen.core.values import Array
 
+# Pyramid levels: motion of up to four windows between frames is followed.
 LEVELS = 3
+# Lucas-Kanade steps a level; converged steps end earlier, see `CONVERGED_PX`.
 ITERATIONS = 6
+# Half side of the tracked window, [px]: 11 x 11, a usual size for corners.
 HALF_WINDOW = 5
+# Cells across and down the image, so that points cover the view.
 GRID = (12, 9)
 # A patch is still the first one while their correlation is at least this.
 MIN_CORRELATION = 0.75
 # Texture that can be followed: smaller eigenvalue of the mean squared gradient, [grey^2 / px^2].
 MIN_TEXTURE = 4.0
+# Step that ends the iteration, [px]: far below the motion that decides anything.
 CONVERGED_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pyramid:
-    """A grey picture at full, half and quarter size, float32 (H, W) each."""
+    """A grey image at full, half and quarter size, float32 (H, W) each."""
 
     levels: tuple[NDArray[np.float32], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracks:
-    """Points of a picture and where they are in a later one.
+    """Points of an image and where they are in a later one.
 
     Attributes:
-        start: (N, 2) pixel x, y in the first picture.
+        start: (N, 2) pixel x, y in the first image.
         now: (N, 2) in the present one.
         alive: (N,) which are still followed.
     """
@@ -54,7 +59,7 @@ class Tracks:
 
 
 def pyramid(gray: NDArray[np.uint8]) -> Pyramid:
-    """A picture (H, W) and its halves."""
+    """An image (H, W) and its halves."""
     levels = [gray.astype(np.float32)]
     for _ in range(LEVELS - 1):
         above = levels[-1]
@@ -87,12 +92,12 @@ def new_tracks(picture: Pyramid) -> Tracks:
 
 
 def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> Tracks:
-    """Where the points are one picture later.
+    """Where the points are one image later.
 
     Args:
         tracks: Points as they were in `before`.
-        first: The picture in which they started; what they look like now is compared with it.
-        before, after: Two pictures in a row.
+        first: The image in which they started; what they look like now is compared with it.
+        before, after: Two images in a row.
 
     Source: Lucas & Kanade (1981) on a pyramid, Bouguet (2001); gain and offset of a patch are
     free in the comparison, so that exposure may change.
@@ -102,14 +107,16 @@ def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> T
         scale = 0.5**level
         a, b = before.levels[level], after.levels[level]
         patches, gx, gy = _patch_gradients(a, tracks.now * scale)
-        shift = _shifted(patches, (gx, gy), b, tracks.now * scale, 2 * shift if level < LEVELS - 1 else shift)
+        shift = _track_level(
+            patches, (gx, gy), b, tracks.now * scale, 2 * shift if level < LEVELS - 1 else shift
+        )
     now = tracks.now + shift
     inside = ((now >= HALF_WINDOW) & (now <= np.array(after.levels[0].shape[::-1]) - 1 - HALF_WINDOW)).all(1)
     looks = _correlation(first.levels[0], tracks.start, after.levels[0], now)
     return Tracks(start=tracks.start, now=now, alive=tracks.alive & inside & (looks >= MIN_CORRELATION))
 
 
-def _shifted(
+def _track_level(
     patches: Array, gradients: tuple[Array, Array], image: NDArray[np.float32], points: Array, shift: Array
 ) -> Array:
     gx, gy = gradients

@@ -1,4 +1,4 @@
-"""Images, masks and prompts of a distorted scan, straightened."""
+"""Undistortion of the images, masks and prompts of a scan."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,14 +17,16 @@ MASKS_FOLDER = "straight_masks"
 # The second compression of a photograph has to stay invisible.
 JPEG_QUALITY = 98
 
+# Points along each side of a box that are undistorted: its curved outline deviates by less than a pixel
+# between them.
 EDGE_SAMPLES = 16
 
 
 def undistort_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, ...]:
-    """The prompts in the straightened images' pixels.
+    """Transform prompts to the pixels of the undistorted images.
 
-    A box becomes the box around its straightened outline, cut at the image's border; a point that
-    the straightened image no longer shows is left out, and so is a prompt of which nothing is left.
+    A box becomes the box around its undistorted outline, cut at the image's border; a point that
+    the undistorted image no longer shows is left out, and so is a prompt of which nothing is left.
     """
     undistorted = (_undistort(prompt, lens) for prompt in prompts)
     return tuple(prompt for prompt in undistorted if len(prompt.points) or len(prompt.box))
@@ -33,7 +35,7 @@ def undistort_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, 
 def write_undistorted(
     images: dict[str, Path], mask_folders: dict[str, Path], lens: Lens, folder: Path, progress: Progress
 ) -> None:
-    """Write straightened copies of scan images and their masks below `folder`, names kept.
+    """Write undistorted copies of scan images and their masks below `folder`, names kept.
 
     Raises:
         InputError: An image or mask cannot be read.

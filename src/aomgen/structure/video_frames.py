@@ -1,4 +1,4 @@
-"""Stills out of a scan video: sharp ones, each with something new to see, none twice.
+"""Selection of frames from a scan video: sharp ones, each with new content.
 
 A frame is wanted when the view has moved on by `step` since the last wanted one, measured on
 points that are followed from frame to frame, so that standing still (and trembling while doing
@@ -25,6 +25,18 @@ from aomgen.structure.tracking import Pyramid, follow, new_tracks, pyramid
 
 FRAMES_FOLDER = "frames"
 LISTING = "frames.json"
+# The sharpest frame of each such span is a candidate, [s]: short against the motion of a hand-held camera.
+CANDIDATE_S = 0.1
+# Width at which sharpness is measured, [px]; motion is measured at half of it.
+SHARPNESS_WIDTH = 640
+# Share of tracked points below which the view counts as new: half of the view has gone.
+MIN_KEPT = 0.5
+# Largest motion between chosen frames, as share of the width: four fifths of the view stay for matching.
+MAX_STEP = 0.2
+# A frame less sharp than this share of the median around it is blurred; texture alone varies less.
+MIN_SHARPNESS = 0.6
+# Time to either side over which that median is taken, [s]: the view is nearly the same.
+AROUND_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,28 +44,16 @@ class FrameParams:
     """How frames are chosen.
 
     Attributes:
-        candidate_s: The sharpest frame of each such span is looked at, [s].
-        sharpness_width: Width at which sharpness is measured, [px]; motion at half of it.
         step: Motion between wanted frames, as a share of the image's width: a fifth of the motion
             at which half of the view has gone.
-        min_kept: Share of followed points below which the view counts as new.
         target: As many frames as this are kept of a long walk; more only if their motion would
-            otherwise exceed `max_step`.
-        max_step: Motion between kept frames, as a share of the width.
+            otherwise exceed `MAX_STEP`.
         min_frames: Fewer different views than this are no scan.
-        min_sharpness: A frame less sharp than this share of the median around it is blurred.
-        around_s: What "around" means, [s].
     """
 
-    candidate_s: float = 0.1
-    sharpness_width: int = 640
     step: float = 0.05
-    min_kept: float = 0.5
     target: int = 80
-    max_step: float = 0.2
     min_frames: int = 12
-    min_sharpness: float = 0.6
-    around_s: float = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,8 +95,8 @@ def extract_frames(
     """
     params = params or FrameParams()
     if (folder / LISTING).is_file():
-        return extracted_frames(folder)
-    candidates = list(_candidates(video, params, part(progress, 0.0, 0.5)))
+        return find_extracted_frames(folder)
+    candidates = list(_candidates(video, part(progress, 0.0, 0.5)))
     chosen = choose_frames(candidates, params)
     if not len(chosen) >= params.min_frames:
         raise IncompleteCaptureError(
@@ -116,7 +116,7 @@ def extract_frames(
     return _paths(folder, sorted(wanted))
 
 
-def extracted_frames(folder: Path) -> dict[str, Path]:
+def find_extracted_frames(folder: Path) -> dict[str, Path]:
     """What `extract_frames` wrote into a stage's folder: path by name, in the order of time.
 
     Raises:
@@ -129,20 +129,20 @@ def choose_frames(candidates: list[Candidate], params: FrameParams) -> list[int]
     """Numbers of the frames to keep, ascending; see the top of this file."""
     if not candidates:
         return []
-    places, ways = _moved_on(candidates, params)
-    keep = max(min(params.target, len(places)), int(np.ceil(ways[-1] / params.max_step)) + 1)
+    places, ways = _select_moved(candidates, params)
+    keep = max(min(params.target, len(places)), int(np.ceil(ways[-1] / MAX_STEP)) + 1)
     picks = np.abs(ways - np.linspace(0.0, ways[-1], keep)[:, None]).argmin(1)
     wanted = [places[i] for i in np.unique(picks)]
     sharpness = np.array([item.sharpness for item in candidates])
     times = np.array([item.time_s for item in candidates])
-    usual = np.array([np.median(sharpness[np.abs(times - t) <= params.around_s]) for t in times])
+    usual = np.array([np.median(sharpness[np.abs(times - t) <= AROUND_S]) for t in times])
     kept: list[int] = []
     for place, at in enumerate(wanted):
         # Halfway to the neighbours on both sides, so that two places never choose the same frame.
         low = 0 if place == 0 else (wanted[place - 1] + at) // 2 + 1
         high = len(candidates) - 1 if place == len(wanted) - 1 else (at + wanted[place + 1]) // 2
         best = low + int(np.argmax(_near(sharpness[low : high + 1], at - low)))
-        if sharpness[best] >= params.min_sharpness * usual[best]:
+        if sharpness[best] >= MIN_SHARPNESS * usual[best]:
             kept.append(candidates[best].index)
     return kept
 
@@ -164,7 +164,7 @@ def _near(sharpness: Array, middle: int) -> Array:
     return sharpness * (1 - 0.1 * distance)
 
 
-def _moved_on(candidates: list[Candidate], params: FrameParams) -> tuple[list[int], Array]:
+def _select_moved(candidates: list[Candidate], params: FrameParams) -> tuple[list[int], Array]:
     """Places in `candidates` at which the view has moved on by a step each, and the way up to each.
 
     The way is the sum of the motions, as shares of the width; a view that was lost counts as the
@@ -177,22 +177,22 @@ def _moved_on(candidates: list[Candidate], params: FrameParams) -> tuple[list[in
         now: Pyramid = pyramid(candidate.gray)
         tracks = follow(tracks, key, before, now)
         before = now
-        if tracks.shift_px >= params.step * width or tracks.kept < params.min_kept:
-            lost = tracks.kept < params.min_kept
-            ways.append(ways[-1] + (params.max_step if lost else tracks.shift_px / width))
+        if tracks.shift_px >= params.step * width or tracks.kept < MIN_KEPT:
+            lost = tracks.kept < MIN_KEPT
+            ways.append(ways[-1] + (MAX_STEP if lost else tracks.shift_px / width))
             key, tracks = now, new_tracks(now)
             wanted.append(place)
     return wanted, np.array(ways)
 
 
-def _candidates(video: Path, params: FrameParams, progress: Progress) -> Iterator[Candidate]:
+def _candidates(video: Path, progress: Progress) -> Iterator[Candidate]:
     total = probe_video(video).frames
     best: Candidate | None = None
     for index, (time_s, frame) in enumerate(decoded_frames(video)):
         progress(index / total, "looking for sharp frames")
-        gray = _gray(frame, params.sharpness_width)
-        found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halved(gray))
-        if best is not None and int(time_s / params.candidate_s) != int(best.time_s / params.candidate_s):
+        gray = _gray(frame, SHARPNESS_WIDTH)
+        found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halve(gray))
+        if best is not None and int(time_s / CANDIDATE_S) != int(best.time_s / CANDIDATE_S):
             yield best
             best = found
         elif best is None or found.sharpness > best.sharpness:
@@ -202,7 +202,7 @@ def _candidates(video: Path, params: FrameParams, progress: Progress) -> Iterato
 
 
 def sharpness_of(gray: NDArray[np.uint8]) -> float:
-    """Energy of the second differences of a picture (H, W) of mean brightness 1."""
+    """Energy of the second differences of an image (H, W) of mean brightness 1."""
     image = gray.astype(np.float32)
     second = np.square(np.diff(image, 2, axis=0)).mean() + np.square(np.diff(image, 2, axis=1)).mean()
     return float(second / max(float(image.mean()) ** 2, 1.0))
@@ -215,7 +215,7 @@ def _gray(frame: VideoFrame, width: int) -> NDArray[np.uint8]:
     return np.asarray(small.to_ndarray(), np.uint8)
 
 
-def _halved(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _halve(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return pyramid(gray).levels[1].round().astype(np.uint8)
 
 

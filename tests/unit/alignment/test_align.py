@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from aomgen.alignment.align import Alignment, AlignmentParams, align
-from aomgen.alignment.confidence import ViewEvidence, look
+from aomgen.alignment.confidence import ViewEvidence, collect_evidence
 from aomgen.alignment.contours import AlignmentImage, Contour, edge_shifts, region_shifts, shift_jacobian
 from aomgen.alignment.gravity import up_candidates
 from aomgen.alignment.pose_search import Scan, SearchParams
@@ -15,7 +15,7 @@ from aomgen.alignment.silhouette_fit import robot_drawing
 from aomgen.alignment.stage import load_alignment, save_alignment
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.alignment.uncertainty import joint_offsets
-from aomgen.alignment.wrist_check import best_hand_turn
+from aomgen.alignment.wrist_check import find_wrist_rotation
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts, transform
@@ -110,8 +110,8 @@ def test_a_hand_turned_against_the_log_is_noticed(posture, off_deg):
     joints = JOINTS.copy()
     joints[-1] += np.radians(off_deg)
     with robot_drawing(replace(posture, joints=joints), 320, 240) as drawing:
-        logged = look(S_WORLD_RECON, views, drawing, 400)
-        found = best_hand_turn(S_WORLD_RECON, views, drawing, 400, logged)
+        logged = collect_evidence(S_WORLD_RECON, views, drawing, 400)
+        found = find_wrist_rotation(S_WORLD_RECON, views, drawing, 400, logged)
     assert found.clear == (off_deg != 0)
     assert np.degrees(found.turn_rad) == pytest.approx(-off_deg, abs=1e-6)
 

@@ -1,4 +1,4 @@
-"""Fixed cameras come back from disk as they were settled, and damaged files are named."""
+"""Fixed cameras come back from disk as they were calibrated, and damaged files are named."""
 
 import json
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from aomgen.alignment.bundle_adjustment import drifts
-from aomgen.alignment.bundle_equations import BundleParams
 from aomgen.alignment.calibrated_cameras import (
     CAMERAS_FILE,
     CalibratedCamera,
@@ -14,7 +13,7 @@ from aomgen.alignment.calibrated_cameras import (
     save_calibrated_cameras,
 )
 from aomgen.alignment.scan_information import structure_rows
-from aomgen.alignment.silhouette_fit import moved_similarity
+from aomgen.alignment.silhouette_fit import move_similarity
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.clock import Clock
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
@@ -86,7 +85,7 @@ def test_structure_rows_match_finite_differences() -> None:
         D = transform(R, pivot + step[3:6] - R @ pivot)
         moved = CAMERA.moved(invert(D) @ CAMERA.T_world_cam)
         shifted = structure_rows(
-            moved, camera_recon, points_recon, moved_similarity(S, step[6:], pivot), pivot
+            moved, camera_recon, points_recon, move_similarity(S, step[6:], pivot), pivot
         )[1]
         assert (shifted - r) / 1e-6 == pytest.approx(-J[:, column], rel=1e-3, abs=0.05)
 
@@ -105,4 +104,4 @@ def test_structure_rows_match_finite_differences() -> None:
 )
 def test_a_drift_counts_when_it_matters_and_is_known(rate, rate_sd, seconds, drifting) -> None:
     clock = Clock(offset_s=0.2, sd_s=0.001, rate=rate, rate_sd=rate_sd)
-    assert drifts(clock, seconds, BundleParams()) is drifting
+    assert drifts(clock, seconds) is drifting

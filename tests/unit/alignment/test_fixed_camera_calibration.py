@@ -90,11 +90,13 @@ def placed(camera: Camera, T_error: np.ndarray = MISPLACED) -> Camera:
     return camera_in_world(S_RECON_WORLD, camera.moved(camera.T_world_cam @ T_error))
 
 
-def filmed(camera: Camera, video: Video, T_world_cam: np.ndarray | None = None) -> FixedCameraVideo:
+def camera_video(camera: Camera, video: Video, T_world_cam: np.ndarray | None = None) -> FixedCameraVideo:
     return FixedCameraVideo(video=video, camera_recon=placed(camera), T_world_cam=T_world_cam)
 
 
-def settle(stage: Stage, cameras: dict[str, FixedCameraVideo], **changes: object) -> FixedCameraCalibration:
+def calibrate(
+    stage: Stage, cameras: dict[str, FixedCameraVideo], **changes: object
+) -> FixedCameraCalibration:
     return calibrate_fixed_cameras(stage.scene(**changes), cameras, silent, PARAMS)
 
 
@@ -134,11 +136,11 @@ def stage(robot: RobotModel) -> Stage:
 def test_several_cameras_and_their_clocks_are_found_and_a_blind_one_is_kept(stage: Stage) -> None:
     wall = world_camera([-1.7, -1.0, 0.9], (-3.0, -3.0, 0.9))
     cameras = {
-        "front": filmed(FRONT, stage.film(FRONT, 1.2)),
-        "side": filmed(SIDE, stage.film(SIDE, -0.5, seed=1), SIDE.T_world_cam),
-        "wall": filmed(wall, stage.film(wall, 0.3)),
+        "front": camera_video(FRONT, stage.film(FRONT, 1.2)),
+        "side": camera_video(SIDE, stage.film(SIDE, -0.5, seed=1), SIDE.T_world_cam),
+        "wall": camera_video(wall, stage.film(wall, 0.3)),
     }
-    found = settle(stage, cameras)
+    found = calibrate(stage, cameras)
     for name, true, offset in (("front", FRONT, 1.2), ("side", SIDE, -0.5)):
         camera = found.cameras[name]
         assert camera.require_clock().offset_s == pytest.approx(offset, abs=0.01)
@@ -157,7 +159,7 @@ def test_several_cameras_and_their_clocks_are_found_and_a_blind_one_is_kept(stag
 
 
 def test_a_clock_that_drifts_is_refused_with_the_factor(stage: Stage) -> None:
-    found = settle(stage, {"front": filmed(FRONT, stage.film(FRONT, 0.5, rate=0.02))})
+    found = calibrate(stage, {"front": camera_video(FRONT, stage.film(FRONT, 0.5, rate=0.02))})
     camera = found.cameras["front"]
     assert camera.clock is None
     assert error_px(camera.camera, FRONT) < 0.3
@@ -169,8 +171,8 @@ def test_a_clock_that_drifts_is_refused_with_the_factor(stage: Stage) -> None:
 
 def test_a_known_clock_is_kept_and_a_slightly_wrong_calibration_contradicted(stage: Stage) -> None:
     wrong = FRONT.T_world_cam @ transform(np.eye(3), [0.02, 0.0, 0.01])
-    cameras = {"front": filmed(FRONT, stage.film(FRONT, 0.2), wrong)}
-    found = settle(stage, cameras, clock_offset_s=0.2).cameras["front"]
+    cameras = {"front": camera_video(FRONT, stage.film(FRONT, 0.2), wrong)}
+    found = calibrate(stage, cameras, clock_offset_s=0.2).cameras["front"]
     assert found.require_clock().offset_s == 0.2
     assert error_px(found.camera, FRONT) < 0.3
     assert any("contradicts" in warning for warning in found.warnings("front"))
@@ -181,8 +183,8 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
     rng = np.random.default_rng(2)
     times = np.arange(int(FPS * SECONDS)) / FPS
     wall = (clouds(rng)[None] + rng.normal(0, 3, (len(times), 240, 320, 3))).clip(0, 255).astype(np.uint8)
-    cameras = {"front": filmed(FRONT, Video(times_s=times, frames_srgb=wall, fps=FPS))}
-    found = settle(stage, cameras, clock_offset_s=0.2).cameras["front"]
+    cameras = {"front": camera_video(FRONT, Video(times_s=times, frames_srgb=wall, fps=FPS))}
+    found = calibrate(stage, cameras, clock_offset_s=0.2).cameras["front"]
     assert found.warnings("front")
     # The scan views alone place the similarity.
     assert error_px(found.camera, FRONT.moved(FRONT.T_world_cam @ MISPLACED)) < 0.2
@@ -191,7 +193,10 @@ def test_a_film_without_the_arm_moves_no_camera(stage: Stage) -> None:
 def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> None:
     empty = Video(times_s=np.zeros(1), frames_srgb=np.zeros((1, 240, 320, 3), np.uint8), fps=FPS)
     found = calibrate_fixed_cameras(
-        stage.scene(clock_offset_s=0.2), {"front": filmed(FRONT, empty)}, silent, replace(PARAMS, frames=0)
+        stage.scene(clock_offset_s=0.2),
+        {"front": camera_video(FRONT, empty)},
+        silent,
+        replace(PARAMS, frames=0),
     )
     camera = found.cameras["front"]
     there = camera_in_world(S_WORLD_RECON, placed(FRONT))
@@ -213,25 +218,27 @@ def test_without_frames_cameras_stay_and_a_known_clock_is_kept(stage: Stage) -> 
 def test_a_gross_calibration_is_refused_with_its_mistake(stage: Stage, wrong: np.ndarray, hint: str) -> None:
     empty = Video(times_s=np.zeros(1), frames_srgb=np.zeros((1, 240, 320, 3), np.uint8), fps=FPS)
     with pytest.raises(AlignmentError, match="T_world_cam in capture") as refused:
-        settle(stage, {"front": filmed(FRONT, empty, wrong)})
+        calibrate(stage, {"front": camera_video(FRONT, empty, wrong)})
     assert hint in str(refused.value)
 
 
 def test_joint_zeros_are_found_with_the_moving_arm(stage: Stage) -> None:
     zeros = np.radians([0.0, 0.4, -0.4, 0.3, -0.3, 0.0])
-    found = settle(worse(stage, -zeros), {"front": filmed(FRONT, stage.film(FRONT, 0.4))})
+    found = calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, stage.film(FRONT, 0.4))})
     assert np.degrees(found.zeros_rad[1:5]) == pytest.approx(np.degrees(zeros[1:5]), abs=0.2)
 
 
 def test_joints_as_logged_stay(stage: Stage) -> None:
-    found = settle(stage, {"front": filmed(FRONT, stage.film(FRONT, 0.4))})
+    found = calibrate(stage, {"front": camera_video(FRONT, stage.film(FRONT, 0.4))})
     assert np.abs(np.degrees(found.zeros_rad)).max() < 0.1
 
 
 def test_a_joint_far_off_is_refused_by_name(stage: Stage) -> None:
     zeros = np.radians([0.0, 0.0, 3.5, 0.0, 0.0, 0.0])
     with pytest.raises(AlignmentError, match="elbow_joint"):
-        settle(worse(stage, -zeros), {"front": filmed(FRONT, stage.film(FRONT, 0.4))}, clock_offset_s=0.4)
+        calibrate(
+            worse(stage, -zeros), {"front": camera_video(FRONT, stage.film(FRONT, 0.4))}, clock_offset_s=0.4
+        )
 
 
 def worse(stage: Stage, added_rad: np.ndarray) -> Stage:

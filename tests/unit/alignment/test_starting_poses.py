@@ -7,8 +7,8 @@ import pytest
 
 from aomgen.alignment.color_score import color_score, divergence
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import Found, Scan, SearchParams, different, search
-from aomgen.alignment.starting_poses import RobotBox, places_in_boxes
+from aomgen.alignment.pose_search import PoseCandidates, Scan, SearchParams, search_poses, select_distinct
+from aomgen.alignment.starting_poses import RobotBox, find_starting_poses
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array
@@ -84,7 +84,9 @@ def off_m(Ss_world_recon: Array, posture: RobotPosture) -> Array:
 
 def places(posture: RobotPosture, boxes: list[RobotBox], count: int = 400):
     points = apply(S_RECON_WORLD, np.random.default_rng(1).uniform(-1, 1, (300, 3)))
-    return places_in_boxes(boxes, posture.points_world(), [UP_RECON], points, np.random.default_rng(2), count)
+    return find_starting_poses(
+        boxes, posture.points_world(), [UP_RECON], points, np.random.default_rng(2), count
+    )
 
 
 def test_two_boxes_leave_one_place_for_a_heading(posture):
@@ -154,7 +156,7 @@ def test_the_search_ends_near_the_robot(posture, views, careless):
         boxes = [RobotBox(camera_recon=boxes[0].camera_recon, box_px=boxes[0].box_px + [4, 3, 4, 3])]
     rng = np.random.default_rng(6)
     points = apply(S_RECON_WORLD, rng.uniform(-1, 1, (300, 3)))
-    found = search(
+    found = search_poses(
         Scan(views=views, boxes=boxes, points_recon=points),
         posture,
         rng,
@@ -166,8 +168,8 @@ def test_the_search_ends_near_the_robot(posture, views, careless):
 def test_places_returned_are_far_from_one_another():
     Ss = np.tile(np.eye(4), (4, 1, 1))
     Ss[:, 0, 3] = [0.0, 0.05, 1.0, 2.0]
-    found = Found(Ss_world_recon=Ss, scores=np.array([0.5, 0.6, 0.1, 0.4]))
+    found = PoseCandidates(Ss_world_recon=Ss, scores=np.array([0.5, 0.6, 0.1, 0.4]))
     points = np.random.default_rng(7).normal(0, 1, (50, 3))
-    kept = different(found, points, 0.3, 2)
+    kept = select_distinct(found, points, 0.3, 2)
     assert kept.Ss_world_recon[:, 0, 3] == pytest.approx([0.05, 2.0])
     assert kept.at_least(0.9).scores == pytest.approx([0.6])

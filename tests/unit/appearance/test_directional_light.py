@@ -27,7 +27,7 @@ def lamp_from(x: float, y: float) -> Lamp:
     return Lamp(direction=direction / np.linalg.norm(direction), T_world_plane=PLANE, shade=SHADE)
 
 
-def film_of(scene, lamp, rng, count=12) -> PosedImages:
+def make_images(scene, lamp, rng, count=12) -> PosedImages:
     """The arm sweeps over the table; pictures have noise."""
     rest = scene.twin.scan_state
     states, images = [], []
@@ -43,7 +43,7 @@ def film_of(scene, lamp, rng, count=12) -> PosedImages:
 @pytest.mark.parametrize(("lean", "exposure"), [((0.2, -0.3), (1.0, 1.0)), ((-0.5, 0.1), (0.8, 1.1))])
 def test_a_lamp_is_found_by_the_shadow_it_throws(toy_scene, lean, exposure):
     true = lamp_from(*lean)
-    view = film_of(toy_scene, true, np.random.default_rng(0))
+    view = make_images(toy_scene, true, np.random.default_rng(0))
     # Exposure that drifts does not matter.
     gains = np.linspace(exposure[0], exposure[1], len(view.states))
     images = tuple(
@@ -58,7 +58,7 @@ def test_a_lamp_is_found_by_the_shadow_it_throws(toy_scene, lean, exposure):
 
 def test_without_a_shadow_there_is_no_lamp(toy_scene):
     rng = np.random.default_rng(0)
-    view = film_of(toy_scene, None, rng, count=8)
+    view = make_images(toy_scene, None, rng, count=8)
     assert find_directional_light(toy_scene.twin, toy_scene.robot, view, PLANE) is None
     # Neither when the table changes for another reason.
     patches = [
@@ -70,7 +70,7 @@ def test_without_a_shadow_there_is_no_lamp(toy_scene):
 
 
 def test_a_surface_that_is_not_seen_gives_no_lamp(toy_scene):
-    view = film_of(toy_scene, lamp_from(0.2, -0.3), np.random.default_rng(0))
+    view = make_images(toy_scene, lamp_from(0.2, -0.3), np.random.default_rng(0))
     above = np.eye(4)
     above[2, 3] = 3.0
     assert find_directional_light(toy_scene.twin, toy_scene.robot, view, above) is None
@@ -127,7 +127,7 @@ def test_unshading_undoes_a_shade(toy_scene):
 def test_training_under_a_lamp_does_not_learn_its_shadow(toy_scene):
     lamp = lamp_from(0.2, -0.3)
     twin = replace(toy_scene.twin, lamp=lamp)
-    view = film_of(toy_scene, lamp, np.random.default_rng(0), count=1)
+    view = make_images(toy_scene, lamp, np.random.default_rng(0), count=1)
     state = view.states[0]
     training_views = [view] * 12
     plain = refine_twin(toy_scene.twin, toy_scene.robot, training_views, np.random.default_rng(0))

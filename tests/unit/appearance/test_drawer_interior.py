@@ -81,7 +81,7 @@ def slide() -> Joint:
     )
 
 
-def filmed(twin: Twin, robot: RobotModel) -> PosedImages:
+def make_images(twin: Twin, robot: RobotModel) -> PosedImages:
     thetas = [0.0, 0.0, *np.linspace(0, TRAVEL, 9)]
     states = tuple(replace(twin.scan_state, theta=float(theta)) for theta in thetas)
     images = [np.clip(render_state(twin, robot, state, CAMERA).rgb, 0, 1) for state in states]
@@ -92,7 +92,7 @@ def filmed(twin: Twin, robot: RobotModel) -> PosedImages:
 
 def test_a_hidden_tray_is_found_in_the_film(robot):
     front = box(*FRONT, [0.7, 0.2, 0.2])
-    view = filmed(cabinet(robot, [front, tray()], slide()), robot)
+    view = make_images(cabinet(robot, [front, tray()], slide()), robot)
     scanned = cabinet(robot, [front], slide())
     found = add_drawer_interior(scanned, robot, view)
     count = len(scanned.gaussians)
@@ -114,14 +114,14 @@ def test_a_hidden_tray_is_found_in_the_film(robot):
 def test_a_closed_drawer_looks_as_before(robot):
     front = box(*FRONT, [0.7, 0.2, 0.2])
     scanned = cabinet(robot, [front], slide())
-    found = add_drawer_interior(scanned, robot, filmed(cabinet(robot, [front, tray()], slide()), robot))
+    found = add_drawer_interior(scanned, robot, make_images(cabinet(robot, [front, tray()], slide()), robot))
     one, two = (render_state(twin, robot, scanned.scan_state, CAMERA).rgb for twin in (scanned, found))
     assert np.mean(np.abs(one - two).max(-1) > 0.05) < 0.002
 
 
 def test_a_front_without_a_tray_gets_none(robot):
     scanned = cabinet(robot, [box(*FRONT, [0.7, 0.2, 0.2])], slide())
-    assert add_drawer_interior(scanned, robot, filmed(scanned, robot)) is scanned
+    assert add_drawer_interior(scanned, robot, make_images(scanned, robot)) is scanned
 
 
 def test_doors_get_no_tray(robot):
@@ -129,7 +129,7 @@ def test_doors_get_no_tray(robot):
         type="revolute", axis=np.array([0.0, 0, 1]), origin=np.array([0.5, 0.3, 0.1]), lower=0, upper=TRAVEL
     )
     twin = cabinet(robot, [box(*FRONT, [0.7, 0.2, 0.2])], hinge)
-    assert add_drawer_interior(twin, robot, filmed(twin, robot)) is twin
+    assert add_drawer_interior(twin, robot, make_images(twin, robot)) is twin
 
 
 def sliding(axis: list[float]) -> Joint:
@@ -142,7 +142,9 @@ def test_a_panel_that_slides_along_its_body_gets_no_tray(robot, axis):
     panel = box([0.5, 0.285, 0.06], [0.65, 0.3, 0.24], [0.7, 0.2, 0.2])
     scanned = cabinet(robot, [panel], sliding(axis))
     assert (
-        add_drawer_interior(scanned, robot, filmed(cabinet(robot, [panel, tray()], sliding(axis)), robot))
+        add_drawer_interior(
+            scanned, robot, make_images(cabinet(robot, [panel, tray()], sliding(axis)), robot)
+        )
         is scanned
     )
 
@@ -152,12 +154,12 @@ def test_a_drawer_that_closes_gets_no_tray(robot):
     front = box([0.5, 0.085, 0.06], [0.8, 0.1, 0.24], [0.7, 0.2, 0.2])
     scanned = cabinet(robot, [front], sliding([0.0, 1, 0]))
     with_it = cabinet(robot, [front, tray()], sliding([0.0, 1, 0]))
-    assert add_drawer_interior(scanned, robot, filmed(with_it, robot)) is scanned
+    assert add_drawer_interior(scanned, robot, make_images(with_it, robot)) is scanned
 
 
 def test_a_film_that_never_shows_it_open_gives_no_tray(robot):
     front = box(*FRONT, [0.7, 0.2, 0.2])
-    view = filmed(cabinet(robot, [front, tray()], slide()), robot)
+    view = make_images(cabinet(robot, [front, tray()], slide()), robot)
     scanned = cabinet(robot, [front], slide())
     short = replace(view, images_srgb=view.images_srgb[:2], states=view.states[:2])
     assert add_drawer_interior(scanned, robot, short) is scanned

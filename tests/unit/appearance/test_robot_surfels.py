@@ -129,7 +129,7 @@ def test_a_cable_that_the_model_does_not_have_stays(toy_scene):
     assert all(tuple(row) in kept for row in means[cable].tolist())
 
 
-def film_of(image: np.ndarray, toy_scene) -> PosedImages:
+def make_images(image: np.ndarray, toy_scene) -> PosedImages:
     return PosedImages(
         camera=toy_scene.camera, images_srgb=(image, image), states=(toy_scene.twin.scan_state,) * 2
     )
@@ -140,7 +140,7 @@ def test_exposure_of_a_film_is_taken_back(toy_scene):
     scan = rng.uniform(0.3, 0.7, (24, 32, 3))
     gains = np.array([0.7, 0.8, 1.1])
     darker = np.rint(255 * scan * gains ** (1 / 2.2)).astype(np.uint8)
-    matched = match_exposure(film_of(darker, toy_scene), scan, np.ones((24, 32), bool))
+    matched = match_exposure(make_images(darker, toy_scene), scan, np.ones((24, 32), bool))
     for image in matched.images_srgb:
         assert np.abs(image / 255 - scan).mean() < 0.02
 
@@ -151,11 +151,11 @@ def test_what_does_not_show_the_same_is_not_compared(toy_scene):
     image[:, :20] = 40
     compared = np.zeros((24, 32), bool)
     compared[:, 20:] = True
-    matched = match_exposure(film_of(image, toy_scene), scan, compared)
+    matched = match_exposure(make_images(image, toy_scene), scan, compared)
     assert np.abs(matched.images_srgb[0][:, 20:].astype(int) - 128).max() <= 1
 
 
-def sightings_of_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np.ndarray]:
+def observe_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np.ndarray]:
     """A ball that turns about z under a light, half of it seen in every picture."""
     rng = np.random.default_rng(2)
     normals = rng.normal(size=(400, 3))
@@ -171,7 +171,7 @@ def sightings_of_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np
     disc, picture, color, directions = (np.concatenate(items) for items in zip(*rows, strict=True))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     observations = SurfelObservations(
-        disc=disc, picture=picture, color_srgb=color, pixels=np.full(len(disc), 4.0),
+        disc=disc, image_index=picture, color_srgb=color, pixels=np.full(len(disc), 4.0),
         directions_body=directions, Ts_world_body=Ts,
     )  # fmt: skip
     return observations, normals
@@ -179,7 +179,7 @@ def sightings_of_a_ball(light, albedo, pictures) -> tuple[SurfelObservations, np
 
 def test_light_is_told_from_paint_by_turning(toy_scene):
     albedo = np.array([0.2, 0.3, 0.4])
-    observations, normals = sightings_of_a_ball(toy_scene.light, albedo, 12)
+    observations, normals = observe_a_ball(toy_scene.light, albedo, 12)
     ones = np.ones(400, np.int32)
     colors = fit_robot_colors(observations, ones, 0 * ones, normals, 0.1 * normals)
     # Orientations between those seen, without their memories.

@@ -20,7 +20,7 @@ from aomgen.gaussians.background import (
 )
 from aomgen.gaussians.dense_points import DensePoints, nearest_depth
 from aomgen.gaussians.depth_fusion import DepthMap, Samples, count_confirmations, thin
-from aomgen.gaussians.plane_sweep import SweepParams, plane_sweep
+from aomgen.gaussians.plane_sweep import plane_sweep
 from aomgen.gaussians.train import initial_gaussians
 from aomgen.structure.mapping import choose_pairs
 
@@ -46,7 +46,7 @@ def _seen(camera: Camera, slope: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 def test_plane_sweep_recovers_a_plane(slope):
     cameras = [_camera(0), _camera(0.2), _camera(-0.2), _camera(0, 0.2)]
     views = [(camera, _seen(camera, slope)[0]) for camera in cameras]
-    inverse_depth, score = plane_sweep(views[0], views[1:], np.linspace(0, 1, 64), SweepParams())
+    inverse_depth, score = plane_sweep(views[0], views[1:], np.linspace(0, 1, 64))
     expected = 1 / _seen(cameras[0], slope)[1]
     inner = np.abs(inverse_depth - expected)[12:-12, 24:-24]
     assert np.median(inner) < 0.25 / 63
@@ -58,7 +58,7 @@ def test_plane_sweep_sees_infinity():
     cameras = [_camera(0), _camera(0.2), _camera(-0.2)]
     image = _seen(cameras[0])[0]
     inverse_depth, _ = plane_sweep(
-        (cameras[0], image), [(camera, image) for camera in cameras[1:]], np.linspace(0, 1, 64), SweepParams()
+        (cameras[0], image), [(camera, image) for camera in cameras[1:]], np.linspace(0, 1, 64)
     )
     assert np.median(inverse_depth) < 0.5 / 63
 
@@ -66,7 +66,7 @@ def test_plane_sweep_sees_infinity():
 def test_plane_sweep_refuses_more_planes_than_it_has_room_for():
     view = (_camera(0), _seen(_camera(0))[0])
     with pytest.raises(BackendError, match="refuses"):
-        plane_sweep(view, [view], np.linspace(0, 1, 300), SweepParams())
+        plane_sweep(view, [view], np.linspace(0, 1, 300))
 
 
 def _map(camera: Camera, inverse_depth: np.ndarray, neighbours: tuple[int, ...]) -> DepthMap:

@@ -11,20 +11,19 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.errors import MalformedFileError, ReconstructionError
-from aomgen.parts.affinity import Affinity, mask_size, relative_sizes, sized_masks
+from aomgen.parts.affinity import Affinity, mask_size, measure_masks, relative_sizes
 from aomgen.parts.affinity_parts import (
     AffinityPartsParams,
     affinity_evidence,
-    masked_scan,
+    find_all_masks,
     spread_views,
 )
 from aomgen.parts.affinity_query import Query, answer_query, best_threshold
 from aomgen.parts.affinity_training import AffinityParams, pair_evidence, train_affinity
-from aomgen.parts.prompted_images import ask_prompts
+from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.scan_views import ScanView
 from aomgen.parts.smoothing import smooth_posterior
 from aomgen.segmentation.automatic_masks import (
-    AutomaticMasksParams,
     ViewMasks,
     best_masks,
     grid_points,
@@ -129,9 +128,14 @@ def scanned(gaussians, labels, folder, progress=silent):
     """A segmented scan, answers to its prompts and the segmenter, which counts what it prepares."""
     views = scan_views(gaussians)
     segmenter = TrueSegmenter(gaussians, labels, views)
-    prompted = ask_prompts(views, prompts(gaussians, labels, views[1].camera), segmenter)
+    prompted = segment_prompts(views, prompts(gaussians, labels, views[1].camera), segmenter)
     params = AffinityPartsParams(views=6, object_side=4, training=TRAINING, masks_folder=folder)
-    return masked_scan(gaussians, views, prompted, segmenter, progress, params), prompted, segmenter, params
+    return (
+        find_all_masks(gaussians, views, prompted, segmenter, progress, params),
+        prompted,
+        segmenter,
+        params,
+    )
 
 
 def test_parts_of_a_known_scene_are_found():
@@ -171,7 +175,7 @@ def test_a_scan_that_was_cut_short_goes_on_where_it_was(tmp_path):
 def test_training_needs_two_masks():
     gaussians, labels = scene()
     view = scan_views(gaussians)[0]
-    one = sized_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera)[:1], 96)
+    one = measure_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera)[:1], 96)
     with pytest.raises(ReconstructionError, match="1 masks were found, want 2"):
         train_affinity(gaussians, [one], silent, TRAINING)
 
@@ -179,7 +183,7 @@ def test_training_needs_two_masks():
 def test_the_same_seed_gives_the_same_features():
     gaussians, labels = scene()
     view = scan_views(gaussians)[0]
-    sized = sized_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera), 96)
+    sized = measure_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera), 96)
     params = replace(TRAINING, iterations=3)
     runs = [train_affinity(gaussians, [sized], silent, params) for _ in range(2)]
     assert np.array_equal(runs[0].features, runs[1].features)
@@ -194,7 +198,7 @@ def test_masks_are_as_large_as_what_they_show_from_near_and_far():
             T_world_cam=look_at([0.0, -SCALE * distance, 0.05], [0, 0, 0.05]),
         )  # fmt: skip
         sizes.append(
-            sized_masks(gaussians, camera, true_masks(gaussians, labels, camera)[:1], 160).sizes_m[0]
+            measure_masks(gaussians, camera, true_masks(gaussians, labels, camera)[:1], 160).sizes_m[0]
         )
     assert sizes[0] == pytest.approx(sizes[1], rel=0.1)
 
@@ -203,7 +207,7 @@ def test_what_shines_through_from_far_behind_hardly_changes_the_size():
     gaussians, labels = scene()
     camera = scan_views(gaussians)[0].camera
     mask = true_masks(gaussians, labels, camera)[:1]
-    size = sized_masks(gaussians, camera, mask, 96).sizes_m[0]
+    size = measure_masks(gaussians, camera, mask, 96).sizes_m[0]
     # The block before a far wall, and a third less solid.
     ray = camera.T_world_cam[:3, 2]
     far = np.stack(np.meshgrid(np.linspace(-3, 3, 40), np.linspace(-3, 3, 40)), -1).reshape(-1, 2)
@@ -215,7 +219,7 @@ def test_what_shines_through_from_far_behind_hardly_changes_the_size():
         opacities=np.concatenate([0.3 * gaussians.opacities, np.full(len(wall), 0.95)]).astype(np.float32),
         sh=np.concatenate([gaussians.sh, np.zeros((len(wall), 1, 3))]).astype(np.float32),
     )
-    assert sized_masks(both, camera, mask, 96).sizes_m[0] == pytest.approx(size, rel=0.25)
+    assert measure_masks(both, camera, mask, 96).sizes_m[0] == pytest.approx(size, rel=0.25)
 
 
 def test_a_rim_of_background_hardly_changes_the_size():
@@ -312,13 +316,13 @@ def test_good_masks_are_kept_once_and_best_first():
         quality=np.array([0.9, 0.95, 1, 1, 0.85, 0.3], np.float32),
         stability=np.array([0.9, 0.95, 1, 1, 0.9, 1], np.float32),
     )
-    kept = best_masks(answers, AutomaticMasksParams())
+    kept = best_masks(answers)
     assert np.array_equal(kept.masks, np.stack([disc, other]))
     assert np.all(np.diff(kept.scores) <= 0)
 
 
 def test_nothing_found_is_no_mask():
-    assert best_masks(masks_of_logits([], [], (20, 30)), AutomaticMasksParams()).masks.shape == (0, 20, 30)
+    assert best_masks(masks_of_logits([], [], (20, 30))).masks.shape == (0, 20, 30)
 
 
 def test_stored_masks_come_back(tmp_path):

@@ -21,9 +21,9 @@ from aomgen.parts.label import (
     cut_scan,
     find_parts,
     part_evidence,
-    prompted_scan,
+    segment_scan,
 )
-from aomgen.parts.robot_links import nearest_links
+from aomgen.parts.robot_labels import nearest_links
 from aomgen.parts.scan_views import ScanView
 from aomgen.parts.stage import load_parts, save_parts
 from aomgen.robots.configuration import RobotPosture
@@ -134,7 +134,7 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     views = toy_views(gaussians, labels, posture, tmp_path)
     prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    parts = labelled(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
+    parts = labelled(segment_scan(gaussians, views, prompts, segmenter, posture, silent))
     votes = np.zeros(len(gaussians))
     for view in views:
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
@@ -153,7 +153,7 @@ def test_cut_parts_are_stored_with_their_pieces(posture, tmp_path):
     gaussians, labels = toy_scene(posture)
     views = toy_views(gaussians, labels, posture, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    scan = prompted_scan(gaussians, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), posture, silent)
+    scan = segment_scan(gaussians, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), posture, silent)
     parts = find_parts(*cut_scan(scan, part_evidence(scan), None))
     assert len(parts.cut.sources) > 0
     assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
@@ -168,7 +168,7 @@ def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
     views = toy_views(gaussians, labels, posture, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    parts = labelled(prompted_scan(gaussians, views, prompts, segmenter, posture, silent))
+    parts = labelled(segment_scan(gaussians, views, prompts, segmenter, posture, silent))
     assert parts.method == "boxes"
     assert parts.box_misfit < 0.1
     drawn = render(gaussians, views[3].camera, with_ids=True)
@@ -199,7 +199,7 @@ def test_parts_of_different_objects_are_refused(posture, tmp_path):
     prompts += tuple(tight_prompt("moving", k, tmp_path) for k in (2, 4))
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
     with pytest.raises(WrongPromptError, match=r"away from the moving part.*another object.*around the body"):
-        labelled(prompted_scan(both, views, prompts, segmenter, posture, silent))
+        labelled(segment_scan(both, views, prompts, segmenter, posture, silent))
 
 
 def nothing_found() -> Parts:
@@ -234,7 +234,7 @@ def test_a_part_without_a_prompt_is_refused(posture, tmp_path):
     views = toy_views(gaussians, labels, posture, tmp_path)[:3]
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
     with pytest.raises(ReconstructionError, match="no box prompts the moving part"):
-        prompted_scan(gaussians, views, (prompt("static", "2.jpg"),), segmenter, posture, silent)
+        segment_scan(gaussians, views, (prompt("static", "2.jpg"),), segmenter, posture, silent)
 
 
 def test_stored_parts_that_are_damaged_are_refused(tmp_path):

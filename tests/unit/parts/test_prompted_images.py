@@ -7,7 +7,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.recording import Prompt
 from aomgen.errors import ReconstructionError
 from aomgen.parts.panel_views import box_misfit
-from aomgen.parts.prompted_images import ask_prompts
+from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.scan_views import ScanView
 from aomgen.segmentation.interface import Mask, PointMasks, given_masks
 
@@ -56,7 +56,7 @@ def asked(answer: Mask, robot: Mask | None = None, box: np.ndarray = BOX) -> tup
     prompts = tuple(
         Prompt(part=part, image="a.jpg", points=np.zeros((0, 3)), box=box) for part in ("static", "moving")
     )
-    return ask_prompts([view], prompts, Pieces(answer))[1].masks
+    return segment_prompts([view], prompts, Pieces(answer))[1].masks
 
 
 def test_a_piece_is_joined_with_the_one_that_fills_the_box():
@@ -82,4 +82,4 @@ def test_the_robot_is_never_joined():
 
 def test_parts_without_a_box_are_refused():
     with pytest.raises(ReconstructionError, match="static"):
-        ask_prompts([], (), Pieces(TRAY))
+        segment_prompts([], (), Pieces(TRAY))

@@ -22,8 +22,8 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     (tmp_path / "07_replacement").mkdir()
     monkeypatch.setattr(run_cameras, "scan_cameras_world", lambda run: {"0001.jpg": SCAN, "0000.jpg": SCAN})
     monkeypatch.setattr(run_cameras, "stored_cameras", lambda run: {"front": EPISODES, "side": EPISODES})
-    settled = {"front": CalibratedCamera(camera=VIDEO, clock=None)}
-    monkeypatch.setattr(run_cameras, "load_calibrated_cameras", lambda folder: settled)
+    calibrated = {"front": CalibratedCamera(camera=VIDEO, clock=None)}
+    monkeypatch.setattr(run_cameras, "load_calibrated_cameras", lambda folder: calibrated)
     return Project(capture=tmp_path, out=tmp_path)
 
 

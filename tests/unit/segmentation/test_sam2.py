@@ -15,7 +15,7 @@ from aomgen.errors import BackendError, InputError
 from aomgen.segmentation.interface import clean, masks_of_logits
 from aomgen.segmentation.sam2 import Sam2, input_points, input_prompt, load_pretrained, pixel_values
 from aomgen.segmentation.sam2_video import carry_prompts, load_tracker
-from aomgen.segmentation.sam2_weights import find_sam2, install_sam2, installed_names, main
+from aomgen.segmentation.sam2_weights import find_sam2, install_sam2, list_installed, main
 from aomgen.segmentation.segmenter import MasksOnDisk, choose_segmenter
 
 SIDE = 64
@@ -89,11 +89,11 @@ def test_weights_are_installed_under_a_name(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("AOMGEN_WEIGHTS", str(tmp_path / "weights"))
     given = digest(source / "model.safetensors").upper()
     assert main([str(source), "--name", "one", "--sha256", given]) == 0
-    assert installed_names() == ("one",)
+    assert list_installed() == ("one",)
     assert find_sam2("one").weights.read_bytes() == b"weights"
     assert main([str(source), "--name", "two", "--sha256", "0" * 64]) == BackendError.exit_code
     assert "is not the file whose SHA-256 was given" in capsys.readouterr().err
-    assert installed_names() == ("one",)
+    assert list_installed() == ("one",)
 
 
 def test_unknown_weights_list_the_known_ones(tmp_path):

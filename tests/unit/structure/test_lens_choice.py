@@ -10,8 +10,13 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.errors import ReconstructionError
-from aomgen.structure.lens_choice import choose_lens, compare, lean_on_stated
-from aomgen.structure.lens_misfit import lens_misfit_px, require_lens_fits
+from aomgen.structure.lens_choice import (
+    choose_lens,
+    compare,
+    lean_on_stated,
+    lens_misfit_px,
+    require_lens_fits,
+)
 from aomgen.structure.resection import (
     Links,
     choose_view_lens,

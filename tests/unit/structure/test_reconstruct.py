@@ -21,7 +21,7 @@ from aomgen.structure.fixed_cameras import DemoView
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better
 from aomgen.structure.reconstruct import Photographs, StructureParams
-from aomgen.structure.sparse_model import Mapped
+from aomgen.structure.sparse_model import SparseModel
 from aomgen.structure.stage import POINTS_FILE, load_structure, run_structure, save_structure
 
 # Enough for boards full of print, and quick.
@@ -188,7 +188,7 @@ def test_a_result_of_half_the_images_is_refused(photographs, tmp_path, monkeypat
 
 
 def _inlier_model(count: int, error_px: float) -> InlierModel:
-    mapped = Mapped(
+    mapped = SparseModel(
         Ts_recon_cam={str(i): np.eye(4) for i in range(count)},
         lens=Lens(fx=1, fy=1, cx=1, cy=1, width=2, height=2),
         points_recon=np.zeros((0, 3)),
