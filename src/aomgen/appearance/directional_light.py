@@ -22,7 +22,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.visibility import sphere_directions
-from aomgen.twin.lamp import MOVES, STANDS, Lamp, on_surface, shadowed, silhouette, surface_share, unshaded
+from aomgen.twin.directional_shadow import MOVES, STANDS, DirectionalLight, on_surface, shadowed, silhouette, surface_share, unshaded
 from aomgen.twin.shadow import HEIGHTS
 from aomgen.twin.twin import Twin, posed, shadow_roles
 
@@ -87,7 +87,7 @@ class Watched:
         return np.stack([silhouette(bodies, direction).at(self.points) * lit for bodies in self.moving])
 
 
-def found_lamp(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) -> Lamp | None:
+def found_lamp(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) -> DirectionalLight | None:
     """The lamp of a scene; None when no direction explains what the film shows.
 
     Args:
@@ -113,10 +113,10 @@ def found_lamp(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) 
     shade = shade_of(watched, watched.dark(best))
     if shade is None or not (shade < 1).all():
         return None
-    return Lamp(direction=best, T_world_plane=T_world_plane, shade=shade)
+    return DirectionalLight(direction=best, T_world_plane=T_world_plane, shade=shade)
 
 
-def without_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
+def without_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -> Twin:
     """The twin under a lamp: the surface's own colors are those in light, its shadows are cast anew."""
     world = posed(twin, robot, twin.scan_state)
     points = np.array(world.means, np.float64)
@@ -133,10 +133,10 @@ def without_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
     unsure = np.max([dark, *around], 0) - np.min([dark, *around], 0) > 1 - CORE
     looks = _by_looks(unshaded(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp)
     dark[unsure] = np.minimum(looks, np.max([dark, *around], 0)[unsure])
-    return replace(twin, gaussians=unshaded(twin.gaussians, dark, lamp.shade), lamp=lamp)
+    return replace(twin, gaussians=unshaded(twin.gaussians, dark, lamp.shade), directional_light=lamp)
 
 
-def _by_looks(lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: Lamp) -> Array:
+def _by_looks(lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: DirectionalLight) -> Array:
     """How much Gaussians at edges of a shadow are in it (M,), 0..1: by how dark they are beside others in light.
 
     Args:

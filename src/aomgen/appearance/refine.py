@@ -17,8 +17,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from aomgen.appearance.surfel_observations import Film, pixel_size
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.refining import Lesson, RefiningParams, refined
-from aomgen.twin.lamp import darkened, draw_lit
+from aomgen.splatting.refining import RefinementView, RefiningParams, refined
+from aomgen.twin.directional_shadow import darkened, draw_lit
 from aomgen.twin.relit import Relit, Surface, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
 
@@ -68,7 +68,7 @@ def _lesson(
     surfaces: tuple[Surface, ...],
     nearest: dict[int, int],
     place: tuple[Film, int],
-) -> Lesson:
+) -> RefinementView:
     """One picture, the n-th of a film, with the colors of relit surfaces in its posture."""
     film, index = place
     count = 0 if twin.relit is None else len(twin.relit.indices)
@@ -76,9 +76,9 @@ def _lesson(
     for surface in surfaces:
         R = Ts_world_body[surface.body, :3, :3]
         colors[surface.rows] = surface.colors_srgb(R)
-        if surface.remembered is not None:
-            recall[surface.rows] = surface.remembered.weights(R)[nearest[surface.body]]
-    return Lesson(
+        if surface.residual is not None:
+            recall[surface.rows] = surface.residual.weights(R)[nearest[surface.body]]
+    return RefinementView(
         camera=film.camera,
         image_srgb=film.images_srgb[index],
         Ts_world_part=Ts_world_body,
@@ -87,14 +87,14 @@ def _lesson(
     )
 
 
-def _with_shadows(lesson: Lesson, twin: Twin, roles: NDArray[np.uint8]) -> Lesson:
+def _with_shadows(lesson: RefinementView, twin: Twin, roles: NDArray[np.uint8]) -> RefinementView:
     """A lesson whose drawn picture is darkened by the shadows of its posture."""
-    if twin.lamp is None:
+    if twin.directional_light is None:
         return lesson
     world = posed_by(twin, lesson.Ts_world_part)
-    _, surface, taken = draw_lit(twin.lamp, world, roles, lesson.camera)
+    _, surface, taken = draw_lit(twin.directional_light, world, roles, lesson.camera)
     edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
-    return replace(lesson, shade=darkened(twin.lamp, surface * taken), unsure=edge & (surface > MOSTLY))
+    return replace(lesson, shade=darkened(twin.directional_light, surface * taken), unsure=edge & (surface > MOSTLY))
 
 
 def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
@@ -102,15 +102,15 @@ def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
     Ts = body_poses(twin, robot, twin.scan_state)
     return {
         item.body: int(np.argmax(np.einsum("kij,ij->k", item.Rs_world_body, Ts[item.body, :3, :3])))
-        for item in (twin.relit.remembered if twin.relit is not None else ())
+        for item in (twin.relit.residuals if twin.relit is not None else ())
     }
 
 
 def _corrected(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:
     """Memories of the scan's orientations with differences in color (M, 3) added."""
     remembered = []
-    for item in relit.remembered:
+    for item in relit.residuals:
         colors = np.array(item.difference_srgb)
         colors[nearest[item.body]] += difference[item.rows]
         remembered.append(replace(item, difference_srgb=colors))
-    return replace(relit, remembered=tuple(remembered))
+    return replace(relit, residuals=tuple(remembered))

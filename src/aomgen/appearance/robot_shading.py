@@ -17,7 +17,7 @@ from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
-from aomgen.twin.relit import NEGLIGIBLE, Remembered, orientation_weights
+from aomgen.twin.relit import NEGLIGIBLE, ResidualAppearance, orientation_weights
 
 # Turn over which a seen color fades. A link's glare moves twice as fast as the link; halves and
 # doubles of this were worse or no better on pictures between those that were fitted.
@@ -51,7 +51,7 @@ class RobotColors:
     albedo: Array
     glare_sh: Array
     lights: tuple[Light, ...]
-    remembered: tuple[Remembered, ...]
+    remembered: tuple[ResidualAppearance, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ def _glare(sightings: Sightings, views: Array, left: Array, count: int) -> Array
     return np.asarray(np.linalg.solve(normal + GLARE_PULL * np.eye(8), right), np.float64)
 
 
-def _recalled(sightings: Sightings, discs: _Discs, memories: tuple[Remembered, ...]) -> Array:
+def _recalled(sightings: Sightings, discs: _Discs, memories: tuple[ResidualAppearance, ...]) -> Array:
     """What memories add to the color of every sighting (N, 3)."""
     result = np.zeros((len(sightings.disc), 3))
     owners = discs.bodies[sightings.disc]
@@ -175,7 +175,7 @@ def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: A
     return result
 
 
-def _memories(sightings: Sightings, discs: _Discs, difference: Array) -> tuple[Remembered, ...]:
+def _memories(sightings: Sightings, discs: _Discs, difference: Array) -> tuple[ResidualAppearance, ...]:
     """What remains of every body's sightings, averaged near a few of its orientations."""
     memories = []
     owners = discs.bodies[sightings.disc]
@@ -197,7 +197,7 @@ def _memories(sightings: Sightings, discs: _Discs, difference: Array) -> tuple[R
                 above = np.bincount(column, weights[:, k] * difference[mine, channel], len(rows))
                 remembered[k, :, channel] = above / below
         memories.append(
-            Remembered(
+            ResidualAppearance(
                 body=int(body),
                 rows=rows,
                 Rs_world_body=Rs[chosen],

@@ -84,7 +84,7 @@ def dressed(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.random
             transfer=open_transfer(cover.normals),
             light_of=cover.materials,
             lights=colors.lights,
-            remembered=colors.remembered,
+            residuals=colors.remembered,
         ),
     )
 

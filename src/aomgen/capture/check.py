@@ -17,7 +17,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
 from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
 from aomgen.io.images import resize
-from aomgen.io.straighten import straightener
+from aomgen.io.resampling import undistorter
 from aomgen.io.video import Video, decoded_frames, probe_video, read_video
 from aomgen.robots.robot import RobotModel, chosen_robot
 
@@ -154,7 +154,7 @@ def _checked(capture: Capture, index: int) -> Video:
             f"lasts {length_s:.1f} s, but the joint log only {log_s:.1f} s",
             "re-export the log over the whole demonstration",
         )
-    return video if camera.lens is None else _straightened(video, camera.lens)
+    return video if camera.lens is None else _undistorted(video, camera.lens)
 
 
 def _check_memory(path: Path) -> None:
@@ -204,7 +204,7 @@ def _turned(path: Path) -> list[str]:
     ]
 
 
-def _straightened(video: Video, lens: Lens) -> Video:
-    straighten = straightener(lens)
-    frames = np.stack([straighten(frame) for frame in video.frames_srgb])
+def _undistorted(video: Video, lens: Lens) -> Video:
+    undistort = undistorter(lens)
+    frames = np.stack([undistort(frame) for frame in video.frames_srgb])
     return Video(times_s=video.times_s, frames_srgb=frames, fps=video.fps)

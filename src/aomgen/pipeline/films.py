@@ -20,7 +20,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.replacement.support import find_support
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.lamp import Lamp
+from aomgen.twin.directional_shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, posed, render_state
 
 # More pictures tell little more, and take as long again.
@@ -92,7 +92,7 @@ def with_looks(twin: Twin, robot: RobotModel, films: Sequence[Film], progress: P
     return sharpened(lit, robot, films, rng)
 
 
-def _lamp(twin: Twin, robot: RobotModel, film: Film) -> Lamp | None:
+def _lamp(twin: Twin, robot: RobotModel, film: Film) -> DirectionalLight | None:
     """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
     world = posed(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))

@@ -17,7 +17,7 @@ from aomgen.core.transforms import matrix_from_quat, transform
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.robots.from_file import FileRobot, read_file_robot
-from aomgen.robots.gripper import GripperTable, no_fingers, settled_fingers
+from aomgen.robots.gripper import GripperTable, no_fingers, simulate_finger_table
 from aomgen.robots.robot_files import KNOWN_ROBOTS, RobotFiles, build_spec
 from aomgen.robots.robot_parts import FingerPad, HandDrive, RobotMesh, pads_of_boxes, visual_meshes
 
@@ -180,7 +180,7 @@ def _known(files: RobotFiles, joints: Sequence[str]) -> RobotModel:
         compiled,
         tuple(joints) or arm,
         name=files.name,
-        gripper_table=settled_fingers(files),
+        gripper_table=simulate_finger_table(files),
         pads=pads_of_boxes(compiled, files.pad_geoms),
         pad_geoms=files.pad_geoms,
         drive=HandDrive(

@@ -13,7 +13,7 @@ from aomgen.errors import BackendError
 from aomgen.robots.offscreen import offscreen_context
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.segmentation_ids import values_of_geoms
-from aomgen.robots.visuals import add_robot_looks
+from aomgen.robots.visuals import add_robot_visuals
 
 # Nothing of a robot is nearer to a camera, [m].
 NEAR_M: Final = 0.02
@@ -37,13 +37,13 @@ class SilhouetteRenderer:
         Args:
             robot: What is drawn.
             max_width, max_height: Largest picture, [px].
-            cell_m: How finely the robot's meshes are drawn; see `robot_looks`.
+            cell_m: How finely the robot's meshes are drawn; see `add_robot_visuals`.
 
         Raises:
             BackendError: No OpenGL driver works.
         """
         spec = robot.spec(visual=False)
-        add_robot_looks(spec, robot, cell_m)
+        add_robot_visuals(spec, robot, cell_m)
         spec.visual.quality.offsamples = 0
         spec.visual.global_.offwidth = max_width
         spec.visual.global_.offheight = max_height

@@ -9,14 +9,14 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotMesh, RobotModel
 
 
-def add_robot_looks(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> None:
-    """Add simplified visual meshes to a model that holds the robot's bodies without its looks.
+def add_robot_visuals(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> None:
+    """Add simplified visual meshes to a model that holds the robot's bodies without their appearance.
 
     Drawing time of a software renderer is mostly vertices.
 
     Args:
         spec: Gets the meshes; holds the robot's bodies.
-        robot: Whose looks are added.
+        robot: Whose meshes are added.
         cell_m: Vertices that share a cell of this size become one; outlines move by a fraction of it.
     """
     for number, (mesh, vertices, faces) in enumerate(_simplified_meshes(robot, cell_m)):

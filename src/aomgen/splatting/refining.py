@@ -20,7 +20,7 @@ from aomgen.splatting.training import one_torch_thread
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lesson:
+class RefinementView:
     """One picture of a posture.
 
     Attributes:
@@ -68,7 +68,7 @@ class RefiningParams:
 def refined(
     gaussians: Gaussians,
     parts: NDArray[np.int32],
-    lessons: Sequence[Lesson],
+    lessons: Sequence[RefinementView],
     params: RefiningParams,
     rng: np.random.Generator,
 ) -> tuple[Gaussians, Array]:
@@ -83,7 +83,7 @@ def refined(
 
     Returns:
         The fitted Gaussians (N), the constant term of the last M as it was, and differences in
-        color (M, 3), sRGB, that `Lesson.recall` weighs.
+        color (M, 3), sRGB, that `RefinementView.recall` weighs.
 
     Raises:
         BackendError: The splatting engine is missing or refuses the scene.
@@ -116,7 +116,7 @@ def refined(
 def _gradients(
     parameters: Parameters,
     indices: Tensor,
-    lesson: Lesson,
+    lesson: RefinementView,
     dssim_weight: float,
     contexts: tuple[native.Context, native.Context],
 ) -> dict[str, Tensor]:
@@ -140,7 +140,7 @@ def _gradients(
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
 
 
-def _harmonics(learned: Tensor, lesson: Lesson) -> Tensor:
+def _harmonics(learned: Tensor, lesson: RefinementView) -> Tensor:
     """Harmonics (N, K, 3) of a posture: the last M are lit, and differ by what is recalled."""
     constant = torch.tensor((lesson.colors_srgb - 0.5) / SH_C0, dtype=torch.float32)
     recall = torch.tensor(lesson.recall, dtype=torch.float32)

@@ -10,7 +10,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.recording import Prompt
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
-from aomgen.io.straighten import straighten_labels, straightener
+from aomgen.io.resampling import undistort_labels, undistorter
 
 IMAGES_FOLDER = "straight"
 MASKS_FOLDER = "straight_masks"
@@ -39,10 +39,10 @@ def write_straight(
         InputError: An image or mask cannot be read.
         StorageError: The disk refuses.
     """
-    straighten = straightener(lens)
+    undistort = undistorter(lens)
     for index, (name, path) in enumerate(sorted(images.items())):
         progress(index / len(images), "straightening images")
-        image = straighten(read_image(path))
+        image = undistort(read_image(path))
         lossy = path.suffix.lower() in (".jpg", ".jpeg")
         data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)
         write_bytes(folder / IMAGES_FOLDER / name, data)
@@ -51,7 +51,7 @@ def write_straight(
         for path in sorted(source.glob("*.png")):
             labels = read_labels(path)
             if path.stem in stems and labels.shape == (lens.height, lens.width):
-                labels = straighten_labels(labels, lens)
+                labels = undistort_labels(labels, lens)
                 write_bytes(folder / MASKS_FOLDER / masks / path.name, encode_png(labels))
 
 

@@ -18,7 +18,7 @@ from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
-from aomgen.twin.lamp import MOVES, SCENE, STANDS, Lamp, darkened, draw_lit
+from aomgen.twin.directional_shadow import MOVES, SCENE, STANDS, DirectionalLight, darkened, draw_lit
 from aomgen.twin.relit import Relit, Surface, surfaces_of
 
 WORLD: Final = "world"
@@ -61,7 +61,7 @@ class Twin:
         T_world_object: Object pose (4, 4) in the scan.
         scan_state: The state that was scanned.
         relit: Surfaces that are lit per frame; None when all colors come from the scan.
-        lamp: What throws the shadow of moving bodies on the surface they work over, whose own colors
+        directional_light: What throws the shadow of moving bodies on the surface they work over, whose own colors
             are those in light; None when shadows are as they were scanned.
     """
 
@@ -74,7 +74,7 @@ class Twin:
     T_world_object: Array
     scan_state: TwinState
     relit: Relit | None = None
-    lamp: Lamp | None = None
+    directional_light: DirectionalLight | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "bodies", self.bodies, (len(self.gaussians),), np.int32)
@@ -207,14 +207,14 @@ def render_state(
 ) -> Rendering:
     """Draw a state with its shadows; `options` go to `splatting.rasterizer.render`."""
     world = posed(twin, robot, state)
-    if twin.lamp is None:
+    if twin.directional_light is None:
         return render(world, camera, **options)
-    drawn, surface, taken = draw_lit(twin.lamp, world, shadow_roles(twin, robot), camera, **options)
-    return replace(drawn, rgb=drawn.rgb * darkened(twin.lamp, surface * taken))
+    drawn, surface, taken = draw_lit(twin.directional_light, world, shadow_roles(twin, robot), camera, **options)
+    return replace(drawn, rgb=drawn.rgb * darkened(twin.directional_light, surface * taken))
 
 
 def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
-    """What each Gaussian (N,) does for shadows, see `twin.lamp`.
+    """What each Gaussian (N,) does for shadows, see `directional_shadow`.
 
     The object's static part and the robot's base stand where they were scanned, with their shadows.
     """
