@@ -22,7 +22,16 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.visibility import sphere_directions
-from aomgen.twin.directional_shadow import MOVES, STANDS, DirectionalLight, on_surface, shadowed, silhouette, surface_share, unshaded
+from aomgen.twin.directional_shadow import (
+    MOVES,
+    STANDS,
+    DirectionalLight,
+    on_surface,
+    shadowed,
+    silhouette,
+    surface_share,
+    unshaded,
+)
 from aomgen.twin.shadow import HEIGHTS
 from aomgen.twin.twin import Twin, posed, shadow_roles
 
@@ -136,7 +145,9 @@ def without_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -> Twi
     return replace(twin, gaussians=unshaded(twin.gaussians, dark, lamp.shade), directional_light=lamp)
 
 
-def _by_looks(lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: DirectionalLight) -> Array:
+def _by_looks(
+    lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: DirectionalLight
+) -> Array:
     """How much Gaussians at edges of a shadow are in it (M,), 0..1: by how dark they are beside others in light.
 
     Args:

@@ -19,7 +19,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.refining import RefinementView, RefiningParams, refined
 from aomgen.twin.directional_shadow import darkened, draw_lit
-from aomgen.twin.relit import Relit, Surface, surfaces_of
+from aomgen.twin.relit import LitSurface, Relit, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
 
 # Gaussians move this much in a step, [px] of the usual picture at the robot.
@@ -65,7 +65,7 @@ def sharpened(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.rand
 def _lesson(
     twin: Twin,
     Ts_world_body: Array,
-    surfaces: tuple[Surface, ...],
+    surfaces: tuple[LitSurface, ...],
     nearest: dict[int, int],
     place: tuple[Film, int],
 ) -> RefinementView:
@@ -94,7 +94,9 @@ def _with_shadows(lesson: RefinementView, twin: Twin, roles: NDArray[np.uint8]) 
     world = posed_by(twin, lesson.Ts_world_part)
     _, surface, taken = draw_lit(twin.directional_light, world, roles, lesson.camera)
     edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
-    return replace(lesson, shade=darkened(twin.directional_light, surface * taken), unsure=edge & (surface > MOSTLY))
+    return replace(
+        lesson, shade=darkened(twin.directional_light, surface * taken), unsure=edge & (surface > MOSTLY)
+    )
 
 
 def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:

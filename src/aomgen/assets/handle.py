@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets.shapes import Surface, merged, rod
+from aomgen.assets.shapes import Material, merged, rod
 from aomgen.core.asset import BoxCollider
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import transform
@@ -37,7 +37,7 @@ class BarHandle:
         """Middle of the bar (3,), [m]."""
         return self.foot + OUTWARD * (self.clearance + self.thickness / 2)
 
-    def mesh(self, surface: Surface) -> Mesh:
+    def mesh(self, surface: Material) -> Mesh:
         """Round bar and posts."""
         half = self.axis * self.length / 2
         radius = self.thickness / 2

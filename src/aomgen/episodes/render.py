@@ -11,7 +11,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.rasterizer import Parts
+from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import draw_sessions
 from aomgen.twin.directional_shadow import FAR, MOVES, STANDS, DirectionalLight, on_surface, silhouette
 from aomgen.twin.layers import StaticLayer, moving_layer, static_layer
@@ -85,7 +85,11 @@ def render_frames(
     shades = {}
     if T_world_plane is not None and twin.relit is not None:
         shades = _shades(twin, trajectory, layers, T_world_plane)
-    arm = None if twin.directional_light is None else _ArmShadow(twin, robot, twin.directional_light, (Ts[0], not shades), layers)
+    arm = (
+        None
+        if twin.directional_light is None
+        else _ArmShadow(twin, robot, twin.directional_light, (Ts[0], not shades), layers)
+    )
     batches: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in layers}
     knots = _knots(trajectory.thetas)
     for start in range(0, len(Ts), BATCH):
@@ -132,7 +136,7 @@ class _ArmShadow:
         roles = shadow_roles(twin, robot)
         moving, stands = (roles == MOVES) & (with_part | (twin.bodies != twin.body(PART))), roles == STANDS
         self._light, self._arm, self._bodies = light, twin.gaussians.select(moving), twin.bodies[moving]
-        parts = Parts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
+        parts = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
         fixed = silhouette(twin.gaussians.select(stands), light.direction, parts)
         self._places = []
         for layer in layers.values():
@@ -146,7 +150,7 @@ class _ArmShadow:
         shade = 1 - float(self._light.shade.mean())
         images = [np.ones((len(Ts_world_body), *seen.shape), np.float32) for _, _, seen in self._places]
         for t, Ts in enumerate(Ts_world_body):
-            parts = Parts(indices=self._bodies, Ts_world_part=Ts)
+            parts = RigidParts(indices=self._bodies, Ts_world_part=Ts)
             cast = silhouette(self._arm, self._light.direction, parts)
             for image, (points, share, seen) in zip(images, self._places, strict=True):
                 image[t][seen] = 1 - shade * share * cast.at(points)

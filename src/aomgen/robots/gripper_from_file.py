@@ -15,7 +15,7 @@ from aomgen.errors import MalformedFileError
 from aomgen.robots.arm_chain import ArmChain
 from aomgen.robots.contact_faces import (
     FingerFace,
-    Surface,
+    SurfaceSamples,
     Travel,
     best_travel,
     closest_row,
@@ -113,7 +113,7 @@ def _way(
     model: mujoco.MjModel,
     chain: ArmChain,
     actuated: tuple[str, ...],
-    skins: dict[int, Surface],
+    skins: dict[int, SurfaceSamples],
     choice: HandChoice,
     path: Path,
 ) -> _Way:

@@ -18,7 +18,7 @@ from aomgen.splatting.compute import Compute, NativeCompute, make_compute
 from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import GaussianTensors, RasterOptions
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
-from aomgen.splatting.photographs import Exposure, View, reduced, within_range
+from aomgen.splatting.photographs import Exposure, TrainingView, reduced, within_range
 from aomgen.splatting.poses import PoseIncrements
 from aomgen.splatting.state import TrainingState
 from aomgen.splatting.surfaces import in_free_space, view_depths
@@ -168,7 +168,7 @@ def learning(
         compute: Where to compute, the engine by default; the state's Gaussians are on its device.
     """
     compute, context = compute or NativeCompute(), native.Context(threads=1)
-    views: list[View] = []
+    views: list[TrainingView] = []
     factor = 0
     with one_torch_thread():
         while state.iteration < params.iterations:
@@ -214,7 +214,7 @@ def scene_extent(gaussians: Gaussians, cameras: list[Camera]) -> float:
 
 def _learn(
     state: TrainingState,
-    view: View,
+    view: TrainingView,
     index: int,
     params: TrainingParams,
     extent: float,
@@ -251,7 +251,7 @@ def _learn(
     return float(loss.detach())
 
 
-def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Parameters:
+def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParams) -> Parameters:
     """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations

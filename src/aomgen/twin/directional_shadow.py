@@ -15,7 +15,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze
-from aomgen.splatting.rasterizer import Parts, Rendering, render
+from aomgen.splatting.rasterizer import Rendering, RigidParts, render
 from aomgen.twin.shadow import HEIGHTS
 
 # Distance of the camera that stands for the light: its picture is an orthographic one, [m].
@@ -74,7 +74,7 @@ class Silhouette:
         return map_coordinates(self.alpha, [pixels[..., 1] - 0.5, pixels[..., 0] - 0.5], order=1)
 
 
-def silhouette(bodies: Gaussians, direction: ArrayLike, parts: Parts | None = None) -> Silhouette:
+def silhouette(bodies: Gaussians, direction: ArrayLike, parts: RigidParts | None = None) -> Silhouette:
     """Draw bodies as a light in a direction (3,) sees them.
 
     Args:

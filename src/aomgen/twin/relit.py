@@ -99,7 +99,7 @@ class Relit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class LitSurface:
     """Relit Gaussians of one body under one light.
 
     Attributes:
@@ -130,7 +130,7 @@ class Surface:
         return np.clip(colors, 0, 1)
 
 
-def surfaces_of(relit: Relit | None, bodies: NDArray[np.int32]) -> tuple[Surface, ...]:
+def surfaces_of(relit: Relit | None, bodies: NDArray[np.int32]) -> tuple[LitSurface, ...]:
     """The relit Gaussians of a twin by body, then by light; `bodies` (N,) of all its Gaussians."""
     if relit is None:
         return ()
@@ -152,7 +152,7 @@ def surfaces_of(relit: Relit | None, bodies: NDArray[np.int32]) -> tuple[Surface
                 reach_rad=residual.reach_rad,
             )  # fmt: skip
         surfaces.append(
-            Surface(
+            LitSurface(
                 body=body,
                 rows=rows,
                 albedo_linear=relit.albedo_linear[rows],

@@ -45,7 +45,9 @@ def save_twin(folder: Path, twin: Twin) -> None:
         "scan_state": {
             name: getattr(state, name) for name in ("joints", "gripper", "theta", "T_world_object")
         },
-        "lamp": None if twin.directional_light is None else {name: getattr(twin.directional_light, name) for name in _LIGHT},
+        "lamp": None
+        if twin.directional_light is None
+        else {name: getattr(twin.directional_light, name) for name in _LIGHT},
     }
     write_bytes(folder / "twin.npz", npz_bytes(arrays))
     write_json(folder / "twin.json", header)

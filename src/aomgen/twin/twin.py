@@ -19,7 +19,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.twin.directional_shadow import MOVES, SCENE, STANDS, DirectionalLight, darkened, draw_lit
-from aomgen.twin.relit import Relit, Surface, surfaces_of
+from aomgen.twin.relit import LitSurface, Relit, surfaces_of
 
 WORLD: Final = "world"
 OBJECT: Final = "object"
@@ -115,7 +115,7 @@ class Rig:
     gaussians: Gaussians
     order: NDArray[np.int64]
     spans: tuple[tuple[int, int, int], ...]
-    surfaces: tuple[tuple[Surface, NDArray[np.int64]], ...]
+    surfaces: tuple[tuple[LitSurface, NDArray[np.int64]], ...]
 
     def pose(self, Ts_world_body: Array) -> Gaussians:
         """The Gaussians in the world frame, in this rig's order, for body poses (B, 4, 4).
@@ -209,7 +209,9 @@ def render_state(
     world = posed(twin, robot, state)
     if twin.directional_light is None:
         return render(world, camera, **options)
-    drawn, surface, taken = draw_lit(twin.directional_light, world, shadow_roles(twin, robot), camera, **options)
+    drawn, surface, taken = draw_lit(
+        twin.directional_light, world, shadow_roles(twin, robot), camera, **options
+    )
     return replace(drawn, rgb=drawn.rgb * darkened(twin.directional_light, surface * taken))
 
 
