@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera
 from aomgen.core.recording import Capture
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import Video
-from aomgen.pipeline.films import fitted_frames
+from aomgen.pipeline.posed_videos import select_training_frames
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
@@ -106,7 +106,7 @@ def _score_pictures(
         for q, g, value in zip(joints, gripper, thetas, strict=True)
     ]
     demo_masks = TrueMasks(folder=masks / name, lens=structure.demo_lenses.get(name))
-    fitted = fitted_frames(capture, len(video.times_s)).tolist()
+    fitted = select_training_frames(capture, len(video.times_s)).tolist()
     replay, demo_ious = score_replay(video, camera, states, demo_masks, render, fitted)
     return figures | replay | pooled_ious(scan_ious, demo_ious)
 

@@ -19,7 +19,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.refining import RefinementView, RefiningParams, refined
 from aomgen.twin.directional_shadow import darkened, draw_lit
-from aomgen.twin.relit import LitSurface, Relit, surfaces_of
+from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
 
 # Gaussians move this much in a step, [px] of the usual picture at the robot.

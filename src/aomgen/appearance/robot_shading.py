@@ -17,7 +17,7 @@ from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
-from aomgen.twin.relit import NEGLIGIBLE, ResidualAppearance, orientation_weights
+from aomgen.twin.relighting import NEGLIGIBLE, ResidualAppearance, orientation_weights
 
 # Turn over which a seen color fades. A link's glare moves twice as fast as the link; halves and
 # doubles of this were worse or no better on pictures between those that were fitted.

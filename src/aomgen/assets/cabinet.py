@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
 from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, carcass, panel, rod
@@ -148,7 +148,7 @@ def _body(
     }
     plate = Material(texture_srgb=textures.label(rng))
     left, right = sorted((_sided(shape, 0.05), _sided(shape, w - board - 0.02)))
-    art = Material(texture_srgb=printed.stickers(rng, paint, count=5), roughness=0.6)
+    art = Material(texture_srgb=decals.stickers(rng, paint, count=5), roughness=0.6)
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, -0.02)
     meshes = (
         boxes_mesh("boards", list(boards.values()), wood),
@@ -185,7 +185,7 @@ def _goods(shape: CabinetShape, rng: np.random.Generator) -> list[Mesh]:
             x = _sided(shape, -shape.width / 2 + 0.07 + 0.075 * place + rng.uniform(-0.008, 0.008))
             y, height = rng.uniform(-0.03, 0.04), rng.uniform(0.06, 0.09)
             color = rng.uniform(0.15, 0.85, 3)
-            paper = Material(texture_srgb=printed.stickers(rng, color, 256, 128, 4), tile_m=height)
+            paper = Material(texture_srgb=decals.stickers(rng, color, 256, 128, 4), tile_m=height)
             meshes.append(
                 rod(
                     f"can_{level}_{place}", (x, y, z), (x, y, z + height), rng.uniform(0.022, 0.03), paper, 18
@@ -205,7 +205,7 @@ def _door(
     metal = METALS[rng.integers(len(METALS))]
     bar = Material(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
     ground = tuple(np.asarray(face.texture_srgb.mean((0, 1)) / 255))
-    art = Material(texture_srgb=printed.stickers(rng, ground, 320, 320, 5), roughness=0.6)
+    art = Material(texture_srgb=decals.stickers(rng, ground, 320, 320, 5), roughness=0.6)
     (x0, front, z0), (x1, _, z1) = slab.lower, slab.upper
     size = min(0.5 * (x1 - x0), 0.6 * (z1 - z0))
     # The print stands on the half of the panel without the handle.

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
 from aomgen.assets.shapes import PRINT_GAP, Material, box, boxes_mesh, carcass, merged, panel, rod
@@ -210,7 +210,7 @@ def _door(
     free = -1.0 if shape.hinge_right else 1.0
     handle = _bar(shape, free * (w - 0.04), (low + top) / 2, (0.0, 0.0, 1.0))
     sheet = Material(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
-    art = Material(texture_srgb=printed.stickers(rng, paint, 320, 320, 5), roughness=0.6)
+    art = Material(texture_srgb=decals.stickers(rng, paint, 320, 320, 5), roughness=0.6)
     size = 0.55 * min(2 * w, top - low)
     corner = (-free * 0.3 * w - size / 2, shape.face - PRINT_GAP, (low + top - size) / 2)
     meshes = (

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merged, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
@@ -113,7 +113,7 @@ def _body(shape: OvenShape, color: tuple[float, float, float], rng: np.random.Ge
     }
     sheet = textures.brushed_metal if rng.random() < 0.5 else textures.speckled
     painted = Material(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3)
-    dials = Material(texture_srgb=printed.knobs(rng, color), roughness=0.35)
+    dials = Material(texture_srgb=decals.knobs(rng, color), roughness=0.35)
     plate = Material(texture_srgb=textures.label(rng))
     slots = Material(texture_srgb=textures.vents(rng, color))
     edge = 0.004

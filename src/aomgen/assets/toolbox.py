@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.lid import SEAL, back_hinge
 from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merged, panel, rod
@@ -112,7 +112,7 @@ def _body(
     w, y0, y1 = shape.width / 2, -shape.depth / 2, shape.depth / 2
     walls = _walls(shape, 0.0, shape.seam, closed_below=True)
     latches = _latches(shape, shape.seam - 0.034, shape.seam)
-    sheet = Material(texture_srgb=printed.tread_plate(rng, color), tile_m=0.45, roughness=0.5, metallic=0.2)
+    sheet = Material(texture_srgb=decals.tread_plate(rng, color), tile_m=0.45, roughness=0.5, metallic=0.2)
     steel = Material(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
     sticker = Material(texture_srgb=textures.label(rng), roughness=0.5)
     brand = Material(texture_srgb=textures.nameplate(rng, lid_color), roughness=0.4)
@@ -156,10 +156,10 @@ def _lid(
     w, y0, low, top = shape.width / 2, -shape.depth / 2, shape.seam + SEAL, shape.top
     walls = _walls(shape, low, top, closed_below=False)
     latches = _latches(shape, low, low + 0.030)
-    sheet = Material(texture_srgb=printed.tread_plate(rng, color), tile_m=0.45, roughness=0.45)
+    sheet = Material(texture_srgb=decals.tread_plate(rng, color), tile_m=0.45, roughness=0.45)
     steel = Material(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
     rubber = Material(texture_srgb=textures.plastic(rng, (0.10, 0.10, 0.11), 128))
-    sheet_of_stickers = Material(texture_srgb=printed.stickers(rng, color), roughness=0.5)
+    sheet_of_stickers = Material(texture_srgb=decals.stickers(rng, color), roughness=0.5)
     brand = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.4)
     grip = 0.16 * shape.width
     arch = [

@@ -15,7 +15,7 @@ from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import draw_sessions
 from aomgen.twin.directional_shadow import FAR, MOVES, STANDS, DirectionalLight, on_surface, silhouette
 from aomgen.twin.layers import StaticLayer, moving_layer, static_layer
-from aomgen.twin.relit import surfaces_of
+from aomgen.twin.relighting import surfaces_of
 from aomgen.twin.shadow import cast_shadow
 from aomgen.twin.twin import OBJECT, PART, Twin, shadow_roles, trajectory_body_poses
 

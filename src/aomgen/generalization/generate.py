@@ -11,8 +11,8 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisod
 from aomgen.core.progress import Progress
 from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
+from aomgen.generalization.episode_planning import PlanParams, plan_episode
 from aomgen.generalization.ik import IkSolver, ik_solver
-from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.variations import PoseRanges, in_view, longest_reach, variations, worth_trying
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import table_overlap_m

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from aomgen.assets.check import require_usable
+from aomgen.assets.asset_check import require_usable
 from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
 from aomgen.assets.usd_read import SUFFIXES, read_usd
 from aomgen.core.asset import ArticulatedAsset

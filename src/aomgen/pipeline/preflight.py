@@ -5,7 +5,7 @@ from pathlib import Path
 
 from aomgen import __version__
 from aomgen.assets.make import make_asset
-from aomgen.capture.check import check_capture
+from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.recording import Capture

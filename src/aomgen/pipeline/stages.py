@@ -42,7 +42,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=6,
         weight=40,
-        function=lazily("recovery", "structure"),
+        function=lazily("twin_stages", "structure"),
         incremental=True,
     ),
     Stage(
@@ -53,7 +53,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("iterations", "gaussians"),
         version=3,
         weight=76,
-        function=lazily("recovery", "gaussians"),
+        function=lazily("twin_stages", "gaussians"),
         incremental=True,
     ),
     Stage(
@@ -74,7 +74,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("parts_method", "segmenter", "alignment_method"),
         version=10,
         weight=22,
-        function=lazily("recovery", "parts"),
+        function=lazily("twin_stages", "parts"),
         incremental=True,
     ),
     Stage(
@@ -85,7 +85,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("motion_method",),
         version=23,
         weight=9,
-        function=lazily("recovery", "motion"),
+        function=lazily("twin_stages", "motion"),
     ),
     Stage(
         name="twin",
@@ -95,7 +95,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=8,
         weight=24,
-        function=lazily("recovery", "twin"),
+        function=lazily("twin_stages", "twin"),
     ),
     Stage(
         name="replacement",

@@ -18,7 +18,7 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transf
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
 from aomgen.replacement.correspondence import bar_reach, held_point_of, mirrored, opens_left
-from aomgen.replacement.recorded import RecordedContact, smooth_rise
+from aomgen.replacement.recorded_motion import RecordedContact, smooth_rise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,7 @@ from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AssetError
 from aomgen.io.images import resize
-from aomgen.splatting.creases import crease_distances
+from aomgen.splatting.sharp_edges import crease_distances
 from aomgen.splatting.visibility import occluded_transfer
 
 # Candidates drawn for each disc that is kept; more gives a more even spread.

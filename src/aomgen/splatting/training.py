@@ -18,10 +18,10 @@ from aomgen.splatting.compute import Compute, NativeCompute, make_compute
 from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import GaussianTensors, RasterOptions
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
-from aomgen.splatting.photographs import Exposure, TrainingView, reduced, within_range
 from aomgen.splatting.poses import PoseIncrements
 from aomgen.splatting.state import TrainingState
 from aomgen.splatting.surfaces import in_free_space, view_depths
+from aomgen.splatting.training_views import Exposure, TrainingView, reduced, within_range
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from aomgen.assets.check import outward_normal
+from aomgen.assets.asset_check import outward_normal
 from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint

@@ -13,7 +13,7 @@ from aomgen.core.transforms import invert, transform
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
-from aomgen.twin.relit import Relit, joined
+from aomgen.twin.relighting import Relit, joined
 from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses
 
 

@@ -9,7 +9,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.splatting.session import Motion, RenderSession
-from aomgen.twin.relit import LitSurface, surfaces_of
+from aomgen.twin.relighting import LitSurface, surfaces_of
 from aomgen.twin.twin import Twin
 
 

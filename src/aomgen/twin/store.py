@@ -14,7 +14,7 @@ from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.twin.directional_shadow import DirectionalLight
-from aomgen.twin.relit import Relit, ResidualAppearance
+from aomgen.twin.relighting import Relit, ResidualAppearance
 from aomgen.twin.twin import Twin, TwinState
 
 # Raised when the files of a twin change.

@@ -19,7 +19,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.twin.directional_shadow import MOVES, SCENE, STANDS, DirectionalLight, darkened, draw_lit
-from aomgen.twin.relit import LitSurface, Relit, surfaces_of
+from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 
 WORLD: Final = "world"
 OBJECT: Final = "object"

@@ -12,7 +12,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import open_transfer, shaded_srgb
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.twin.relit import ResidualAppearance, orientation_weights
+from aomgen.twin.relighting import ResidualAppearance, orientation_weights
 from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import render_state
 

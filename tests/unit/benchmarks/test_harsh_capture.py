@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.capture.check import check_capture
+from aomgen.capture.capture_check import check_capture
 from aomgen.capture.read import read_capture
 from aomgen.core.lens import Lens
 from aomgen.io.images import read_image, read_labels

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from aomgen.capture.check import check_robot, read_demo_videos
+from aomgen.capture.capture_check import check_robot, read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.capture.scan_check import check_scan
 from aomgen.core.lens import Lens

@@ -16,7 +16,7 @@ from aomgen.core.verdict import Rejection
 from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import frontal, held_point_of, mirrored
 from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
-from aomgen.replacement.recorded import recorded_contact, smooth_rise
+from aomgen.replacement.recorded_motion import recorded_contact, smooth_rise
 
 YAW = np.deg2rad(-70.0)
 SCALE = 1.15

@@ -8,7 +8,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.light import hemisphere_light
 from aomgen.errors import ReconstructionError
 from aomgen.replacement.inpaint import inpainted
-from aomgen.replacement.light import LIMITS, estimate_light, fitted_light
+from aomgen.replacement.light_estimation import LIMITS, estimate_light, fitted_light
 from aomgen.replacement.removal import clear_object, shadow_gain
 from aomgen.twin.twin import render_state
 

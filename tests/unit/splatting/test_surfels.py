@@ -6,8 +6,8 @@ from aomgen.core.light import Light, hemisphere_light, open_transfer, shaded_srg
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.errors import AssetError
-from aomgen.splatting.creases import crease_edges
 from aomgen.splatting.rasterizer import render
+from aomgen.splatting.sharp_edges import crease_edges
 from aomgen.splatting.surfels import surfels_of
 from aomgen.splatting.visibility import occluded_transfer
 

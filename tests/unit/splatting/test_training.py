@@ -14,7 +14,6 @@ from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import CpuRasterizer
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.optimizer import gaussians_of, parameters_of
-from aomgen.splatting.photographs import within_range
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.training import (
     TrainingParams,
@@ -25,6 +24,7 @@ from aomgen.splatting.training import (
     started,
     train,
 )
+from aomgen.splatting.training_views import within_range
 from small_scene import checkered, photograph, ring, start
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.core.camera import Camera
 from aomgen.core.held_out import held_out
 from aomgen.core.motion import MotionEstimate
@@ -15,9 +15,9 @@ from aomgen.io.images import read_image, resize
 from aomgen.io.video import Video, probe_video, read_frames
 from aomgen.motion.stage import load_motion
 from aomgen.parts.survey_store import load_survey
-from aomgen.pipeline.recovery import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.stage import Run
+from aomgen.pipeline.twin_stages import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.working import aligned_capture_of
 from aomgen.report.drawing import map_from_above, overlay_labels, overlay_outline, sheet
 from aomgen.robots.robot import RobotModel
