@@ -8,6 +8,7 @@ import pytest
 
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
+from aomgen.capture import capture_check
 from aomgen.capture.read import read_capture
 from aomgen.errors import (
     AssetError,
