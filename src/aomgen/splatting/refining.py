@@ -18,6 +18,11 @@ from aomgen.splatting.loss import image_loss
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.training import one_torch_thread
 
+# Learning rate of quaternions, as in training.
+RATE_QUATS = 4e-3
+# What is left of all learning rates at the end, so that the last steps only average.
+DECAY = 0.1
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefinementView:
@@ -49,19 +54,16 @@ class RefiningParams:
 
     Attributes:
         rounds: How often every picture is learned from.
-        rate_means: Of places, [m] a step; it falls by `decay` until the end, as all others do.
-        rate_quats, rate_log_scales, rate_color, rate_sh: Others. Opacity stays: a surface is opaque.
-        decay: What is left of the rates at the end.
+        rate_means: Of places, [m] a step; it falls by `DECAY` until the end, as all others do.
+        rate_log_scales, rate_color, rate_sh: Others. Opacity stays: a surface is opaque.
         dssim_weight: Share of the structural part in the loss.
     """
 
     rounds: int = 2
     rate_means: float = 1e-4
-    rate_quats: float = 4e-3
     rate_log_scales: float = 2e-2
     rate_color: float = 2e-2
     rate_sh: float = 5e-3
-    decay: float = 0.1
     dssim_weight: float = 0.2
 
 
@@ -151,11 +153,11 @@ def _harmonics(learned: Tensor, lesson: RefinementView) -> Tensor:
 
 
 def _rates(params: RefiningParams, share: float, degree: int) -> dict[str, Tensor]:
-    decay = params.decay**share
+    decay = DECAY**share
     by_coefficient = [params.rate_color] + [params.rate_sh] * ((degree + 1) ** 2 - 1)
     return {
         "means": torch.full((3,), params.rate_means * decay),
-        "quats": torch.full((4,), params.rate_quats * decay),
+        "quats": torch.full((4,), RATE_QUATS * decay),
         "log_scales": torch.full((3,), params.rate_log_scales * decay),
         "logit_opacities": torch.zeros(1),
         "sh": torch.tensor(by_coefficient).repeat_interleave(3) * decay,
