@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from aomgen.appearance.surfel_observations import Film, pixel_size
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.refining import RefinementView, RefiningParams, refined
+from aomgen.splatting.refining import RefinementView, RefiningParams, refine_gaussians
 from aomgen.twin.directional_shadow import darkened, draw_lit
 from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
@@ -57,7 +57,7 @@ def sharpened(twin: Twin, robot: RobotModel, films: Sequence[Film], rng: np.rand
         for index, state in enumerate(film.states)
     ]
     params = RefiningParams(rate_means=STEP_PX * pixel_size(robot, twin, films))
-    gaussians, difference = refined(twin.gaussians, twin.bodies, lessons, params, rng)
+    gaussians, difference = refine_gaussians(twin.gaussians, twin.bodies, lessons, params, rng)
     relit = None if twin.relit is None else _corrected(twin.relit, nearest, difference)
     return replace(twin, gaussians=gaussians, relit=relit)
 

@@ -24,7 +24,7 @@ TABLE_CLEARANCE_M = 0.005
 
 # Share of the object that each camera must show, 0..1: a corner may be cut off.
 LEAST_IN_VIEW = 0.85
-# Poses out of reach, off the table or out of view in a row before giving up: each is cheap, and far more in a row mean that none fits.
+# Poses out of reach, off the table or out of view in a row before giving up: where one in a hundred fits, one is found.
 MAX_SKIPPED = 500
 
 
