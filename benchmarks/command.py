@@ -19,7 +19,7 @@ from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.working import with_joint_zeros, working_capture
-from aomgen.robots.robot import chosen_robot
+from aomgen.robots.robot import choose_robot
 from aomgen.structure.stage import load_structure
 from aomgen.twin.twin import Twin, TwinState
 from benchmarks.accuracy import score_estimates
@@ -61,7 +61,7 @@ def run_accuracy(
         estimates = read_json(out / "estimates.json")
         name = capture.cameras[0].name
         video = read_demo_videos(capture)[name]
-        robot = chosen_robot(capture.robot)
+        robot = choose_robot(capture.robot)
         figures = score_estimates(estimates, truth, robot, video.times_s, name)
         twin, _ = open_twin(out)
         figures.update(_score_pictures(capture, estimates, out, video, truth, twin))

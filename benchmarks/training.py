@@ -18,7 +18,7 @@ from aomgen.io.images import read_image
 from aomgen.pipeline.project import Project
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.state import TrainingState
-from aomgen.splatting.training import finished, learning, scene_extent, started
+from aomgen.splatting.training import finish_training, learning, scene_extent, start_training
 from aomgen.structure.stage import load_structure
 
 FIRST_STAGE, STRUCTURE_FOLDER = "structure", "01_structure"
@@ -105,7 +105,9 @@ def training_curve(
     every_seconds: float,
 ) -> list[dict[str, Any]]:
     """Train, and judge the held-out views every few seconds and at the end."""
-    state = started(lesson.initial, lesson.cameras, params.training, np.random.default_rng(params.seed))
+    state = start_training(
+        lesson.initial, lesson.cameras, params.training, np.random.default_rng(params.seed)
+    )
     extent = scene_extent(lesson.initial, lesson.cameras)
     curve: list[dict[str, Any]] = []
     clock = Clock()
@@ -124,7 +126,7 @@ def _point(
     params: GaussiansParams,
     clock: Clock,
 ) -> dict[str, Any]:
-    gaussians = finished(state, params.training)
+    gaussians = finish_training(state, params.training)
     gaussians = without_floaters(gaussians, lesson.cameras, lesson.dense, params.near_share)
     views = [judge(gaussians, camera, image) for camera, image in held_out]
     fitted = [

@@ -26,11 +26,11 @@ from aomgen.twin.directional_shadow import (
     MOVES,
     STANDS,
     DirectionalLight,
-    on_surface,
-    shadowed,
+    cast_directional_shadow,
+    intersect_surface,
+    remove_shadow,
     silhouette,
     surface_share,
-    unshaded,
 )
 from aomgen.twin.shadow import HEIGHTS
 from aomgen.twin.twin import Twin, posed, shadow_roles
@@ -133,16 +133,16 @@ def without_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -> Twi
     on_it = surface_share(lamp.T_world_plane, points) * (twin.bodies == 0)
 
     def taken(shift: Array) -> Array:
-        return on_it * shadowed(world, roles, lamp.direction, points + shift)
+        return on_it * cast_directional_shadow(world, roles, lamp.direction, points + shift)
 
     across = lamp.T_world_plane[:3, :2] * EDGE_M
     turns = np.arange(8) * np.pi / 4
     around = [taken(across @ np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
     dark = taken(np.zeros(3))
     unsure = np.max([dark, *around], 0) - np.min([dark, *around], 0) > 1 - CORE
-    looks = _by_looks(unshaded(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp)
+    looks = _by_looks(remove_shadow(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp)
     dark[unsure] = np.minimum(looks, np.max([dark, *around], 0)[unsure])
-    return replace(twin, gaussians=unshaded(twin.gaussians, dark, lamp.shade), directional_light=lamp)
+    return replace(twin, gaussians=remove_shadow(twin.gaussians, dark, lamp.shade), directional_light=lamp)
 
 
 def _by_looks(
@@ -286,7 +286,7 @@ def _watched(twin: Twin, robot: RobotModel, film: Film, T_world_plane: Array) ->
     camera, still = film.camera, twin.bodies == 0
     roles = shadow_roles(twin, robot)
     scene = render(twin.gaussians.select(still), camera, with_ids=True)
-    points, belongs = on_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
+    points, belongs = intersect_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
     moving, free = [], []
     for index in chosen:
         world = posed(twin, robot, film.states[index])

@@ -18,7 +18,7 @@ from aomgen.appearance.surfel_observations import Film, pixel_size
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.refining import RefinementView, RefiningParams, refine_gaussians
-from aomgen.twin.directional_shadow import darkened, draw_lit
+from aomgen.twin.directional_shadow import compute_shadow_factors, draw_lit
 from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
 
@@ -95,7 +95,9 @@ def _with_shadows(lesson: RefinementView, twin: Twin, roles: NDArray[np.uint8]) 
     _, surface, taken = draw_lit(twin.directional_light, world, roles, lesson.camera)
     edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
     return replace(
-        lesson, shade=darkened(twin.directional_light, surface * taken), unsure=edge & (surface > MOSTLY)
+        lesson,
+        shade=compute_shadow_factors(twin.directional_light, surface * taken),
+        unsure=edge & (surface > MOSTLY),
     )
 
 

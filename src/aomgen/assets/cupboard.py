@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import PRINT_GAP, Material, box, boxes_mesh, carcass, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Material, box, boxes_mesh, carcass, merge_meshes, panel, rod
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -161,7 +161,7 @@ def _crockery(shape: CupboardShape, rng: np.random.Generator) -> list[Mesh]:
             )
             for i in range(count)
         ]
-        meshes.append(merged(f"plates_{'left' if side < 0 else 'right'}", pile))
+        meshes.append(merge_meshes(f"plates_{'left' if side < 0 else 'right'}", pile))
     return meshes
 
 

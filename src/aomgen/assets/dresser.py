@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import DARKS, METALS, PAINTS, WOODS
-from aomgen.assets.shapes import AlignedBox, Material, box, boxes_mesh, carcass, merged
+from aomgen.assets.shapes import AlignedBox, Material, box, boxes_mesh, carcass, merge_meshes
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -171,7 +171,7 @@ def _body(
         boxes_mesh("boards", list(boards.values()), body),
         boxes_mesh("feet", list(feet.values()), Material(color_srgb=(0.10, 0.09, 0.08))),
         *(boxes_mesh(key, [face], front) for key, face in fronts.items()),
-        merged("handles", [handle.mesh(bar) for handle in handles]),
+        merge_meshes("handles", [handle.mesh(bar) for handle in handles]),
     )
     colliders = [solid.collider(key) for key, solid in {**boards, **feet, **fronts}.items()]
     for key, handle in zip(fronts, handles, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 
 from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
-from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merge_meshes, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
@@ -160,7 +160,7 @@ def _cavity(shape: OvenShape, rng: np.random.Generator) -> list[Mesh]:
         rod("bar", (x, y0 + 0.03, z), (x, y1 - 0.01, z), 0.003, steel, 8)
         for x in np.linspace(-w + 0.02, w - 0.02, 9)
     ]
-    return [boxes_mesh("cavity", inner, enamel), merged("rack", bars)]
+    return [boxes_mesh("cavity", inner, enamel), merge_meshes("rack", bars)]
 
 
 def _door(

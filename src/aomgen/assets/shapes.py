@@ -156,7 +156,7 @@ def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material, side
     return _quads_mesh(name, np.asarray(center) + quads * np.asarray(radii), uvs, surface)
 
 
-def merged(name: str, meshes: Sequence[Mesh]) -> Mesh:
+def merge_meshes(name: str, meshes: Sequence[Mesh]) -> Mesh:
     """One mesh of several that share the first one's surface."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     first = meshes[0]

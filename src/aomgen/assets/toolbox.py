@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.lid import SEAL, back_hinge
-from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merge_meshes, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
 
@@ -146,7 +146,7 @@ def _tray(shape: ToolboxShape, y0: float, y1: float, rng: np.random.Generator) -
         meshes.append(rod(f"grip_{number}", (x - half, y, z + 0.012), (x, y, z + 0.012), 0.012, colored))
         shaft = rod("shaft", (x, y, z + 0.010), (x + half, y, z + 0.010), 0.006, iron)
         head = rod("head", (x + half, y - 0.02, z + 0.012), (x + half, y + 0.02, z + 0.012), 0.010, iron)
-        meshes.append(merged(f"iron_{number}", [shaft, head]))
+        meshes.append(merge_meshes(f"iron_{number}", [shaft, head]))
     return meshes
 
 
@@ -172,7 +172,7 @@ def _lid(
     meshes = (
         boxes_mesh("lid", list(walls.values()), sheet),
         boxes_mesh("latches", list(latches.values()), steel),
-        merged("carry", arch),
+        merge_meshes("carry", arch),
         panel(
             "stickers",
             (grip + 0.02, y0 + inset, top + PRINT_GAP),

@@ -18,8 +18,8 @@ from aomgen.core.recording import Capture
 from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
 from aomgen.io.images import resize
 from aomgen.io.resampling import undistorter
-from aomgen.io.video import Video, decoded_frames, probe_video, read_video
-from aomgen.robots.robot import RobotModel, chosen_robot
+from aomgen.io.video import Video, decode_frames, probe_video, read_video
+from aomgen.robots.robot import RobotModel, choose_robot
 
 # A demonstration shorter than this shows no motion that could be fitted.
 MIN_FRAMES = 20
@@ -105,7 +105,7 @@ def check_robot(capture: Capture) -> RobotModel:
         ConfigError, InputError: The robot cannot be used, or a joint stays outside its limits
             during the scan.
     """
-    robot = chosen_robot(capture.robot)
+    robot = choose_robot(capture.robot)
     low, high = robot.joint_limits.T
     outside = np.maximum(low - capture.robot.scan_joints, capture.robot.scan_joints - high)
     worst = int(np.argmax(outside))
@@ -195,7 +195,7 @@ def _check_steady(video: Video, path: Path) -> None:
 
 
 def _turned(path: Path) -> list[str]:
-    _, frame = next(decoded_frames(path))
+    _, frame = next(decode_frames(path))
     if not frame.rotation:
         return []
     return [

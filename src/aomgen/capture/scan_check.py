@@ -6,7 +6,7 @@ from pathlib import Path
 from aomgen.capture.sharpness import BLURRED, HOPELESS, blur, read_grey, shrink
 from aomgen.core.recording import Capture, frame_name
 from aomgen.errors import IncompleteCaptureError
-from aomgen.io.video import decoded_frames, probe_video
+from aomgen.io.video import decode_frames, probe_video
 
 # With a larger share of hopeless pictures than this, too few others are left anywhere.
 MAX_HOPELESS_SHARE = 0.8
@@ -42,7 +42,7 @@ def check_scan(capture: Capture) -> tuple[int, list[str]]:
 def _video_blurs(path: Path) -> tuple[int, dict[str, float]]:
     stride = max(1, probe_video(path).frames // VIDEO_LOOKS)
     count, blurs = 0, {}
-    for _, frame in decoded_frames(path):
+    for _, frame in decode_frames(path):
         if count % stride == 0:
             blurs[frame_name(count)] = blur(shrink(frame.to_image()))
         count += 1

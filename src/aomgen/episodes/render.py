@@ -13,7 +13,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import draw_sessions
-from aomgen.twin.directional_shadow import FAR, MOVES, STANDS, DirectionalLight, on_surface, silhouette
+from aomgen.twin.directional_shadow import FAR, MOVES, STANDS, DirectionalLight, intersect_surface, silhouette
 from aomgen.twin.layers import StaticLayer, moving_layer, static_layer
 from aomgen.twin.relighting import surfaces_of
 from aomgen.twin.shadow import cast_shadow
@@ -141,7 +141,7 @@ class _ArmShadow:
         self._places = []
         for layer in layers.values():
             depth = np.minimum(layer.depth, FAR).astype(np.float64)
-            points, belongs = on_surface(light.T_world_plane, layer.camera, depth)
+            points, belongs = intersect_surface(light.T_world_plane, layer.camera, depth)
             seen = belongs > 0
             self._places.append((points[seen], belongs[seen] * (1 - fixed.at(points[seen])), seen))
 

@@ -76,7 +76,7 @@ def choose_viewpoint(
     for max_turn, share in DEMANDS:
         best: Viewpoint | None = None
         for name in sorted(scan_cameras):
-            camera = aimed(first, scan_cameras[name], target, max_turn)
+            camera = aim_camera(first, scan_cameras[name], target, max_turn)
             if camera is not None:
                 promise = _promise(camera, first, framed, share)
                 if promise is not None and (best is None or promise + 1.0 > best.score):
@@ -123,7 +123,7 @@ def _visible_share(camera: Camera, scenes: list[Gaussians], key_points: Sequence
     return float(np.mean(shares))
 
 
-def aimed(optics: Camera, place: Camera, target: Array, max_turn: float) -> Camera | None:
+def aim_camera(optics: Camera, place: Camera, target: Array, max_turn: float) -> Camera | None:
     """`optics` at the place of another camera, turned to the target; None if that turns too far."""
     T = look_at(place.center, target)
     cosine = float(T[:3, 2] @ place.T_world_cam[:3, 2])

@@ -9,7 +9,7 @@ from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
-from aomgen.io.schema import suggestion
+from aomgen.io.schema import suggest
 from aomgen.pipeline.asset_choice import assets_digest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
@@ -153,7 +153,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
     """
     names = [stage.name for stage in STAGES]
     if until and until not in names:
-        raise ConfigError("--until", f"'{until}' is no stage", suggestion(until, names))
+        raise ConfigError("--until", f"'{until}' is no stage", suggest(until, names))
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}

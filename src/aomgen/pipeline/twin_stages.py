@@ -43,7 +43,7 @@ from aomgen.pipeline.posed_videos import pose_demo_video, pose_scan_images, refi
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import aligned_capture_of, capture_of
 from aomgen.robots.configuration import RobotPosture
-from aomgen.robots.robot import RobotModel, chosen_robot
+from aomgen.robots.robot import RobotModel, choose_robot
 from aomgen.robots.robot_store import save_robot
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure.fixed_cameras import DemoView
@@ -61,7 +61,7 @@ MEDIAN_FRAMES = 48
 
 def robot_of(capture: Capture) -> RobotModel:
     """The robot of a capture, with the capture's world frame."""
-    return chosen_robot(capture.robot)
+    return choose_robot(capture.robot)
 
 
 def structure(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:

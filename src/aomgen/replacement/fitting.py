@@ -17,7 +17,7 @@ from aomgen.core.plan import Adaptation, FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
-from aomgen.replacement.correspondence import bar_reach, held_point_of, mirrored, opens_left
+from aomgen.replacement.correspondence import bar_reach, held_point_of, mirror_asset, opens_left
 from aomgen.replacement.recorded_motion import RecordedContact, smooth_rise
 
 # Allowed scale relative to the ratio of the moving parts' boxes: household sizes of one kind of object.
@@ -77,7 +77,7 @@ def fit_asset(
     turned = opens_left(asset.joint, asset.handle_point, [1.0, 0.0, 0.0]) != contact.front.opens_left
     if turned and not params.allow_mirror:
         return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
-    return _fit_scale(mirrored(asset) if turned else asset, contact, turned, params)
+    return _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
 
 
 def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:

@@ -21,7 +21,7 @@ CANDIDATES: Final = 600
 SMOOTHING: Final = 9.0
 
 
-def inpainted(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
+def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
     """Complete an image.
 
     Args:

@@ -12,7 +12,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.replacement.inpaint import inpainted
+from aomgen.replacement.inpaint import inpaint
 from aomgen.replacement.support import SURFACE, Support, find_support, on_surface, seen_from_above
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import Twin, posed
@@ -93,7 +93,7 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     remaining, table = remaining.select(~rest), table[~rest]
     gain = shadow_gain(picture, known, outside, xy)
     lightened = _lightened(remaining.gaussians, table, support, low, gain)
-    texture = inpainted(np.clip(picture * gain, 0, 1), known, rng)
+    texture = inpaint(np.clip(picture * gain, 0, 1), known, rng)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
     where = (outside <= 0) | (((outside <= MARGIN + OVERLAP) | thin) & _hull(extent > 0.5))

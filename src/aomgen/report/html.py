@@ -69,7 +69,7 @@ def paragraph(words: str) -> str:
     return f"<p>{text(words)}</p>"
 
 
-def folded(title: str, content: str, *, opened: bool) -> str:
+def fold(title: str, content: str, *, opened: bool) -> str:
     """What a reader can fold away, or opens when it is wanted."""
     return f"<details{' open' if opened else ''}><summary>{text(title)}</summary>{content}</details>"
 

@@ -121,7 +121,7 @@ class Travel:
     gap_m: float
 
 
-def best_travel(
+def find_finger_travel(
     model: mujoco.MjModel, chain: ArmChain, skins: dict[int, SurfaceSamples], first: Array, second: Array
 ) -> Travel | None:
     """The pair of bodies that are the fingers, judged between two states; None if nothing moves.
@@ -165,7 +165,7 @@ def _distances(skins: dict[int, SurfaceSamples], Ts: Array, a: int, b: int, ever
     return cKDTree(skins[b].points).query(apply(T_b_a, skins[a].points[::every]))[0]
 
 
-def closest_row(skins: dict[int, SurfaceSamples], Ts: Array, pair: tuple[int, int]) -> int:
+def find_contact_row(skins: dict[int, SurfaceSamples], Ts: Array, pair: tuple[int, int]) -> int:
     """The first state (of K, opening to closing) in which the fingers touch; else the nearest one."""
     a, b = pair
     moving = _moving(skins, Ts, a, b)[::10]

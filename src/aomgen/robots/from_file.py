@@ -16,7 +16,7 @@ from aomgen.io.robot_xml import read_robot_xml
 from aomgen.robots.arm_chain import ArmChain, arm_chain
 from aomgen.robots.gripper_from_file import FileHand, add_hand_parts, find_hand
 from aomgen.robots.robot_files import EE_SITES, drop_visual
-from aomgen.robots.robot_reading import compiled, read_robot_spec
+from aomgen.robots.robot_reading import compile_model, read_robot_spec
 from aomgen.robots.servos import add_arm_servos, add_grip_servo, structural_overlaps
 
 GRASP_SITE = "grasp_point"
@@ -67,9 +67,9 @@ def read_file_robot(
     """
     xml = read_robot_xml(path, root)
     spec, actuated = read_robot_spec(xml, turned)
-    model = compiled(spec, xml)
+    model = compile_model(spec, xml)
     chain = arm_chain(model, joints, path)
-    shown = seen_geoms(model)
+    shown = find_visible_geoms(model)
     hand = None
     if chain.hand_joints:
         hand = find_hand(spec, model, chain, actuated, shown, choice, path)
@@ -88,7 +88,7 @@ def read_file_robot(
     bare = spec.copy()
     drop_visual(bare)
     # Compiles ten times faster than with looks, and weighs the same.
-    light = compiled(bare, xml)
+    light = compile_model(bare, xml)
     add_arm_servos((spec, bare), light, chain.joints, ee_site)
     actuator = ""
     if hand is not None:
@@ -111,7 +111,7 @@ def read_file_robot(
     )
 
 
-def seen_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def find_visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which geoms (G,) are seen: those without contacts in a shown group; for a body without any,
     its colliding ones in a shown group, unless collision shapes have a group of their own.
     """

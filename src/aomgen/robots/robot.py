@@ -147,7 +147,7 @@ def load_robot(
     return _of_file(read_file_robot(path, root or path.parent, joints, hand or HandChoice(), turned=turned))
 
 
-def chosen_robot(choice: RobotChoice) -> RobotModel:
+def choose_robot(choice: RobotChoice) -> RobotModel:
     """The robot of a capture, in the capture's world frame and joint order.
 
     Raises:

@@ -21,7 +21,7 @@ from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.poses import PoseIncrements
 from aomgen.splatting.state import TrainingState
 from aomgen.splatting.surfaces import in_free_space, view_depths
-from aomgen.splatting.training_views import Exposure, TrainingView, reduced, within_range
+from aomgen.splatting.training_views import Exposure, TrainingView, clip_to_sensor, reduce_image
 
 # Shares of the iterations at which degrees 1, 2, 3 are switched on: constant colors settle first.
 SH_STARTS = (0.0, 0.2, 0.4)
@@ -121,7 +121,7 @@ def train(
     if checkpoint and checkpoint.path.exists():
         state = load_checkpoint(checkpoint.path, digest, rng)
     else:
-        state = started(initial, cameras, params, rng)
+        state = start_training(initial, cameras, params, rng)
     extent, compute = scene_extent(initial, cameras), make_compute(device)
     state.parameters = state.parameters.moved(device)
     for loss in learning(state, cameras, images, params, extent, compute):
@@ -131,10 +131,10 @@ def train(
         if done % 10 == 0:
             text = f"{len(state.parameters)} Gaussians, loss {loss:.4f}"
             progress(done / params.iterations, text)
-    return finished(state, params)
+    return finish_training(state, params)
 
 
-def started(
+def start_training(
     initial: Gaussians, cameras: list[Camera], params: TrainingParams, rng: np.random.Generator
 ) -> TrainingState:
     """The state before the first iteration."""
@@ -177,7 +177,7 @@ def learning(
             if factor != _factor(params, share):
                 factor = _factor(params, share)
                 views = [
-                    reduced(camera, image, factor).moved(compute.device)
+                    reduce_image(camera, image, factor).moved(compute.device)
                     for camera, image in zip(cameras, images, strict=True)
                 ]
             if not len(state.order):
@@ -190,7 +190,7 @@ def learning(
             yield loss
 
 
-def finished(state: TrainingState, params: TrainingParams) -> Gaussians:
+def finish_training(state: TrainingState, params: TrainingParams) -> Gaussians:
     """The Gaussians of a state without those that are hardly there."""
     trained = gaussians_of(state.parameters)
     return trained.select(np.isfinite(trained.means).all(1) & (trained.opacities >= params.min_opacity))
@@ -234,7 +234,7 @@ def _learn(
     log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
     gains = None if log_gains is None else log_gains.exp().to(compute.device)
     target = view.target()
-    seen = within_range(drawn.rgb, target, gains)
+    seen = clip_to_sensor(drawn.rgb, target, gains)
     loss = compute.image_loss(seen, target, gains=gains, dssim_weight=params.dssim_weight)
     total = loss + OPACITY_WEIGHT * leaves["logit_opacities"].sigmoid().mean()
     total.backward()
@@ -252,7 +252,7 @@ def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParam
     """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
-    chosen = looked_at(len(views), params.error_views, state.iteration // params.grow_every)
+    chosen = choose_error_views(len(views), params.error_views, state.iteration // params.grow_every)
     gains = exposure.log_gains.exp()[:, :, None, None]
     targets = [(views[i].target().cpu() / gains[i]).clamp(max=1).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
@@ -271,7 +271,7 @@ def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParam
     )
 
 
-def looked_at(views: int, count: int, turn: int) -> NDArray[np.int64]:
+def choose_error_views(views: int, count: int, turn: int) -> NDArray[np.int64]:
     """Views spread evenly over the scan; the next turn takes their neighbours, until all had one."""
     count = min(count, views)
     return np.unique((np.arange(count) * views // count + turn) % views)

@@ -68,7 +68,7 @@ class Exposure:
         self.log_gains -= self.log_gains.mean(0)
 
 
-def within_range(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tensor:
+def clip_to_sensor(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tensor:
     """The rendering (3, H, W), but no brighter than a saturated photograph could show.
 
     A scene that a sensor clips is brighter than its picture. Without this, gains would be fitted
@@ -79,7 +79,7 @@ def within_range(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tens
     return torch.where(target >= SATURATED, torch.minimum(rendered, shown), rendered)
 
 
-def reduced(camera: Camera, image: NDArray[np.uint8], factor: int) -> TrainingView:
+def reduce_image(camera: Camera, image: NDArray[np.uint8], factor: int) -> TrainingView:
     """A view whose pixels are means of factor x factor pixels; what does not fill a pixel is cut."""
     planar = torch.tensor(np.ascontiguousarray(image.transpose(2, 0, 1)))
     factor = max(1, min(factor, image.shape[0] // 16, image.shape[1] // 16))

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.assets.shapes import AlignedBox, Material, box, boxes_mesh, dome, merged, panel, rod
+from aomgen.assets.shapes import AlignedBox, Material, box, boxes_mesh, dome, merge_meshes, panel, rod
 from aomgen.assets.textures import plastic, speckled
 from aomgen.core.mesh import Mesh
 from aomgen.synthetic import prints
@@ -123,7 +123,7 @@ def _mug(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]:
     rods = [rod("part", a, b, 0.005, glaze, 8) for a, b in pairwise(corners)]
     body = rod("part", (x, y, z0), (x, y, z1), radius, glaze, 28)
     top = rod(f"{name}_coffee", (x, y, z1), (x, y, z1 + 0.0006), 0.9 * radius, coffee, 28)
-    return [merged(name, [body, *rods]), top]
+    return [merge_meshes(name, [body, *rods]), top]
 
 
 def _adapter(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]:
@@ -140,7 +140,7 @@ def _adapter(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mes
             (x + bend, y + 0.06 * way, z0 + cable),
         ]
         rods = [rod("part", a, b, cable, black, 8) for a, b in pairwise(points)]
-        meshes.append(merged(f"{name}_cable_{side}", rods))
+        meshes.append(merge_meshes(f"{name}_cable_{side}", rods))
     return meshes
 
 

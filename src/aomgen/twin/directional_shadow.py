@@ -106,7 +106,9 @@ def silhouette(bodies: Gaussians, direction: ArrayLike, parts: RigidParts | None
     return Silhouette(camera=camera, alpha=render(bodies.with_sh_degree(0), camera, parts=parts).alpha)
 
 
-def shadowed(world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, points: ArrayLike) -> Array:
+def cast_directional_shadow(
+    world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, points: ArrayLike
+) -> Array:
     """Share (...,) of a light that moving bodies take from points (..., 3) of a surface below them.
 
     Args:
@@ -127,13 +129,13 @@ def draw_lit(
 
     Args:
         light: What shines.
-        world, roles: See `shadowed`.
+        world, roles: See `cast_directional_shadow`.
         camera: Where to look from.
         options: For `splatting.rasterizer.render`.
 
     Returns:
         The picture without shadow; how much of each pixel is the surface (H, W), 0..1; and how much of
-        the light is taken there (H, W), 0..1. See `darkened`.
+        the light is taken there (H, W), 0..1. See `compute_shadow_factors`.
     """
     own = np.asarray(options.pop("features", np.zeros((len(world), 0))), np.float32)
     still = (roles == SCENE).astype(np.float32)[:, None]
@@ -141,8 +143,8 @@ def draw_lit(
     drawn = render(world, camera, features=np.concatenate([own, still], 1), with_ids=True, **options)
     images = np.asarray(drawn.features)
     depth = np.asarray(drawn.median_depth, np.float64)
-    points, on_plane = on_surface(light.T_world_plane, camera, depth)
-    taken = shadowed(world, roles, light.direction, points)
+    points, on_plane = intersect_surface(light.T_world_plane, camera, depth)
+    taken = cast_directional_shadow(world, roles, light.direction, points)
     picture = Rendering(
         rgb=drawn.rgb,
         alpha=drawn.alpha,
@@ -154,12 +156,12 @@ def draw_lit(
     return picture, on_plane * images[..., -1], taken
 
 
-def darkened(light: DirectionalLight, dark: Array) -> NDArray[np.float32]:
+def compute_shadow_factors(light: DirectionalLight, dark: Array) -> NDArray[np.float32]:
     """Factors (..., 3) on sRGB colors where a share (...,) of the light is taken."""
     return (1 - dark[..., None] * (1 - light.shade)).astype(np.float32)
 
 
-def on_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:
+def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:
     """Where lines of sight meet a plane (H, W, 3), and how much the depth seen (H, W) belongs to it, 0..1."""
     rays = camera.directions()
     to_plane = invert(T_world_plane)
@@ -176,7 +178,7 @@ def surface_share(T_world_plane: Array, points_world: ArrayLike) -> Array:
     return np.interp(heights, HEIGHTS, (0.0, 1.0, 1.0, 0.0))
 
 
-def unshaded(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
+def remove_shadow(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
     """Gaussians without a shadow that lies on them to some share `dark` (N,), 0..1."""
     factor = 1 / (1 - dark[:, None] * (1 - shade))
     sh = gaussians.sh * factor[:, None]

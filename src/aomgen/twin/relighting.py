@@ -164,7 +164,7 @@ def surfaces_of(relit: Relit | None, bodies: NDArray[np.int32]) -> tuple[LitSurf
     return tuple(surfaces)
 
 
-def joined(first: Relit | None, second: Relit) -> Relit:
+def join_relit(first: Relit | None, second: Relit) -> Relit:
     """Surfaces of both, whose indices already mean the same twin."""
     if first is None:
         return second

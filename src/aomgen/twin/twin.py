@@ -18,7 +18,14 @@ from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
-from aomgen.twin.directional_shadow import MOVES, SCENE, STANDS, DirectionalLight, darkened, draw_lit
+from aomgen.twin.directional_shadow import (
+    MOVES,
+    SCENE,
+    STANDS,
+    DirectionalLight,
+    compute_shadow_factors,
+    draw_lit,
+)
 from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 
 WORLD: Final = "world"
@@ -212,7 +219,7 @@ def render_state(
     drawn, surface, taken = draw_lit(
         twin.directional_light, world, shadow_roles(twin, robot), camera, **options
     )
-    return replace(drawn, rgb=drawn.rgb * darkened(twin.directional_light, surface * taken))
+    return replace(drawn, rgb=drawn.rgb * compute_shadow_factors(twin.directional_light, surface * taken))
 
 
 def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:

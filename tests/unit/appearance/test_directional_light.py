@@ -14,7 +14,7 @@ from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.twin.directional_shadow import DirectionalLight, shadowed, unshaded
+from aomgen.twin.directional_shadow import DirectionalLight, cast_directional_shadow, remove_shadow
 from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import posed, render_state, shadow_roles
 
@@ -82,7 +82,7 @@ def baked(scene, lamp):
     world = posed(twin, scene.robot, twin.scan_state)
     roles = shadow_roles(twin, scene.robot)
     flat = (twin.bodies == 0) & (np.abs(world.means[:, 2]) < 0.005)
-    dark = flat * shadowed(world, roles, lamp.direction, world.means)
+    dark = flat * cast_directional_shadow(world, roles, lamp.direction, world.means)
     sh = np.array(twin.gaussians.sh)
     colors = 0.5 + SH_C0 * sh[:, 0]
     factor = 1 - dark[:, None] * (1 - lamp.shade)
@@ -116,9 +116,9 @@ def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
 
 def test_unshading_undoes_a_shade(toy_scene):
     gaussians = toy_scene.gaussians
-    none = unshaded(gaussians, np.zeros(len(gaussians)), SHADE)
+    none = remove_shadow(gaussians, np.zeros(len(gaussians)), SHADE)
     np.testing.assert_allclose(none.sh, gaussians.sh, atol=1e-6)
-    whole = unshaded(gaussians, np.ones(len(gaussians)), SHADE)
+    whole = remove_shadow(gaussians, np.ones(len(gaussians)), SHADE)
     np.testing.assert_allclose(
         (0.5 + SH_C0 * whole.sh[:, 0]) * SHADE, 0.5 + SH_C0 * gaussians.sh[:, 0], atol=1e-5
     )
@@ -147,7 +147,7 @@ def test_the_base_throws_no_shadow_that_moves(toy_scene):
     base = toy_scene.twin.body(toy_scene.robot.body_names[0])
     assert (roles[toy_scene.twin.bodies == base] == 1).all()
     # Right under the base only the base is in the way.
-    assert shadowed(world, roles, lamp.direction, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
+    assert cast_directional_shadow(world, roles, lamp.direction, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
 
 
 def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
