@@ -35,7 +35,7 @@ from aomgen.io.video import probe_video
 MIN_SCAN_FRAMES = 60
 # The log's first rows are averaged over this time to beat encoder noise while the arm rests.
 REST_S = 0.1
-# No camera films a table-top arm from further away; calibrations in millimetres pass it at once.
+# No camera records a table-top arm from further away; calibrations in millimetres pass it at once.
 MAX_CAMERA_DISTANCE_M = 20.0
 # A principal point further than this from the middle (share of the size) is another image's.
 MAX_PRINCIPAL_SHIFT = 0.2

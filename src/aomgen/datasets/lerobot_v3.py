@@ -61,7 +61,7 @@ def write_lerobot_v3(
     Args:
         episode_folders: Folders that `io.episode_folder.commit_episode` wrote.
         folder: Becomes the dataset; replaced if it is there.
-        progress: Told about every episode.
+        progress: Called after every episode.
 
     Raises:
         MissingFileError: There is no episode.

@@ -118,7 +118,7 @@ def generate_episodes(
         robot: The robot of the demonstration.
         support: What the objects stand on.
         params: How many, and how.
-        progress: Told after every attempt.
+        progress: Called after every attempt.
         recall: Where outcomes of earlier runs are found.
 
     Raises:

@@ -17,7 +17,7 @@ def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]
         error: What validation by `model` raised.
         model: The schema of the whole file.
     """
-    # An unknown key explains the missing one beside it, so it is told first.
+    # An unknown key explains the missing one beside it, so it is named first.
     first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
     place = ".".join(str(item) for item in first["loc"])
     known = _known_keys(model, first["loc"][:-1])

@@ -158,7 +158,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}
     for sentence in preflight(project, capture, inputs, wanted):
-        # Doubts about the input are told where it is read first.
+        # Warnings about the input appear where it is read first.
         display.warn(STAGES[0], sentence)
     # The choices lie beside the results, so that reports can be made again and questions answered.
     write_project(project.out / PROJECT_FILE, project)

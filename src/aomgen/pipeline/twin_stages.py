@@ -212,7 +212,7 @@ def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstim
 
 
 def motion_input(run: Run, scene: Gaussians, labels: NDArray[np.uint8]) -> MotionInput:
-    """What AOMotion looks at: the first fixed camera's film, the log, and the scan in its parts.
+    """The input of AOMotion: the first fixed camera's video, the log, and the scan in its parts.
 
     Args:
         run: Finished up to its alignment.
@@ -288,10 +288,10 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     posture, motion = posture_of(capture), load_motion(run.folders["motion"])
     robot = posture.robot
     scanned = scanned_twin(*labelled_scan(run.folders), motion.joint, posture)
-    film = pose_demo_video(capture, demo_camera_world(run), motion, scanned, robot)
-    bound = with_tray(scanned, robot, film)
-    films = [*pose_scan_images(capture, scan_cameras_world(run), bound), film]
-    result = refine_appearance(bound, robot, films, progress)
+    video = pose_demo_video(capture, demo_camera_world(run), motion, scanned, robot)
+    bound = with_tray(scanned, robot, video)
+    videos = [*pose_scan_images(capture, scan_cameras_world(run), bound), video]
+    result = refine_appearance(bound, robot, videos, progress)
     save_twin(folder, result)
     save_robot(folder, capture.robot)
     return {

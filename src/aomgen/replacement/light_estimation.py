@@ -116,7 +116,7 @@ def fit_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> tuple
             columns.append(np.linalg.solve(A.T @ A + ridge, A.T @ b + ridge @ target[:, channel]))
         coefficients = np.stack(columns, 1)
         error = np.abs((albedo * (basis @ coefficients) - seen).mean(1))
-        # Glare and wrong links are outliers: Cauchy weights.
+        # Specular reflections and wrong links are outliers: Cauchy weights.
         weights = 1 / (1 + (error / max(2 * float(np.median(error)), 1e-6)) ** 2)
     light = _positive(coefficients)
     predicted = (albedo * light.irradiance(normals)).mean(1)

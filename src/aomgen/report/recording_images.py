@@ -110,8 +110,8 @@ def coverage_map(data: Recovered) -> Image8:
     seen = np.where(found.coverage.enough, 2, np.where(found.coverage.views > 0, 1, 0))
     cameras = scan_cameras_world(data.run)
     withheld = held_out([path.name for path in data.capture.scan_images])
-    learned = [camera for name, camera in cameras.items() if name not in withheld]
-    return map_from_above(found.points_world, SEEN[seen], learned)
+    training = [camera for name, camera in cameras.items() if name not in withheld]
+    return map_from_above(found.points_world, SEEN[seen], training)
 
 
 def robot_sheet(data: Recovered, count: int = 4) -> Image8:

@@ -20,7 +20,7 @@ from aomgen.robots.robot_reading import compile_model, read_robot_spec
 from aomgen.robots.servos import add_arm_servos, add_grip_servo, structural_overlaps
 
 GRASP_SITE = "grasp_point"
-# MuJoCo shows these groups unless told otherwise; makers put collision shapes into the others.
+# MuJoCo shows these groups by default; makers put collision shapes into the others.
 SHOWN_GROUPS = 3
 
 
@@ -59,7 +59,7 @@ def read_file_robot(
         path: URDF or MJCF.
         root: Folder that all its references stay in.
         joints: Arm joints in the order of the log; empty takes those before the fingers branch.
-        choice: What is told about the hand.
+        choice: What the capture states about the gripper.
         turned: World is turned by 180 degrees about z against the file's root frame.
 
     Raises:
@@ -87,7 +87,7 @@ def read_file_robot(
         }
     bare = spec.copy()
     drop_visual(bare)
-    # Compiles ten times faster than with looks, and weighs the same.
+    # Compiles ten times faster than with visual meshes, and weighs the same.
     light = compile_model(bare, xml)
     add_arm_servos((spec, bare), light, chain.joints, ee_site)
     actuator = ""
@@ -118,13 +118,13 @@ def find_visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     ours = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0)
     colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     shown = ours & (model.geom_group < SHOWN_GROUPS)
-    looks = shown & ~colliding
+    visual = shown & ~colliding
     # One group for all that collides and another for all that is seen: then nothing else is meant.
-    apart = looks.any() and not set(model.geom_group[looks]) & set(model.geom_group[ours & colliding])
+    apart = visual.any() and not set(model.geom_group[visual]) & set(model.geom_group[ours & colliding])
     if apart:
-        return looks
-    bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[looks])
-    return looks | (shown & colliding & bare)
+        return visual
+    bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[visual])
+    return visual | (shown & colliding & bare)
 
 
 def _end_effector(

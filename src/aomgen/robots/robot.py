@@ -129,7 +129,7 @@ def load_robot(
         base_frame: World frame of the returned model: "base_link", or "ur_base", which is turned
             by 180 degrees about z.
         joints: Arm joints in the order wanted; empty takes the model's own. See `arm_chain`.
-        hand: What is told about the hand of a file; the rest is found out, see `find_hand`.
+        hand: What the capture states about the gripper of a file; the rest is found, see `find_hand`.
         root: Folder that all references of a file stay in; None takes the file's own.
 
     Raises:

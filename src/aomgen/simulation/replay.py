@@ -134,7 +134,7 @@ def linear_commands(
 
     Returns:
         Joints (N, J), [rad], their velocities (N, J), [rad/s], and gripper (N,), with
-        N = (T - 1) * ticks_a_frame + 1; at the last tick the arm is told to stand.
+        N = (T - 1) * ticks_a_frame + 1; at the last tick the arm is commanded to stand.
     """
     samples = np.column_stack([joints, gripper])
     steps = np.diff(samples, axis=0)

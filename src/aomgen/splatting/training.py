@@ -40,7 +40,7 @@ class TrainingParams:
     """How long and how boldly to train. Lengths are shares of the scene's extent.
 
     Attributes:
-        iterations: Images drawn and learned from, in total.
+        iterations: Images rendered and fitted to, in total.
         sh_degree: Highest degree of the result, 0..3.
         downsampling: (share of the iterations, factor): from that share on, images are reduced
             by the factor.
@@ -104,7 +104,7 @@ def train(
         cameras: One for every image, at the image's size.
         images: (H, W, 3) uint8 sRGB.
         params: Length, rates, growth.
-        progress: Told about every tenth iteration.
+        progress: Called after every tenth iteration.
         rng: Order of the images, background colors and choice of Gaussians to split.
         checkpoint: Where the state is kept. When the file is there the training continues from
             it, to the same result bit by bit; it is left behind when the training is done.
@@ -221,7 +221,7 @@ def _learn(
     extent: float,
     computes: tuple[Compute, native.Context],
 ) -> float:
-    """One iteration; returns the loss. The few numbers of an image are learned on the processor."""
+    """One iteration; returns the loss. The few numbers of an image are fitted on the processor."""
     compute, context = computes
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations

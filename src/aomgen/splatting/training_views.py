@@ -1,4 +1,4 @@
-"""Training images: the size they are learned at and the exposure they were taken with."""
+"""Training images: the size they are fitted at and the exposure they were taken with."""
 
 from dataclasses import dataclass, replace
 
@@ -16,7 +16,7 @@ SATURATED = 250 / 255
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingView:
-    """One image at the size it is learned from: camera and planar (3, H, W) uint8."""
+    """One image at the size it is fitted at: camera and planar (3, H, W) uint8."""
 
     camera: Camera
     image: Tensor

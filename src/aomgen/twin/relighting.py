@@ -11,8 +11,8 @@ from aomgen.core.values import Array, freeze
 
 # Weights below this are as good as none.
 NEGLIGIBLE: Final = 1e-3
-# Views must weigh this much together before they are believed in full.
-BELIEVED: Final = 0.6
+# Where the views' weights add up to less than this, the residual fades out.
+FULL_WEIGHT: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,4 +196,4 @@ def orientation_weights(Rs_seen: Array, Rs: Array, reach_rad: float) -> Array:
     cosines = (np.einsum("tij,kij->tk", Rs, Rs_seen) - 1) / 2
     turns = np.arccos(np.clip(cosines, -1, 1))
     weights = np.exp(-0.5 * (turns / reach_rad) ** 2)
-    return weights / np.maximum(weights.sum(-1, keepdims=True), BELIEVED)
+    return weights / np.maximum(weights.sum(-1, keepdims=True), FULL_WEIGHT)
