@@ -25,9 +25,9 @@ from aomgen.robots.robot import RobotModel, choose_robot
 MIN_FRAMES = 20
 # A real joint may stand this far past the limit that its file states, [rad] or [m].
 LIMIT_SLACK = 0.05
-# A moving arm changes more of the picture at some moment; a frozen camera nothing at all.
+# A moving arm changes more of the image at some moment; a frozen camera nothing at all.
 MIN_CHANGED_SHARE = 0.003
-# Sensor noise and compression of small pictures stay below this, [grey levels].
+# Sensor noise and compression of small images stay below this, [grey levels].
 CHANGED = 25
 # Frames that are compared, and their size [px]: enough to see an arm move in a quarter of a second.
 CHANGE_FRAMES = 40

@@ -2,7 +2,7 @@
 
 A dataset is a pure function of committed episodes: the same episodes give the same bytes, and
 a dataset can always be built again. `meta/` describes, `data/` holds the low-dimensional
-features of many episodes a file, `videos/` the pictures of many episodes a file.
+features of many episodes a file, `videos/` the images of many episodes a file.
 
 Source: the file layout of LeRobot's `codebase_version` v3.0.
 """

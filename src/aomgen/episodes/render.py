@@ -1,4 +1,4 @@
-"""Pictures of an episode from fixed cameras, by the twin."""
+"""Images of an episode from fixed cameras, by the twin."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ BATCH: Final = 32
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """What moves in the pictures, T frames.
+    """What moves in the images, T frames.
 
     Attributes:
         joints: (T, J), [rad].
@@ -146,7 +146,7 @@ class _ArmShadow:
             self._places.append((points[seen], belongs[seen] * (1 - fixed.at(points[seen])), seen))
 
     def shades(self, Ts_world_body: Array) -> list[NDArray[np.float32]]:
-        """Factors (T, H, W) on each camera's static picture for body poses (T, B, 4, 4)."""
+        """Factors (T, H, W) on each camera's static image for body poses (T, B, 4, 4)."""
         shade = 1 - float(self._light.shade.mean())
         images = [np.ones((len(Ts_world_body), *seen.shape), np.float32) for _, _, seen in self._places]
         for t, Ts in enumerate(Ts_world_body):
@@ -164,7 +164,7 @@ def _knots(thetas: Array) -> Array:
 def _shades(
     twin: Twin, trajectory: Trajectory, layers: Mapping[str, StaticLayer], T_world_plane: Array
 ) -> dict[str, NDArray[np.float32]]:
-    """Factors (SHADOW_STATES, H, W) on each camera's static picture, one for each knot."""
+    """Factors (SHADOW_STATES, H, W) on each camera's static image, one for each knot."""
     surfaces = [
         surface
         for surface in surfaces_of(twin.relit, twin.bodies)

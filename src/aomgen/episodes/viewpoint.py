@@ -16,14 +16,14 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.twin import Twin, TwinState, body_poses, rig
 
-# Size of the pictures in which visibility is judged, [px].
+# Size of the images in which visibility is judged, [px].
 LOOK: Final = (160, 120)
 # A point is seen when nothing lies nearer than this before it, [m].
 CLEARANCE: Final = 0.06
 # The camera is turned towards the action by at most this angle [rad], and this share of the key
-# points must lie in the picture; if no camera can, the second pair holds.
+# points must lie in the image; if no camera can, the second pair holds.
 DEMANDS: Final = ((0.35, 0.9), (0.9, 0.6))
-# Share of the picture's width that the action should span.
+# Share of the image's width that the action should span.
 WANTED_SPAN: Final = 0.6
 
 
@@ -138,7 +138,7 @@ def _azimuth_between(a: Array, b: Array) -> float:
 
 
 def _visible(depth: NDArray[np.float32], camera: Camera, points: Array) -> NDArray[np.bool_]:
-    """Which points (P, 3) are not hidden in a depth picture."""
+    """Which points (P, 3) are not hidden in a depth image."""
     pixels, depths = camera.project(points)
     u = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
     v = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)

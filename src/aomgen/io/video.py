@@ -167,7 +167,7 @@ def encode_video(frames: Iterable[NDArray[np.uint8]], fps: int, *, crf: int = 20
 
     One thread for colors and one for the encoder, so the same frames always give the same bytes.
     For the same reason x264's macroblock tree is off: its AVX-512 code reads memory that was never
-    written, so that small pictures came out in one of several ways. This makes files 8 % larger.
+    written, so that small images came out in one of several ways. This makes files 8 % larger.
     """
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:

@@ -58,7 +58,7 @@ SURFELS = 30_000
 ASSET_FILE = "asset.usda"
 # How far around the object the table is looked for, in which cells, and what counts as seen.
 TABLE_REACH_M = 1.0
-# Cell of the picture in which the table is found, [m]: finer than its outline has to be known.
+# Cell of the image in which the table is found, [m]: finer than its outline has to be known.
 TABLE_CELL_M = 0.01
 # A cell with less accumulated alpha than this was not seen.
 SURFACE_ALPHA = 0.15
@@ -236,7 +236,7 @@ def stored_support(run: Run) -> SupportPlane:
 
 
 def stored_cameras(run: Run) -> dict[str, Camera]:
-    """The cameras of the episodes' pictures, world frame, by name."""
+    """The cameras of the episodes' images, world frame, by name."""
     stored = read_json(run.folders["replacement"] / "cameras.json")
     return {name: Camera(**values) for name, values in stored.items()}
 

@@ -20,7 +20,7 @@ TWIN_FOLDER = "06_twin"
 LABEL_MIN_ALPHA = 0.5
 CAMERA_KEYS = ("T_world_cam", "fx", "fy", "cx", "cy", "width", "height")
 STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")
-# Larger pictures and focal lengths are typing errors, [px].
+# Larger images and focal lengths are typing errors, [px].
 MAX_PX = 16_384
 # Four digits written by hand still are a rotation.
 ROTATION_TOLERANCE = 1e-3

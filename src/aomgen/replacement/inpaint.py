@@ -1,4 +1,4 @@
-"""Fill unknown pixels of a surface picture: smooth color from the border, texture from patches."""
+"""Fill unknown pixels of a surface image: smooth color from the border, texture from patches."""
 
 from typing import Final
 

@@ -24,7 +24,7 @@ WIDTH_PX = 420
 
 
 def motion_section(data: Recovered) -> list[str]:
-    """Sentence, pictures and charts."""
+    """Sentence, images and charts."""
     return [
         paragraph(motion_sentence(data.motion)),
         picture(joint_sheet(data), "the recovered joint when the motion starts, halfway and when it ends"),

@@ -1,4 +1,4 @@
-"""`report.html`: what a run recovered and made, in pictures and numbers."""
+"""`report.html`: what a run recovered and made, in images and numbers."""
 
 from pathlib import Path
 

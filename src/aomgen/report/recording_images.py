@@ -1,4 +1,4 @@
-"""The report's pictures of the recording: what was seen beside what was recovered."""
+"""The report's images of the recording: what was seen beside what was recovered."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +33,7 @@ Image8 = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovered:
-    """Everything the pictures are made from."""
+    """Everything the images are made from."""
 
     run: Run
     capture: Capture

@@ -1,4 +1,4 @@
-"""A robot from a user's URDF or MJCF, made ready for kinematics, pictures and physics."""
+"""A robot from a user's URDF or MJCF, made ready for kinematics, images and physics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Exact pinhole pictures of the posed robot: which body covers each pixel, and how far away."""
+"""Exact pinhole images of the posed robot: which body covers each pixel, and how far away."""
 
 from types import TracebackType
 from typing import Final, Self
@@ -36,7 +36,7 @@ class SilhouetteRenderer:
 
         Args:
             robot: What is drawn.
-            max_width, max_height: Largest picture, [px].
+            max_width, max_height: Largest image, [px].
             cell_m: How finely the robot's meshes are drawn; see `add_robot_visuals`.
 
         Raises:
@@ -80,7 +80,7 @@ class SilhouetteRenderer:
             the optical axis (H, W) [m], 0 where there is no robot.
 
         Raises:
-            BackendError: The picture is larger than the context.
+            BackendError: The image is larger than the context.
         """
         width, height = camera.width, camera.height
         if not (width <= self._limits[0] and height <= self._limits[1]):

@@ -146,7 +146,7 @@ class RenderSession:
         """Draw one 8-bit image with all threads; arguments as in `draw`.
 
         Args:
-            into: A picture of this session that is no longer wanted. It is drawn over, and only
+            into: An image of this session that is no longer wanted. It is drawn over, and only
                 where something has changed: the fastest way to one frame after the other.
 
         Raises:

@@ -71,7 +71,7 @@ class Exposure:
 def clip_to_sensor(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tensor:
     """The rendering (3, H, W), but no brighter than a saturated photograph could show.
 
-    A scene that a sensor clips is brighter than its picture. Without this, gains would be fitted
+    A scene that a sensor clips is brighter than its image. Without this, gains would be fitted
     to clipped values, and clipped values to gains. Where the target is saturated, what the gains
     (3,) lift above it equals it and has no gradient; elsewhere nothing changes.
     """

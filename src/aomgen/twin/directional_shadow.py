@@ -1,6 +1,6 @@
 """One strong light far away, and the shadow that moving bodies throw on the surface they work over.
 
-Whether a point is in shadow is read off a picture of the bodies taken from the light (shadow
+Whether a point is in shadow is read off an image of the bodies taken from the light (shadow
 mapping: Williams 1978, "Casting curved shadows on curved surfaces").
 """
 
@@ -18,9 +18,9 @@ from aomgen.core.values import Array, freeze
 from aomgen.splatting.rasterizer import Rendering, RigidParts, render
 from aomgen.twin.shadow import HEIGHTS
 
-# Distance of the camera that stands for the light: its picture is an orthographic one, [m].
+# Distance of the camera that stands for the light: its image is an orthographic one, [m].
 FAR: Final = 60.0
-# Longer side of the picture from the light, [px]: a few millimeters each for an arm's shadow.
+# Longer side of the image from the light, [px]: a few millimeters each for an arm's shadow.
 MAP_SIDE: Final = 384
 # The role of Gaussians for shadows.
 SCENE: Final = 0  # what shadows fall on
@@ -134,7 +134,7 @@ def draw_lit(
         options: For `splatting.rasterizer.render`.
 
     Returns:
-        The picture without shadow; how much of each pixel is the surface (H, W), 0..1; and how much of
+        The image without shadow; how much of each pixel is the surface (H, W), 0..1; and how much of
         the light is taken there (H, W), 0..1. See `compute_shadow_factors`.
     """
     own = np.asarray(options.pop("features", np.zeros((len(world), 0))), np.float32)

@@ -1,4 +1,4 @@
-"""Pictures of a twin from fixed cameras: what never moves is drawn once, what moves stays in its bodies' frames."""
+"""Images of a twin from fixed cameras: what never moves is drawn once, what moves stays in its bodies' frames."""
 
 from dataclasses import dataclass
 
