@@ -16,7 +16,7 @@ import numpy as np
 from aomgen.alignment.align import Alignment, align
 from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.stage import boxes_of, camera_errors_of, views_of
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import silent
 from aomgen.core.recording import Capture
@@ -24,7 +24,7 @@ from aomgen.core.structure import Structure
 from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.errors import AlignmentError
 from aomgen.pipeline.project import Project, read_project
-from aomgen.pipeline.recovery import posture_of
+from aomgen.pipeline.twin_stages import posture_of
 from aomgen.structure.stage import load_structure
 from benchmarks.accuracy import robust_similarity
 from benchmarks.alignment_cases import UNSOLVABLE, Case, Scene, make_case, resimilated, without_robot

@@ -14,8 +14,8 @@ from aomgen.motion.stage import load_motion
 from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_scan
 from aomgen.parts.stage import scan_views
 from aomgen.pipeline.aligning import align_by_paper
-from aomgen.pipeline.recovery import posture_of, scanned_twin
 from aomgen.pipeline.stages import STAGES
+from aomgen.pipeline.twin_stages import posture_of, scanned_twin
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure.stage import load_structure
 from aomgen.twin.twin import Twin

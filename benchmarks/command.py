@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera
 from aomgen.core.recording import Capture
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import Video
-from aomgen.pipeline.films import fitted_frames
+from aomgen.pipeline.posed_videos import select_training_frames
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.working import with_joint_zeros, working_capture
-from aomgen.robots.robot import chosen_robot
+from aomgen.robots.robot import choose_robot
 from aomgen.structure.stage import load_structure
 from aomgen.twin.twin import Twin, TwinState
 from benchmarks.accuracy import score_estimates
@@ -61,7 +61,7 @@ def run_accuracy(
         estimates = read_json(out / "estimates.json")
         name = capture.cameras[0].name
         video = read_demo_videos(capture)[name]
-        robot = chosen_robot(capture.robot)
+        robot = choose_robot(capture.robot)
         figures = score_estimates(estimates, truth, robot, video.times_s, name)
         twin, _ = open_twin(out)
         figures.update(_score_pictures(capture, estimates, out, video, truth, twin))
@@ -106,7 +106,7 @@ def _score_pictures(
         for q, g, value in zip(joints, gripper, thetas, strict=True)
     ]
     demo_masks = TrueMasks(folder=masks / name, lens=structure.demo_lenses.get(name))
-    fitted = fitted_frames(capture, len(video.times_s)).tolist()
+    fitted = select_training_frames(capture, len(video.times_s)).tolist()
     replay, demo_ious = score_replay(video, camera, states, demo_masks, render, fitted)
     return figures | replay | pooled_ious(scan_ious, demo_ious)
 

@@ -16,7 +16,7 @@ from aomgen.core.recording import Capture
 from aomgen.core.values import Array
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
-from aomgen.io.straighten import resample_labels, resampler
+from aomgen.io.resampling import resample_labels, resampler
 from aomgen.io.video import encode_video, read_video
 from aomgen.synthetic.capture_writer import joints_csv
 

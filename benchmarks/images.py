@@ -14,7 +14,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
 from aomgen.io.images import read_image, read_labels
-from aomgen.io.straighten import straighten_labels
+from aomgen.io.resampling import undistort_labels
 from aomgen.io.video import Video
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.twin.twin import TwinState
@@ -49,7 +49,7 @@ class TrueMasks:
             MissingFileError: There is none.
         """
         labels = read_labels(self.folder / f"{stem}.png")
-        return labels if self.lens is None else straighten_labels(labels, self.lens)
+        return labels if self.lens is None else undistort_labels(labels, self.lens)
 
 
 def is_heldout(index: int) -> bool:

@@ -12,9 +12,9 @@ from aomgen.paper.mask_keyframes import PartMasks
 from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
 from aomgen.pipeline.estimates import NO_MOTION, motion_estimates
 from aomgen.pipeline.project import Project
-from aomgen.pipeline.recovery import labelled_scan, motion_input
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import STAGES
+from aomgen.pipeline.twin_stages import labelled_scan, motion_input
 from benchmarks.accuracy import score_motion
 from benchmarks.images import TrueMasks
 from benchmarks.segmented import segmented

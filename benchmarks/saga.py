@@ -11,8 +11,8 @@ from aomgen.parts.affinity_parts import AffinityPartsParams, find_all_masks
 from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_scan
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.stage import MASKS_FOLDER, scan_views
-from aomgen.pipeline.recovery import posture_of, scanned_twin, scanned_world
 from aomgen.pipeline.stages import STAGES
+from aomgen.pipeline.twin_stages import posture_of, scanned_twin, scanned_world
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure.stage import load_structure
 from aomgen.twin.twin import Twin

@@ -9,7 +9,7 @@ import numpy as np
 
 from aomgen.core.gaussians import concatenate
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import Parts
+from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import Motion, RenderSession
 from benchmarks.moving_scenes import MovingScene, touched_share
 from benchmarks.timing import draw_planes, interleaved_ms
@@ -97,11 +97,13 @@ def _parts_of_everything(scene: MovingScene) -> np.ndarray:
     return np.concatenate([np.zeros(len(scene.static), np.int32), scene.parts + 1])
 
 
-def _frames(scene: MovingScene, indices: np.ndarray, *, standing: bool = False) -> tuple[list[Parts], Motion]:
+def _frames(
+    scene: MovingScene, indices: np.ndarray, *, standing: bool = False
+) -> tuple[list[RigidParts], Motion]:
     Ts = np.stack([scene.Ts_world_part(frame) for frame in range(BATCH_FRAMES)])
     if standing:
         Ts = np.concatenate([np.broadcast_to(np.eye(4), (BATCH_FRAMES, 1, 4, 4)), Ts], 1)
-    parts = [Parts(indices=indices, Ts_world_part=frame) for frame in Ts]
+    parts = [RigidParts(indices=indices, Ts_world_part=frame) for frame in Ts]
     return parts, Motion(parts=indices, Ts_world_part=Ts)
 
 

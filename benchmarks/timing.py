@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import Parts, cam_from_parts, native_scene, native_view
+from aomgen.splatting.rasterizer import RigidParts, cam_from_parts, native_scene, native_view
 from benchmarks.agreement import draw
 from benchmarks.projection import parameters_of
 
@@ -21,7 +21,7 @@ def draw_planes(
     camera: Camera,
     context: native.Context,
     planes: NDArray[np.float32],
-    parts: Parts | None = None,
+    parts: RigidParts | None = None,
 ) -> None:
     """Draw red, green, blue, depth and alpha into planes (5, H, W)."""
     rgb, depth, alpha = (planes[index].ctypes.data for index in (0, 3, 4))
@@ -47,7 +47,7 @@ def gradient_pass(gaussians: Gaussians, camera: Camera, context: native.Context)
 
     def draw_and_differentiate() -> None:
         poses = cam_from_parts(camera)
-        scene = native.Scene(
+        scene = native.NativeScene(
             count=len(gaussians),
             sh_coefficients=gaussians.sh.shape[1],
             sh_degree=gaussians.sh_degree,

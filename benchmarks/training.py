@@ -24,7 +24,7 @@ from aomgen.io.images import read_image
 from aomgen.pipeline.project import Project
 from aomgen.splatting.metrics import psnr
 from aomgen.splatting.state import TrainingState
-from aomgen.splatting.training import finished, learning, scene_extent, started
+from aomgen.splatting.training import finish_training, learning, scene_extent, start_training
 from aomgen.structure.stage import load_structure
 
 FIRST_STAGE, STRUCTURE_FOLDER = "structure", "01_structure"
@@ -111,7 +111,7 @@ def training_curve(
     every_seconds: float,
 ) -> list[dict[str, Any]]:
     """Train, and judge the held-out views every few seconds and at the end."""
-    state = started(views.initial, views.cameras, params.training, np.random.default_rng(params.seed))
+    state = start_training(views.initial, views.cameras, params.training, np.random.default_rng(params.seed))
     extent = scene_extent(views.initial, views.cameras)
     curve: list[dict[str, Any]] = []
     clock = Clock()
@@ -130,7 +130,7 @@ def _point(
     params: GaussiansParams,
     clock: Clock,
 ) -> dict[str, Any]:
-    gaussians = finished(state, params.training)
+    gaussians = finish_training(state, params.training)
     gaussians = without_floaters(gaussians, views.cameras, views.dense, params.near_share)
     evaluated = [evaluate_view(gaussians, camera, image) for camera, image in held_out]
     fitted = [

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
+from aomgen.generalization.episode_planning import PlanParams
 
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
@@ -21,7 +22,6 @@ from aomgen.core.transforms import apply, invert
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.episodes.stage import episode_of
 from aomgen.generalization.generate import GenerationParams, generate_episodes
-from aomgen.generalization.planning import PlanParams
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.robot import RobotModel, load_robot

@@ -17,9 +17,9 @@ from aomgen.core.episode import Episode, no_contacts
 from aomgen.core.joint import Joint
 from aomgen.core.progress import Progress
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
+from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import GenerationParams
 from aomgen.generalization.ik import IkLimits, ik_solver
-from aomgen.generalization.planning import PlanParams
 from aomgen.generalization.stage import run_generalization
 from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed

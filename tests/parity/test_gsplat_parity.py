@@ -15,7 +15,7 @@ import torch
 import tensor_reference as reference
 from aomgen.core.camera import Camera, look_at
 from aomgen.errors import BackendError
-from aomgen.splatting import torch_loss
+from aomgen.splatting import torch_kernels
 from aomgen.splatting.differentiable import (
     CpuRasterizer,
     GaussianTensors,
@@ -347,7 +347,7 @@ def test_engine_and_gsplat_learn_the_same(contract: Contract) -> None:
     for one in (engine, contract):
         leaves = one.leaves(gaussians)
         drawn = one.draw(leaves, camera, OPTIONS)
-        torch_loss.image_loss(drawn.rgb, target.to(one.device)).backward()
+        torch_kernels.image_loss(drawn.rgb, target.to(one.device)).backward()
         gradients = {name: getattr(leaves, name).grad.cpu().flatten() for name in NAMES[:5]}
         results.append((drawn.rgb.detach().cpu().clamp_max(1), gradients))
     (engine_rgb, engine_gradients), (rgb, gradients) = results

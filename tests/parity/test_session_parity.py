@@ -8,7 +8,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.errors import BackendError
 from aomgen.splatting import native
-from aomgen.splatting.rasterizer import Parts, Rendering, native_scene, render
+from aomgen.splatting.rasterizer import Rendering, RigidParts, native_scene, render
 from aomgen.splatting.session import TILE, Motion, RenderSession, draw_sessions
 
 BACKGROUND = (0.2, 0.4, 0.6)
@@ -56,18 +56,18 @@ def poses(seed: int, count: int = 3, shift: float = 0.2) -> np.ndarray:
     )
 
 
-def parts_of(count: int, seed: int, Ts: np.ndarray) -> Parts:
+def parts_of(count: int, seed: int, Ts: np.ndarray) -> RigidParts:
     indices = np.random.default_rng(seed).integers(0, len(Ts), count).astype(np.int32)
-    return Parts(indices=indices, Ts_world_part=Ts)
+    return RigidParts(indices=indices, Ts_world_part=Ts)
 
 
 def full(
-    static: Gaussians, moving: Gaussians, parts: Parts | None, camera: Camera, antialiased: bool = False
+    static: Gaussians, moving: Gaussians, parts: RigidParts | None, camera: Camera, antialiased: bool = False
 ) -> Rendering:
     """All Gaussians in one render, static ones in a part of their own."""
     Ts = np.eye(4)[None] if parts is None else np.concatenate([np.eye(4)[None], parts.Ts_world_part])
     indices = np.zeros(len(moving), np.int32) if parts is None else parts.indices + 1
-    together = Parts(indices=np.append(np.zeros(len(static), np.int32), indices), Ts_world_part=Ts)
+    together = RigidParts(indices=np.append(np.zeros(len(static), np.int32), indices), Ts_world_part=Ts)
     return render(
         concatenate([static, moving]),
         camera,
@@ -115,7 +115,7 @@ def test_before_inside_and_behind_an_opaque_wall(instruction_set, offset):
     static = wall(1.2, camera)
     ball = cloud(200, 5, degree=0, spread=0.1, size=0.03)
     middle = camera.center + (1.2 + offset) * camera.T_world_cam[:3, 2]
-    parts = Parts(indices=np.zeros(200, np.int32), Ts_world_part=transform(np.eye(3), middle)[None])
+    parts = RigidParts(indices=np.zeros(200, np.int32), Ts_world_part=transform(np.eye(3), middle)[None])
     session = RenderSession(static, camera, background=BACKGROUND)
     have = session.draw(ball, parts, with_ids=True)
     assert_same(have, full(static, ball, parts, camera))
@@ -138,7 +138,7 @@ def test_threads_change_nothing(threads):
     frames = session.draw_many(moving, motion)
     np.testing.assert_array_equal(frames, one.draw_many(moving, motion))
     for t, Ts in enumerate(motion.Ts_world_part):
-        parts = Parts(indices=motion.parts, Ts_world_part=Ts)
+        parts = RigidParts(indices=motion.parts, Ts_world_part=Ts)
         drawn = session.draw(moving, parts, with_ids=True)
         assert_same(drawn, full(static, moving, parts, camera))
         assert np.abs(frames[t] - 255 * drawn.rgb.astype(np.float64)).max() < 0.501
@@ -153,7 +153,7 @@ def test_tiles_become_free_again():
     shade[40:60, 90:120] = 0.5
     picture, seen = None, []
     for x, dark in ((0.0, None), (0.3, shade), (0.3, None), (-0.2, shade), (9.0, None)):
-        parts = Parts(indices=indices, Ts_world_part=transform(np.eye(3), np.array([x, 0, 0.2]))[None])
+        parts = RigidParts(indices=indices, Ts_world_part=transform(np.eye(3), np.array([x, 0, 0.2]))[None])
         picture = session.picture(moving, parts, shade=dark, into=picture)
         fresh = session.picture(moving, parts, shade=dark)
         np.testing.assert_array_equal(picture.image_srgb, fresh.image_srgb)
@@ -258,9 +258,11 @@ def test_wrong_sizes_are_refused():
             ),
         )
     with pytest.raises(BackendError, match="a Gaussian's part has no pose"):
-        session.draw(moving, Parts(indices=np.full(10, 2, np.int32), Ts_world_part=np.eye(4)[None]))
+        session.draw(moving, RigidParts(indices=np.full(10, 2, np.int32), Ts_world_part=np.eye(4)[None]))
     with pytest.raises(BackendError, match="a pose is not finite"):
-        session.draw(moving, Parts(indices=np.zeros(10, np.int32), Ts_world_part=np.full((1, 4, 4), np.nan)))
+        session.draw(
+            moving, RigidParts(indices=np.zeros(10, np.int32), Ts_world_part=np.full((1, 4, 4), np.nan))
+        )
     other = RenderSession(cloud(20, 1), make_camera(80, 60)).picture(moving)
     with pytest.raises(ValueError, match="picture"):
         session.picture(moving, into=other)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from aomgen.splatting import native
-from aomgen.splatting.torch_adam import adam_step
+from aomgen.splatting.torch_kernels import adam_step
 
 
 @pytest.mark.parametrize("shape", [(17,), (17, 3), (9, 4, 3)])

@@ -38,7 +38,7 @@ from aomgen.motion.photometric import PhotometricParams
 from aomgen.motion.photometric_residuals import Band
 from aomgen.robots.robot import RobotModel, load_robot
 from aomgen.robots.robot_masks import robot_masks
-from aomgen.splatting.rasterizer import Parts
+from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import RenderSession
 
 FPS, LENGTH_S = 10.0, 5.0
@@ -170,7 +170,7 @@ def world(kind: str) -> MotionInput:
     parts = np.zeros(len(moving), np.int32)
     frames = np.stack(
         [
-            session.draw(moving, Parts(indices=parts, Ts_world_part=joint.motion(theta)[None])).rgb
+            session.draw(moving, RigidParts(indices=parts, Ts_world_part=joint.motion(theta)[None])).rgb
             for theta in thetas_at(joint, FRAMES_S)
         ]
     )

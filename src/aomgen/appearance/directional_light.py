@@ -22,7 +22,16 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.visibility import sphere_directions
-from aomgen.twin.lamp import MOVES, STANDS, Lamp, on_surface, shadowed, silhouette, surface_share, unshaded
+from aomgen.twin.directional_shadow import (
+    MOVES,
+    STANDS,
+    DirectionalLight,
+    cast_directional_shadow,
+    intersect_surface,
+    remove_shadow,
+    silhouette,
+    surface_share,
+)
 from aomgen.twin.shadow import HEIGHTS
 from aomgen.twin.twin import Twin, posed, shadow_roles
 
@@ -93,7 +102,7 @@ class SurfaceObservations:
 
 def find_directional_light(
     twin: Twin, robot: RobotModel, view: PosedImages, T_world_plane: Array
-) -> Lamp | None:
+) -> DirectionalLight | None:
     """Find the directional light of a scene; None when no direction explains the video.
 
     Args:
@@ -119,10 +128,10 @@ def find_directional_light(
     shade = estimate_shadow_color(observed, observed.dark(best))
     if shade is None or not (shade < 1).all():
         return None
-    return Lamp(direction=best, T_world_plane=T_world_plane, shade=shade)
+    return DirectionalLight(direction=best, T_world_plane=T_world_plane, shade=shade)
 
 
-def remove_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
+def remove_baked_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -> Twin:
     """Remove the baked shadow: surface colors become those in light, and shadows are cast by the twin."""
     world = posed(twin, robot, twin.scan_state)
     points = np.array(world.means, np.float64)
@@ -130,7 +139,7 @@ def remove_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
     on_it = surface_share(lamp.T_world_plane, points) * (twin.bodies == 0)
 
     def taken(shift: Array) -> Array:
-        return on_it * shadowed(world, roles, lamp.direction, points + shift)
+        return on_it * cast_directional_shadow(world, roles, lamp.direction, points + shift)
 
     across = lamp.T_world_plane[:3, :2] * EDGE_M
     turns = np.arange(8) * np.pi / 4
@@ -138,14 +147,14 @@ def remove_shadow(twin: Twin, robot: RobotModel, lamp: Lamp) -> Twin:
     dark = taken(np.zeros(3))
     unsure = np.max([dark, *around], 0) - np.min([dark, *around], 0) > 1 - CORE
     from_color = _shadow_from_color(
-        unshaded(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp
+        remove_shadow(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp
     )
     dark[unsure] = np.minimum(from_color, np.max([dark, *around], 0)[unsure])
-    return replace(twin, gaussians=unshaded(twin.gaussians, dark, lamp.shade), lamp=lamp)
+    return replace(twin, gaussians=remove_shadow(twin.gaussians, dark, lamp.shade), directional_light=lamp)
 
 
 def _shadow_from_color(
-    lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: Lamp
+    lit: Gaussians, seen: Gaussians, unsure: NDArray[np.bool_], on_it: Array, lamp: DirectionalLight
 ) -> Array:
     """How much Gaussians at edges of a shadow are in it (M,), 0..1: by how dark they are beside others in light.
 
@@ -289,7 +298,7 @@ def _observe_surface(
     camera, still = view.camera, twin.bodies == 0
     roles = shadow_roles(twin, robot)
     scene = render(twin.gaussians.select(still), camera, with_ids=True)
-    points, belongs = on_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
+    points, belongs = intersect_surface(T_world_plane, camera, np.asarray(scene.median_depth, np.float64))
     moving, free = [], []
     for index in chosen:
         world = posed(twin, robot, view.states[index])

@@ -17,9 +17,9 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from aomgen.appearance.surfel_observations import PosedImages, pixel_size
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.refining import Lesson, RefiningParams, refined
-from aomgen.twin.lamp import darkened, draw_lit
-from aomgen.twin.relit import Relit, Surface, surfaces_of
+from aomgen.splatting.refining import RefinementView, RefiningParams, refine_gaussians
+from aomgen.twin.directional_shadow import compute_shadow_factors, draw_lit
+from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
 
 # Gaussians move this much in a step, [px] of the usual image at the robot.
@@ -63,7 +63,7 @@ def refine_twin(
         for index, state in enumerate(view.states)
     ]
     params = RefiningParams(rate_means=STEP_PX * pixel_size(robot, twin, views))
-    gaussians, difference = refined(twin.gaussians, twin.bodies, training_views, params, rng)
+    gaussians, difference = refine_gaussians(twin.gaussians, twin.bodies, training_views, params, rng)
     relit = None if twin.relit is None else _add_corrections(twin.relit, nearest, difference)
     return replace(twin, gaussians=gaussians, relit=relit)
 
@@ -71,10 +71,10 @@ def refine_twin(
 def _training_view(
     twin: Twin,
     Ts_world_body: Array,
-    surfaces: tuple[Surface, ...],
+    surfaces: tuple[LitSurface, ...],
     nearest: dict[int, int],
     place: tuple[PosedImages, int],
-) -> Lesson:
+) -> RefinementView:
     """One image, the n-th of a video, with the colors of relit surfaces in its joint configuration."""
     view, index = place
     count = 0 if twin.relit is None else len(twin.relit.indices)
@@ -82,9 +82,9 @@ def _training_view(
     for surface in surfaces:
         R = Ts_world_body[surface.body, :3, :3]
         colors[surface.rows] = surface.colors_srgb(R)
-        if surface.remembered is not None:
-            recall[surface.rows] = surface.remembered.weights(R)[nearest[surface.body]]
-    return Lesson(
+        if surface.residual is not None:
+            recall[surface.rows] = surface.residual.weights(R)[nearest[surface.body]]
+    return RefinementView(
         camera=view.camera,
         image_srgb=view.images_srgb[index],
         Ts_world_part=Ts_world_body,
@@ -93,15 +93,17 @@ def _training_view(
     )
 
 
-def _with_shadows(training_view: Lesson, twin: Twin, roles: NDArray[np.uint8]) -> Lesson:
-    """A training view whose drawn image is darkened by the shadows of its joint configuration."""
-    if twin.lamp is None:
+def _with_shadows(training_view: RefinementView, twin: Twin, roles: NDArray[np.uint8]) -> RefinementView:
+    """A training view whose drawn image is compute_shadow_factors by the shadows of its joint configuration."""
+    if twin.directional_light is None:
         return training_view
     world = posed_by(twin, training_view.Ts_world_part)
-    _, surface, taken = draw_lit(twin.lamp, world, roles, training_view.camera)
+    _, surface, taken = draw_lit(twin.directional_light, world, roles, training_view.camera)
     edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
     return replace(
-        training_view, shade=darkened(twin.lamp, surface * taken), unsure=edge & (surface > MOSTLY)
+        training_view,
+        shade=compute_shadow_factors(twin.directional_light, surface * taken),
+        unsure=edge & (surface > MOSTLY),
     )
 
 
@@ -110,15 +112,15 @@ def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
     Ts = body_poses(twin, robot, twin.scan_state)
     return {
         item.body: int(np.argmax(np.einsum("kij,ij->k", item.Rs_world_body, Ts[item.body, :3, :3])))
-        for item in (twin.relit.remembered if twin.relit is not None else ())
+        for item in (twin.relit.residuals if twin.relit is not None else ())
     }
 
 
 def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:
     """Memories of the scan's orientations with differences in color (M, 3) added."""
     remembered = []
-    for item in relit.remembered:
+    for item in relit.residuals:
         colors = np.array(item.difference_srgb)
         colors[nearest[item.body]] += difference[item.rows]
         remembered.append(replace(item, difference_srgb=colors))
-    return replace(relit, remembered=tuple(remembered))
+    return replace(relit, residuals=tuple(remembered))

@@ -17,7 +17,7 @@ from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.sh import sh_basis
 from aomgen.core.values import Array
-from aomgen.twin.relit import NEGLIGIBLE, Remembered, orientation_weights
+from aomgen.twin.relighting import NEGLIGIBLE, ResidualAppearance, orientation_weights
 
 # Turn over which a seen color fades. A link's specular term moves twice as fast as the link; halves and
 # doubles of this were worse or no better on images between those that were fitted.
@@ -54,7 +54,7 @@ class RobotColors:
     albedo: Array
     specular_sh: Array
     lights: tuple[Light, ...]
-    remembered: tuple[Remembered, ...]
+    remembered: tuple[ResidualAppearance, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ def _fit_specular(observations: SurfelObservations, views: Array, left: Array, c
 
 
 def _predict_residual_colors(
-    observations: SurfelObservations, discs: _Discs, memories: tuple[Remembered, ...]
+    observations: SurfelObservations, discs: _Discs, memories: tuple[ResidualAppearance, ...]
 ) -> Array:
     """What memories add to the color of every observation (N, 3)."""
     result = np.zeros((len(observations.disc), 3))
@@ -184,7 +184,7 @@ def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: A
 
 def _fit_residual_colors(
     observations: SurfelObservations, discs: _Discs, difference: Array
-) -> tuple[Remembered, ...]:
+) -> tuple[ResidualAppearance, ...]:
     """What remains of every body's observations, averaged near a few of its orientations."""
     memories = []
     owners = discs.bodies[observations.disc]
@@ -206,7 +206,7 @@ def _fit_residual_colors(
                 above = np.bincount(column, weights[:, k] * difference[mine, channel], len(rows))
                 remembered[k, :, channel] = above / below
         memories.append(
-            Remembered(
+            ResidualAppearance(
                 body=int(body),
                 rows=rows,
                 Rs_world_body=Rs[chosen],

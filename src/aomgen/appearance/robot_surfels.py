@@ -21,7 +21,7 @@ from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, open_surfels_of
-from aomgen.twin.relit import Relit
+from aomgen.twin.relighting import Relit
 from aomgen.twin.twin import Twin
 
 # Discs lie this far apart in the images, [px], within limits that keep episodes fast.
@@ -93,7 +93,7 @@ def replace_robot_gaussians(
             transfer=open_transfer(cover.normals),
             light_of=cover.materials,
             lights=colors.lights,
-            remembered=colors.remembered,
+            residuals=colors.remembered,
         ),
     )
 

@@ -13,7 +13,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.rasterizer import Parts
+from aomgen.splatting.rasterizer import RigidParts
 from aomgen.twin.layers import MovingLayer, moving_layer, static_layer
 from aomgen.twin.twin import Twin, TwinState, body_poses
 
@@ -86,7 +86,7 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
         layer = static_layer(still, view.camera)
         for image, state in zip(view.images_srgb, view.states, strict=True):
             Ts = body_poses(twin, robot, state)
-            parts = Parts(indices=moving.bodies, Ts_world_part=Ts)
+            parts = RigidParts(indices=moving.bodies, Ts_world_part=Ts)
             drawn = layer.session.draw(moving.gaussians, parts, with_ids=True)
             ids = np.asarray(drawn.max_id).astype(np.int64) - len(still)
             discs = np.where(ids >= 0, disc_of[np.maximum(ids, 0)], -1)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, carcass, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, carcass, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
@@ -69,7 +69,7 @@ def draw_shape(rng: np.random.Generator) -> CabinetShape:
 def make_cabinet(name: str, rng: np.random.Generator) -> ArticulatedAsset:
     """One cabinet whose left or right panel slides sideways; all comes from `rng`."""
     shape = draw_shape(rng)
-    wood = Surface(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.55)
+    wood = Material(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.55)
     paint = PAINTS[rng.integers(len(PAINTS))]
     handle = _handle(shape)
     joint = Joint(
@@ -100,7 +100,7 @@ def _side_box(
     y: tuple[float, float],
     z: tuple[float, float],
     skip: str = "",
-) -> Box:
+) -> AlignedBox:
     """A box drawn for a panel on the left, mirrored where it is on the right."""
     low, high = sorted((_sided(shape, x[0]), _sided(shape, x[1])))
     if shape.slides_left:
@@ -108,7 +108,7 @@ def _side_box(
     return box(low, high, *y, *z, skip)
 
 
-def _door_box(shape: CabinetShape) -> Box:
+def _door_box(shape: CabinetShape) -> AlignedBox:
     back = shape.front - GAP
     z = (shape.feet + shape.rail + GAP, shape.height - shape.rail - GAP)
     return _side_box(shape, (-shape.width / 2 + GAP, shape.overlap), (back - shape.door, back), z)
@@ -129,7 +129,7 @@ def _handle(shape: CabinetShape) -> BarHandle:
 
 
 def _body(
-    shape: CabinetShape, wood: Surface, paint: tuple[float, float, float], rng: np.random.Generator
+    shape: CabinetShape, wood: Material, paint: tuple[float, float, float], rng: np.random.Generator
 ) -> AssetLink:
     w, y0, y1, board = shape.width / 2, shape.front, shape.depth / 2, shape.board
     z0, z1 = shape.feet, shape.height
@@ -146,16 +146,16 @@ def _body(
         f"foot_{i}": box(x - 0.02, x + 0.02, y - 0.02, y + 0.02, 0.0, z0, "Z")
         for i, (x, y) in enumerate((x, y) for x in (-w + 0.05, w - 0.05) for y in (y0 + 0.05, y1 - 0.05))
     }
-    plate = Surface(texture_srgb=textures.label(rng))
+    plate = Material(texture_srgb=textures.label(rng))
     left, right = sorted((_sided(shape, 0.05), _sided(shape, w - board - 0.02)))
-    art = Surface(texture_srgb=printed.stickers(rng, paint, count=5), roughness=0.6)
+    art = Material(texture_srgb=decals.stickers(rng, paint, count=5), roughness=0.6)
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, -0.02)
     meshes = (
         boxes_mesh("boards", list(boards.values()), wood),
         boxes_mesh(
-            "fixed_panel", [fixed], Surface(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
+            "fixed_panel", [fixed], Material(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
         ),
-        boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.10, 0.09, 0.08))),
+        boxes_mesh("feet", list(feet.values()), Material(color_srgb=(0.10, 0.09, 0.08))),
         panel("label", (x, y, z1 + PRINT_GAP), (0.10, 0, 0), (0, 0.0625, 0), plate),
         panel("label_side", (w + PRINT_GAP, -0.03, z0 + 0.06), (0, 0.08, 0), (0, 0, 0.05), plate),
         panel(
@@ -185,7 +185,7 @@ def _goods(shape: CabinetShape, rng: np.random.Generator) -> list[Mesh]:
             x = _sided(shape, -shape.width / 2 + 0.07 + 0.075 * place + rng.uniform(-0.008, 0.008))
             y, height = rng.uniform(-0.03, 0.04), rng.uniform(0.06, 0.09)
             color = rng.uniform(0.15, 0.85, 3)
-            paper = Surface(texture_srgb=printed.stickers(rng, color, 256, 128, 4), tile_m=height)
+            paper = Material(texture_srgb=decals.stickers(rng, color, 256, 128, 4), tile_m=height)
             meshes.append(
                 rod(
                     f"can_{level}_{place}", (x, y, z), (x, y, z + height), rng.uniform(0.022, 0.03), paper, 18
@@ -199,13 +199,13 @@ def _door(
 ) -> AssetLink:
     slab = _door_box(shape)
     if rng.random() < 0.5:
-        face = Surface(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.5)
+        face = Material(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.5)
     else:
-        face = Surface(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
+        face = Material(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
     metal = METALS[rng.integers(len(METALS))]
-    bar = Surface(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
+    bar = Material(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
     ground = tuple(np.asarray(face.texture_srgb.mean((0, 1)) / 255))
-    art = Surface(texture_srgb=printed.stickers(rng, ground, 320, 320, 5), roughness=0.6)
+    art = Material(texture_srgb=decals.stickers(rng, ground, 320, 320, 5), roughness=0.6)
     (x0, front, z0), (x1, _, z1) = slab.lower, slab.upper
     size = min(0.5 * (x1 - x0), 0.6 * (z1 - z0))
     # The print stands on the half of the panel without the handle.

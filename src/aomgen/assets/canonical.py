@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets.check import outward_normal
+from aomgen.assets.asset_check import outward_normal
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import sample_surface

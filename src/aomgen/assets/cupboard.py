@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import PRINT_GAP, Surface, box, boxes_mesh, carcass, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Material, box, boxes_mesh, carcass, merge_meshes, panel, rod
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -75,10 +75,10 @@ def draw_shape(rng: np.random.Generator) -> CupboardShape:
 def make_cupboard(name: str, rng: np.random.Generator) -> ArticulatedAsset:
     """One cupboard; what does not move, door or drawer, belongs to its static part."""
     shape = draw_shape(rng)
-    wood = Surface(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.55)
+    wood = Material(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.55)
     paint = PAINTS[rng.integers(len(PAINTS))]
     metal = METALS[rng.integers(len(METALS))]
-    bar = Surface(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
+    bar = Material(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
     body = _body(shape, wood, rng)
     drawer, drawer_bar = _drawer(shape, paint, bar, rng)
     door, door_bar = _door(shape, paint, bar, rng)
@@ -118,7 +118,7 @@ def _joined(body: AssetLink, part: AssetLink) -> AssetLink:
     )
 
 
-def _body(shape: CupboardShape, wood: Surface, rng: np.random.Generator) -> AssetLink:
+def _body(shape: CupboardShape, wood: Material, rng: np.random.Generator) -> AssetLink:
     w, y0, y1, board = shape.width / 2, -shape.depth / 2, shape.depth / 2, shape.board
     z0, z1 = shape.feet, shape.height
     boards = {
@@ -129,11 +129,11 @@ def _body(shape: CupboardShape, wood: Surface, rng: np.random.Generator) -> Asse
         f"foot_{i}": box(x - 0.02, x + 0.02, y - 0.02, y + 0.02, 0.0, z0, "Z")
         for i, (x, y) in enumerate((x, y) for x in (-w + 0.05, w - 0.05) for y in (y0 + 0.05, y1 - 0.05))
     }
-    plate = Surface(texture_srgb=textures.label(rng))
+    plate = Material(texture_srgb=textures.label(rng))
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
     meshes = (
         boxes_mesh("boards", list(boards.values()), wood),
-        boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.10, 0.09, 0.08))),
+        boxes_mesh("feet", list(feet.values()), Material(color_srgb=(0.10, 0.09, 0.08))),
         panel("label", (x, y, z1 + PRINT_GAP), (0.10, 0, 0), (0, 0.0625, 0), plate),
         panel("label_left", (-w - PRINT_GAP, 0.05, z0 + 0.09), (0, -0.08, 0), (0, 0, 0.05), plate),
         panel("label_right", (w + PRINT_GAP, -0.03, z0 + 0.12), (0, 0.08, 0), (0, 0, 0.05), plate),
@@ -147,7 +147,7 @@ def _crockery(shape: CupboardShape, rng: np.random.Generator) -> list[Mesh]:
     """Two piles of plates on the floor behind the door."""
     meshes = []
     for side in (-1.0, 1.0):
-        glaze = Surface(texture_srgb=textures.speckled(rng, rng.uniform(0.4, 0.9, 3), 128), roughness=0.3)
+        glaze = Material(texture_srgb=textures.speckled(rng, rng.uniform(0.4, 0.9, 3), 128), roughness=0.3)
         x, z = side * 0.08, shape.feet + shape.board
         radius, count = rng.uniform(0.05, 0.065), int(rng.integers(3, 7))
         pile = [
@@ -161,7 +161,7 @@ def _crockery(shape: CupboardShape, rng: np.random.Generator) -> list[Mesh]:
             )
             for i in range(count)
         ]
-        meshes.append(merged(f"plates_{'left' if side < 0 else 'right'}", pile))
+        meshes.append(merge_meshes(f"plates_{'left' if side < 0 else 'right'}", pile))
     return meshes
 
 
@@ -176,7 +176,7 @@ def _bar(shape: CupboardShape, x: float, z: float, axis: tuple[float, float, flo
 
 
 def _drawer(
-    shape: CupboardShape, paint: tuple[float, float, float], bar: Surface, rng: np.random.Generator
+    shape: CupboardShape, paint: tuple[float, float, float], bar: Material, rng: np.random.Generator
 ) -> tuple[AssetLink, BarHandle]:
     w, start, end = shape.width / 2, -shape.depth / 2 - GAP, shape.depth / 2 - shape.board - 0.01
     low, top, thin = shape.shelf, shape.height - shape.board, 0.010
@@ -184,9 +184,9 @@ def _drawer(
     inner, floor, rim = w - shape.board - GAP, low + GAP, top - 0.025
     tray = tray_boxes((-inner, inner), (start, end), (floor, rim), thin)
     handle = _bar(shape, 0.0, (low + top) / 2, (1.0, 0.0, 0.0))
-    ply = Surface(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
-    sheet = Surface(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.5)
-    sign = Surface(texture_srgb=textures.nameplate(rng, paint, 256, 64))
+    ply = Material(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
+    sheet = Material(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.5)
+    sign = Material(texture_srgb=textures.nameplate(rng, paint, 256, 64))
     meshes = (
         boxes_mesh("front", [face], sheet),
         boxes_mesh("tray", list(tray.values()), ply),
@@ -201,7 +201,7 @@ def _drawer(
 
 
 def _door(
-    shape: CupboardShape, paint: tuple[float, float, float], bar: Surface, rng: np.random.Generator
+    shape: CupboardShape, paint: tuple[float, float, float], bar: Material, rng: np.random.Generator
 ) -> tuple[AssetLink, BarHandle]:
     w, back = shape.width / 2, -shape.depth / 2 - GAP
     # A finger's breadth below the drawer's front, so that neither rubs the other.
@@ -209,8 +209,8 @@ def _door(
     slab = box(-w + 0.002, w - 0.002, shape.face, back, low, top)
     free = -1.0 if shape.hinge_right else 1.0
     handle = _bar(shape, free * (w - 0.04), (low + top) / 2, (0.0, 0.0, 1.0))
-    sheet = Surface(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
-    art = Surface(texture_srgb=printed.stickers(rng, paint, 320, 320, 5), roughness=0.6)
+    sheet = Material(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
+    art = Material(texture_srgb=decals.stickers(rng, paint, 320, 320, 5), roughness=0.6)
     size = 0.55 * min(2 * w, top - low)
     corner = (-free * 0.3 * w - size / 2, shape.face - PRINT_GAP, (low + top - size) / 2)
     meshes = (

@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import METALS, PAINTS, WOODS
-from aomgen.assets.shapes import PRINT_GAP, Surface, box, boxes_mesh, panel
+from aomgen.assets.shapes import PRINT_GAP, Material, box, boxes_mesh, panel
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -59,11 +59,13 @@ def draw_shape(rng: np.random.Generator) -> DrawerShape:
 def make_drawer(name: str, rng: np.random.Generator) -> ArticulatedAsset:
     """One cabinet with one drawer; every size, color and print comes from `rng`."""
     shape = draw_shape(rng)
-    wood = Surface(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.55)
+    wood = Material(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.55)
     if rng.random() < 0.5:
-        front = Surface(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.5)
+        front = Material(texture_srgb=textures.wood(rng, WOODS[rng.integers(len(WOODS))]), roughness=0.5)
     else:
-        front = Surface(texture_srgb=textures.speckled(rng, PAINTS[rng.integers(len(PAINTS))]), roughness=0.5)
+        front = Material(
+            texture_srgb=textures.speckled(rng, PAINTS[rng.integers(len(PAINTS))]), roughness=0.5
+        )
     handle = _handle(shape)
     joint = Joint(
         type="prismatic", axis=np.array([0.0, -1.0, 0.0]), origin=handle.foot, lower=0.0, upper=shape.travel
@@ -97,7 +99,7 @@ def _handle(shape: DrawerShape) -> BarHandle:
     )
 
 
-def _cabinet(shape: DrawerShape, wood: Surface, rng: np.random.Generator) -> AssetLink:
+def _cabinet(shape: DrawerShape, wood: Material, rng: np.random.Generator) -> AssetLink:
     w, y0, y1, board = shape.width / 2, -shape.depth / 2, shape.depth / 2, shape.board
     z0, z1 = shape.feet, shape.height
     low, _ = _opening(shape)
@@ -115,11 +117,11 @@ def _cabinet(shape: DrawerShape, wood: Surface, rng: np.random.Generator) -> Ass
         f"foot_{i}": box(x - 0.02, x + 0.02, y - 0.02, y + 0.02, 0.0, z0, "Z")
         for i, (x, y) in enumerate((x, y) for x in (-w + 0.05, w - 0.05) for y in (y0 + 0.05, y1 - 0.05))
     }
-    plate = Surface(texture_srgb=textures.label(rng))
+    plate = Material(texture_srgb=textures.label(rng))
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
     meshes = (
         boxes_mesh("boards", list(boards.values()), wood),
-        boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.10, 0.09, 0.08))),
+        boxes_mesh("feet", list(feet.values()), Material(color_srgb=(0.10, 0.09, 0.08))),
         panel("label", (x, y, z1 + PRINT_GAP), (0.10, 0, 0), (0, 0.0625, 0), plate),
         panel("label_side", (w + PRINT_GAP, -0.03, z0 + 0.06), (0, 0.08, 0), (0, 0, 0.05), plate),
     )
@@ -127,7 +129,7 @@ def _cabinet(shape: DrawerShape, wood: Surface, rng: np.random.Generator) -> Ass
     return AssetLink(name="cabinet", meshes=meshes, colliders=colliders, mass=shape.body_mass)
 
 
-def _drawer(shape: DrawerShape, front: Surface, handle: BarHandle, rng: np.random.Generator) -> AssetLink:
+def _drawer(shape: DrawerShape, front: Material, handle: BarHandle, rng: np.random.Generator) -> AssetLink:
     w, y0, y1 = shape.width / 2, -shape.depth / 2, shape.depth / 2
     low, top = _opening(shape)
     face = box(-w + 0.002, w - 0.002, y0 - GAP - shape.board, y0 - GAP, low - 0.004, top + 0.008)
@@ -136,10 +138,10 @@ def _drawer(shape: DrawerShape, front: Surface, handle: BarHandle, rng: np.rando
     end, side = y1 - shape.board - 0.01, shape.side
     start = y0 - GAP
     tray = tray_boxes((-inner, inner), (start, end), (floor, rim), side)
-    ply = Surface(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
+    ply = Material(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
     metal = METALS[rng.integers(len(METALS))]
-    bar = Surface(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
-    sign = Surface(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 256, 64))
+    bar = Material(texture_srgb=textures.brushed_metal(rng, metal, 256), metallic=0.8, roughness=0.3)
+    sign = Material(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 256, 64))
     corner = (-w + 0.02, face.lower[1] - PRINT_GAP, face.upper[2] - 0.034)
     meshes = (
         boxes_mesh("front", [face], front),

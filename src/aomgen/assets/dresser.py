@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.palette import DARKS, METALS, PAINTS, WOODS
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, carcass, merged
+from aomgen.assets.shapes import AlignedBox, Material, box, boxes_mesh, carcass, merge_meshes
 from aomgen.assets.tray import tray_boxes
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
@@ -112,19 +112,21 @@ def make_dresser(name: str, rng: np.random.Generator) -> ArticulatedAsset:
     )
 
 
-def _surfaces(rng: np.random.Generator) -> tuple[Surface, Surface, Surface]:
+def _surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
     """Of the body, of all fronts and of all bars."""
     kind = rng.random()
     palette = DARKS if kind < DARK_SHARE else WOODS
-    body = Surface(texture_srgb=textures.wood(rng, palette[rng.integers(len(palette))]), roughness=0.55)
+    body = Material(texture_srgb=textures.wood(rng, palette[rng.integers(len(palette))]), roughness=0.55)
     front = body
     if kind > DARK_SHARE + ONE_WOOD_SHARE:
-        front = Surface(texture_srgb=textures.speckled(rng, PAINTS[rng.integers(len(PAINTS))]), roughness=0.5)
+        front = Material(
+            texture_srgb=textures.speckled(rng, PAINTS[rng.integers(len(PAINTS))]), roughness=0.5
+        )
     metal = textures.brushed_metal(rng, METALS[rng.integers(len(METALS))], 256)
-    return body, front, Surface(texture_srgb=metal, metallic=0.8, roughness=0.3)
+    return body, front, Material(texture_srgb=metal, metallic=0.8, roughness=0.3)
 
 
-def _front(shape: DresserShape, cell: tuple[int, int]) -> Box:
+def _front(shape: DresserShape, cell: tuple[int, int]) -> AlignedBox:
     """The front of a cell; it covers the body's boards."""
     (width, height), back = shape.pitch, -shape.depth / 2 - GAP
     x, z = cell[0] * width - shape.width / 2, shape.feet + cell[1] * height
@@ -145,7 +147,7 @@ def _handle(shape: DresserShape, cell: tuple[int, int]) -> BarHandle:
 
 
 def _body(
-    shape: DresserShape, fixed: list[tuple[int, int]], surfaces: tuple[Surface, Surface, Surface]
+    shape: DresserShape, fixed: list[tuple[int, int]], surfaces: tuple[Material, Material, Material]
 ) -> AssetLink:
     w, y0, y1, board = shape.width / 2, -shape.depth / 2, shape.depth / 2, shape.board
     z0, z1 = shape.feet, shape.height
@@ -167,9 +169,9 @@ def _body(
     body, front, bar = surfaces
     meshes = (
         boxes_mesh("boards", list(boards.values()), body),
-        boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.10, 0.09, 0.08))),
+        boxes_mesh("feet", list(feet.values()), Material(color_srgb=(0.10, 0.09, 0.08))),
         *(boxes_mesh(key, [face], front) for key, face in fronts.items()),
-        merged("handles", [handle.mesh(bar) for handle in handles]),
+        merge_meshes("handles", [handle.mesh(bar) for handle in handles]),
     )
     colliders = [solid.collider(key) for key, solid in {**boards, **feet, **fronts}.items()]
     for key, handle in zip(fronts, handles, strict=True):
@@ -178,7 +180,7 @@ def _body(
 
 
 def _drawer(
-    shape: DresserShape, cell: tuple[int, int], surfaces: tuple[Surface, Surface], rng: np.random.Generator
+    shape: DresserShape, cell: tuple[int, int], surfaces: tuple[Material, Material], rng: np.random.Generator
 ) -> AssetLink:
     face, handle = _front(shape, cell), _handle(shape, cell)
     (x0, _, z0), (x1, _, z1) = face.lower, face.upper
@@ -190,7 +192,7 @@ def _drawer(
         (z0 + room, z1 - 0.035),
         shape.side,
     )
-    ply = Surface(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
+    ply = Material(texture_srgb=textures.wood(rng, (0.86, 0.77, 0.62), 256), roughness=0.6)
     front, bar = surfaces
     meshes = (
         boxes_mesh("front", [face], front),

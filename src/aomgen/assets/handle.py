@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets.shapes import Surface, merged, rod
+from aomgen.assets.shapes import Material, merge_meshes, rod
 from aomgen.core.asset import BoxCollider
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import transform
@@ -37,7 +37,7 @@ class BarHandle:
         """Middle of the bar (3,), [m]."""
         return self.foot + OUTWARD * (self.clearance + self.thickness / 2)
 
-    def mesh(self, surface: Surface) -> Mesh:
+    def mesh(self, surface: Material) -> Mesh:
         """Round bar and posts."""
         half = self.axis * self.length / 2
         radius = self.thickness / 2
@@ -45,7 +45,7 @@ class BarHandle:
         for side in (-1.0, 1.0):
             offset = side * self._post_offset()
             rods.append(rod("post", self.foot + offset, self.middle + offset, 0.8 * radius, surface, 10))
-        return merged("handle", rods)
+        return merge_meshes("handle", rods)
 
     def colliders(self, prefix: str = "") -> tuple[BoxCollider, ...]:
         """Boxes of bar and posts; all names start with "handle", after a prefix for what does not move."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.lid import SEAL, back_hinge
-from aomgen.assets.shapes import PRINT_GAP, Surface, box, boxes_mesh, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, Material, box, boxes_mesh, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
 
@@ -90,9 +90,9 @@ def _base(shape: LaptopShape, color: tuple[float, float, float], rng: np.random.
         f"foot_{name}": box(-0.8 * w, 0.8 * w, y - 0.004, y + 0.004, 0.0, FEET, "Z")
         for name, y in (("front", 0.03 - d), ("back", d - 0.02))
     }
-    case = Surface(texture_srgb=textures.brushed_metal(rng, color, 512), roughness=0.4, metallic=0.4)
-    keys = Surface(texture_srgb=printed.keyboard(rng, color), roughness=0.6)
-    black = Surface(color_srgb=(0.06, 0.06, 0.07))
+    case = Material(texture_srgb=textures.brushed_metal(rng, color, 512), roughness=0.4, metallic=0.4)
+    keys = Material(texture_srgb=decals.keyboard(rng, color), roughness=0.6)
+    black = Material(color_srgb=(0.06, 0.06, 0.07))
     front = inner + 0.003
     hinge = (d, top + SEAL / 2)
     meshes = (
@@ -125,9 +125,9 @@ def _lid(shape: LaptopShape, color: tuple[float, float, float], rng: np.random.G
     top = low + shape.lid
     slab = box(-w, w, RIM - d, d, low, top, "y")
     rim = box(-w, w, -d, RIM - d, low, top, "Y")
-    case = Surface(texture_srgb=textures.brushed_metal(rng, color, 512), roughness=0.4, metallic=0.4)
-    display = Surface(texture_srgb=printed.screen(rng), roughness=0.2)
-    frame = Surface(color_srgb=(0.05, 0.05, 0.06))
+    case = Material(texture_srgb=textures.brushed_metal(rng, color, 512), roughness=0.4, metallic=0.4)
+    display = Material(texture_srgb=decals.screen(rng), roughness=0.2)
+    frame = Material(color_srgb=(0.05, 0.05, 0.06))
     bezel, below = shape.bezel, low - PRINT_GAP
     size = (2 * (w - bezel), 2 * d - 2 * bezel)
     meshes = (
@@ -146,8 +146,8 @@ def _print(
 ) -> Mesh:
     """On the lid: the maker's name alone, or stickers all over it."""
     if rng.random() < 0.5:
-        name = Surface(texture_srgb=textures.nameplate(rng, color, 256, 64), roughness=0.4)
+        name = Material(texture_srgb=textures.nameplate(rng, color, 256, 64), roughness=0.4)
         return panel("name", (0.04, -0.01, height), (-0.08, 0, 0), (0, -0.02, 0), name)
     w, d = shape.width / 2 - 0.012, shape.depth / 2 - 0.012
-    art = Surface(texture_srgb=printed.stickers(rng, color, count=int(rng.integers(2, 8))), roughness=0.5)
+    art = Material(texture_srgb=decals.stickers(rng, color, count=int(rng.integers(2, 8))), roughness=0.5)
     return panel("stickers", (-w, -d, height), (2 * w, 0, 0), (0, 2 * d, 0), art)

@@ -6,7 +6,7 @@ import numpy as np
 
 from aomgen.assets import textures
 from aomgen.assets.handle import BarHandle
-from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
@@ -98,7 +98,7 @@ def _sided(shape: MicrowaveShape, x: float) -> float:
     return -x if shape.hinge_right else x
 
 
-def _side_box(shape: MicrowaveShape, x0: float, x1: float, y: Span, z: Span, skip: str = "") -> Box:
+def _side_box(shape: MicrowaveShape, x0: float, x1: float, y: Span, z: Span, skip: str = "") -> AlignedBox:
     """A box drawn for a left hinge, mirrored where the hinge is on the right."""
     if shape.hinge_right:
         x0, x1 = -x1, -x0
@@ -137,10 +137,10 @@ def _body(shape: MicrowaveShape, color: Color, door_color: Color, rng: np.random
         for i, (x, y) in enumerate((x, y) for x in (-w + 0.04, w - 0.04) for y in (y0 + 0.04, y1 - 0.04))
     }
     sheet = textures.brushed_metal if rng.random() < 0.6 else textures.speckled
-    painted = Surface(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3)
+    painted = Material(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3)
     meshes = [
         boxes_mesh("shell", list(shell.values()), painted),
-        boxes_mesh("feet", list(feet.values()), Surface(color_srgb=(0.07, 0.07, 0.07))),
+        boxes_mesh("feet", list(feet.values()), Material(color_srgb=(0.07, 0.07, 0.07))),
         *_cavity(shape, column, rng),
         *_prints(shape, column, front, color, door_color, rng),
     ]
@@ -160,10 +160,10 @@ def _cavity(shape: MicrowaveShape, column: float, rng: np.random.Generator) -> l
         _side_box(shape, -w + wall, column, (y0, y1 - wall), (z0 - thin, z0), "xXyYz"),
         _side_box(shape, -w + wall, column, (y0, y1 - wall), (z1, z1 + thin), "xXyYZ"),
     ]
-    lining = Surface(texture_srgb=textures.speckled(rng, (0.70, 0.70, 0.68), 256), roughness=0.5)
+    lining = Material(texture_srgb=textures.speckled(rng, (0.70, 0.70, 0.68), 256), roughness=0.5)
     centre = np.array([_sided(shape, (-w + wall + column) / 2), 0.0, z0 + 0.004])
     radius = 0.42 * min(column + w - wall, shape.depth - wall)
-    plate = Surface(texture_srgb=textures.plastic(rng, (0.55, 0.62, 0.62)), roughness=0.2)
+    plate = Material(texture_srgb=textures.plastic(rng, (0.55, 0.62, 0.62)), roughness=0.2)
     disc = rod("turntable", centre, centre + np.array([0, 0, 0.008]), radius, plate, 28)
     return [boxes_mesh("cavity", inner, lining), disc]
 
@@ -185,12 +185,12 @@ def _prints(
         (left, front - PRINT_GAP, z0 + edge),
         (w - column - 2 * edge, 0, 0),
         (0, 0, z1 - z0 - 2 * edge),
-        Surface(texture_srgb=textures.keypad(rng, panel_color), roughness=0.35),
+        Material(texture_srgb=textures.keypad(rng, panel_color), roughness=0.35),
     )
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.0)
-    plate = Surface(texture_srgb=textures.label(rng))
+    plate = Material(texture_srgb=textures.label(rng))
     label = panel("label", (x, y, z1 + PRINT_GAP), (0.12, 0, 0), (0, 0.075, 0), plate)
-    slots = Surface(texture_srgb=textures.vents(rng, color))
+    slots = Material(texture_srgb=textures.vents(rng, color))
     y, z = rng.uniform(-0.10, 0.0), z0 + rng.uniform(0.06, 0.10)
     right_vents = panel("vents_right", (w + PRINT_GAP, y, z), (0, 0.13, 0), (0, 0, 0.08), slots)
     left_vents = panel("vents_left", (-w - PRINT_GAP, y + 0.13, z), (0, -0.13, 0), (0, 0, 0.08), slots)
@@ -210,14 +210,14 @@ def _door(shape: MicrowaveShape, color: Color, handle: BarHandle, rng: np.random
         _side_box(shape, x0, x0 + frame, depth, (z0 + frame, z1 - frame), "zZ"),
         _side_box(shape, x1 - frame, x1, depth, (z0 + frame, z1 - frame), "zZ"),
     ]
-    grain = Surface(texture_srgb=textures.plastic(rng, color), tile_m=0.5, roughness=0.35)
-    glass = Surface(texture_srgb=textures.window(rng), roughness=0.1)
+    grain = Material(texture_srgb=textures.plastic(rng, color), tile_m=0.5, roughness=0.35)
+    glass = Material(texture_srgb=textures.window(rng), roughness=0.1)
     left = min(_sided(shape, x0 + frame), _sided(shape, x1 - frame))
     size = x1 - x0 - 2 * frame
     up = (0, 0, z1 - z0 - 2 * frame)
     name_x = left + size / 2 - 0.05
-    print_surface = Surface(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
-    metal = Surface(
+    print_surface = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
+    metal = Material(
         texture_srgb=textures.brushed_metal(rng, (0.78, 0.78, 0.80), 256), metallic=0.8, roughness=0.3
     )
     meshes = (

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
-from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merge_meshes, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
@@ -112,10 +112,10 @@ def _body(shape: OvenShape, color: tuple[float, float, float], rng: np.random.Ge
         "fascia": box(-w, w, shape.front, y0, z1 - shape.strip, z1, "Y"),
     }
     sheet = textures.brushed_metal if rng.random() < 0.5 else textures.speckled
-    painted = Surface(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3)
-    dials = Surface(texture_srgb=printed.knobs(rng, color), roughness=0.35)
-    plate = Surface(texture_srgb=textures.label(rng))
-    slots = Surface(texture_srgb=textures.vents(rng, color))
+    painted = Material(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3)
+    dials = Material(texture_srgb=decals.knobs(rng, color), roughness=0.35)
+    plate = Material(texture_srgb=textures.label(rng))
+    slots = Material(texture_srgb=textures.vents(rng, color))
     edge = 0.004
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.0)
     z = z0 + 0.05
@@ -138,8 +138,8 @@ def _body(shape: OvenShape, color: tuple[float, float, float], rng: np.random.Ge
     return AssetLink(name="body", meshes=meshes, colliders=colliders, mass=shape.body_mass)
 
 
-def _name(rng: np.random.Generator, color: tuple[float, float, float]) -> Surface:
-    return Surface(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
+def _name(rng: np.random.Generator, color: tuple[float, float, float]) -> Material:
+    return Material(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
 
 
 def _cavity(shape: OvenShape, rng: np.random.Generator) -> list[Mesh]:
@@ -153,14 +153,14 @@ def _cavity(shape: OvenShape, rng: np.random.Generator) -> list[Mesh]:
         box(-w, w, y0, y1, z0, z0 + wall, "xXyYz"),
         box(-w, w, y0, y1, z1 - wall, z1, "xXyYZ"),
     ]
-    enamel = Surface(texture_srgb=textures.speckled(rng, (0.22, 0.22, 0.24), 256), roughness=0.4)
-    steel = Surface(color_srgb=(0.70, 0.70, 0.72), metallic=0.8, roughness=0.3)
+    enamel = Material(texture_srgb=textures.speckled(rng, (0.22, 0.22, 0.24), 256), roughness=0.4)
+    steel = Material(color_srgb=(0.70, 0.70, 0.72), metallic=0.8, roughness=0.3)
     z = (z0 + z1) / 2
     bars = [
         rod("bar", (x, y0 + 0.03, z), (x, y1 - 0.01, z), 0.003, steel, 8)
         for x in np.linspace(-w + 0.02, w - 0.02, 9)
     ]
-    return [boxes_mesh("cavity", inner, enamel), merged("rack", bars)]
+    return [boxes_mesh("cavity", inner, enamel), merge_meshes("rack", bars)]
 
 
 def _door(
@@ -168,15 +168,15 @@ def _door(
 ) -> AssetLink:
     w, z0, z1, frame = shape.width / 2, shape.plinth, shape.door_top, shape.frame
     y = (shape.front, shape.front + shape.door)
-    rim: list[Box] = [
+    rim: list[AlignedBox] = [
         box(-w, w, *y, z0, z0 + frame),
         box(-w, w, *y, z1 - frame, z1),
         box(-w, -w + frame, *y, z0 + frame, z1 - frame, "zZ"),
         box(w - frame, w, *y, z0 + frame, z1 - frame, "zZ"),
     ]
-    sheet = Surface(texture_srgb=textures.brushed_metal(rng, color), roughness=0.35, metallic=0.4)
-    glass = Surface(texture_srgb=textures.window(rng), roughness=0.1)
-    steel = Surface(texture_srgb=textures.brushed_metal(rng, (0.78, 0.78, 0.80), 256), metallic=0.8)
+    sheet = Material(texture_srgb=textures.brushed_metal(rng, color), roughness=0.35, metallic=0.4)
+    glass = Material(texture_srgb=textures.window(rng), roughness=0.1)
+    steel = Material(texture_srgb=textures.brushed_metal(rng, (0.78, 0.78, 0.80), 256), metallic=0.8)
     size, up = 2 * (w - frame), (0, 0, z1 - z0 - 2 * frame)
     inset = 0.2 * shape.door
     meshes = (

@@ -19,7 +19,7 @@ _NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class Material:
     """What a mesh is covered with.
 
     Attributes:
@@ -37,7 +37,7 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class AlignedBox:
     """Axis-aligned box between two corners (3,), [m]; `skip` names faces that stay unseen.
 
     Face names: "x" "y" "z" for the low side, "X" "Y" "Z" for the high side.
@@ -54,14 +54,14 @@ class Box:
         return BoxCollider(name=name, T_asset_box=pose, half_extents=(upper - lower) / 2)
 
 
-def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, skip: str = "") -> Box:
-    """A `Box` from its six planes, [m]."""
-    return Box(lower=(x0, y0, z0), upper=(x1, y1, z1), skip=skip)
+def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, skip: str = "") -> AlignedBox:
+    """An `AlignedBox` from its six planes, [m]."""
+    return AlignedBox(lower=(x0, y0, z0), upper=(x1, y1, z1), skip=skip)
 
 
 def carcass(
     w: float, depth: tuple[float, float], height: tuple[float, float], board: float
-) -> dict[str, Box]:
+) -> dict[str, AlignedBox]:
     """Boards around a piece of furniture that is open to the front: `w` to both sides, front to back, floor to top."""
     (y0, y1), (z0, z1) = depth, height
     inside = (z0 + board, z1 - board)
@@ -74,7 +74,7 @@ def carcass(
     }
 
 
-def boxes_mesh(name: str, boxes: Sequence[Box], surface: Surface) -> Mesh:
+def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mesh:
     """One mesh of several boxes, planar-mapped: u runs along x (or y), v along z (or y).
 
     Coordinates start at the mesh's lowest corner and never leave 0..1: a mesh larger than the
@@ -97,7 +97,7 @@ def boxes_mesh(name: str, boxes: Sequence[Box], surface: Surface) -> Mesh:
     return _quads_mesh(name, corners, uvs, surface)
 
 
-def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface: Surface) -> Mesh:
+def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface: Material) -> Mesh:
     """A print: one rectangle seen from the side `right x up`, its texture upright and whole.
 
     Args:
@@ -111,7 +111,7 @@ def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface
 
 
 def rod(
-    name: str, start: ArrayLike, end: ArrayLike, radius: float, surface: Surface, sides: int = 14
+    name: str, start: ArrayLike, end: ArrayLike, radius: float, surface: Material, sides: int = 14
 ) -> Mesh:
     """A closed cylinder between two points (3,), [m], texture wrapped once around it."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
@@ -134,7 +134,7 @@ def rod(
     return _triangles_mesh(name, np.array(triangles), np.array(uvs), surface)
 
 
-def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Surface, sides: int = 20) -> Mesh:
+def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material, sides: int = 20) -> Mesh:
     """Upper half of an ellipsoid on a plane z, texture seen from above.
 
     Args:
@@ -156,7 +156,7 @@ def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Surface, sides
     return _quads_mesh(name, np.asarray(center) + quads * np.asarray(radii), uvs, surface)
 
 
-def merged(name: str, meshes: Sequence[Mesh]) -> Mesh:
+def merge_meshes(name: str, meshes: Sequence[Mesh]) -> Mesh:
     """One mesh of several that share the first one's surface."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     first = meshes[0]
@@ -172,7 +172,7 @@ def merged(name: str, meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def _box_face(item: Box, axis: int, high: bool) -> Array:
+def _box_face(item: AlignedBox, axis: int, high: bool) -> Array:
     """Corners (4, 3) of one face, counter-clockwise seen from outside."""
     low, top = np.array(item.lower), np.array(item.upper)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -183,14 +183,14 @@ def _box_face(item: Box, axis: int, high: bool) -> Array:
     return quad if high else quad[::-1]
 
 
-def _quads_mesh(name: str, corners: Array, uvs: Array, surface: Surface) -> Mesh:
+def _quads_mesh(name: str, corners: Array, uvs: Array, surface: Material) -> Mesh:
     halves = [[0, 1, 2], [0, 2, 3]]
     return _triangles_mesh(
         name, corners[:, halves].reshape(-1, 3, 3), uvs[:, halves].reshape(-1, 3, 2), surface
     )
 
 
-def _triangles_mesh(name: str, triangles: Array, uvs: Array, surface: Surface) -> Mesh:
+def _triangles_mesh(name: str, triangles: Array, uvs: Array, surface: Material) -> Mesh:
     vertices, inverse = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0, return_inverse=True)
     textured = surface.texture_srgb.size > 0
     return Mesh(

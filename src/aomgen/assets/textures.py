@@ -26,7 +26,7 @@ def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float
     return (field - field.mean()) / field.std()
 
 
-def tinted(color_srgb: ArrayLike, shade: Array) -> Texture:
+def tint(color_srgb: ArrayLike, shade: Array) -> Texture:
     """Texture (H, W, 3) uint8: one color (0..1) brightened by `shade` (H, W), +0.1 means 10 %."""
     image = np.asarray(color_srgb, np.float64) * (1.0 + shade[..., None])
     return np.round(255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
@@ -41,26 +41,24 @@ def wood(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Te
     fibres = noise(rng, size, (0.6, 20.0))
     pores = -np.clip(noise(rng, size, (0.7, 6.0)) - 1.9, 0, 1)
     shade = 0.10 * np.sign(rings) * np.abs(rings) ** 0.7 + 0.05 * fibres + 0.35 * pores
-    return tinted(color_srgb, shade + 0.05 * noise(rng, size, 50))
+    return tint(color_srgb, shade + 0.05 * noise(rng, size, 50))
 
 
 def brushed_metal(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
     """Metal brushed along u, with faint smudges."""
     shade = 0.045 * noise(rng, size, (0.5, 40.0)) + 0.03 * noise(rng, size, (30, 30))
-    return tinted(color_srgb, shade + 0.015 * noise(rng, size, 0.7))
+    return tint(color_srgb, shade + 0.015 * noise(rng, size, 0.7))
 
 
 def plastic(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 256) -> Texture:
     """Grained plastic."""
-    return tinted(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.02 * noise(rng, size, 18))
+    return tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.02 * noise(rng, size, 18))
 
 
 def speckled(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512) -> Texture:
     """Enamel or laminate with dark and light speckles."""
     fine = noise(rng, size, 1.1)
-    return tinted(
-        color_srgb, 0.22 * ((fine > 1.7).astype(float) - (fine < -1.6)) + 0.03 * noise(rng, size, 20)
-    )
+    return tint(color_srgb, 0.22 * ((fine > 1.7).astype(float) - (fine < -1.6)) + 0.03 * noise(rng, size, 20))
 
 
 def window(rng: np.random.Generator, size: int = 256) -> Texture:
@@ -70,7 +68,7 @@ def window(rng: np.random.Generator, size: int = 256) -> Texture:
     edge = np.minimum.reduce([u, v, size - 1 - u, size - 1 - v]) / (0.10 * size)
     sheen = np.clip(1 - np.abs((u + v) / size - rng.uniform(0.6, 1.4)) / 0.25, 0, 1)
     value = 0.07 + 0.05 * dots * np.clip(edge - 0.6, 0, 1) + 0.05 * sheen + 0.01 * noise(rng, size, 1.0)
-    return tinted((0.9, 0.95, 1.0), value - 1.0)
+    return tint((0.9, 0.95, 1.0), value - 1.0)
 
 
 def keypad(rng: np.random.Generator, color_srgb: ArrayLike, width: int = 192, height: int = 448) -> Texture:

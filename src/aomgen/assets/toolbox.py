@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aomgen.assets import printed, textures
+from aomgen.assets import decals, textures
 from aomgen.assets.handle import BarHandle
 from aomgen.assets.lid import SEAL, back_hinge
-from aomgen.assets.shapes import PRINT_GAP, Box, Surface, box, boxes_mesh, merged, panel, rod
+from aomgen.assets.shapes import PRINT_GAP, AlignedBox, Material, box, boxes_mesh, merge_meshes, panel, rod
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.mesh import Mesh
 
@@ -79,7 +79,7 @@ def make_toolbox(name: str, rng: np.random.Generator) -> ArticulatedAsset:
     )
 
 
-def _walls(shape: ToolboxShape, z0: float, z1: float, closed_below: bool) -> dict[str, Box]:
+def _walls(shape: ToolboxShape, z0: float, z1: float, closed_below: bool) -> dict[str, AlignedBox]:
     """A box open above (or below): its four sides and its bottom (or top)."""
     w, y0, y1, wall = shape.width / 2, -shape.depth / 2, shape.depth / 2, shape.wall
     low, high = (z0 + wall, z1) if closed_below else (z0, z1 - wall)
@@ -94,7 +94,7 @@ def _walls(shape: ToolboxShape, z0: float, z1: float, closed_below: bool) -> dic
     }
 
 
-def _latches(shape: ToolboxShape, z0: float, z1: float) -> dict[str, Box]:
+def _latches(shape: ToolboxShape, z0: float, z1: float) -> dict[str, AlignedBox]:
     """Plates on the front, left and right of the handle."""
     x, front = 0.36 * shape.width, -shape.depth / 2
     return {
@@ -112,10 +112,10 @@ def _body(
     w, y0, y1 = shape.width / 2, -shape.depth / 2, shape.depth / 2
     walls = _walls(shape, 0.0, shape.seam, closed_below=True)
     latches = _latches(shape, shape.seam - 0.034, shape.seam)
-    sheet = Surface(texture_srgb=printed.tread_plate(rng, color), tile_m=0.45, roughness=0.5, metallic=0.2)
-    steel = Surface(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
-    sticker = Surface(texture_srgb=textures.label(rng), roughness=0.5)
-    brand = Surface(texture_srgb=textures.nameplate(rng, lid_color), roughness=0.4)
+    sheet = Material(texture_srgb=decals.tread_plate(rng, color), tile_m=0.45, roughness=0.5, metallic=0.2)
+    steel = Material(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
+    sticker = Material(texture_srgb=textures.label(rng), roughness=0.5)
+    brand = Material(texture_srgb=textures.nameplate(rng, lid_color), roughness=0.4)
     x, z = rng.uniform(-0.13, -0.10), rng.uniform(0.012, 0.022)
     meshes = (
         boxes_mesh("body", list(walls.values()), sheet),
@@ -134,19 +134,19 @@ def _tray(shape: ToolboxShape, y0: float, y1: float, rng: np.random.Generator) -
     """What lies inside: a tray with a screwdriver, a hammer and a wrench."""
     w, wall = shape.width / 2, shape.wall
     z = shape.seam - 0.035
-    floor = Surface(texture_srgb=textures.speckled(rng, (0.52, 0.50, 0.46), 256), roughness=0.7)
+    floor = Material(texture_srgb=textures.speckled(rng, (0.52, 0.50, 0.46), 256), roughness=0.7)
     low, size = (-w + wall, y0 + wall, z), (2 * (w - wall), y1 - y0 - 2 * wall)
     meshes = [panel("tray", low, (size[0], 0, 0), (0, size[1], 0), floor)]
     grips = [(0.80, 0.30, 0.08), (0.10, 0.42, 0.70), (0.85, 0.70, 0.10)]
-    iron = Surface(color_srgb=(0.62, 0.63, 0.66), metallic=0.8, roughness=0.35)
+    iron = Material(color_srgb=(0.62, 0.63, 0.66), metallic=0.8, roughness=0.35)
     for number, share in enumerate((0.22, 0.5, 0.78)):
         y, x = y0 + share * (y1 - y0), rng.uniform(-0.05, 0.02)
-        colored = Surface(texture_srgb=textures.plastic(rng, grips[rng.integers(3)], 64))
+        colored = Material(texture_srgb=textures.plastic(rng, grips[rng.integers(3)], 64))
         half = 0.30 * shape.width
         meshes.append(rod(f"grip_{number}", (x - half, y, z + 0.012), (x, y, z + 0.012), 0.012, colored))
         shaft = rod("shaft", (x, y, z + 0.010), (x + half, y, z + 0.010), 0.006, iron)
         head = rod("head", (x + half, y - 0.02, z + 0.012), (x + half, y + 0.02, z + 0.012), 0.010, iron)
-        meshes.append(merged(f"iron_{number}", [shaft, head]))
+        meshes.append(merge_meshes(f"iron_{number}", [shaft, head]))
     return meshes
 
 
@@ -156,11 +156,11 @@ def _lid(
     w, y0, low, top = shape.width / 2, -shape.depth / 2, shape.seam + SEAL, shape.top
     walls = _walls(shape, low, top, closed_below=False)
     latches = _latches(shape, low, low + 0.030)
-    sheet = Surface(texture_srgb=printed.tread_plate(rng, color), tile_m=0.45, roughness=0.45)
-    steel = Surface(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
-    rubber = Surface(texture_srgb=textures.plastic(rng, (0.10, 0.10, 0.11), 128))
-    sheet_of_stickers = Surface(texture_srgb=printed.stickers(rng, color), roughness=0.5)
-    brand = Surface(texture_srgb=textures.nameplate(rng, color), roughness=0.4)
+    sheet = Material(texture_srgb=decals.tread_plate(rng, color), tile_m=0.45, roughness=0.45)
+    steel = Material(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
+    rubber = Material(texture_srgb=textures.plastic(rng, (0.10, 0.10, 0.11), 128))
+    sheet_of_stickers = Material(texture_srgb=decals.stickers(rng, color), roughness=0.5)
+    brand = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.4)
     grip = 0.16 * shape.width
     arch = [
         rod("arch", (-grip, 0, top + 0.03), (grip, 0, top + 0.03), 0.010, rubber),
@@ -172,7 +172,7 @@ def _lid(
     meshes = (
         boxes_mesh("lid", list(walls.values()), sheet),
         boxes_mesh("latches", list(latches.values()), steel),
-        merged("carry", arch),
+        merge_meshes("carry", arch),
         panel(
             "stickers",
             (grip + 0.02, y0 + inset, top + PRINT_GAP),

@@ -1,11 +1,11 @@
 """The open box behind a drawer's front."""
 
-from aomgen.assets.shapes import Box, box
+from aomgen.assets.shapes import AlignedBox, box
 
 
 def tray_boxes(
     sides: tuple[float, float], depth: tuple[float, float], heights: tuple[float, float], thin: float
-) -> dict[str, Box]:
+) -> dict[str, AlignedBox]:
     """Floor, two sides and back, by the name of their colliders.
 
     Args:

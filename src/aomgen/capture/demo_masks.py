@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from aomgen.core.recording import Capture, DemoCamera
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.io.images import read_labels
-from aomgen.io.straighten import straighten_labels
+from aomgen.io.resampling import undistort_labels
 
 # Beside the videos: `masks/` belongs to the scan, whose images have the same names.
 FOLDER = Path("demo") / "masks"
@@ -22,7 +22,7 @@ def demo_mask_files(capture: Capture, camera: DemoCamera) -> list[Path]:
 def read_demo_masks(
     capture: Capture, camera: DemoCamera, shape: tuple[int, int, int]
 ) -> NDArray[np.uint8] | None:
-    """Labels (T, H, W) of every frame as `read_demo_videos` gives them, straightened; None without any.
+    """Labels (T, H, W) of every frame as `read_demo_videos` gives them, undistorted; None without any.
 
     Args:
         capture: Holds them.
@@ -48,5 +48,5 @@ def read_demo_masks(
             raise MalformedFileError(
                 path, f"is {image.shape[::-1]} px, the video {(width, height)}", "export it again"
             )
-        labels[k] = image if camera.lens is None else straighten_labels(image, camera.lens)
+        labels[k] = image if camera.lens is None else undistort_labels(image, camera.lens)
     return labels

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.capture.manifest import PromptSection
+from aomgen.capture.capture_schema import PromptSection
 from aomgen.core.recording import Prompt
 from aomgen.errors import InputError, MissingFileError, UnitsError
 

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.capture.joint_csv import read_joint_log
-from aomgen.capture.manifest import (
+from aomgen.capture.capture_schema import (
     CameraSection,
     CaptureManifest,
     HandSection,
     ScanSection,
     read_manifest,
 )
+from aomgen.capture.joint_csv import read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
 from aomgen.core.joint_log import JointLog
@@ -35,14 +35,14 @@ from aomgen.io.video import probe_video
 MIN_SCAN_FRAMES = 60
 # The log's first rows are averaged over this time to beat encoder noise while the arm rests.
 REST_S = 0.1
-# No camera films a table-top arm from further away; calibrations in millimetres pass it at once.
+# No camera records a table-top arm from further away; calibrations in millimetres pass it at once.
 MAX_CAMERA_DISTANCE_M = 20.0
 # A principal point further than this from the middle (share of the size) is another image's.
 MAX_PRINCIPAL_SHIFT = 0.2
 
 
 def read_capture(folder: Path) -> Capture:
-    """Read and check one capture folder; what has to be decoded is left to `check.check_capture`.
+    """Read and check one capture folder; what has to be decoded is left to `capture_check.check_capture`.
 
     Raises:
         InputError: Of the kind that fits, naming the file, the place and the remedy.

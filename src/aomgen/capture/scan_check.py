@@ -1,4 +1,4 @@
-"""Whether every picture of a scan can be decoded, and is sharp."""
+"""Whether every image of a scan can be decoded, and is sharp."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,9 +6,9 @@ from pathlib import Path
 from aomgen.capture.sharpness import BLURRED, HOPELESS, blur, read_grey, shrink
 from aomgen.core.recording import Capture, frame_name
 from aomgen.errors import IncompleteCaptureError
-from aomgen.io.video import decoded_frames, probe_video
+from aomgen.io.video import decode_frames, probe_video
 
-# With a larger share of hopeless pictures than this, too few others are left anywhere.
+# With a larger share of hopeless images than this, too few others are left anywhere.
 MAX_HOPELESS_SHARE = 0.8
 # A scan video is hand-held: its frames are looked at so many times, and only sharp ones are used later.
 VIDEO_LOOKS = 60
@@ -23,8 +23,8 @@ def check_scan(capture: Capture) -> tuple[int, list[str]]:
         Number of stills or frames, and warnings.
 
     Raises:
-        MalformedFileError: A picture or the video is damaged or truncated.
-        IncompleteCaptureError: Nearly all pictures are hopelessly blurred.
+        MalformedFileError: An image or the video is damaged or truncated.
+        IncompleteCaptureError: Nearly all images are hopelessly blurred.
     """
     if capture.scan_video is not None:
         count, blurs = _video_blurs(capture.scan_video)
@@ -42,7 +42,7 @@ def check_scan(capture: Capture) -> tuple[int, list[str]]:
 def _video_blurs(path: Path) -> tuple[int, dict[str, float]]:
     stride = max(1, probe_video(path).frames // VIDEO_LOOKS)
     count, blurs = 0, {}
-    for _, frame in decoded_frames(path):
+    for _, frame in decode_frames(path):
         if count % stride == 0:
             blurs[frame_name(count)] = blur(shrink(frame.to_image()))
         count += 1

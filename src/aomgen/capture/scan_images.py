@@ -6,7 +6,7 @@ from aomgen.errors import CalibrationError, IncompleteCaptureError, MalformedFil
 from aomgen.io.images import image_size
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-# What phones and cameras write otherwise. One of these without a readable copy is a picture left out.
+# What phones and cameras write otherwise. One of these without a readable copy is an image left out.
 FOREIGN_SUFFIXES = (
     ".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".raf", ".rw2",
     ".tif", ".tiff", ".bmp", ".jxl", ".exr",
@@ -19,7 +19,7 @@ def find_images(scan: Path) -> tuple[Path, ...]:
     """JPEG and PNG files of a folder in the order of their names; hidden ones are passed over.
 
     Raises:
-        MalformedFileError: A picture of another format, without a JPEG or PNG of its name beside it.
+        MalformedFileError: An image of another format, without a JPEG or PNG of its name beside it.
         IncompleteCaptureError: Fewer than are needed.
     """
     files = sorted(item for item in scan.iterdir() if not item.name.startswith("."))

@@ -1,4 +1,4 @@
-"""How blurred a picture is, without a sharp one to compare it with."""
+"""How blurred an image is, without a sharp one to compare it with."""
 
 from pathlib import Path
 from typing import Final
@@ -10,7 +10,7 @@ from PIL import Image
 from aomgen.errors import MalformedFileError
 from aomgen.io.images import open_image
 
-# Pictures are compared at this width, [px]: a blur there is one that the reconstruction sees too.
+# Images are compared at this width, [px]: a blur there is one that the reconstruction sees too.
 WIDTH: Final = 320
 # The low pass averages so many neighbours, [px].
 TAPS: Final = 5
@@ -22,16 +22,16 @@ DIRECTIONS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
 BLURRED: Final = 0.70
 # From a Gaussian of 3 px on: features are gone that a reconstruction needs.
 HOPELESS: Final = 0.80
-# Differences of neighbours below this, root mean square in grey levels, are noise on an empty picture
+# Differences of neighbours below this, root mean square in grey levels, are noise on an empty image
 # (a covered lens); the twelve captures have 7 and more.
 MIN_DETAIL: Final = 2.5
 
 
 def blur(grey: NDArray[np.floating]) -> float:
-    """Share of a picture's neighbour differences (root mean square) that a low pass leaves, 0..1.
+    """Share of an image's neighbour differences (root mean square) that a low pass leaves, 0..1.
 
-    A low pass takes much from a sharp picture and little from a blurred one. The largest of four
-    directions counts, because motion blurs along one only. A picture without detail has 1.
+    A low pass takes much from a sharp image and little from a blurred one. The largest of four
+    directions counts, because motion blurs along one only. An image without detail has 1.
 
     Args:
         grey: (H, W), grey levels 0..255, at most `WIDTH` wide.
@@ -43,7 +43,7 @@ def blur(grey: NDArray[np.floating]) -> float:
 
 
 def read_grey(path: Path) -> NDArray[np.float32]:
-    """A picture decoded to its last byte, as grey levels (H, W) at most `WIDTH` wide.
+    """An image decoded to its last byte, as grey levels (H, W) at most `WIDTH` wide.
 
     Raises:
         MissingFileError, LimitExceededError: As their names say.

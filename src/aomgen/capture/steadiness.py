@@ -56,7 +56,7 @@ def _shift_px(first: NDArray[np.complex128], other: NDArray[np.complex128], size
     product = first.conj() * other
     surface: Array = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), size)
     rows, columns = np.fft.fftfreq(size[0], 1 / size[0]), np.fft.fftfreq(size[1], 1 / size[1])
-    # Nobody pushes a camera by more than a tenth of the picture and records on.
+    # Nobody pushes a camera by more than a tenth of the image and records on.
     surface = np.where(
         (np.abs(rows)[:, None] <= size[1] / 10) & (np.abs(columns) <= size[1] / 10), surface, -1
     )

@@ -94,7 +94,7 @@ def check(
         joint = open_asset(str(path)).joint
         print(f"{path}: fine; {joint.type} joint, range {joint.lower:.3f} to {joint.upper:.3f}")
         return
-    from aomgen.capture.check import check_capture
+    from aomgen.capture.capture_check import check_capture
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import category_warnings, check_project, machine_warnings
     from aomgen.pipeline.project import read_project

@@ -2,7 +2,7 @@
 
 A dataset is a pure function of committed episodes: the same episodes give the same bytes, and
 a dataset can always be built again. `meta/` describes, `data/` holds the low-dimensional
-features of many episodes a file, `videos/` the pictures of many episodes a file.
+features of many episodes a file, `videos/` the images of many episodes a file.
 
 Source: the file layout of LeRobot's `codebase_version` v3.0.
 """
@@ -61,7 +61,7 @@ def write_lerobot_v3(
     Args:
         episode_folders: Folders that `io.episode_folder.commit_episode` wrote.
         folder: Becomes the dataset; replaced if it is there.
-        progress: Told about every episode.
+        progress: Called after every episode.
 
     Raises:
         MissingFileError: There is no episode.
@@ -86,7 +86,7 @@ def write_lerobot_v3(
     )
 
 
-def rolled(sizes: Sequence[float], limit: float) -> list[int]:
+def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
     """File number of each item when a file is closed before it would pass `limit`."""
     numbers, number, filled = [], 0, 0.0
     for size in sizes:
@@ -156,7 +156,7 @@ def _write_data(
     rows: list[dict[str, Any]],
 ) -> None:
     sizes = [sum(values.nbytes for values in table.values()) for table in columns]
-    files = rolled(sizes, DATA_FILE_MB * 1e6)
+    files = assign_files(sizes, DATA_FILE_MB * 1e6)
     for file in sorted(set(files)):
         members = [table for table, number in zip(columns, files, strict=True) if number == file]
         merged = {name: np.concatenate([table[name] for table in members]) for name in members[0]}
@@ -182,7 +182,7 @@ def _write_videos(
     totals = {}
     for done, camera in enumerate(cameras):
         key = video_key(camera)
-        files = rolled([item.videos[camera].stat().st_size for item in episodes], VIDEO_FILE_MB * 1e6)
+        files = assign_files([item.videos[camera].stat().st_size for item in episodes], VIDEO_FILE_MB * 1e6)
         for file in sorted(set(files)):
             members = [number for number, where in enumerate(files) if where == file]
             data, lengths = concatenate_videos([episodes[i].videos[camera] for i in members], fps)

@@ -1,4 +1,4 @@
-"""Pictures of an episode from fixed cameras, by the twin."""
+"""Images of an episode from fixed cameras, by the twin."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.rasterizer import Parts
+from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import draw_sessions
-from aomgen.twin.lamp import FAR, MOVES, STANDS, Lamp, on_surface, silhouette
+from aomgen.twin.directional_shadow import FAR, MOVES, STANDS, DirectionalLight, intersect_surface, silhouette
 from aomgen.twin.layers import StaticLayer, moving_layer, static_layer
-from aomgen.twin.relit import surfaces_of
+from aomgen.twin.relighting import surfaces_of
 from aomgen.twin.shadow import cast_shadow
 from aomgen.twin.twin import OBJECT, PART, Twin, shadow_roles, trajectory_body_poses
 
@@ -27,7 +27,7 @@ BATCH: Final = 32
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """What moves in the pictures, T frames.
+    """What moves in the images, T frames.
 
     Attributes:
         joints: (T, J), [rad].
@@ -85,7 +85,11 @@ def render_frames(
     shades = {}
     if T_world_plane is not None and twin.relit is not None:
         shades = _shades(twin, trajectory, layers, T_world_plane)
-    arm = None if twin.lamp is None else _ArmShadow(twin, robot, twin.lamp, (Ts[0], not shades), layers)
+    arm = (
+        None
+        if twin.directional_light is None
+        else _ArmShadow(twin, robot, twin.directional_light, (Ts[0], not shades), layers)
+    )
     batches: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in layers}
     knots = _knots(trajectory.thetas)
     for start in range(0, len(Ts), BATCH):
@@ -113,9 +117,9 @@ class _ArmShadow:
     """The shadow that the robot throws on the surface it works over, from frame to frame.
 
     Args:
-        twin: With a lamp.
+        twin: With a directional light.
         robot: Its robot.
-        lamp: The twin's.
+        light: The twin's.
         placed: Body poses (B, 4, 4) of what stands, and whether the object's part throws its shadow too.
         layers: Cameras.
     """
@@ -124,30 +128,30 @@ class _ArmShadow:
         self,
         twin: Twin,
         robot: RobotModel,
-        lamp: Lamp,
+        light: DirectionalLight,
         placed: tuple[Array, bool],
         layers: Mapping[str, StaticLayer],
     ) -> None:
         Ts_world_body, with_part = placed
         roles = shadow_roles(twin, robot)
         moving, stands = (roles == MOVES) & (with_part | (twin.bodies != twin.body(PART))), roles == STANDS
-        self._lamp, self._arm, self._bodies = lamp, twin.gaussians.select(moving), twin.bodies[moving]
-        parts = Parts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
-        fixed = silhouette(twin.gaussians.select(stands), lamp.direction, parts)
+        self._light, self._arm, self._bodies = light, twin.gaussians.select(moving), twin.bodies[moving]
+        parts = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
+        fixed = silhouette(twin.gaussians.select(stands), light.direction, parts)
         self._places = []
         for layer in layers.values():
             depth = np.minimum(layer.depth, FAR).astype(np.float64)
-            points, belongs = on_surface(lamp.T_world_plane, layer.camera, depth)
+            points, belongs = intersect_surface(light.T_world_plane, layer.camera, depth)
             seen = belongs > 0
             self._places.append((points[seen], belongs[seen] * (1 - fixed.at(points[seen])), seen))
 
     def shades(self, Ts_world_body: Array) -> list[NDArray[np.float32]]:
-        """Factors (T, H, W) on each camera's static picture for body poses (T, B, 4, 4)."""
-        shade = 1 - float(self._lamp.shade.mean())
+        """Factors (T, H, W) on each camera's static image for body poses (T, B, 4, 4)."""
+        shade = 1 - float(self._light.shade.mean())
         images = [np.ones((len(Ts_world_body), *seen.shape), np.float32) for _, _, seen in self._places]
         for t, Ts in enumerate(Ts_world_body):
-            parts = Parts(indices=self._bodies, Ts_world_part=Ts)
-            cast = silhouette(self._arm, self._lamp.direction, parts)
+            parts = RigidParts(indices=self._bodies, Ts_world_part=Ts)
+            cast = silhouette(self._arm, self._light.direction, parts)
             for image, (points, share, seen) in zip(images, self._places, strict=True):
                 image[t][seen] = 1 - shade * share * cast.at(points)
         return images
@@ -160,7 +164,7 @@ def _knots(thetas: Array) -> Array:
 def _shades(
     twin: Twin, trajectory: Trajectory, layers: Mapping[str, StaticLayer], T_world_plane: Array
 ) -> dict[str, NDArray[np.float32]]:
-    """Factors (SHADOW_STATES, H, W) on each camera's static picture, one for each knot."""
+    """Factors (SHADOW_STATES, H, W) on each camera's static image, one for each knot."""
     surfaces = [
         surface
         for surface in surfaces_of(twin.relit, twin.bodies)

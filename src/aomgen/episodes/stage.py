@@ -56,7 +56,7 @@ def run_episodes(
         joint_zeros_rad: Of the recorded arm, see `assumptions`.
         T_world_plane: The surface that shadows fall on, (4, 4).
         workers: Episodes drawn at the same time.
-        progress: Told about every episode.
+        progress: Called after every episode.
 
     Returns:
         Folders of all episodes, in order.

@@ -16,14 +16,14 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.twin import Twin, TwinState, body_poses, rig
 
-# Size of the pictures in which visibility is judged, [px].
+# Size of the images in which visibility is judged, [px].
 LOOK: Final = (160, 120)
 # A point is seen when nothing lies nearer than this before it, [m].
 CLEARANCE: Final = 0.06
 # The camera is turned towards the action by at most this angle [rad], and this share of the key
-# points must lie in the picture; if no camera can, the second pair holds.
+# points must lie in the image; if no camera can, the second pair holds.
 DEMANDS: Final = ((0.35, 0.9), (0.9, 0.6))
-# Share of the picture's width that the action should span.
+# Share of the image's width that the action should span.
 WANTED_SPAN: Final = 0.6
 
 
@@ -76,7 +76,7 @@ def choose_viewpoint(
     for max_turn, share in DEMANDS:
         best: Viewpoint | None = None
         for name in sorted(scan_cameras):
-            camera = aimed(first, scan_cameras[name], target, max_turn)
+            camera = aim_camera(first, scan_cameras[name], target, max_turn)
             if camera is not None:
                 promise = _promise(camera, first, framed, share)
                 if promise is not None and (best is None or promise + 1.0 > best.score):
@@ -123,7 +123,7 @@ def _visible_share(camera: Camera, scenes: list[Gaussians], key_points: Sequence
     return float(np.mean(shares))
 
 
-def aimed(optics: Camera, place: Camera, target: Array, max_turn: float) -> Camera | None:
+def aim_camera(optics: Camera, place: Camera, target: Array, max_turn: float) -> Camera | None:
     """`optics` at the place of another camera, turned to the target; None if that turns too far."""
     T = look_at(place.center, target)
     cosine = float(T[:3, 2] @ place.T_world_cam[:3, 2])
@@ -138,7 +138,7 @@ def _azimuth_between(a: Array, b: Array) -> float:
 
 
 def _visible(depth: NDArray[np.float32], camera: Camera, points: Array) -> NDArray[np.bool_]:
-    """Which points (P, 3) are not hidden in a depth picture."""
+    """Which points (P, 3) are not hidden in a depth image."""
     pixels, depths = camera.project(points)
     u = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
     v = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)

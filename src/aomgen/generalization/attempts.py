@@ -33,7 +33,7 @@ class AttemptStore:
 
     Args:
         folder: Of the stage; what dead processes left half-written there is deleted. It must belong
-            to the same assets, demonstration, robot and parameters: an attempt that is there is believed.
+            to the same assets, demonstration, robot and parameters: an attempt that is there is taken as it is.
     """
 
     def __init__(self, folder: Path) -> None:

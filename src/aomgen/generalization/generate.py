@@ -11,8 +11,8 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisod
 from aomgen.core.progress import Progress
 from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
+from aomgen.generalization.episode_planning import PlanParams, plan_episode
 from aomgen.generalization.ik import IkSolver, ik_solver
-from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.variations import PoseRanges, in_view, longest_reach, variations, worth_trying
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import table_overlap_m
@@ -21,6 +21,11 @@ from aomgen.simulation.verify import PassRule, verify_plan
 
 # Kept between the recorded arm and a table that it would have hit, [m].
 TABLE_CLEARANCE_M = 0.005
+
+# Share of the object that each camera must show, 0..1: a corner may be cut off.
+LEAST_IN_VIEW = 0.85
+# Poses out of reach, off the table or out of view in a row before giving up: where one in a hundred fits, one is found.
+MAX_SKIPPED = 500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,9 +40,7 @@ class GenerationParams:
         rule: When it counts.
         bolted: The object is fixed to its support; False lets it stand by friction.
         cameras: Cameras that must show the action, world frame.
-        least_in_view: Share of the object that each of them must show, 0..1.
         attempts_per_episode: Variations tried for each wanted episode before giving up.
-        max_skipped: Poses out of reach, off the table or out of view in a row before giving up.
     """
 
     count: int
@@ -47,9 +50,7 @@ class GenerationParams:
     rule: PassRule = field(default_factory=PassRule)
     bolted: bool = True
     cameras: tuple[Camera, ...] = ()
-    least_in_view: float = 0.85
     attempts_per_episode: int = 5
-    max_skipped: int = 500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +118,7 @@ def generate_episodes(
         robot: The robot of the demonstration.
         support: What the objects stand on.
         params: How many, and how.
-        progress: Told after every attempt.
+        progress: Called after every attempt.
         recall: Where outcomes of earlier runs are found.
 
     Raises:
@@ -134,12 +135,12 @@ def generate_episodes(
         for variation in variations(params.seed + number, params.ranges):
             if good >= params.count:
                 break
-            shown = all(in_view(variation, fitted, camera, params.least_in_view) for camera in params.cameras)
+            shown = all(in_view(variation, fitted, camera, LEAST_IN_VIEW) for camera in params.cameras)
             if not (shown and worth_trying(variation, fitted, support, shoulder, reach)):
                 passed_over += 1
-                if passed_over < params.max_skipped:
+                if passed_over < MAX_SKIPPED:
                     continue
-            if passed_over >= params.max_skipped or tried >= params.count * params.attempts_per_episode:
+            if passed_over >= MAX_SKIPPED or tried >= params.count * params.attempts_per_episode:
                 raise _too_few(fitted.asset.name, good, tried, passed_over, params, rejected)
             tried += 1
             result = recall(fitted, variation, partial(attempt.make, variation))

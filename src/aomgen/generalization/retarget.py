@@ -98,7 +98,7 @@ class HandMotion:
 
 
 def gripper_command(demo: Demonstration) -> Array:
-    """What the gripper was told (T,), 0..1, from what was measured.
+    """The command of the gripper (T,), 0..1, from what was measured.
 
     A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
     1; the level it comes with stays. A demonstration that closes nothing keeps what was measured.

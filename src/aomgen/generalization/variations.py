@@ -101,7 +101,7 @@ def in_view(variation: Variation, fitted: FittedAsset, camera: Camera, least_sha
         variation: Where the object stands.
         fitted: The object and its planned motion.
         camera: World frame.
-        least_share: Of the closed object's outline box that must lie inside the picture, 0..1.
+        least_share: Of the closed object's outline box that must lie inside the image, 0..1.
     """
     T = variation.placed(fitted)
     moved = T @ fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, 5))

@@ -17,18 +17,18 @@ def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]
         error: What validation by `model` raised.
         model: The schema of the whole file.
     """
-    # An unknown key explains the missing one beside it, so it is told first.
+    # An unknown key explains the missing one beside it, so it is named first.
     first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
     place = ".".join(str(item) for item in first["loc"])
     known = _known_keys(model, first["loc"][:-1])
     if first["type"] == "extra_forbidden":
-        return f"key '{place}' is unknown", suggestion(str(first["loc"][-1]), known)
+        return f"key '{place}' is unknown", suggest(str(first["loc"][-1]), known)
     if first["type"] == "missing":
         return f"key '{place}' is missing", "add it"
     return f"'{place}' is {repr(first['input'])[:MAX_SHOWN]}: {first['msg']}", "correct that value"
 
 
-def suggestion(word: str, known: Iterable[str]) -> str:
+def suggest(word: str, known: Iterable[str]) -> str:
     """The known word that was probably meant, else all of them."""
     words = list(known)
     near = difflib.get_close_matches(word, words, 1)

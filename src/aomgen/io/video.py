@@ -72,7 +72,7 @@ def probe_video(path: Path) -> VideoInfo:
         return VideoInfo(width=stream.width, height=stream.height, frames=frames, fps=rate)
 
 
-def decoded_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
+def decode_frames(path: Path) -> Iterator[tuple[float, av.VideoFrame]]:
     """Time, [s], and frame, one after the other, so that long videos need no memory.
 
     Raises:
@@ -115,11 +115,11 @@ def read_video(path: Path) -> Video:
     """Decode a whole video.
 
     Raises:
-        MissingFileError, MalformedFileError: See `decoded_frames`.
+        MissingFileError, MalformedFileError: See `decode_frames`.
         LimitExceededError: More frames or pixels than are read without asking.
     """
     frames, times = [], []
-    for time_s, frame in decoded_frames(path):
+    for time_s, frame in decode_frames(path):
         if not frame.width * frame.height * (len(frames) + 1) <= MAX_PIXELS_TOTAL:
             raise LimitExceededError(path, "holds more pixels than fit in memory", "cut the demonstration")
         times.append(time_s)
@@ -135,10 +135,10 @@ def read_frames(path: Path, numbers: Sequence[int]) -> list[NDArray[np.uint8]]:
     """Some frames (H, W, 3) of a video, in the order asked for; decodes no farther than the last.
 
     Raises:
-        MissingFileError, MalformedFileError: See `decoded_frames`; or there are fewer frames.
+        MissingFileError, MalformedFileError: See `decode_frames`; or there are fewer frames.
     """
     found: dict[int, NDArray[np.uint8]] = {}
-    for number, (_, frame) in enumerate(islice(decoded_frames(path), max(numbers) + 1)):
+    for number, (_, frame) in enumerate(islice(decode_frames(path), max(numbers) + 1)):
         if number in numbers:
             found[number] = np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
     if len(found) < len(set(numbers)):
@@ -167,7 +167,7 @@ def encode_video(frames: Iterable[NDArray[np.uint8]], fps: int, *, crf: int = 20
 
     One thread for colors and one for the encoder, so the same frames always give the same bytes.
     For the same reason x264's macroblock tree is off: its AVX-512 code reads memory that was never
-    written, so that small pictures came out in one of several ways. This makes files 8 % larger.
+    written, so that small images came out in one of several ways. This makes files 8 % larger.
     """
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:

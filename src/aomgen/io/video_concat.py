@@ -14,7 +14,7 @@ from aomgen.errors import MalformedFileError, MissingFileError
 def concatenate_videos(paths: Sequence[Path], fps: int) -> tuple[bytes, list[int]]:
     """MP4 bytes of several videos one after the other, and the number of frames of each.
 
-    Packets are copied, so pictures do not change; equal inputs give equal bytes.
+    Packets are copied, so images do not change; equal inputs give equal bytes.
 
     Args:
         paths: Videos written by `io.video.encode_video` at one size and rate.

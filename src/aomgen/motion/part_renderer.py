@@ -21,7 +21,7 @@ from aomgen.io.images import resize
 from aomgen.motion.filters import dilate
 from aomgen.motion.inputs import MotionInput
 from aomgen.robots.robot_masks import MasksAt
-from aomgen.splatting.rasterizer import Parts, contribution_weights, render
+from aomgen.splatting.rasterizer import RigidParts, contribution_weights, render
 
 FloatImage = NDArray[np.float32]
 
@@ -79,7 +79,7 @@ class PartRenderer:
     def draw(self, joint: Joint, theta: float) -> PartRendering:
         """The part at a joint value, without gradients."""
         Ts = np.stack([np.eye(4), joint.motion(theta)])
-        parts = Parts(indices=self.parts, Ts_world_part=Ts)
+        parts = RigidParts(indices=self.parts, Ts_world_part=Ts)
         drawn = render(self.scene, self.camera, features=self.features, parts=parts, threads=1).features
         images = np.moveaxis(np.zeros((1, 1, 3), np.float32) if drawn is None else drawn, -1, 0)
         return PartRendering(luma=images[0], alpha=images[1], painted=images[2])

@@ -25,7 +25,7 @@ from aomgen.io.images import resize
 from aomgen.motion.filters import dilate
 from aomgen.motion.inputs import MotionInput
 from aomgen.robots.robot_masks import MasksAt, robot_masks
-from aomgen.splatting.rasterizer import Parts, render
+from aomgen.splatting.rasterizer import RigidParts, render
 
 # Frames wider than this are reduced, [px].
 WIDTH = 640
@@ -139,7 +139,7 @@ def track_log_likelihood_ratio(
     total, count = np.zeros(len(rest.points)), np.zeros(len(rest.points))
     for k, robot in zip(frames, hidden[len(resting) :], strict=True):
         T = joint.motion(float(thetas[k]))
-        parts = Parts(indices=moving.astype(np.int32), Ts_world_part=np.stack([np.eye(4), T]))
+        parts = RigidParts(indices=moving.astype(np.int32), Ts_world_part=np.stack([np.eye(4), T]))
         depth = _depth(scene, camera, parts)
         log_ratio = _of_frame(rest, _frame(demo, k, camera), np.where(robot, -1.0, depth), camera, T)
         total += np.nan_to_num(log_ratio)
@@ -267,7 +267,7 @@ def _colors(planes: list[NDArray[np.float32]], pixels: Array) -> Array:
     return np.stack([ndimage.map_coordinates(plane, at, order=1, mode="nearest") for plane in planes], 1)
 
 
-def _depth(scene: Gaussians, camera: Camera, parts: Parts | None = None) -> NDArray[np.float32]:
+def _depth(scene: Gaussians, camera: Camera, parts: RigidParts | None = None) -> NDArray[np.float32]:
     """Depth (H, W) of the surface that a camera sees, 0 for none, [m]."""
     depth = render(scene, camera, parts=parts, with_ids=True).median_depth
     if depth is None:

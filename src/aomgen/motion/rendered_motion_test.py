@@ -14,7 +14,7 @@ from aomgen.conventions import MOVING, ROBOT
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
-from aomgen.splatting.rasterizer import Parts
+from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import RenderSession
 
 # Drawings that are made; they are spread over the touch.
@@ -86,5 +86,5 @@ def _following(together: float, alone: float) -> FollowingEstimate:
 
 def _drawn(session: RenderSession, moving: Gaussians, T: Array) -> NDArray[np.float32]:
     """The scene (H, W, 3), 0..255, with the part moved by a transform."""
-    parts = Parts(indices=np.zeros(len(moving), np.int32), Ts_world_part=T[None])
+    parts = RigidParts(indices=np.zeros(len(moving), np.int32), Ts_world_part=T[None])
     return 255 * session.draw(moving, parts).rgb

@@ -11,7 +11,7 @@ from aomgen.alignment.bundle_equations import BundleParams
 from aomgen.alignment.calibrated_cameras import save_calibrated_cameras
 from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
 from aomgen.alignment.stage import boxes_of, run_alignment, save_alignment, views_of
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
@@ -19,8 +19,8 @@ from aomgen.core.structure import Structure
 from aomgen.gaussians.stage import load_gaussians
 from aomgen.io.video import Video
 from aomgen.paper.icp_alignment import align_as_paper
-from aomgen.pipeline.recovery import posture_of
 from aomgen.pipeline.stage import WARNINGS, Run
+from aomgen.pipeline.twin_stages import posture_of
 from aomgen.pipeline.working import capture_of
 from aomgen.structure.stage import load_structure
 

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from aomgen.assets.check import require_usable
+from aomgen.assets.asset_check import require_usable
 from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
 from aomgen.assets.usd_read import SUFFIXES, read_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError
-from aomgen.io.schema import suggestion
+from aomgen.io.schema import suggest
 from aomgen.pipeline.manifest import files_digest
 
 
@@ -69,13 +69,13 @@ def is_made(category: str) -> bool:
     return category in MAKERS | OTHER_MAKERS
 
 
-def meant_category(category: str) -> str:
+def suggest_category(category: str) -> str:
     """What a user may have meant by a category that cannot be made."""
-    return suggestion(category, MAKERS | OTHER_MAKERS)
+    return suggest(category, MAKERS | OTHER_MAKERS)
 
 
 def _require_maker(category: str, spec: str) -> None:
     if not is_made(category):
         raise ConfigError(
-            "assets", f"'{spec}': no asset of category '{category}' can be made", meant_category(category)
+            "assets", f"'{spec}': no asset of category '{category}' can be made", suggest_category(category)
         )

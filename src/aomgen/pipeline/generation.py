@@ -22,8 +22,8 @@ from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.episodes.stage import run_episodes
 from aomgen.episodes.viewpoint import choose_viewpoint
 from aomgen.errors import EstimationError
+from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import GenerationParams
-from aomgen.generalization.planning import PlanParams
 from aomgen.generalization.stage import load_generalization, run_generalization
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import camera_dict, list_committed
@@ -31,13 +31,19 @@ from aomgen.io.jsonfile import read_json
 from aomgen.motion.stage import load_motion
 from aomgen.pipeline.asset_choice import open_asset
 from aomgen.pipeline.fitted_store import load_fitted, save_fitted
-from aomgen.pipeline.recovery import demo_camera_world, demo_fps, robot_of, scan_cameras_world, scanned_object
 from aomgen.pipeline.stage import Run
+from aomgen.pipeline.twin_stages import (
+    demo_camera_world,
+    demo_fps,
+    robot_of,
+    scan_cameras_world,
+    scanned_object,
+)
 from aomgen.pipeline.working import aligned_capture_of, capture_of
-from aomgen.replacement.extent import free_rectangle
 from aomgen.replacement.fitting import FitParams, fit_asset
-from aomgen.replacement.light import estimate_light
-from aomgen.replacement.recorded import recorded_contact
+from aomgen.replacement.free_space import free_rectangle
+from aomgen.replacement.light_estimation import estimate_light
+from aomgen.replacement.recorded_motion import recorded_contact
 from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.replacement.support import seen_from_above
 from aomgen.robots.demonstrated_path import demonstration_from
@@ -52,7 +58,7 @@ SURFELS = 30_000
 ASSET_FILE = "asset.usda"
 # How far around the object the table is looked for, in which cells, and what counts as seen.
 TABLE_REACH_M = 1.0
-# Cell of the picture in which the table is found, [m]: finer than its outline has to be known.
+# Cell of the image in which the table is found, [m]: finer than its outline has to be known.
 TABLE_CELL_M = 0.01
 # A cell with less accumulated alpha than this was not seen.
 SURFACE_ALPHA = 0.15
@@ -230,7 +236,7 @@ def stored_support(run: Run) -> SupportPlane:
 
 
 def stored_cameras(run: Run) -> dict[str, Camera]:
-    """The cameras of the episodes' pictures, world frame, by name."""
+    """The cameras of the episodes' images, world frame, by name."""
     stored = read_json(run.folders["replacement"] / "cameras.json")
     return {name: Camera(**values) for name, values in stored.items()}
 

@@ -22,7 +22,7 @@ def write_masks(capture_folder: Path, weights: str, progress: Progress) -> Path:
     Args:
         capture_folder: A capture with prompts and a folder of scan images.
         weights: Name of installed SAM 2 weights with memory.
-        progress: Told about each image.
+        progress: Called after each image.
 
     Returns:
         The folder of masks.

@@ -31,8 +31,8 @@ def find_moving_parts(
 
     Args:
         scan: Prompts, masks and surfaces.
-        demonstration: What motion looks at, given Gaussians, world frame, and their labels; read once.
-        progress: Told about each round.
+        demonstration: Input of the motion stage, given Gaussians, world frame, and their labels; read once.
+        progress: Called after each round.
 
     Raises:
         ReconstructionError, WrongPromptError: See `find_parts`.
@@ -49,13 +49,13 @@ def find_moving_parts(
         except EstimationError:
             # The motion stage meets the same demonstration with these labels, and says what is wrong.
             break
-        told = part_evidence(scan, shown)
-        found = find_parts(scan, told)
+        new_evidence = part_evidence(scan, shown)
+        found = find_parts(scan, new_evidence)
         if not _kept(first.labels, found.labels) >= MIN_KEPT:
             evidence, log_odds = prompted, None
             break
         before, current = current, found
-        evidence, log_odds = told, shown
+        evidence, log_odds = new_evidence, shown
         progress(0.3 + 0.6 * (round_ + 1) / MAX_ROUNDS, f"demonstration looked at, round {round_ + 1}")
         if _iou(before.labels, current.labels) >= SETTLED_IOU:
             break

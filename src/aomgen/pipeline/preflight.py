@@ -5,7 +5,7 @@ from pathlib import Path
 
 from aomgen import __version__
 from aomgen.assets.make import make_asset
-from aomgen.capture.check import check_capture
+from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.recording import Capture
@@ -13,7 +13,7 @@ from aomgen.errors import BackendError, ConfigError, StorageError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import probe_video
-from aomgen.pipeline.asset_choice import asset_file, is_made, meant_category, open_assets
+from aomgen.pipeline.asset_choice import asset_file, is_made, open_assets, suggest_category
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.manifest import MANIFEST, text_digest
 from aomgen.pipeline.project import Project
@@ -103,7 +103,7 @@ def category_warnings(capture: Capture) -> tuple[str, ...]:
         return ()
     return (
         f"{capture.folder / 'capture.toml'}: no asset of category '{capture.category}' can be made "
-        f"({meant_category(capture.category)}): correct it, or name assets with `aomgen init --asset`",
+        f"({suggest_category(capture.category)}): correct it, or name assets with `aomgen init --asset`",
     )
 
 
@@ -122,7 +122,7 @@ def new_project(capture: Capture, out: Path, assets: Sequence[str]) -> Project:
         raise ConfigError(
             capture.folder / "capture.toml",
             f"no asset of category '{capture.category}' can be made",
-            f"{meant_category(capture.category)} Correct it, or name assets with --asset",
+            f"{suggest_category(capture.category)} Correct it, or name assets with --asset",
         )
     chosen = list(assets) or [f"{capture.category}:{seed}" for seed in (1, 2)]
     return Project(

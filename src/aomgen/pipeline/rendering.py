@@ -11,7 +11,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_store import stored_robot
+from aomgen.robots.robot_store import load_robot_description
 from aomgen.twin.store import load_twin
 from aomgen.twin.twin import Twin, TwinState, render_state
 
@@ -20,7 +20,7 @@ TWIN_FOLDER = "06_twin"
 LABEL_MIN_ALPHA = 0.5
 CAMERA_KEYS = ("T_world_cam", "fx", "fy", "cx", "cy", "width", "height")
 STATE_KEYS = ("joints", "gripper", "theta", "T_world_object")
-# Larger pictures and focal lengths are typing errors, [px].
+# Larger images and focal lengths are typing errors, [px].
 MAX_PX = 16_384
 # Four digits written by hand still are a rotation.
 ROTATION_TOLERANCE = 1e-3
@@ -36,7 +36,7 @@ def open_twin(out: Path) -> tuple[Twin, RobotModel]:
     if not folder.is_dir():
         raise MissingFileError(folder, "is missing", "finish the run first")
     twin = load_twin(folder)
-    return twin, stored_robot(folder)
+    return twin, load_robot_description(folder)
 
 
 def draw_twin(

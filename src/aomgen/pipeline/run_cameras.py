@@ -5,9 +5,9 @@ from aomgen.core.camera import Camera
 from aomgen.errors import ConfigError
 from aomgen.pipeline.generation import stored_cameras
 from aomgen.pipeline.project import Project
-from aomgen.pipeline.recovery import scan_cameras_world
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import STAGES
+from aomgen.pipeline.twin_stages import scan_cameras_world
 
 
 def find_camera(project: Project, name: str) -> Camera:

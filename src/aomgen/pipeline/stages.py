@@ -9,7 +9,7 @@ from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
-from aomgen.io.schema import suggestion
+from aomgen.io.schema import suggest
 from aomgen.pipeline.asset_choice import assets_digest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
@@ -42,7 +42,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=6,
         weight=40,
-        function=lazily("recovery", "structure"),
+        function=lazily("twin_stages", "structure"),
         incremental=True,
     ),
     Stage(
@@ -53,7 +53,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("iterations", "gaussians"),
         version=3,
         weight=76,
-        function=lazily("recovery", "gaussians"),
+        function=lazily("twin_stages", "gaussians"),
         incremental=True,
     ),
     Stage(
@@ -74,7 +74,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("parts_method", "segmenter", "alignment_method"),
         version=10,
         weight=22,
-        function=lazily("recovery", "parts"),
+        function=lazily("twin_stages", "parts"),
         incremental=True,
     ),
     Stage(
@@ -85,7 +85,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("motion_method",),
         version=23,
         weight=9,
-        function=lazily("recovery", "motion"),
+        function=lazily("twin_stages", "motion"),
     ),
     Stage(
         name="twin",
@@ -95,7 +95,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=8,
         weight=24,
-        function=lazily("recovery", "twin"),
+        function=lazily("twin_stages", "twin"),
     ),
     Stage(
         name="replacement",
@@ -153,12 +153,12 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
     """
     names = [stage.name for stage in STAGES]
     if until and until not in names:
-        raise ConfigError("--until", f"'{until}' is no stage", suggestion(until, names))
+        raise ConfigError("--until", f"'{until}' is no stage", suggest(until, names))
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}
     for sentence in preflight(project, capture, inputs, wanted):
-        # Doubts about the input are told where it is read first.
+        # Warnings about the input appear where it is read first.
         display.warn(STAGES[0], sentence)
     # The choices lie beside the results, so that reports can be made again and questions answered.
     write_project(project.out / PROJECT_FILE, project)

@@ -45,8 +45,8 @@ def working_capture(capture: Capture, structure: Path) -> Capture:
     """A capture whose images, masks, prompts and videos are those of pinhole cameras.
 
     Of an ordinary capture nothing changes. A scan video is replaced by its chosen frames. Where
-    the lens bends, the straightened images and masks of the structure stage take the place of the
-    recorded ones, prompts are moved with them, and `read_demo_videos` straightens the frames of
+    the lens bends, the undistorted images and masks of the structure stage take the place of the
+    recorded ones, prompts are moved with them, and `read_demo_videos` undistorts the frames of
     the cameras that need it.
 
     Args:

@@ -161,7 +161,7 @@ def bar_reach(asset: ArticulatedAsset) -> float:
     return max(half - BAR_MARGIN_M, 0.0)
 
 
-def mirrored(asset: ArticulatedAsset) -> ArticulatedAsset:
+def mirror_asset(asset: ArticulatedAsset) -> ArticulatedAsset:
     """The asset as a mirror shows it: x turned round, so that the hinge changes sides.
 
     Faces are wound the other way round, textures stay on their faces (writing reads

@@ -17,8 +17,19 @@ from aomgen.core.plan import Adaptation, FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
-from aomgen.replacement.correspondence import bar_reach, held_point_of, mirrored, opens_left
-from aomgen.replacement.recorded import RecordedContact, smooth_rise
+from aomgen.replacement.correspondence import bar_reach, held_point_of, mirror_asset, opens_left
+from aomgen.replacement.recorded_motion import RecordedContact, smooth_rise
+
+# Allowed scale relative to the ratio of the moving parts' boxes: household sizes of one kind of object.
+SCALE_RANGE = (0.6, 1.6)
+# Standard deviation of the scale about that ratio, as a share of it: the true size is preferred.
+SCALE_PRIOR_SD = 0.2
+# Standard deviation of sliding along the face, stage two, [m]: a finger's width.
+SLIDE_SD_M = 0.010
+# Share of the asset's joint range that may be used, so that the joint's stop is not hit.
+LIMIT_SHARE = 0.95
+# Mode "object" refuses a larger RMS distance of the paths, [m]: the gripper would miss most handles.
+MAX_RESIDUAL_M = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,25 +37,14 @@ class FitParams:
     """How far and how firmly an asset is fitted.
 
     Attributes:
-        min_scale, max_scale: Allowed scale relative to the ratio of the moving parts' boxes.
-        scale_prior_sd: Standard deviation of the scale about that ratio, as a share of it.
         noise_m: Standard deviation of the recorded path, [m].
-        slide_noise_m: Standard deviation of sliding along the face, stage two, [m].
         theta_sd: Standard deviation of the recovered joint values, [rad] or [m].
         allow_mirror: Mode "object" may mirror the asset when the hinge is on the other side.
-        limit_share: Share of the asset's joint range that may be used.
-        max_residual_m: Mode "object" refuses a larger RMS distance of the paths, [m].
     """
 
-    min_scale: float = 0.6
-    max_scale: float = 1.6
-    scale_prior_sd: float = 0.2
     noise_m: float = 0.003
-    slide_noise_m: float = 0.010
     theta_sd: float = 0.05
     allow_mirror: bool = True
-    limit_share: float = 0.95
-    max_residual_m: float = 0.03
 
 
 def fit_asset(
@@ -77,7 +77,7 @@ def fit_asset(
     turned = opens_left(asset.joint, asset.handle_point, [1.0, 0.0, 0.0]) != contact.front.opens_left
     if turned and not params.allow_mirror:
         return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
-    return _fit_scale(mirrored(asset) if turned else asset, contact, turned, params)
+    return _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
 
 
 def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:
@@ -87,7 +87,7 @@ def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitPar
     """
     held = held_point_of(asset, contact.held_share)
     T = _placed(contact.front.yaw, held, contact.path_world[0], contact.support_z)
-    target = min(float(contact.thetas[-1]), params.limit_share * asset.joint.upper)
+    target = min(float(contact.thetas[-1]), LIMIT_SHARE * asset.joint.upper)
     thetas = contact.thetas * (target / max(float(contact.thetas[-1]), 1e-9))
     path = apply(T @ asset.joint.motion(thetas), held[None])
     return FittedAsset(
@@ -124,7 +124,7 @@ def _fit_scale(
         return similarity(g[0], R, np.array([g[-2], g[-1], contact.support_z]))
 
     def prior(g: Array) -> Array:
-        return np.array([(g[0] / ratio - 1) / params.scale_prior_sd])
+        return np.array([(g[0] / ratio - 1) / SCALE_PRIOR_SD])
 
     def stage_one(g: Array) -> Array:
         moved = apply(asset.joint.motion(g[1] * contact.shares), held[None])
@@ -140,7 +140,7 @@ def _fit_scale(
         turn = (thetas - contact.thetas) / params.theta_sd
         return np.concatenate([away.ravel(), turn, prior(g)])
 
-    bounds = (ratio * params.min_scale, ratio * params.max_scale)
+    bounds = (ratio * SCALE_RANGE[0], ratio * SCALE_RANGE[1])
     unit = 1.0 if asset.joint.type == "revolute" else 1.0 / ratio
     start = np.array([ratio, contact.thetas[-1] * unit, first[0], first[1]])
     low_g = [bounds[0], 0.0, first[0] - 0.5, first[1] - 0.5]
@@ -169,9 +169,9 @@ def _scaled(
     thetas = smooth_rise(face_thetas(joint, point, contact.path_world))
     held = _shifted_along_bar(sized, T, scale * held, joint.motion(thetas), contact.path_world)
     residual = apply(joint.motion(thetas), apply(T, held)[None]) - contact.path_world
-    limit = params.limit_share * sized.joint.upper
+    limit = LIMIT_SHARE * sized.joint.upper
     figures = {"scale": scale, "residual_mm": _rms_mm(residual), "travel": float(thetas[-1])}
-    allowed_mm = 1000 * params.max_residual_m
+    allowed_mm = 1000 * MAX_RESIDUAL_M
     if not thetas[-1] <= limit:
         detail = f"needs a travel of {thetas[-1]:.3f}, limit {limit:.3f}"
         return Rejection(reason="size", detail=detail, metrics=figures)
@@ -262,7 +262,7 @@ def _slide_weighted(joint: Joint, point: Array, moved: Array, path: Array, noise
     lift = (moved - path) @ joint.axis
     radius = [np.linalg.norm(np.cross(p - joint.origin, joint.axis), axis=1) for p in (moved, path)]
     lift_sd = noise.along(joint.axis, noise.params.noise_m)
-    slide_sd = noise.along(along, noise.params.slide_noise_m)
+    slide_sd = noise.along(along, SLIDE_SD_M)
     return np.stack([lift / lift_sd, (radius[0] - radius[1]) / slide_sd], 1)
 
 

@@ -1,4 +1,4 @@
-"""Fill unknown pixels of a surface picture: smooth color from the border, texture from patches."""
+"""Fill unknown pixels of a surface image: smooth color from the border, texture from patches."""
 
 from typing import Final
 
@@ -21,7 +21,7 @@ CANDIDATES: Final = 600
 SMOOTHING: Final = 9.0
 
 
-def inpainted(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
+def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
     """Complete an image.
 
     Args:

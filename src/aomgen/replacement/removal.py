@@ -12,7 +12,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.replacement.inpaint import inpainted
+from aomgen.replacement.inpaint import inpaint
 from aomgen.replacement.support import SURFACE, Support, find_support, on_surface, seen_from_above
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import Twin, posed
@@ -23,13 +23,13 @@ HALO: Final = 0.025
 MARGIN: Final = 0.03
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
-# Cell of the picture from above and of the new surface, one Gaussian each, [m].
+# Cell of the image from above and of the new surface, one Gaussian each, [m].
 CELL: Final = 0.004
 # New surface lies this far below the old one, so that the old covers it where it is sound, [m].
 BELOW: Final = 0.0015
 # It reaches this far under the old one, [m].
 OVERLAP: Final = 0.03
-# Cells of the picture from above that are covered this much are known.
+# Cells of the image from above that are covered this much are known.
 MIN_ALPHA: Final = 0.6
 # Difference of chromaticity from most of the surface that is certainly another thing.
 MIN_TINT: Final = 0.07
@@ -93,7 +93,7 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     remaining, table = remaining.select(~rest), table[~rest]
     gain = shadow_gain(picture, known, outside, xy)
     lightened = _lightened(remaining.gaussians, table, support, low, gain)
-    texture = inpainted(np.clip(picture * gain, 0, 1), known, rng)
+    texture = inpaint(np.clip(picture * gain, 0, 1), known, rng)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
     where = (outside <= 0) | (((outside <= MARGIN + OVERLAP) | thin) & _hull(extent > 0.5))
@@ -139,7 +139,7 @@ def _hull(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _cell_centres(low: Array, shape: tuple[int, ...]) -> Array:
-    """Plane coordinates (H, W, 2) of the cells of a picture from above."""
+    """Plane coordinates (H, W, 2) of the cells of an image from above."""
     columns, rows = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     return low + np.stack([columns, rows], -1) * CELL
 
@@ -192,7 +192,7 @@ def shadow_gain(picture: Array, known: NDArray[np.bool_], outside: Array, xy: Ar
 def _cells(
     gaussians: Gaussians, support: Support, low: Array, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Column and row (N, 2) of each Gaussian in the picture from above, and which are inside it."""
+    """Column and row (N, 2) of each Gaussian in the image from above, and which are inside it."""
     cells = np.floor((support.coordinates(gaussians.means)[:, :2] - low) / CELL).astype(np.int64)
     return cells, np.asarray(((cells >= 0) & (cells < shape[1::-1])).all(1))
 

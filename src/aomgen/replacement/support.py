@@ -1,4 +1,4 @@
-"""The plane that the recorded object stands on, and pictures of it from straight above."""
+"""The plane that the recorded object stands on, and images of it from straight above."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -21,7 +21,7 @@ TAIL: Final = 0.035
 MIN_SUPPORT: Final = 40
 # This share of the object's height stands on the surface, without handles that reach out.
 LOWER_SHARE: Final = 0.2
-# Height of the camera that looks down; so far away that its picture is an orthographic one, [m].
+# Height of the camera that looks down; so far away that its image is an orthographic one, [m].
 FAR: Final = 60.0
 
 
@@ -130,7 +130,7 @@ def find_support(
 def seen_from_above(
     gaussians: Gaussians, support: Support, low: Array, high: Array, cell: float
 ) -> tuple[Array, Array]:
-    """Picture of the plane's surface, cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
+    """Image of the plane's surface, cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
 
     Args:
         gaussians: World frame; only those on the surface are drawn, in their mean color.

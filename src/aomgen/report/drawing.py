@@ -50,7 +50,7 @@ def map_from_above(
 ) -> Image8:
     """Points (N, 3) in their colors (N, 3) as seen from above, the robot's base below, and where cameras stood.
 
-    The robot's x axis points up in the picture. Lower points are drawn first.
+    The robot's x axis points up in the image. Lower points are drawn first.
     """
     centers = np.array([camera.center for camera in cameras]).reshape(-1, 3)
     ahead = np.array([camera.T_world_cam[:3, 2] for camera in cameras]).reshape(-1, 3)

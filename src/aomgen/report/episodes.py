@@ -12,7 +12,7 @@ from aomgen.io.video import read_frames
 from aomgen.pipeline.figures import read_figure
 from aomgen.pipeline.generation import fitted_assets
 from aomgen.pipeline.stage import Run
-from aomgen.report.html import Markup, folded, heading, link, paragraph, table, text, video, whole
+from aomgen.report.html import Markup, fold, heading, link, paragraph, table, text, video, whole
 from aomgen.simulation.verify import PassRule
 
 # Episodes shown with videos; each adds two posters of some 15 kB to the page.
@@ -68,7 +68,7 @@ def episodes_section(run: Run) -> list[str]:
         f'<div class="cards">{cards}</div>',
         heading("Verdicts"),
         paragraph("The worst of the settings. " + force_limits(run, made)),
-        folded(f"all {len(made)} episodes", _verdicts(made), opened=len(made) <= SHOWN),
+        fold(f"all {len(made)} episodes", _verdicts(made), opened=len(made) <= SHOWN),
     ]
 
 

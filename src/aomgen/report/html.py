@@ -69,7 +69,7 @@ def paragraph(words: str) -> str:
     return f"<p>{text(words)}</p>"
 
 
-def folded(title: str, content: str, *, opened: bool) -> str:
+def fold(title: str, content: str, *, opened: bool) -> str:
     """What a reader can fold away, or opens when it is wanted."""
     return f"<details{' open' if opened else ''}><summary>{text(title)}</summary>{content}</details>"
 
@@ -80,7 +80,7 @@ def commands(words: str) -> str:
 
 
 def picture(image_srgb: NDArray[np.uint8], caption: str) -> str:
-    """An embedded picture (H, W, 3) uint8."""
+    """An embedded image (H, W, 3) uint8."""
     return (
         f'<figure><img src="{jpeg_url(image_srgb, 88)}" alt="{text(caption)}">'
         f'<figcaption class="dim">{text(caption)}</figcaption></figure>'
@@ -88,7 +88,7 @@ def picture(image_srgb: NDArray[np.uint8], caption: str) -> str:
 
 
 def jpeg_url(image_srgb: NDArray[np.uint8], quality: int) -> str:
-    """A picture (H, W, 3) uint8 as a URL that holds it."""
+    """An image (H, W, 3) uint8 as a URL that holds it."""
     return f"data:image/jpeg;base64,{base64.b64encode(encode_jpeg(image_srgb, quality)).decode()}"
 
 

@@ -14,7 +14,7 @@ from aomgen.core.values import Array
 
 Image8 = NDArray[np.uint8]
 AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
-# How strongly the space in which the axis lies covers the picture.
+# How strongly the space in which the axis lies covers the image.
 VEIL = 110
 STATIONS, SIDES = 9, 24
 # What is nearer to the camera is not drawn, [m].

@@ -1,4 +1,4 @@
-"""`report.html`: what a run recovered and made, in pictures and numbers."""
+"""`report.html`: what a run recovered and made, in images and numbers."""
 
 from pathlib import Path
 
@@ -12,11 +12,11 @@ from aomgen.pipeline.figures import FIGURES, read_figure
 from aomgen.pipeline.project import read_project
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
-from aomgen.report import pictures
+from aomgen.report import recording_images
 from aomgen.report.drawing import sheet
 from aomgen.report.episodes import episodes_section
 from aomgen.report.html import contents, page, paragraph, picture, section, table, text
-from aomgen.report.motion import motion_section
+from aomgen.report.motion_section import motion_section
 from aomgen.report.rejects import rejects_section
 from aomgen.report.summary import (
     manifest_of,
@@ -42,13 +42,14 @@ def write_report(out: Path) -> Path:
     project = read_project(out / PROJECT_FILE)
     run = Run.of(project, out, STAGES)
     manifest_of(run, "dataset")
-    data = pictures.open_recovered(run)
+    data = recording_images.open_recovered(run)
     write_image(out / CONTACT_SHEET, contact_sheet(data))
     sections = {
         "Warnings": _warnings(run),
         "Episodes": [
             picture(
-                sheet(pictures.demo_strip(data, SHEET_FRAMES), SHEET_FRAMES), "The recorded demonstration."
+                sheet(recording_images.demo_strip(data, SHEET_FRAMES), SHEET_FRAMES),
+                "The recorded demonstration.",
             ),
             *episodes_section(run),
         ],
@@ -69,26 +70,26 @@ def write_report(out: Path) -> Path:
     return out / REPORT_FILE
 
 
-def _recovered_sections(data: pictures.Recovered) -> dict[str, list[str]]:
+def _recovered_sections(data: recording_images.Recovered) -> dict[str, list[str]]:
     """What the recording became, from the scan to the replay of the video."""
     return {
         "Scene": [
             paragraph("Held-out scan images (above) and the twin drawn from the same places (below)."),
-            picture(pictures.heldout_sheet(data), "held-out views"),
+            picture(recording_images.heldout_sheet(data), "held-out views"),
             paragraph("Part labels: robot blue, static part orange, moving part pink."),
-            picture(pictures.parts_sheet(data), "parts"),
+            picture(recording_images.parts_sheet(data), "parts"),
         ],
         "Coverage": [
             paragraph(
                 "Where the scan looked: sides of object, robot and table from above, with the scan's cameras. Green: "
                 "enough views from different directions. Yellow: too few. Red: none; what is there is guessed."
             ),
-            picture(pictures.coverage_map(data), "coverage"),
+            picture(recording_images.coverage_map(data), "coverage"),
             _coverage(data.run),
         ],
         "Alignment": [
             paragraph("The robot model's outline over the video, at the estimated camera and clock offset."),
-            picture(pictures.robot_sheet(data), "robot model over the video"),
+            picture(recording_images.robot_sheet(data), "robot model over the video"),
             _fixed_cameras(data.run),
         ],
         "Motion": motion_section(data),
@@ -96,7 +97,7 @@ def _recovered_sections(data: pictures.Recovered) -> dict[str, list[str]]:
             paragraph(
                 "The video (above) and the twin's replay of it (below). What the scan never saw stays empty."
             ),
-            picture(pictures.replay_sheet(data), "replay"),
+            picture(recording_images.replay_sheet(data), "replay"),
         ],
     }
 
@@ -134,18 +135,18 @@ def _titles(group: str) -> list[str]:
     return [read_figure(group, name, 0.0).title for name in FIGURES[group]]
 
 
-def contact_sheet(data: pictures.Recovered) -> np.ndarray:
+def contact_sheet(data: recording_images.Recovered) -> np.ndarray:
     """One row for the recording, one for each of the first episodes: a few frames from each camera."""
     folders = list_committed(data.run.folders["episodes"])[:SHEET_EPISODES]
     cameras = read_episode(folders[0]).episode.cameras
     names = list(cameras)
     size = cameras[names[0]]
     images = [
-        pictures.resize(image, size.width, size.height)
-        for image in pictures.demo_strip(data, SHEET_FRAMES * len(names))
+        recording_images.resize(image, size.width, size.height)
+        for image in recording_images.demo_strip(data, SHEET_FRAMES * len(names))
     ]
     for folder in folders:
         for name in names:
-            images += pictures.episode_strip(folder, name, SHEET_FRAMES)
-    small = [pictures.resize(image, size.width // 2, size.height // 2) for image in images]
+            images += recording_images.episode_strip(folder, name, SHEET_FRAMES)
+    small = [recording_images.resize(image, size.width // 2, size.height // 2) for image in images]
     return sheet(small, SHEET_FRAMES * len(names), gap=2)

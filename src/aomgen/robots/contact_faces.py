@@ -35,7 +35,7 @@ MIN_FACE_POINTS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class SurfaceSamples:
     """Points (N, 3) and outward normals (N, 3) all over bodies that are rigidly joined, root's frame."""
 
     points: Array
@@ -57,7 +57,9 @@ class FingerFace:
     half_extents: Array
 
 
-def surfaces(model: mujoco.MjModel, bodies: tuple[int, ...], shown: NDArray[np.bool_]) -> dict[int, Surface]:
+def surfaces(
+    model: mujoco.MjModel, bodies: tuple[int, ...], shown: NDArray[np.bool_]
+) -> dict[int, SurfaceSamples]:
     """The surface of every rigid group of bodies, by the id of its root; what is seen if anything is.
 
     Args:
@@ -85,7 +87,7 @@ def surfaces(model: mujoco.MjModel, bodies: tuple[int, ...], shown: NDArray[np.b
             corners, triangles = np.concatenate(vertices), np.concatenate(faces)
             points, owners, _ = sample_surface(corners, triangles, POINTS, rng)
             normals = face_normals_areas(corners, triangles)[0][owners]
-            result[root] = Surface(points=points, normals=normals)
+            result[root] = SurfaceSamples(points=points, normals=normals)
     return result
 
 
@@ -119,8 +121,8 @@ class Travel:
     gap_m: float
 
 
-def best_travel(
-    model: mujoco.MjModel, chain: ArmChain, skins: dict[int, Surface], first: Array, second: Array
+def find_finger_travel(
+    model: mujoco.MjModel, chain: ArmChain, skins: dict[int, SurfaceSamples], first: Array, second: Array
 ) -> Travel | None:
     """The pair of bodies that are the fingers, judged between two states; None if nothing moves.
 
@@ -157,13 +159,13 @@ def _branch(model: mujoco.MjModel, body: int, palm: int) -> int:
     return body
 
 
-def _distances(skins: dict[int, Surface], Ts: Array, a: int, b: int, every: int = 1) -> Array:
+def _distances(skins: dict[int, SurfaceSamples], Ts: Array, a: int, b: int, every: int = 1) -> Array:
     """Distance of a's points (N / every,) to b, [m]."""
     T_b_a = invert(Ts[b]) @ Ts[a]
     return cKDTree(skins[b].points).query(apply(T_b_a, skins[a].points[::every]))[0]
 
 
-def closest_row(skins: dict[int, Surface], Ts: Array, pair: tuple[int, int]) -> int:
+def find_contact_row(skins: dict[int, SurfaceSamples], Ts: Array, pair: tuple[int, int]) -> int:
     """The first state (of K, opening to closing) in which the fingers touch; else the nearest one."""
     a, b = pair
     moving = _moving(skins, Ts, a, b)[::10]
@@ -172,13 +174,13 @@ def closest_row(skins: dict[int, Surface], Ts: Array, pair: tuple[int, int]) -> 
     return int(touching[0])
 
 
-def _moving(skins: dict[int, Surface], Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
+def _moving(skins: dict[int, SurfaceSamples], Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
     """Points of a that come nearer to b by at least half of what any does."""
     nearer = _distances(skins, Ts[0], a, b) - _distances(skins, Ts[-1], a, b)
     return nearer > 0.5 * nearer.max()
 
 
-def holding_face(skins: dict[int, Surface], Ts: Array, row: int, a: int, b: int) -> FingerFace | None:
+def holding_face(skins: dict[int, SurfaceSamples], Ts: Array, row: int, a: int, b: int) -> FingerFace | None:
     """The face of finger a that meets finger b; None when no side of it looks there.
 
     Args:

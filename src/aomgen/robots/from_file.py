@@ -1,4 +1,4 @@
-"""A robot from a user's URDF or MJCF, made ready for kinematics, pictures and physics."""
+"""A robot from a user's URDF or MJCF, made ready for kinematics, images and physics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from aomgen.io.robot_xml import read_robot_xml
 from aomgen.robots.arm_chain import ArmChain, arm_chain
 from aomgen.robots.gripper_from_file import FileHand, add_hand_parts, find_hand
 from aomgen.robots.robot_files import EE_SITES, drop_visual
-from aomgen.robots.robot_reading import compiled, read_robot_spec
+from aomgen.robots.robot_reading import compile_model, read_robot_spec
 from aomgen.robots.servos import add_arm_servos, add_grip_servo, structural_overlaps
 
 GRASP_SITE = "grasp_point"
-# MuJoCo shows these groups unless told otherwise; makers put collision shapes into the others.
+# MuJoCo shows these groups by default; makers put collision shapes into the others.
 SHOWN_GROUPS = 3
 
 
@@ -59,7 +59,7 @@ def read_file_robot(
         path: URDF or MJCF.
         root: Folder that all its references stay in.
         joints: Arm joints in the order of the log; empty takes those before the fingers branch.
-        choice: What is told about the hand.
+        choice: What the capture states about the gripper.
         turned: World is turned by 180 degrees about z against the file's root frame.
 
     Raises:
@@ -67,9 +67,9 @@ def read_file_robot(
     """
     xml = read_robot_xml(path, root)
     spec, actuated = read_robot_spec(xml, turned)
-    model = compiled(spec, xml)
+    model = compile_model(spec, xml)
     chain = arm_chain(model, joints, path)
-    shown = seen_geoms(model)
+    shown = find_visible_geoms(model)
     hand = None
     if chain.hand_joints:
         hand = find_hand(spec, model, chain, actuated, shown, choice, path)
@@ -87,8 +87,8 @@ def read_file_robot(
         }
     bare = spec.copy()
     drop_visual(bare)
-    # Compiles ten times faster than with looks, and weighs the same.
-    light = compiled(bare, xml)
+    # Compiles ten times faster than with visual meshes, and weighs the same.
+    light = compile_model(bare, xml)
     add_arm_servos((spec, bare), light, chain.joints, ee_site)
     actuator = ""
     if hand is not None:
@@ -111,20 +111,20 @@ def read_file_robot(
     )
 
 
-def seen_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def find_visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Which geoms (G,) are seen: those without contacts in a shown group; for a body without any,
     its colliding ones in a shown group, unless collision shapes have a group of their own.
     """
     ours = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0)
     colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     shown = ours & (model.geom_group < SHOWN_GROUPS)
-    looks = shown & ~colliding
+    visual = shown & ~colliding
     # One group for all that collides and another for all that is seen: then nothing else is meant.
-    apart = looks.any() and not set(model.geom_group[looks]) & set(model.geom_group[ours & colliding])
+    apart = visual.any() and not set(model.geom_group[visual]) & set(model.geom_group[ours & colliding])
     if apart:
-        return looks
-    bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[looks])
-    return looks | (shown & colliding & bare)
+        return visual
+    bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[visual])
+    return visual | (shown & colliding & bare)
 
 
 def _end_effector(

@@ -48,7 +48,7 @@ def no_fingers() -> GripperTable:
     return GripperTable(joint_names=(), values=np.zeros(1), positions=np.zeros((1, 0)))
 
 
-def settled_fingers(files: RobotFiles) -> GripperTable:
+def simulate_finger_table(files: RobotFiles) -> GripperTable:
     """Close the gripper slowly in simulation and record where its joints settle.
 
     The table is indexed by the measured driver angle, as the joint log is. Gravity is off: the

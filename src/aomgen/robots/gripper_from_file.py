@@ -15,10 +15,10 @@ from aomgen.errors import MalformedFileError
 from aomgen.robots.arm_chain import ArmChain
 from aomgen.robots.contact_faces import (
     FingerFace,
-    Surface,
+    SurfaceSamples,
     Travel,
-    best_travel,
-    closest_row,
+    find_contact_row,
+    find_finger_travel,
     holding_face,
     poses_at,
     surfaces,
@@ -77,7 +77,7 @@ def find_hand(
     way = _way(spec, model, chain, actuated, skins, choice, path)
     pair = _named_pair(model, choice, path) if choice.fingers else way.travel.bodies
     Ts = poses_at(model, _states(model, chain, way.positions))
-    row = closest_row(skins, Ts, pair)
+    row = find_contact_row(skins, Ts, pair)
     left, right = _sides(model, pair) if not choice.fingers else pair
     faces = [holding_face(skins, Ts, row, a, b) for a, b in ((left, right), (right, left))]
     if faces[0] is None or faces[1] is None:
@@ -113,7 +113,7 @@ def _way(
     model: mujoco.MjModel,
     chain: ArmChain,
     actuated: tuple[str, ...],
-    skins: dict[int, Surface],
+    skins: dict[int, SurfaceSamples],
     choice: HandChoice,
     path: Path,
 ) -> _Way:
@@ -131,7 +131,7 @@ def _way(
     for driven in candidates:
         positions = finger_positions(spec, model, chain, driven, path)
         states = _states(model, chain, positions)
-        travel = best_travel(model, chain, skins, states[0], states[-1])
+        travel = find_finger_travel(model, chain, skins, states[0], states[-1])
         if travel is not None:
             way = _Way(driven=driven, positions=positions, travel=travel)
             found.append(way.reversed() if travel.way_m < 0 and not choice.open else way)

@@ -9,7 +9,7 @@ REMEDY = "install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6), or set M
 
 
 def offscreen_context(width: int, height: int) -> Any:
-    """A context of MuJoCo's kind (`make_current`, `free`) for pictures up to width x height, [px].
+    """A context of MuJoCo's kind (`make_current`, `free`) for images up to width x height, [px].
 
     `MUJOCO_GL` chooses the driver when set to egl or osmesa; else EGL is tried first.
 

@@ -17,7 +17,7 @@ from aomgen.core.transforms import matrix_from_quat, transform
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.robots.from_file import FileRobot, read_file_robot
-from aomgen.robots.gripper import GripperTable, no_fingers, settled_fingers
+from aomgen.robots.gripper import GripperTable, no_fingers, simulate_finger_table
 from aomgen.robots.robot_files import KNOWN_ROBOTS, RobotFiles, build_spec
 from aomgen.robots.robot_parts import FingerPad, HandDrive, RobotMesh, pads_of_boxes, visual_meshes
 
@@ -129,7 +129,7 @@ def load_robot(
         base_frame: World frame of the returned model: "base_link", or "ur_base", which is turned
             by 180 degrees about z.
         joints: Arm joints in the order wanted; empty takes the model's own. See `arm_chain`.
-        hand: What is told about the hand of a file; the rest is found out, see `find_hand`.
+        hand: What the capture states about the gripper of a file; the rest is found, see `find_hand`.
         root: Folder that all references of a file stay in; None takes the file's own.
 
     Raises:
@@ -147,7 +147,7 @@ def load_robot(
     return _of_file(read_file_robot(path, root or path.parent, joints, hand or HandChoice(), turned=turned))
 
 
-def chosen_robot(choice: RobotChoice) -> RobotModel:
+def choose_robot(choice: RobotChoice) -> RobotModel:
     """The robot of a capture, in the capture's world frame and joint order.
 
     Raises:
@@ -180,7 +180,7 @@ def _known(files: RobotFiles, joints: Sequence[str]) -> RobotModel:
         compiled,
         tuple(joints) or arm,
         name=files.name,
-        gripper_table=settled_fingers(files),
+        gripper_table=simulate_finger_table(files),
         pads=pads_of_boxes(compiled, files.pad_geoms),
         pad_geoms=files.pad_geoms,
         drive=HandDrive(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from aomgen.core.transforms import apply, transform
 from aomgen.core.values import Array, freeze
 from aomgen.robots.contact_faces import poses_at
-from aomgen.robots.from_file import seen_geoms
+from aomgen.robots.from_file import find_visible_geoms
 from aomgen.robots.geom_meshes import geom_surface
 
 
@@ -92,7 +92,7 @@ class HandDrive:
 def visual_meshes(model: mujoco.MjModel) -> tuple[RobotMesh, ...]:
     """What is seen of every body, triangles of primitive shapes included."""
     meshes = []
-    for geom in np.flatnonzero(seen_geoms(model)):
+    for geom in np.flatnonzero(find_visible_geoms(model)):
         surface = geom_surface(model, int(geom))
         if surface is None:
             continue

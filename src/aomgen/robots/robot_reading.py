@@ -78,7 +78,7 @@ def _parsed(xml: RobotXml) -> mujoco.MjSpec:
     return spec
 
 
-def compiled(spec: mujoco.MjSpec, xml: RobotXml) -> mujoco.MjModel:
+def compile_model(spec: mujoco.MjSpec, xml: RobotXml) -> mujoco.MjModel:
     """The compiled model.
 
     Raises:
@@ -96,7 +96,7 @@ def _actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:
         actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON
     ]
     if pulled:
-        model = compiled(spec.copy(), xml)
+        model = compile_model(spec.copy(), xml)
         for tendon in pulled:
             number = model.tendon(tendon).id
             start, count = model.tendon_adr[number], model.tendon_num[number]

@@ -57,7 +57,7 @@ def save_robot(folder: Path, choice: RobotChoice) -> None:
     )
 
 
-def stored_robot(folder: Path) -> RobotModel:
+def load_robot_description(folder: Path) -> RobotModel:
     """Load what `save_robot` wrote.
 
     Raises:

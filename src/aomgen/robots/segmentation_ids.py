@@ -1,4 +1,4 @@
-"""Reading pictures in which MuJoCo drew every geom in a color that encodes its number."""
+"""Reading images in which MuJoCo drew every geom in a color that encodes its number."""
 
 import mujoco
 import numpy as np

@@ -94,13 +94,13 @@ def _servo(spec: mujoco.MjSpec, name: str, joint: str, kp: float, kv: float, lim
 
 
 def _levers_and_inertias(model: mujoco.MjModel, joints: tuple[str, ...], site: int) -> tuple[Array, Array]:
-    """Largest lever (J,) [m] of the end effector about each joint, and largest inertia (J,), over postures."""
+    """Largest lever (J,) [m] of the end effector about each joint, and largest inertia (J,), over arm configurations."""
     data = mujoco.MjData(model)
     dofs = np.array([model.joint(name).dofadr[0] for name in joints])
     levers, inertias = np.zeros(len(joints)), np.zeros(len(joints))
     full = np.zeros((model.nv, model.nv))
     jacobian = np.zeros((3, model.nv))
-    for qpos in random_postures(model, joints, SAMPLES):
+    for qpos in sample_configurations(model, joints, SAMPLES):
         data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, full)
@@ -110,7 +110,7 @@ def _levers_and_inertias(model: mujoco.MjModel, joints: tuple[str, ...], site: i
     return levers, inertias
 
 
-def random_postures(model: mujoco.MjModel, joints: tuple[str, ...], count: int) -> Array:
+def sample_configurations(model: mujoco.MjModel, joints: tuple[str, ...], count: int) -> Array:
     """States (count, nq) with the arm anywhere within its limits, from a fixed seed."""
     rng = np.random.default_rng(0)
     states = np.repeat(model.qpos0[None], count, 0)
@@ -122,10 +122,10 @@ def random_postures(model: mujoco.MjModel, joints: tuple[str, ...], count: int) 
 
 
 def structural_overlaps(model: mujoco.MjModel, joints: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Pairs of bodies that touch in nearly every posture: their shapes are rough, not the plan wrong."""
+    """Pairs of bodies that touch in nearly every arm configuration: their shapes are rough, the plan is not wrong."""
     data = mujoco.MjData(model)
     counts: dict[tuple[int, int], int] = {}
-    for qpos in random_postures(model, joints, SAMPLES):
+    for qpos in sample_configurations(model, joints, SAMPLES):
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

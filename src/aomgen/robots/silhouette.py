@@ -1,4 +1,4 @@
-"""Exact pinhole pictures of the posed robot: which body covers each pixel, and how far away."""
+"""Exact pinhole images of the posed robot: which body covers each pixel, and how far away."""
 
 from types import TracebackType
 from typing import Final, Self
@@ -13,7 +13,7 @@ from aomgen.errors import BackendError
 from aomgen.robots.offscreen import offscreen_context
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.segmentation_ids import values_of_geoms
-from aomgen.robots.visuals import add_robot_looks
+from aomgen.robots.visuals import add_robot_visuals
 
 # Nothing of a robot is nearer to a camera, [m].
 NEAR_M: Final = 0.02
@@ -36,14 +36,14 @@ class SilhouetteRenderer:
 
         Args:
             robot: What is drawn.
-            max_width, max_height: Largest picture, [px].
-            cell_m: How finely the robot's meshes are drawn; see `robot_looks`.
+            max_width, max_height: Largest image, [px].
+            cell_m: How finely the robot's meshes are drawn; see `add_robot_visuals`.
 
         Raises:
             BackendError: No OpenGL driver works.
         """
         spec = robot.spec(visual=False)
-        add_robot_looks(spec, robot, cell_m)
+        add_robot_visuals(spec, robot, cell_m)
         spec.visual.quality.offsamples = 0
         spec.visual.global_.offwidth = max_width
         spec.visual.global_.offheight = max_height
@@ -80,7 +80,7 @@ class SilhouetteRenderer:
             the optical axis (H, W) [m], 0 where there is no robot.
 
         Raises:
-            BackendError: The picture is larger than the context.
+            BackendError: The image is larger than the context.
         """
         width, height = camera.width, camera.height
         if not (width <= self._limits[0] and height <= self._limits[1]):

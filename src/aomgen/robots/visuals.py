@@ -9,14 +9,14 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotMesh, RobotModel
 
 
-def add_robot_looks(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> None:
-    """Add simplified visual meshes to a model that holds the robot's bodies without its looks.
+def add_robot_visuals(spec: mujoco.MjSpec, robot: RobotModel, cell_m: float) -> None:
+    """Add simplified visual meshes to a model that holds the robot's bodies without their appearance.
 
     Drawing time of a software renderer is mostly vertices.
 
     Args:
         spec: Gets the meshes; holds the robot's bodies.
-        robot: Whose looks are added.
+        robot: Whose meshes are added.
         cell_m: Vertices that share a cell of this size become one; outlines move by a fraction of it.
     """
     for number, (mesh, vertices, faces) in enumerate(_simplified_meshes(robot, cell_m)):
@@ -37,7 +37,7 @@ def _simplified_meshes(robot: RobotModel, cell_m: float) -> list[tuple[RobotMesh
     for body in sorted({mesh.body for mesh in robot.meshes}):
         meshes = [mesh for mesh in robot.meshes if mesh.body == body]
         offsets = np.cumsum([0] + [len(mesh.vertices_body) for mesh in meshes])
-        means, cells = merged_vertices(np.concatenate([mesh.vertices_body for mesh in meshes]), cell_m)
+        means, cells = merge_vertices(np.concatenate([mesh.vertices_body for mesh in meshes]), cell_m)
         for mesh, offset in zip(meshes, offsets, strict=False):
             faces = cells[mesh.faces + offset]
             distinct = np.diff(np.sort(faces, 1), axis=1).min(1) > 0
@@ -47,7 +47,7 @@ def _simplified_meshes(robot: RobotModel, cell_m: float) -> list[tuple[RobotMesh
     return result
 
 
-def merged_vertices(vertices: Array, cell: float) -> tuple[Array, NDArray[np.int64]]:
+def merge_vertices(vertices: Array, cell: float) -> tuple[Array, NDArray[np.int64]]:
     """Mean vertex (C, 3) of every occupied cell [m], and the cell (V,) of every vertex.
 
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations", 1993.

@@ -28,7 +28,7 @@ DIVERGENCE = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touch:
+class PadContact:
     """One contact of a finger pad with the moving part.
 
     Attributes:
@@ -72,7 +72,7 @@ class SimulatedRun:
     pad_forces: Array
     reactions: Array
     drift_m: Array
-    touches: tuple[Touch, ...]
+    touches: tuple[PadContact, ...]
 
 
 def simulate(
@@ -134,7 +134,7 @@ def linear_commands(
 
     Returns:
         Joints (N, J), [rad], their velocities (N, J), [rad/s], and gripper (N,), with
-        N = (T - 1) * ticks_a_frame + 1; at the last tick the arm is told to stand.
+        N = (T - 1) * ticks_a_frame + 1; at the last tick the arm is commanded to stand.
     """
     samples = np.column_stack([joints, gripper])
     steps = np.diff(samples, axis=0)
@@ -171,7 +171,7 @@ class _Log:
         self.gripper, self.thetas = np.zeros(count), np.zeros(count)
         self.pad_forces, self.reactions, self.drift = np.zeros(count), np.zeros(count), np.zeros(count)
         self.Ts_world_ee = np.zeros((count, 4, 4))
-        self.touches: list[Touch] = []
+        self.touches: list[PadContact] = []
 
     def record(self, tick: int, data: mujoco.MjData) -> None:
         scene = self.scene
@@ -204,7 +204,7 @@ class _Log:
             if finger >= 0 and roles.moving[a] and wrench[0] > 0:
                 self.pad_forces[tick] += wrench[0]
                 self.touches.append(
-                    Touch(
+                    PadContact(
                         tick=tick,
                         finger=finger,
                         point_world=contact.pos.copy(),

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from aomgen.splatting.initialization import gaussians_from_points as gaussians_from_points
     from aomgen.splatting.metrics import psnr as psnr
     from aomgen.splatting.metrics import ssim as ssim
-    from aomgen.splatting.rasterizer import Parts as Parts
     from aomgen.splatting.rasterizer import Rendering as Rendering
+    from aomgen.splatting.rasterizer import RigidParts as RigidParts
     from aomgen.splatting.rasterizer import contribution_weights as contribution_weights
     from aomgen.splatting.rasterizer import render as render
     from aomgen.splatting.rasterizers import make_rasterizer as make_rasterizer
@@ -53,7 +53,7 @@ _HOMES = {
     "gaussians_from_points": "aomgen.splatting.initialization",
     "psnr": "aomgen.splatting.metrics",
     "ssim": "aomgen.splatting.metrics",
-    "Parts": "aomgen.splatting.rasterizer",
+    "RigidParts": "aomgen.splatting.rasterizer",
     "Rendering": "aomgen.splatting.rasterizer",
     "contribution_weights": "aomgen.splatting.rasterizer",
     "render": "aomgen.splatting.rasterizer",

@@ -4,7 +4,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from aomgen.splatting import loss, native, torch_adam, torch_loss
+from aomgen.splatting import loss, native, torch_kernels
 from aomgen.splatting.differentiable import CpuRasterizer, Rasterizer
 from aomgen.splatting.rasterizers import make_rasterizer
 
@@ -24,7 +24,7 @@ class Compute(Protocol):
     def adam_step(
         self, values: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rates: Tensor, step: int
     ) -> None:
-        """Adam in place, see `torch_adam.adam_step`."""
+        """Adam in place, see `torch_kernels.adam_step`."""
         ...
 
 
@@ -65,13 +65,13 @@ class TorchCompute:
         self, rendered: Tensor, target: Tensor, *, gains: Tensor | None, dssim_weight: float
     ) -> Tensor:
         """See `Compute`."""
-        return torch_loss.image_loss(rendered, target, gains=gains, dssim_weight=dssim_weight)
+        return torch_kernels.image_loss(rendered, target, gains=gains, dssim_weight=dssim_weight)
 
     def adam_step(
         self, values: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rates: Tensor, step: int
     ) -> None:
         """See `Compute`."""
-        torch_adam.adam_step(values, gradient, *moments, rates, step)
+        torch_kernels.adam_step(values, gradient, *moments, rates, step)
 
 
 def make_compute(device: str) -> Compute:

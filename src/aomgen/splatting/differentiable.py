@@ -169,7 +169,7 @@ class _Call:
     context: native.Context
     parts: Tensor | None
 
-    def view(self, cam_from_part: Tensor) -> native.View:
+    def view(self, cam_from_part: Tensor) -> native.NativeView:
         options = self.options
         return native_view(
             self.camera,
@@ -179,8 +179,8 @@ class _Call:
             near_depth=options.near_depth,
         )
 
-    def scene(self, inputs: list[Tensor], features: Tensor | None) -> native.Scene:
-        return native.Scene(
+    def scene(self, inputs: list[Tensor], features: Tensor | None) -> native.NativeScene:
+        return native.NativeScene(
             count=len(inputs[0]),
             sh_coefficients=inputs[4].shape[1],
             sh_degree=self.options.sh_degree,

@@ -14,7 +14,7 @@ from aomgen.splatting.rasterizer import render
 STEP: Final = 0.8
 # At most so many times, to 7 % of the distance.
 STEPS: Final = 12
-# Width of the picture in which that is judged, [px].
+# Width of the image in which that is judged, [px].
 LOOK_WIDTH: Final = 64
 
 
@@ -34,7 +34,7 @@ def framing_camera(
     Args:
         gaussians: In any frame and unit.
         size: Width and height, [px].
-        up: Direction (3,) that points up in the picture; y points down in most 3DGS files.
+        up: Direction (3,) that points up in the image; y points down in most 3DGS files.
         angles_deg: Azimuth around `up` and elevation above the horizon, [deg]; elevations are cut
             to +-89.
         zoom: Larger values go nearer.
@@ -88,7 +88,7 @@ def content(gaussians: Gaussians) -> tuple[Array, float]:
 
 
 def _blocked(gaussians: Gaussians, camera: Camera, distance: float) -> bool:
-    """Whether a fifth of the picture shows something in the nearer half of the way to the middle."""
+    """Whether a fifth of the image shows something in the nearer half of the way to the middle."""
     height = max(1, round(LOOK_WIDTH * camera.height / camera.width))
     drawn = render(gaussians, camera.resized(LOOK_WIDTH, height))
     return float(np.mean((drawn.alpha > 0.5) & (drawn.depth < 0.5 * distance))) > 0.2

@@ -16,7 +16,7 @@ from aomgen.splatting.differentiable import GaussianTensors, PartTensors, Raster
 from aomgen.splatting.gsplat_inputs import check_parts, check_scene, finite_only
 from aomgen.splatting.gsplat_loading import load_gsplat
 from aomgen.splatting.pixel_lists import median_depth_and_max_id
-from aomgen.splatting.placement import placed_in_world, view_directions
+from aomgen.splatting.placement import place_in_world, view_directions
 
 # gsplat's own limit on the alpha of one Gaussian.
 MAX_ALPHA = 0.999
@@ -138,7 +138,7 @@ class GsplatRasterizer:
         (camera, T_cam_world, parts), (channels, background, mode) = view, painting
         means, quats = gaussians.means, gaussians.quats
         if parts is not None:
-            means, quats = placed_in_world(means, quats, parts)
+            means, quats = place_in_world(means, quats, parts)
         return self._gsplat.rasterization(
             means=means,
             quats=quats,

@@ -14,7 +14,7 @@ LIBRARY_NAME = "libaomgen_splatting.so"
 _REMEDY = "reinstall aomgen, or build in place: cmake -S . -B build && cmake --build build"
 
 
-class Scene(Structure):
+class NativeScene(Structure):
     """AomgenScene: pointers to the arrays of N Gaussians."""
 
     _fields_ = (
@@ -33,7 +33,7 @@ class Scene(Structure):
     )
 
 
-class View(Structure):
+class NativeView(Structure):
     """AomgenView: camera, near depth, background, and a pose for every part of the scene."""
 
     _fields_ = (
@@ -99,15 +99,21 @@ _SIGNATURES = {
     "aomgen_context_new": (c_void_p, ()),
     "aomgen_context_free": (None, (c_void_p,)),
     "aomgen_context_configure": (c_int32, (c_void_p, c_int32, c_char_p)),
-    "aomgen_forward": (c_int32, (c_void_p, POINTER(Scene), POINTER(View), POINTER(Images))),
+    "aomgen_forward": (c_int32, (c_void_p, POINTER(NativeScene), POINTER(NativeView), POINTER(Images))),
     "aomgen_backward": (c_int32, (c_void_p, POINTER(ImageGradients), POINTER(SceneGradients))),
     "aomgen_contribution_weights": (
         c_int32,
-        (c_void_p, POINTER(Scene), POINTER(View), c_int32, c_void_p, c_void_p),
+        (c_void_p, POINTER(NativeScene), POINTER(NativeView), c_int32, c_void_p, c_void_p),
     ),
-    "aomgen_session_open": (c_int32, (c_void_p, POINTER(Scene), POINTER(View), POINTER(c_void_p))),
+    "aomgen_session_open": (
+        c_int32,
+        (c_void_p, POINTER(NativeScene), POINTER(NativeView), POINTER(c_void_p)),
+    ),
     "aomgen_session_free": (None, (c_void_p,)),
-    "aomgen_session_draw": (c_int32, (c_void_p, POINTER(Scene), c_int32, c_int64, c_int32, POINTER(Frame))),
+    "aomgen_session_draw": (
+        c_int32,
+        (c_void_p, POINTER(NativeScene), c_int32, c_int64, c_int32, POINTER(Frame)),
+    ),
     "aomgen_image_loss": (
         c_int32,
         (c_void_p, c_int32, c_int32, c_int32, c_void_p, c_void_p, c_void_p, c_float)
@@ -177,7 +183,7 @@ class Context:
         name = instruction_set.encode() if instruction_set else None
         self._check(self._library.aomgen_context_configure(self._handle, threads or 0, name))
 
-    def forward(self, scene: Scene, view: View, images: Images) -> None:
+    def forward(self, scene: NativeScene, view: NativeView, images: Images) -> None:
         """Draw the scene."""
         self.forward_number += 1
         self._check(self._library.aomgen_forward(self._handle, scene, view, images))
@@ -192,20 +198,24 @@ class Context:
             )
         self._check(self._library.aomgen_backward(self._handle, images, gradients))
 
-    def contribution_weights(self, scene: Scene, view: View, count: int, masks: int, weights: int) -> None:
+    def contribution_weights(
+        self, scene: NativeScene, view: NativeView, count: int, masks: int, weights: int
+    ) -> None:
         """Sums of weight times mask; `masks` and `weights` are addresses."""
         self.forward_number += 1
         call = self._library.aomgen_contribution_weights
         self._check(call(self._handle, scene, view, count, masks, weights))
 
-    def open_session(self, scene: Scene, view: View) -> int:
+    def open_session(self, scene: NativeScene, view: NativeView) -> int:
         """Handle of a new session, for `library().aomgen_session_free`."""
         self.forward_number += 1
         handle = c_void_p()
         self._check(self._library.aomgen_session_open(self._handle, scene, view, handle))
         return handle.value or 0
 
-    def draw_session(self, moving: Scene, part_count: int, colored_count: int, frames: list[Frame]) -> None:
+    def draw_session(
+        self, moving: NativeScene, part_count: int, colored_count: int, frames: list[Frame]
+    ) -> None:
         """Draw frames of sessions, whose arrays must stay alive."""
         array = (Frame * len(frames))(*frames)
         call = self._library.aomgen_session_draw

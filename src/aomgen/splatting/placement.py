@@ -7,7 +7,7 @@ from torch.nn.functional import normalize
 from aomgen.splatting.differentiable import PartTensors
 
 
-def placed_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[Tensor, Tensor]:
+def place_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[Tensor, Tensor]:
     """Means (N, 3) and quaternions (N, 4) of Gaussians in the world, differentiable by all inputs.
 
     Args:
@@ -18,7 +18,7 @@ def placed_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[T
     rows = parts.indices.long()
     R_world_part, t_world_part = parts.Ts_world_part[:, :3, :3], parts.Ts_world_part[:, :3, 3]
     turned = (R_world_part[rows] * means[:, None, :]).sum(-1)
-    return turned + t_world_part[rows], multiplied(rotation_quats(R_world_part)[rows], quats)
+    return turned + t_world_part[rows], multiply_quats(rotation_quats(R_world_part)[rows], quats)
 
 
 def view_directions(means: Tensor, T_cam_world: Tensor, parts: PartTensors | None) -> Tensor:
@@ -60,7 +60,7 @@ def rotation_quats(rotations: Tensor) -> Tensor:
     return normalize(outer[torch.arange(len(outer), device=outer.device), best], dim=-1)
 
 
-def multiplied(first: Tensor, second: Tensor) -> Tensor:
+def multiply_quats(first: Tensor, second: Tensor) -> Tensor:
     """Products (N, 4) wxyz of quaternions (N, 4): the rotation `second`, then `first`."""
     (a, b, c, d), (w, x, y, z) = first.unbind(-1), second.unbind(-1)
     products = [

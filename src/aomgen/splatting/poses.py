@@ -1,4 +1,4 @@
-"""Small corrections of the training cameras' poses, learned with the Gaussians."""
+"""Small corrections of the training cameras' poses, fitted with the Gaussians."""
 
 from dataclasses import dataclass
 

@@ -44,7 +44,7 @@ class Rendering:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parts:
+class RigidParts:
     """Gaussians that move in rigid groups: each is given in the frame of its part.
 
     Attributes:
@@ -66,7 +66,7 @@ def render(
     *,
     background: Sequence[float] = (0.0, 0.0, 0.0),
     features: NDArray[np.float32] | None = None,
-    parts: Parts | None = None,
+    parts: RigidParts | None = None,
     antialiased: bool = False,
     with_ids: bool = False,
     threads: int | None = None,
@@ -168,12 +168,12 @@ def image_shape(camera: Camera) -> tuple[int, int]:
 
 
 def native_scene(
-    gaussians: Gaussians, features: NDArray[np.float32] | None = None, parts: Parts | None = None
-) -> native.Scene:
+    gaussians: Gaussians, features: NDArray[np.float32] | None = None, parts: RigidParts | None = None
+) -> native.NativeScene:
     """The engine's view of arrays, which must stay alive while it is used."""
     if parts is not None and len(parts.indices) != len(gaussians):
         raise ValueError(f"{len(parts.indices)} part indices for {len(gaussians)} Gaussians")
-    return native.Scene(
+    return native.NativeScene(
         count=len(gaussians),
         sh_coefficients=gaussians.sh.shape[1],
         sh_degree=gaussians.sh_degree,
@@ -188,7 +188,7 @@ def native_scene(
     )
 
 
-def cam_from_parts(camera: Camera, parts: Parts | None = None) -> NDArray[np.float32]:
+def cam_from_parts(camera: Camera, parts: RigidParts | None = None) -> NDArray[np.float32]:
     """Upper rows (P, 3, 4) of the transforms from each part, or from the world, to the camera."""
     Ts = camera.T_cam_world[None] if parts is None else camera.T_cam_world @ parts.Ts_world_part
     return np.ascontiguousarray(Ts[:, :3], np.float32)
@@ -201,14 +201,14 @@ def native_view(
     background: Sequence[float] = (0.0, 0.0, 0.0),
     antialiased: bool = False,
     near_depth: float = NEAR_DEPTH,
-) -> native.View:
+) -> native.NativeView:
     """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used.
 
     Raises:
         BackendError: As `image_shape`.
     """
     height, width = image_shape(camera)
-    return native.View(
+    return native.NativeView(
         width=width,
         height=height,
         fx=camera.fx,

@@ -1,4 +1,4 @@
-"""Gaussians of moving parts fitted to pictures of many postures, in the parts' own frames."""
+"""Gaussians of moving parts fitted to images of many joint configurations, in the parts' own frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,20 +18,25 @@ from aomgen.splatting.loss import image_loss
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
 from aomgen.splatting.training import one_torch_thread
 
+# Learning rate of quaternions, as in training.
+RATE_QUATS = 4e-3
+# What is left of all learning rates at the end, so that the last steps only average.
+DECAY = 0.1
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lesson:
-    """One picture of a posture.
+class RefinementView:
+    """An image of one joint configuration.
 
     Attributes:
         camera: Where it was taken.
         image_srgb: (H, W, 3) uint8.
         Ts_world_part: Poses of the parts (P, 4, 4).
-        colors_srgb: Colors (M, 3) of the last Gaussians in this posture, in the place of their
+        colors_srgb: Colors (M, 3) of the last Gaussians in this configuration, in the place of their
             harmonics' constant term.
-        recall: Share (M,) of the learned difference in color that is seen in this posture.
+        recall: Share (M,) of the fitted difference in color that is seen in this configuration.
         shade: Factors (H, W, 3) on the drawn colors, for shadows that are not the Gaussians' own.
-        unsure: Pixels (H, W) that nothing is learned from.
+        unsure: Pixels (H, W) that are left out of the loss.
     """
 
     camera: Camera
@@ -45,62 +50,59 @@ class Lesson:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefiningParams:
-    """How long and how boldly.
+    """Length and learning rates.
 
     Attributes:
-        rounds: How often every picture is learned from.
-        rate_means: Of places, [m] a step; it falls by `decay` until the end, as all others do.
-        rate_quats, rate_log_scales, rate_color, rate_sh: Others. Opacity stays: a surface is opaque.
-        decay: What is left of the rates at the end.
+        rounds: Passes over all images.
+        rate_means: Of means, [m] a step; it falls by `DECAY` until the end, as all others do.
+        rate_log_scales, rate_color, rate_sh: Others. Opacity stays: a surface is opaque.
         dssim_weight: Share of the structural part in the loss.
     """
 
     rounds: int = 2
     rate_means: float = 1e-4
-    rate_quats: float = 4e-3
     rate_log_scales: float = 2e-2
     rate_color: float = 2e-2
     rate_sh: float = 5e-3
-    decay: float = 0.1
     dssim_weight: float = 0.2
 
 
-def refined(
+def refine_gaussians(
     gaussians: Gaussians,
     parts: NDArray[np.int32],
-    lessons: Sequence[Lesson],
+    views: Sequence[RefinementView],
     params: RefiningParams,
     rng: np.random.Generator,
 ) -> tuple[Gaussians, Array]:
-    """Fit Gaussians of moving parts to pictures.
+    """Fit Gaussians of moving parts to images.
 
     Args:
-        gaussians: N, in the frames of their parts; the last M are those with colors in lessons.
+        gaussians: N, in the frames of their parts; the last M are those with colors in the views.
         parts: Part of every Gaussian (N,).
-        lessons: At least one.
+        views: At least one.
         params: Length and rates.
-        rng: Order of the pictures.
+        rng: Order of the images.
 
     Returns:
         The fitted Gaussians (N), the constant term of the last M as it was, and differences in
-        color (M, 3), sRGB, that `Lesson.recall` weighs.
+        color (M, 3), sRGB, that `RefinementView.recall` weighs.
 
     Raises:
         BackendError: The splatting engine is missing or refuses the scene.
     """
-    degree, lit = gaussians.sh_degree, len(lessons[0].recall)
+    degree, lit = gaussians.sh_degree, len(views[0].recall)
     parameters = parameters_of(gaussians, degree)
     first = len(gaussians) - lit
     parameters.values["sh"][first:, 0] = 0
-    steps, order = params.rounds * len(lessons), np.zeros(0, np.int64)
+    steps, order = params.rounds * len(views), np.zeros(0, np.int64)
     compute, contexts = NativeCompute(), (native.Context(), native.Context(threads=1))
     indices = torch.tensor(np.asarray(parts, np.int32))
     with one_torch_thread():
         for step in range(steps):
             if not len(order):
-                order = rng.permutation(len(lessons))
-            lesson, order = lessons[int(order[0])], order[1:]
-            gradients = _gradients(parameters, indices, lesson, params.dssim_weight, contexts)
+                order = rng.permutation(len(views))
+            view, order = views[int(order[0])], order[1:]
+            gradients = _gradients(parameters, indices, view, params.dssim_weight, contexts)
             parameters.step(gradients, _rates(params, step / steps, degree), compute)
     result = gaussians_of(parameters)
     sh = np.array(result.sh)
@@ -116,34 +118,34 @@ def refined(
 def _gradients(
     parameters: Parameters,
     indices: Tensor,
-    lesson: Lesson,
+    view: RefinementView,
     dssim_weight: float,
     contexts: tuple[native.Context, native.Context],
 ) -> dict[str, Tensor]:
-    """Gradients of one picture's loss, by name; `contexts` of the rasterizer and of the loss."""
+    """Gradients of one image's loss, by name; `contexts` of the rasterizer and of the loss."""
     leaves = parameters.leaves()
-    Ts_world_part = torch.tensor(lesson.Ts_world_part, dtype=torch.float32)
+    Ts_world_part = torch.tensor(view.Ts_world_part, dtype=torch.float32)
     options = RasterOptions(sh_degree=int(np.sqrt(leaves["sh"].shape[1])) - 1)
     drawn = CpuRasterizer(contexts[0])(
-        GaussianTensors(**{**leaves, "sh": _harmonics(leaves["sh"], lesson)}),
-        lesson.camera,
+        GaussianTensors(**{**leaves, "sh": _harmonics(leaves["sh"], view)}),
+        view.camera,
         options,
         parts=PartTensors(indices=indices, Ts_world_part=Ts_world_part),
     )
-    target = torch.tensor(np.ascontiguousarray(lesson.image_srgb.transpose(2, 0, 1))).float() / 255
+    target = torch.tensor(np.ascontiguousarray(view.image_srgb.transpose(2, 0, 1))).float() / 255
     rgb = drawn.rgb
-    if lesson.shade is not None:
-        rgb = rgb * torch.tensor(np.ascontiguousarray(lesson.shade.transpose(2, 0, 1)))
-    if lesson.unsure is not None:
-        target = torch.where(torch.tensor(lesson.unsure), rgb.detach(), target)
+    if view.shade is not None:
+        rgb = rgb * torch.tensor(np.ascontiguousarray(view.shade.transpose(2, 0, 1)))
+    if view.unsure is not None:
+        target = torch.where(torch.tensor(view.unsure), rgb.detach(), target)
     image_loss(rgb, target, dssim_weight=dssim_weight, context=contexts[1]).backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
 
 
-def _harmonics(learned: Tensor, lesson: Lesson) -> Tensor:
-    """Harmonics (N, K, 3) of a posture: the last M are lit, and differ by what is recalled."""
-    constant = torch.tensor((lesson.colors_srgb - 0.5) / SH_C0, dtype=torch.float32)
-    recall = torch.tensor(lesson.recall, dtype=torch.float32)
+def _harmonics(learned: Tensor, view: RefinementView) -> Tensor:
+    """Harmonics (N, K, 3) of a configuration: the last M are lit, and differ by a share of the fitted difference."""
+    constant = torch.tensor((view.colors_srgb - 0.5) / SH_C0, dtype=torch.float32)
+    recall = torch.tensor(view.recall, dtype=torch.float32)
     first = len(learned) - len(recall)
     lit = constant + recall[:, None] * learned[first:, 0]
     constants = torch.cat([learned[:first, 0], lit])
@@ -151,11 +153,11 @@ def _harmonics(learned: Tensor, lesson: Lesson) -> Tensor:
 
 
 def _rates(params: RefiningParams, share: float, degree: int) -> dict[str, Tensor]:
-    decay = params.decay**share
+    decay = DECAY**share
     by_coefficient = [params.rate_color] + [params.rate_sh] * ((degree + 1) ** 2 - 1)
     return {
         "means": torch.full((3,), params.rate_means * decay),
-        "quats": torch.full((4,), params.rate_quats * decay),
+        "quats": torch.full((4,), RATE_QUATS * decay),
         "log_scales": torch.full((3,), params.rate_log_scales * decay),
         "logit_opacities": torch.zeros(1),
         "sh": torch.tensor(by_coefficient).repeat_interleave(3) * decay,

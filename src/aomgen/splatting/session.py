@@ -14,8 +14,8 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array, freeze
 from aomgen.splatting import native
 from aomgen.splatting.rasterizer import (
-    Parts,
     Rendering,
+    RigidParts,
     cam_from_parts,
     native_scene,
     native_view,
@@ -52,7 +52,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
+class RenderedFrame:
     """An image of a session that can be drawn into again.
 
     Attributes:
@@ -107,7 +107,7 @@ class RenderSession:
     def draw(
         self,
         moving: Gaussians,
-        parts: Parts | None = None,
+        parts: RigidParts | None = None,
         *,
         shade: NDArray[np.float32] | None = None,
         with_ids: bool = False,
@@ -138,15 +138,15 @@ class RenderSession:
     def picture(
         self,
         moving: Gaussians,
-        parts: Parts | None = None,
+        parts: RigidParts | None = None,
         *,
         shade: NDArray[np.float32] | None = None,
-        into: Picture | None = None,
-    ) -> Picture:
+        into: RenderedFrame | None = None,
+    ) -> RenderedFrame:
         """Draw one 8-bit image with all threads; arguments as in `draw`.
 
         Args:
-            into: A picture of this session that is no longer wanted. It is drawn over, and only
+            into: An image of this session that is no longer wanted. It is drawn over, and only
                 where something has changed: the fastest way to one frame after the other.
 
         Raises:
@@ -154,7 +154,7 @@ class RenderSession:
         """
         shape = (self.camera.height, self.camera.width, 3)
         if into is None:
-            into = Picture(image_srgb=np.empty(shape, np.uint8), changed=self._unknown_tiles(1)[0])
+            into = RenderedFrame(image_srgb=np.empty(shape, np.uint8), changed=self._unknown_tiles(1)[0])
         for array, want in ((into.image_srgb, shape), (into.changed, self._unknown_tiles(1).shape[1:])):
             if array.shape != want or array.dtype != np.uint8 or not array.flags.c_contiguous:
                 raise ValueError(
@@ -188,7 +188,7 @@ class RenderSession:
     def _draw_one(
         self,
         moving: Gaussians,
-        parts: Parts | None,
+        parts: RigidParts | None,
         shade: ArrayLike | None,
         outputs: dict[str, NDArray | None],
     ) -> None:

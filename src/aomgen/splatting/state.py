@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from aomgen.splatting.optimizer import NAMES, Parameters
-from aomgen.splatting.photographs import Exposure
 from aomgen.splatting.poses import PoseIncrements
+from aomgen.splatting.training_views import Exposure
 
 MOMENTS = ("values", "averages", "squares")
 EXPOSURE = ("log_gains", "averages", "squares", "steps")

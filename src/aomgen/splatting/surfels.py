@@ -20,8 +20,8 @@ from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AssetError
 from aomgen.io.images import resize
-from aomgen.splatting.creases import crease_distances
-from aomgen.splatting.visibility import occluded_transfer
+from aomgen.splatting.sharp_edges import crease_distances
+from aomgen.splatting.visibility import estimate_transfer
 
 # Candidates drawn for each disc that is kept; more gives a more even spread.
 OVERSAMPLING: Final = 5
@@ -88,7 +88,7 @@ def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> 
         AssetError: The meshes have no surface.
     """
     kept, radii, surface = _covered(meshes, count, rng)
-    transfer, normals = occluded_transfer(kept.points, kept.normals, surface)
+    transfer, normals = estimate_transfer(kept.points, kept.normals, surface)
     return _discs(kept, normals, radii, transfer)
 
 

@@ -18,10 +18,21 @@ from aomgen.splatting.compute import Compute, NativeCompute, make_compute
 from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import GaussianTensors, RasterOptions
 from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
-from aomgen.splatting.photographs import Exposure, View, reduced, within_range
 from aomgen.splatting.poses import PoseIncrements
 from aomgen.splatting.state import TrainingState
 from aomgen.splatting.surfaces import in_free_space, view_depths
+from aomgen.splatting.training_views import Exposure, TrainingView, clip_to_sensor, reduce_image
+
+# Shares of the iterations at which degrees 1, 2, 3 are switched on: constant colors settle first.
+SH_STARTS = (0.0, 0.2, 0.4)
+# Weight of the mean opacity in the loss: Gaussians that no image needs fade and are relocated.
+OPACITY_WEIGHT = 0.002
+# Learning rate of quaternions, which have no length, so one rate serves all scenes.
+RATE_QUATS = 4e-3
+# What is left of the means' learning rate at the end: they converge, as in 3DGS.
+MEANS_DECAY = 0.02
+# What is left of all other learning rates at the end.
+DECAY = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +40,8 @@ class TrainingParams:
     """How long and how boldly to train. Lengths are shares of the scene's extent.
 
     Attributes:
-        iterations: Images drawn and learned from, in total.
+        iterations: Images rendered and fitted to, in total.
         sh_degree: Highest degree of the result, 0..3.
-        sh_starts: Shares of the iterations at which degrees 1, 2, 3 are switched on.
         downsampling: (share of the iterations, factor): from that share on, images are reduced
             by the factor.
         max_gaussians: Never more than these.
@@ -42,13 +52,11 @@ class TrainingParams:
             space are dropped once.
         min_opacity: Fainter Gaussians are relocated.
         dssim_weight: Share of the structural part in the loss.
-        opacity_weight, scale_weight: Pull on mean opacity and on mean scale over extent.
-        transparency_weight: Pull towards images without holes, on mean (1 - alpha).
         background: sRGB behind everything; None draws a random color every iteration.
-        rate_means: Learning rate at the start; it falls by rate_means_decay until the end.
-        rate_quats, rate_log_scales, rate_logit_opacities, rate_color, rate_sh, rate_gain: Others;
-            they fall by rate_decay until the end.
-        rate_poses: Of the poses' corrections, [rad] and extents; falls by rate_means_decay.
+        rate_means: Learning rate at the start; it falls by `MEANS_DECAY` until the end.
+        rate_log_scales, rate_logit_opacities, rate_color, rate_sh, rate_gain: Others; they fall by
+            `DECAY` until the end.
+        rate_poses: Of the poses' corrections, [rad] and extents; falls by `MEANS_DECAY`.
         exposure: Fit a gain for every color of every image (the product is kept at 1).
         refine_poses: Correct the poses of the training cameras; see `poses`.
         refine_from: Share of the iterations before which poses stay.
@@ -56,7 +64,6 @@ class TrainingParams:
 
     iterations: int = 1800
     sh_degree: int = 2
-    sh_starts: tuple[float, float, float] = (0.0, 0.2, 0.4)
     downsampling: tuple[tuple[float, int], ...] = ((0.0, 4), (0.1, 2), (0.35, 1))
     max_gaussians: int = 100_000
     grow_every: int = 100
@@ -65,20 +72,14 @@ class TrainingParams:
     clear_at: tuple[float, ...] = (0.45, 0.65)
     min_opacity: float = 0.01
     dssim_weight: float = 0.2
-    opacity_weight: float = 0.002
-    scale_weight: float = 0.0
-    transparency_weight: float = 0.0
     background: tuple[float, float, float] | None = None
     rate_means: float = 8e-4
-    rate_means_decay: float = 0.02
-    rate_quats: float = 4e-3
     rate_log_scales: float = 2.5e-2
     rate_logit_opacities: float = 6e-2
     rate_color: float = 2e-2
     rate_sh: float = 5e-3
     rate_gain: float = 2e-3
     rate_poses: float = 1e-3
-    rate_decay: float = 0.3
     exposure: bool = True
     refine_poses: bool = False
     refine_from: float = 0.15
@@ -103,7 +104,7 @@ def train(
         cameras: One for every image, at the image's size.
         images: (H, W, 3) uint8 sRGB.
         params: Length, rates, growth.
-        progress: Told about every tenth iteration.
+        progress: Called after every tenth iteration.
         rng: Order of the images, background colors and choice of Gaussians to split.
         checkpoint: Where the state is kept. When the file is there the training continues from
             it, to the same result bit by bit; it is left behind when the training is done.
@@ -120,7 +121,7 @@ def train(
     if checkpoint and checkpoint.path.exists():
         state = load_checkpoint(checkpoint.path, digest, rng)
     else:
-        state = started(initial, cameras, params, rng)
+        state = start_training(initial, cameras, params, rng)
     extent, compute = scene_extent(initial, cameras), make_compute(device)
     state.parameters = state.parameters.moved(device)
     for loss in learning(state, cameras, images, params, extent, compute):
@@ -130,10 +131,10 @@ def train(
         if done % 10 == 0:
             text = f"{len(state.parameters)} Gaussians, loss {loss:.4f}"
             progress(done / params.iterations, text)
-    return finished(state, params)
+    return finish_training(state, params)
 
 
-def started(
+def start_training(
     initial: Gaussians, cameras: list[Camera], params: TrainingParams, rng: np.random.Generator
 ) -> TrainingState:
     """The state before the first iteration."""
@@ -168,7 +169,7 @@ def learning(
         compute: Where to compute, the engine by default; the state's Gaussians are on its device.
     """
     compute, context = compute or NativeCompute(), native.Context(threads=1)
-    views: list[View] = []
+    views: list[TrainingView] = []
     factor = 0
     with one_torch_thread():
         while state.iteration < params.iterations:
@@ -176,7 +177,7 @@ def learning(
             if factor != _factor(params, share):
                 factor = _factor(params, share)
                 views = [
-                    reduced(camera, image, factor).moved(compute.device)
+                    reduce_image(camera, image, factor).moved(compute.device)
                     for camera, image in zip(cameras, images, strict=True)
                 ]
             if not len(state.order):
@@ -189,7 +190,7 @@ def learning(
             yield loss
 
 
-def finished(state: TrainingState, params: TrainingParams) -> Gaussians:
+def finish_training(state: TrainingState, params: TrainingParams) -> Gaussians:
     """The Gaussians of a state without those that are hardly there."""
     trained = gaussians_of(state.parameters)
     return trained.select(np.isfinite(trained.means).all(1) & (trained.opacities >= params.min_opacity))
@@ -214,13 +215,13 @@ def scene_extent(gaussians: Gaussians, cameras: list[Camera]) -> float:
 
 def _learn(
     state: TrainingState,
-    view: View,
+    view: TrainingView,
     index: int,
     params: TrainingParams,
     extent: float,
     computes: tuple[Compute, native.Context],
 ) -> float:
-    """One iteration; returns the loss. The few numbers of an image are learned on the processor."""
+    """One iteration; returns the loss. The few numbers of an image are fitted on the processor."""
     compute, context = computes
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
@@ -233,13 +234,9 @@ def _learn(
     log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
     gains = None if log_gains is None else log_gains.exp().to(compute.device)
     target = view.target()
-    seen = within_range(drawn.rgb, target, gains)
+    seen = clip_to_sensor(drawn.rgb, target, gains)
     loss = compute.image_loss(seen, target, gains=gains, dssim_weight=params.dssim_weight)
-    total = loss + params.opacity_weight * leaves["logit_opacities"].sigmoid().mean()
-    if params.scale_weight:
-        total = total + params.scale_weight / extent * leaves["log_scales"].exp().mean()
-    if params.transparency_weight:
-        total = total + params.transparency_weight * (1 - drawn.alpha).mean()
+    total = loss + OPACITY_WEIGHT * leaves["logit_opacities"].sigmoid().mean()
     total.backward()
     gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
     rates = {name: rate.to(compute.device) for name, rate in _rates(params, share, extent).items()}
@@ -247,15 +244,15 @@ def _learn(
     if log_gains is not None and log_gains.grad is not None:
         exposure.step(index, log_gains.grad, params.rate_gain, context)
     if twist is not None and twist.grad is not None and share >= params.refine_from:
-        state.poses.step(index, twist.grad, params.rate_poses * params.rate_means_decay**share, context)
+        state.poses.step(index, twist.grad, params.rate_poses * MEANS_DECAY**share, context)
     return float(loss.detach())
 
 
-def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Parameters:
+def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParams) -> Parameters:
     """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
-    chosen = looked_at(len(views), params.error_views, state.iteration // params.grow_every)
+    chosen = choose_error_views(len(views), params.error_views, state.iteration // params.grow_every)
     gains = exposure.log_gains.exp()[:, :, None, None]
     targets = [(views[i].target().cpu() / gains[i]).clamp(max=1).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
@@ -274,7 +271,7 @@ def _grow(state: TrainingState, views: list[View], params: TrainingParams) -> Pa
     )
 
 
-def looked_at(views: int, count: int, turn: int) -> NDArray[np.int64]:
+def choose_error_views(views: int, count: int, turn: int) -> NDArray[np.int64]:
     """Views spread evenly over the scan; the next turn takes their neighbours, until all had one."""
     count = min(count, views)
     return np.unique((np.arange(count) * views // count + turn) % views)
@@ -295,16 +292,16 @@ def _factor(params: TrainingParams, share: float) -> int:
 
 
 def _sh_degree(params: TrainingParams, share: float) -> int:
-    return min(params.sh_degree, sum(share >= start for start in params.sh_starts))
+    return min(params.sh_degree, sum(share >= start for start in SH_STARTS))
 
 
 def _rates(params: TrainingParams, share: float, extent: float) -> dict[str, Tensor]:
-    decay = params.rate_decay**share
+    decay = DECAY**share
     coefficients = (params.sh_degree + 1) ** 2
     by_coefficient = [params.rate_color] + [params.rate_sh] * (coefficients - 1)
     return {
-        "means": torch.full((3,), params.rate_means * extent * params.rate_means_decay**share),
-        "quats": torch.full((4,), params.rate_quats * decay),
+        "means": torch.full((3,), params.rate_means * extent * MEANS_DECAY**share),
+        "quats": torch.full((4,), RATE_QUATS * decay),
         "log_scales": torch.full((3,), params.rate_log_scales * decay),
         "logit_opacities": torch.full((1,), params.rate_logit_opacities * decay),
         "sh": torch.tensor(by_coefficient).repeat_interleave(3) * decay,

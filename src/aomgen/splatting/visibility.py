@@ -25,7 +25,7 @@ def sphere_directions(count: int) -> Array:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], 1)
 
 
-def occluded_transfer(points: Array, normals: Array, surface: Array) -> tuple[NDArray[np.float32], Array]:
+def estimate_transfer(points: Array, normals: Array, surface: Array) -> tuple[NDArray[np.float32], Array]:
     """Transfer (N, 9) of points among the surface's own occlusion, and their normals.
 
     A normal whose side is closed in while the other side is open is turned round: meshes may

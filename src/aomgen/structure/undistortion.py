@@ -10,7 +10,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.recording import Prompt
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
-from aomgen.io.straighten import straighten_labels, straightener
+from aomgen.io.resampling import undistort_labels, undistorter
 
 IMAGES_FOLDER = "straight"
 MASKS_FOLDER = "straight_masks"
@@ -41,7 +41,7 @@ def write_undistorted(
         InputError: An image or mask cannot be read.
         StorageError: The disk refuses.
     """
-    undistort = straightener(lens)
+    undistort = undistorter(lens)
     for index, (name, path) in enumerate(sorted(images.items())):
         progress(index / len(images), "straightening images")
         image = undistort(read_image(path))
@@ -53,7 +53,7 @@ def write_undistorted(
         for path in sorted(source.glob("*.png")):
             labels = read_labels(path)
             if path.stem in stems and labels.shape == (lens.height, lens.width):
-                labels = straighten_labels(labels, lens)
+                labels = undistort_labels(labels, lens)
                 write_bytes(folder / MASKS_FOLDER / masks / path.name, encode_png(labels))
 
 

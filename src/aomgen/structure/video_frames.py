@@ -20,7 +20,7 @@ from aomgen.errors import IncompleteCaptureError
 from aomgen.io.atomic import write_json
 from aomgen.io.images import write_image
 from aomgen.io.jsonfile import read_json
-from aomgen.io.video import decoded_frames, probe_video
+from aomgen.io.video import decode_frames, probe_video
 from aomgen.structure.tracking import Pyramid, follow, new_tracks, pyramid
 
 FRAMES_FOLDER = "frames"
@@ -107,7 +107,7 @@ def extract_frames(
     wanted = set(chosen) - _as_forced(chosen, forced)
     later = part(progress, 0.5, 1.0)
     total = probe_video(video).frames
-    for index, (_, frame) in enumerate(decoded_frames(video)):
+    for index, (_, frame) in enumerate(decode_frames(video)):
         if index in wanted or frame_name(index) in forced:
             wanted.add(index)
             later(index / total, "writing frames")
@@ -188,7 +188,7 @@ def _select_moved(candidates: list[Candidate], params: FrameParams) -> tuple[lis
 def _candidates(video: Path, progress: Progress) -> Iterator[Candidate]:
     total = probe_video(video).frames
     best: Candidate | None = None
-    for index, (time_s, frame) in enumerate(decoded_frames(video)):
+    for index, (time_s, frame) in enumerate(decode_frames(video)):
         progress(index / total, "looking for sharp frames")
         gray = _gray(frame, SHARPNESS_WIDTH)
         found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halve(gray))

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.assets.check import held_at_rim, outward_normal
+from aomgen.assets.asset_check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.motion import Direction
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from aomgen.assets.check import outward_normal
+from aomgen.assets.asset_check import outward_normal
 from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.visuals import add_robot_looks
+from aomgen.robots.visuals import add_robot_visuals
 from aomgen.synthetic.room import FRONT_M, Room, add_room
 
 # How finely the robot is drawn, [m]: less than a pixel in these pictures.
@@ -135,7 +135,7 @@ def build_world(robot: RobotModel, layout: SceneLayout, *, visual: bool) -> Worl
         spec, layout.asset, layout.T_world_object, damping=damping, frictionloss=friction, visual=visual
     )
     if visual:
-        add_robot_looks(spec, robot, ROBOT_CELL_M)
+        add_robot_visuals(spec, robot, ROBOT_CELL_M)
         spec.stat.extent, spec.stat.center = 1.6, [0.0, 0.0, 0.0]
         spec.visual.quality.shadowsize = 1024
         spec.visual.headlight.ambient = [0.42, 0.42, 0.42]

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from aomgen.assets.palette import WOODS
-from aomgen.assets.textures import WORDS, Texture, noise, tinted, wood
+from aomgen.assets.textures import WORDS, Texture, noise, tint, wood
 
 
 def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Texture:
@@ -38,7 +38,7 @@ def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Tex
 
 def carton(rng: np.random.Generator, width: int = 320, height: int = 240) -> Texture:
     """One face of a cardboard box: print, tape, arrows, a bar code."""
-    paper = tinted(rng.uniform(0.8, 1.1) * np.array([0.70, 0.52, 0.34]), 0.05 * noise(rng, 512, (0.6, 8)))
+    paper = tint(rng.uniform(0.8, 1.1) * np.array([0.70, 0.52, 0.34]), 0.05 * noise(rng, 512, (0.6, 8)))
     image = Image.fromarray(paper[:height, :width])
     draw = ImageDraw.Draw(image)
     ink = tuple(int(c) for c in rng.integers(10, 90, 3))
@@ -117,9 +117,9 @@ def planks(rng: np.random.Generator, size: int = 768) -> Texture:
 
 def tiles(rng: np.random.Generator, size: int = 1024, count: int = 6) -> Texture:
     """Floor tiles of stone with joints."""
-    image = tinted(
-        (0.52, 0.51, 0.50), 0.06 * noise(rng, size, (3, 14)) + 0.05 * noise(rng, size, 1.0)
-    ).astype(float)
+    image = tint((0.52, 0.51, 0.50), 0.06 * noise(rng, size, (3, 14)) + 0.05 * noise(rng, size, 1.0)).astype(
+        float
+    )
     edge = size // count
     for i in range(count):
         for j in range(count):
@@ -134,7 +134,7 @@ def plaster(rng: np.random.Generator, size: int = 1024) -> Texture:
     color = rng.uniform(0.55, 0.8) * np.array([1.0, rng.uniform(0.94, 1.0), rng.uniform(0.86, 1.0)])
     shade = 0.05 * noise(rng, size, 1.2) + 0.06 * noise(rng, size, 12) + 0.05 * noise(rng, size, 70)
     spots = noise(rng, size, 2.5)
-    return tinted(color, shade - 0.18 * (spots > 2.3))
+    return tint(color, shade - 0.18 * (spots > 2.3))
 
 
 def _smooth_colors(rng: np.random.Generator, width: int, height: int) -> NDArray[np.uint8]:

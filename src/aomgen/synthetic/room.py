@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from aomgen.assets.mjcf import add_visual_mesh
-from aomgen.assets.shapes import Surface, box, boxes_mesh, panel
+from aomgen.assets.shapes import Material, box, boxes_mesh, panel
 from aomgen.assets.textures import brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
@@ -105,11 +105,11 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
 
 def make_room_meshes(room: Room, things: list[TabletopObject], rng: np.random.Generator) -> list[Mesh]:
     """All visible meshes, room frame, with the things beside the object."""
-    floor = Surface(texture_srgb=printed_textures.tiles(rng), tile_m=3.0)
-    wall = Surface(texture_srgb=printed_textures.plaster(rng), tile_m=3.0)
-    top = Surface(texture_srgb=printed_textures.table_top(rng), tile_m=1.5, roughness=0.5)
-    dark = Surface(texture_srgb=brushed_metal(rng, (0.23, 0.23, 0.25), 256), tile_m=1.0)
-    steel = Surface(texture_srgb=brushed_metal(rng, (0.60, 0.60, 0.62), 512), tile_m=0.4)
+    floor = Material(texture_srgb=printed_textures.tiles(rng), tile_m=3.0)
+    wall = Material(texture_srgb=printed_textures.plaster(rng), tile_m=3.0)
+    top = Material(texture_srgb=printed_textures.table_top(rng), tile_m=1.5, roughness=0.5)
+    dark = Material(texture_srgb=brushed_metal(rng, (0.23, 0.23, 0.25), 256), tile_m=1.0)
+    steel = Material(texture_srgb=brushed_metal(rng, (0.60, 0.60, 0.62), 512), tile_m=0.4)
     x0, x1, y0, y1 = room.table
     z, down, back = room.table_z, room.floor_z, room.wall_y
     legs = [
@@ -154,7 +154,7 @@ def _posters(room: Room, rng: np.random.Generator) -> list[Mesh]:
             width = rng.uniform(0.36, 0.56)
             height = width * rng.uniform(1.15, 1.4)
             corner = (x + along * dx, y + along * dy, room.table_z + rng.uniform(0.05, 0.45))
-            surface = Surface(texture_srgb=printed_textures.poster(rng), roughness=0.9)
+            surface = Material(texture_srgb=printed_textures.poster(rng), roughness=0.9)
             right = (width * dx, width * dy, 0.0)
             meshes.append(panel(f"poster_{len(meshes)}", corner, right, (0, 0, height), surface))
             along += width + rng.uniform(*gaps)

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.assets.shapes import Box, Surface, box, boxes_mesh, dome, merged, panel, rod
+from aomgen.assets.shapes import AlignedBox, Material, box, boxes_mesh, dome, merge_meshes, panel, rod
 from aomgen.assets.textures import plastic, speckled
 from aomgen.core.mesh import Mesh
 from aomgen.synthetic import printed_textures
@@ -42,7 +42,7 @@ class TabletopObject:
     """
 
     kind: str
-    solid: Box
+    solid: AlignedBox
 
     @property
     def area(self) -> tuple[float, float, float, float]:
@@ -88,7 +88,7 @@ def make_mat_mesh(area: tuple[float, float, float, float], table_z: float, rng: 
     draw = (printed_textures.striped, printed_textures.checked, printed_textures.planks)[rng.integers(3)]
     x0, x1, y0, y1 = area
     slab = box(x0, x1, y0, y1, table_z, table_z + MAT, "z")
-    return boxes_mesh("mat", [slab], Surface(texture_srgb=draw(rng), tile_m=MAT_PRINT, roughness=0.9))
+    return boxes_mesh("mat", [slab], Material(texture_srgb=draw(rng), tile_m=MAT_PRINT, roughness=0.9))
 
 
 def _meet(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
@@ -101,37 +101,37 @@ def _printed_box(name: str, thing: TabletopObject, rng: np.random.Generator) -> 
     (x0, y0, z0), (x1, y1, z1) = thing.solid.lower, thing.solid.upper
     carton = thing.kind == "carton"
     draw = printed_textures.carton if carton else printed_textures.poster
-    top = Surface(texture_srgb=draw(rng), roughness=0.8)
+    top = Material(texture_srgb=draw(rng), roughness=0.8)
     meshes = [panel(f"{name}_top", (x0, y0, z1), (x1 - x0, 0, 0), (0, y1 - y0, 0), top)]
     ring = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
-    plain = Surface(color_srgb=(0.88, 0.86, 0.82))
+    plain = Material(color_srgb=(0.88, 0.86, 0.82))
     for number, ((ax, ay), (bx, by)) in enumerate(pairwise(ring)):
-        side = Surface(texture_srgb=printed_textures.carton(rng), roughness=0.8) if carton else plain
+        side = Material(texture_srgb=printed_textures.carton(rng), roughness=0.8) if carton else plain
         edge = (bx - ax, by - ay, 0)
         meshes.append(panel(f"{name}_{number}", (ax, ay, z0), edge, (0, 0, z1 - z0), side))
     return meshes
 
 
-def _mug(name: str, solid: Box, rng: np.random.Generator) -> list[Mesh]:
+def _mug(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]:
     """A cylinder full of coffee with an angular handle towards +x."""
     (x0, y0, z0), (x1, y1, z1) = solid.lower, solid.upper
     radius, height = (y1 - y0) / 2, z1 - z0
     x, y = x0 + radius, (y0 + y1) / 2
-    glaze = Surface(texture_srgb=speckled(rng, GLAZES[rng.integers(len(GLAZES))], 256), roughness=0.3)
-    coffee = Surface(color_srgb=(0.16, 0.09, 0.05))
+    glaze = Material(texture_srgb=speckled(rng, GLAZES[rng.integers(len(GLAZES))], 256), roughness=0.3)
+    coffee = Material(color_srgb=(0.16, 0.09, 0.05))
     low, high = z0 + 0.25 * height, z0 + 0.8 * height
     wall, grip = x + 0.95 * radius, x1 - 0.005
     corners = [(wall, y, low), (grip, y, low), (grip, y, high), (wall, y, high)]
     rods = [rod("part", a, b, 0.005, glaze, 8) for a, b in pairwise(corners)]
     body = rod("part", (x, y, z0), (x, y, z1), radius, glaze, 28)
     top = rod(f"{name}_coffee", (x, y, z1), (x, y, z1 + 0.0006), 0.9 * radius, coffee, 28)
-    return [merged(name, [body, *rods]), top]
+    return [merge_meshes(name, [body, *rods]), top]
 
 
-def _adapter(name: str, solid: Box, rng: np.random.Generator) -> list[Mesh]:
+def _adapter(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]:
     """A power adapter with its two cables."""
     (x0, y0, z0), (x1, y1, z1) = solid.lower, solid.upper
-    black = Surface(texture_srgb=plastic(rng, (0.11, 0.11, 0.12), 128), roughness=0.5)
+    black = Material(texture_srgb=plastic(rng, (0.11, 0.11, 0.12), 128), roughness=0.5)
     x, bend = (x0 + x1) / 2, rng.uniform(-0.06, 0.06)
     cable = 0.0025
     meshes = [boxes_mesh(name, [box(x0, x1, y0, y1, z0, z1)], black)]
@@ -142,16 +142,16 @@ def _adapter(name: str, solid: Box, rng: np.random.Generator) -> list[Mesh]:
             (x + bend, y + 0.06 * way, z0 + cable),
         ]
         rods = [rod("part", a, b, cable, black, 8) for a, b in pairwise(points)]
-        meshes.append(merged(f"{name}_cable_{side}", rods))
+        meshes.append(merge_meshes(f"{name}_cable_{side}", rods))
     return meshes
 
 
-def _mouse(name: str, solid: Box, rng: np.random.Generator) -> list[Mesh]:
+def _mouse(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]:
     """A computer mouse: a dome with a dark wheel."""
     (x0, y0, z0), (x1, y1, z1) = solid.lower, solid.upper
     center = ((x0 + x1) / 2, (y0 + y1) / 2, z0)
-    shell = Surface(texture_srgb=plastic(rng, DEVICES[rng.integers(len(DEVICES))], 128), roughness=0.4)
-    dark = Surface(color_srgb=(0.05, 0.05, 0.06))
+    shell = Material(texture_srgb=plastic(rng, DEVICES[rng.integers(len(DEVICES))], 128), roughness=0.4)
+    dark = Material(color_srgb=(0.05, 0.05, 0.06))
     y, z = center[1] + 0.22 * (y1 - y0), z0 + 0.85 * (z1 - z0)
     wheel = rod(f"{name}_wheel", (center[0] - 0.003, y, z), (center[0] + 0.003, y, z), 0.008, dark, 12)
     return [dome(name, center, ((x1 - x0) / 2, (y1 - y0) / 2, z1 - z0), shell), wheel]

@@ -13,7 +13,7 @@ from aomgen.core.transforms import invert, transform
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
-from aomgen.twin.relit import Relit, joined
+from aomgen.twin.relighting import Relit, join_relit
 from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses
 
 
@@ -129,5 +129,5 @@ def with_object(
         joint=joint,
         T_world_object=T_world_object,
         scan_state=replace(cleared.scan_state, theta=0.0, T_world_object=T_world_object),
-        relit=joined(cleared.relit, lit),
+        relit=join_relit(cleared.relit, lit),
     )

@@ -1,4 +1,4 @@
-"""Pictures of a twin from fixed cameras: what never moves is drawn once, what moves stays in its bodies' frames."""
+"""Images of a twin from fixed cameras: what never moves is drawn once, what moves stays in its bodies' frames."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
 from aomgen.splatting.session import Motion, RenderSession
-from aomgen.twin.relit import Surface, surfaces_of
+from aomgen.twin.relighting import LitSurface, surfaces_of
 from aomgen.twin.twin import Twin
 
 
@@ -52,7 +52,7 @@ class MovingLayer:
 
     gaussians: Gaussians
     bodies: NDArray[np.int32]
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[LitSurface, ...]
 
     def motion(self, Ts_world_body: ArrayLike) -> Motion:
         """The layer's frames for body poses (T, B, 4, 4): Gaussians turn with their bodies, surfaces are lit."""
@@ -79,7 +79,7 @@ def moving_layer(twin: Twin) -> MovingLayer:
     )
 
 
-def _lit(surface: Surface, Rs_world_body: Array) -> NDArray[np.float32]:
+def _lit(surface: LitSurface, Rs_world_body: Array) -> NDArray[np.float32]:
     """sRGB colors (T, M, 3) of a surface in T orientations (T, 3, 3); computed where it has turned."""
     colors = np.empty((len(Rs_world_body), len(surface.rows), 3), np.float32)
     for t, R in enumerate(Rs_world_body):

@@ -13,16 +13,16 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.twin.lamp import Lamp
-from aomgen.twin.relit import Relit, Remembered
+from aomgen.twin.directional_shadow import DirectionalLight
+from aomgen.twin.relighting import Relit, ResidualAppearance
 from aomgen.twin.twin import Twin, TwinState
 
 # Raised when the files of a twin change.
 FORMAT: Final = 3
 _GAUSSIANS: Final = ("means", "quats", "scales", "opacities", "sh")
 _RELIT: Final = ("indices", "albedo_linear", "transfer", "light_of")
-_LAMP: Final = ("direction", "T_world_plane", "shade")
-_REMEMBERED: Final = ("rows", "Rs_world_body", "difference_srgb")
+_LIGHT: Final = ("direction", "T_world_plane", "shade")
+_RESIDUAL: Final = ("rows", "Rs_world_body", "difference_srgb")
 
 
 def save_twin(folder: Path, twin: Twin) -> None:
@@ -32,8 +32,8 @@ def save_twin(folder: Path, twin: Twin) -> None:
     if twin.relit is not None:
         arrays |= {f"relit_{name}": getattr(twin.relit, name) for name in _RELIT}
         arrays["lights_radiance_sh"] = np.stack([light.radiance_sh for light in twin.relit.lights])
-        for item in twin.relit.remembered:
-            arrays |= {f"remembered_{item.body}_{name}": getattr(item, name) for name in _REMEMBERED}
+        for item in twin.relit.residuals:
+            arrays |= {f"remembered_{item.body}_{name}": getattr(item, name) for name in _RESIDUAL}
             arrays[f"remembered_{item.body}_reach_rad"] = np.array([item.reach_rad])
     joint, state = twin.joint, twin.scan_state
     header = {
@@ -45,7 +45,9 @@ def save_twin(folder: Path, twin: Twin) -> None:
         "scan_state": {
             name: getattr(state, name) for name in ("joints", "gripper", "theta", "T_world_object")
         },
-        "lamp": None if twin.lamp is None else {name: getattr(twin.lamp, name) for name in _LAMP},
+        "lamp": None
+        if twin.directional_light is None
+        else {name: getattr(twin.directional_light, name) for name in _LIGHT},
     }
     write_bytes(folder / "twin.npz", npz_bytes(arrays))
     write_json(folder / "twin.json", header)
@@ -73,7 +75,7 @@ def load_twin(folder: Path) -> Twin:
             T_world_object=header["T_world_object"],
             scan_state=TwinState(**header["scan_state"]),
             relit=_relit(arrays, len(header["body_names"])),
-            lamp=None if header["lamp"] is None else Lamp(**header["lamp"]),
+            directional_light=None if header["lamp"] is None else DirectionalLight(**header["lamp"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise MalformedFileError(where, f"is not complete ({error!r})", "run the stage again") from error
@@ -86,16 +88,16 @@ def _relit(arrays: dict[str, NDArray], bodies: int) -> Relit | None:
     lights = tuple(Light(radiance_sh=radiance) for radiance in arrays["lights_radiance_sh"])
     _below(fields["indices"], len(arrays["means"]))
     _below(fields["light_of"], len(lights))
-    remembered = []
+    residuals = []
     for body in range(bodies):
         prefix = f"remembered_{body}_"
         if f"{prefix}rows" not in arrays:
             continue
-        values: dict[str, Any] = {name: arrays[prefix + name] for name in _REMEMBERED}
+        values: dict[str, Any] = {name: arrays[prefix + name] for name in _RESIDUAL}
         _below(values["rows"], len(fields["indices"]))
         reach = float(arrays[f"{prefix}reach_rad"][0])
-        remembered.append(Remembered(body=body, reach_rad=reach, **values))
-    return Relit(**fields, lights=lights, remembered=tuple(remembered))
+        residuals.append(ResidualAppearance(body=body, reach_rad=reach, **values))
+    return Relit(**fields, lights=lights, residuals=tuple(residuals))
 
 
 def _below(indices: NDArray, limit: int) -> NDArray:

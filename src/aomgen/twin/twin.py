@@ -18,8 +18,15 @@ from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
-from aomgen.twin.lamp import MOVES, SCENE, STANDS, Lamp, darkened, draw_lit
-from aomgen.twin.relit import Relit, Surface, surfaces_of
+from aomgen.twin.directional_shadow import (
+    MOVES,
+    SCENE,
+    STANDS,
+    DirectionalLight,
+    compute_shadow_factors,
+    draw_lit,
+)
+from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 
 WORLD: Final = "world"
 OBJECT: Final = "object"
@@ -61,7 +68,7 @@ class Twin:
         T_world_object: Object pose (4, 4) in the scan.
         scan_state: The state that was scanned.
         relit: Surfaces that are lit per frame; None when all colors come from the scan.
-        lamp: What throws the shadow of moving bodies on the surface they work over, whose own colors
+        directional_light: What throws the shadow of moving bodies on the surface they work over, whose own colors
             are those in light; None when shadows are as they were scanned.
     """
 
@@ -74,7 +81,7 @@ class Twin:
     T_world_object: Array
     scan_state: TwinState
     relit: Relit | None = None
-    lamp: Lamp | None = None
+    directional_light: DirectionalLight | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "bodies", self.bodies, (len(self.gaussians),), np.int32)
@@ -115,7 +122,7 @@ class Rig:
     gaussians: Gaussians
     order: NDArray[np.int64]
     spans: tuple[tuple[int, int, int], ...]
-    surfaces: tuple[tuple[Surface, NDArray[np.int64]], ...]
+    surfaces: tuple[tuple[LitSurface, NDArray[np.int64]], ...]
 
     def pose(self, Ts_world_body: Array) -> Gaussians:
         """The Gaussians in the world frame, in this rig's order, for body poses (B, 4, 4).
@@ -207,14 +214,16 @@ def render_state(
 ) -> Rendering:
     """Draw a state with its shadows; `options` go to `splatting.rasterizer.render`."""
     world = posed(twin, robot, state)
-    if twin.lamp is None:
+    if twin.directional_light is None:
         return render(world, camera, **options)
-    drawn, surface, taken = draw_lit(twin.lamp, world, shadow_roles(twin, robot), camera, **options)
-    return replace(drawn, rgb=drawn.rgb * darkened(twin.lamp, surface * taken))
+    drawn, surface, taken = draw_lit(
+        twin.directional_light, world, shadow_roles(twin, robot), camera, **options
+    )
+    return replace(drawn, rgb=drawn.rgb * compute_shadow_factors(twin.directional_light, surface * taken))
 
 
 def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
-    """What each Gaussian (N,) does for shadows, see `twin.lamp`.
+    """What each Gaussian (N,) does for shadows, see `directional_shadow`.
 
     The object's static part and the robot's base stand where they were scanned, with their shadows.
     """

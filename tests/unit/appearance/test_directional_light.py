@@ -7,14 +7,14 @@ import pytest
 from scipy.ndimage import binary_closing
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.directional_light import EDGE_M, close_at, find_directional_light, remove_shadow
+from aomgen.appearance.directional_light import EDGE_M, close_at, find_directional_light, remove_baked_shadow
 from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.twin.lamp import Lamp, shadowed, unshaded
+from aomgen.twin.directional_shadow import DirectionalLight, cast_directional_shadow, remove_shadow
 from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import posed, render_state, shadow_roles
 
@@ -22,9 +22,9 @@ SHADE = np.array([0.6, 0.58, 0.55])
 PLANE = np.eye(4)
 
 
-def lamp_from(x: float, y: float) -> Lamp:
+def lamp_from(x: float, y: float) -> DirectionalLight:
     direction = np.array([x, y, 1.0])
-    return Lamp(direction=direction / np.linalg.norm(direction), T_world_plane=PLANE, shade=SHADE)
+    return DirectionalLight(direction=direction / np.linalg.norm(direction), T_world_plane=PLANE, shade=SHADE)
 
 
 def make_images(scene, lamp, rng, count=12) -> PosedImages:
@@ -34,7 +34,7 @@ def make_images(scene, lamp, rng, count=12) -> PosedImages:
     for share in np.linspace(-1, 1, count):
         joints = rest.joints + share * np.array([0.5, 0.3, -0.3, 0, 0.2, 0])
         state = replace(rest, joints=joints)
-        rgb = render_state(replace(scene.twin, lamp=lamp), scene.robot, state, scene.camera).rgb
+        rgb = render_state(replace(scene.twin, directional_light=lamp), scene.robot, state, scene.camera).rgb
         images.append(np.clip(np.rint(rgb * 255 + rng.normal(0, 2, rgb.shape)), 0, 255).astype(np.uint8))
         states.append(state)
     return PosedImages(camera=scene.camera, images_srgb=tuple(images), states=tuple(states))
@@ -82,7 +82,7 @@ def baked(scene, lamp):
     world = posed(twin, scene.robot, twin.scan_state)
     roles = shadow_roles(twin, scene.robot)
     flat = (twin.bodies == 0) & (np.abs(world.means[:, 2]) < 0.005)
-    dark = flat * shadowed(world, roles, lamp.direction, world.means)
+    dark = flat * cast_directional_shadow(world, roles, lamp.direction, world.means)
     sh = np.array(twin.gaussians.sh)
     colors = 0.5 + SH_C0 * sh[:, 0]
     factor = 1 - dark[:, None] * (1 - lamp.shade)
@@ -94,12 +94,12 @@ def baked(scene, lamp):
 def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
     lamp = lamp_from(0.2, -0.3)
     scanned, dark = baked(toy_scene, lamp)
-    freed = remove_shadow(scanned, toy_scene.robot, lamp)
+    freed = remove_baked_shadow(scanned, toy_scene.robot, lamp)
 
     def error(twin):
         return np.abs(twin.gaussians.sh - toy_scene.twin.gaussians.sh)[dark > 0.02, 0].mean()
 
-    assert freed.lamp is lamp
+    assert freed.directional_light is lamp
     assert (dark > 0.9).sum() > 100
     assert error(freed) < 0.25 * error(scanned)
     world = posed(scanned, toy_scene.robot, scanned.scan_state)
@@ -116,9 +116,9 @@ def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
 
 def test_unshading_undoes_a_shade(toy_scene):
     gaussians = toy_scene.gaussians
-    none = unshaded(gaussians, np.zeros(len(gaussians)), SHADE)
+    none = remove_shadow(gaussians, np.zeros(len(gaussians)), SHADE)
     np.testing.assert_allclose(none.sh, gaussians.sh, atol=1e-6)
-    whole = unshaded(gaussians, np.ones(len(gaussians)), SHADE)
+    whole = remove_shadow(gaussians, np.ones(len(gaussians)), SHADE)
     np.testing.assert_allclose(
         (0.5 + SH_C0 * whole.sh[:, 0]) * SHADE, 0.5 + SH_C0 * gaussians.sh[:, 0], atol=1e-5
     )
@@ -133,7 +133,7 @@ def test_training_under_a_lamp_does_not_learn_its_shadow(toy_scene):
     plain = refine_twin(toy_scene.twin, toy_scene.robot, training_views, np.random.default_rng(0))
     knowing = refine_twin(twin, toy_scene.robot, training_views, np.random.default_rng(0))
     lit, learned, kept = (
-        render_state(replace(t, lamp=None), toy_scene.robot, state, toy_scene.camera).rgb
+        render_state(replace(t, directional_light=None), toy_scene.robot, state, toy_scene.camera).rgb
         for t in (twin, plain, knowing)
     )
     shadow = render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb.mean(-1) < 0.8 * lit.mean(-1)
@@ -147,15 +147,15 @@ def test_the_base_throws_no_shadow_that_moves(toy_scene):
     base = toy_scene.twin.body(toy_scene.robot.body_names[0])
     assert (roles[toy_scene.twin.bodies == base] == 1).all()
     # Right under the base only the base is in the way.
-    assert shadowed(world, roles, lamp.direction, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
+    assert cast_directional_shadow(world, roles, lamp.direction, np.array([[-0.02, 0.0, 0.0]]))[0] < 0.2
 
 
 def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
     lamp = lamp_from(0.2, -0.3)
-    for twin in (toy_scene.twin, replace(toy_scene.twin, lamp=lamp)):
+    for twin in (toy_scene.twin, replace(toy_scene.twin, directional_light=lamp)):
         save_twin(tmp_path, twin)
-        again = load_twin(tmp_path).lamp
-        assert (again is None) == (twin.lamp is None)
+        again = load_twin(tmp_path).directional_light
+        assert (again is None) == (twin.directional_light is None)
         if again is not None:
             np.testing.assert_array_equal(again.direction, lamp.direction)
             np.testing.assert_array_equal(again.shade, lamp.shade)
@@ -172,7 +172,7 @@ def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
     ],
 )
 def test_a_spoiled_lamp_is_refused(toy_scene, tmp_path, spoil):
-    save_twin(tmp_path, replace(toy_scene.twin, lamp=lamp_from(0.2, -0.3)))
+    save_twin(tmp_path, replace(toy_scene.twin, directional_light=lamp_from(0.2, -0.3)))
     header = read_json(tmp_path / "twin.json")
     spoil(header)
     write_json(tmp_path / "twin.json", header)
@@ -182,9 +182,9 @@ def test_a_spoiled_lamp_is_refused(toy_scene, tmp_path, spoil):
 
 def test_a_lamp_needs_a_direction_and_a_shade():
     with pytest.raises(ValueError, match="direction"):
-        Lamp(direction=np.zeros(3), T_world_plane=PLANE, shade=SHADE)
+        DirectionalLight(direction=np.zeros(3), T_world_plane=PLANE, shade=SHADE)
     with pytest.raises(ValueError, match="shade"):
-        Lamp(direction=np.array([0, 0, 1.0]), T_world_plane=PLANE, shade=np.zeros(3))
+        DirectionalLight(direction=np.array([0, 0, 1.0]), T_world_plane=PLANE, shade=np.zeros(3))
 
 
 def test_gaps_are_closed_at_single_cells_as_on_the_whole_grid() -> None:

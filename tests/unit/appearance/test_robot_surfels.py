@@ -12,7 +12,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import open_transfer, shaded_srgb
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.twin.relit import Remembered, orientation_weights
+from aomgen.twin.relighting import ResidualAppearance, orientation_weights
 from aomgen.twin.store import load_twin, save_twin
 from aomgen.twin.twin import render_state
 
@@ -100,7 +100,7 @@ def test_a_dressed_twin_survives_storage(dressing, tmp_path):
     assert again.relit is not None
     assert twin.relit is not None
     np.testing.assert_array_equal(again.relit.light_of, twin.relit.light_of)
-    for one, other in zip(again.relit.remembered, twin.relit.remembered, strict=True):
+    for one, other in zip(again.relit.residuals, twin.relit.residuals, strict=True):
         assert one.body == other.body
         assert one.reach_rad == other.reach_rad
         np.testing.assert_array_equal(one.difference_srgb, other.difference_srgb)
@@ -192,7 +192,7 @@ def test_light_is_told_from_paint_by_turning(toy_scene):
 
 def test_memories_fade_with_the_turn():
     Rs = np.stack([np.eye(3), matrix_from_rotvec(np.array([0, 0, 0.5]))])
-    memory = Remembered(
+    memory = ResidualAppearance(
         body=1,
         rows=np.arange(3),
         Rs_world_body=Rs,

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aomgen.assets.check import check_asset, held_at_rim, outward_normal, require_usable
+from aomgen.assets.asset_check import check_asset, held_at_rim, outward_normal, require_usable
 from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
 from aomgen.assets.mjcf import add_asset
 from aomgen.assets.resistance import HOLDS, holding_friction

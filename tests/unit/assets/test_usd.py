@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from aomgen.assets.archive import load_asset, save_asset
+from aomgen.assets.asset_check import check_asset
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.canonical import guess_handle
-from aomgen.assets.check import check_asset
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_parse import parse_usd
 from aomgen.assets.usd_read import read_usd

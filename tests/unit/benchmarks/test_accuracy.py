@@ -13,7 +13,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import MissingFileError
 from aomgen.io.images import read_image, write_image
-from aomgen.io.straighten import straighten_labels
+from aomgen.io.resampling import undistort_labels
 from aomgen.twin.twin import TwinState
 from benchmarks.accuracy import score_estimates
 from benchmarks.images import TrueMasks, add_ious, is_heldout, masked_psnr, pooled_ious, score_scan
@@ -156,7 +156,7 @@ def test_true_masks_are_straightened_where_the_lens_bends(tmp_path):
     plain = TrueMasks(folder=tmp_path)
     assert np.array_equal(plain.read("0004"), labels)
     straight = TrueMasks(folder=tmp_path, lens=lens).read("0004")
-    assert np.array_equal(straight, straighten_labels(labels, lens))
+    assert np.array_equal(straight, undistort_labels(labels, lens))
     assert not np.array_equal(straight, labels)
     assert plain.has("0004")
     assert not plain.has("0005")

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.capture.check import check_capture
+from aomgen.capture.capture_check import check_capture
 from aomgen.capture.read import read_capture
 from aomgen.core.lens import Lens
 from aomgen.io.images import read_image, read_labels
-from aomgen.io.straighten import straighten_labels
+from aomgen.io.resampling import undistort_labels
 from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.world import make_capture
 from benchmarks.harsh_capture import FOCAL_SHARE, JOINT_ZERO_RAD, K1, degrade_capture
@@ -50,7 +50,7 @@ def test_labels_are_seen_through_the_same_lens(captures: tuple[Path, Path]) -> N
     still = Path("truth", "masks", "scan", "0008.png")
     before = read_labels(clean / still)
     after = read_labels(worse / still)
-    straight = straighten_labels(after, true)
+    straight = undistort_labels(after, true)
     assert np.mean(after != before) > 0.002
     # `straight` may be magnified a little, so it is compared where it was taken from.
     pixels = true.source_pixels()

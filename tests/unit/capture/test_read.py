@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from aomgen.capture.check import check_robot, read_demo_videos
+from aomgen.capture.capture_check import check_robot, read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.capture.scan_check import check_scan
 from aomgen.core.lens import Lens
@@ -23,7 +23,7 @@ from aomgen.errors import (
     UnitsError,
     UnsafePathError,
 )
-from aomgen.io.straighten import straightener
+from aomgen.io.resampling import undistorter
 from aomgen.io.video import encode_video
 
 
@@ -229,7 +229,7 @@ def test_a_bent_cameras_frames_are_straightened(capture_copy):
     bent = replace(capture, cameras=(replace(capture.cameras[0], lens=lens),))
     plain = read_demo_videos(capture)["front"].frames_srgb[0].astype(float)
     straight = read_demo_videos(bent)["front"].frames_srgb[0].astype(float)
-    wanted = straightener(lens)(plain.astype(np.uint8))
+    wanted = undistorter(lens)(plain.astype(np.uint8))
     assert np.array_equal(straight, wanted)
     assert np.abs(straight - plain).mean() > 2
 

@@ -11,7 +11,7 @@ from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.datasets.features import ee_deltas, ee_targets, feature_columns
-from aomgen.datasets.lerobot_v3 import rolled, write_lerobot_v3
+from aomgen.datasets.lerobot_v3 import assign_files, write_lerobot_v3
 from aomgen.datasets.statistics import color_counts, column_statistics, image_statistics
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.episode_folder import commit_episode
@@ -184,7 +184,7 @@ def test_quaternions_do_not_jump_and_forces_stand_at_their_frame():
 
 
 def test_files_roll_at_the_limit():
-    assert rolled([4, 4, 4, 20, 1], 10) == [0, 0, 1, 2, 3]
+    assert assign_files([4, 4, 4, 20, 1], 10) == [0, 0, 1, 2, 3]
 
 
 def test_no_episode_is_refused(tmp_path):

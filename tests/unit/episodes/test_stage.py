@@ -16,7 +16,7 @@ from aomgen.io.atomic import STAGING_PREFIX
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import read_video
 from aomgen.twin.binding import with_object
-from aomgen.twin.lamp import Lamp
+from aomgen.twin.directional_shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 FRAMES = 4
@@ -240,10 +240,10 @@ def test_no_usable_view_is_refused(toy_scene):
 
 def test_the_arm_throws_its_shadow_in_episodes_as_in_the_twin(toy_scene):
     direction = np.array([0.2, -0.3, 1.0])
-    lamp = Lamp(
+    lamp = DirectionalLight(
         direction=direction / np.linalg.norm(direction), T_world_plane=np.eye(4), shade=np.full(3, 0.6)
     )
-    plain, lit = toy_scene.twin, replace(toy_scene.twin, lamp=lamp)
+    plain, lit = toy_scene.twin, replace(toy_scene.twin, directional_light=lamp)
     rest = plain.scan_state
     states = [replace(rest, joints=rest.joints + share) for share in (0.0, 0.2)]
     trajectory = Trajectory(

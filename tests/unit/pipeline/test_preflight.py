@@ -8,7 +8,7 @@ import pytest
 
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
-from aomgen.capture import check
+from aomgen.capture import capture_check
 from aomgen.capture.read import read_capture
 from aomgen.errors import (
     AssetError,
@@ -52,8 +52,10 @@ def test_a_broken_capture(small_copy, name):
 
 def test_a_video_that_does_not_fit_into_memory(small_copy, monkeypatch):
     huge = VideoInfo(width=3840, height=2160, frames=19_000, fps=60)
-    monkeypatch.setattr(check, "probe_video", lambda path: huge)
-    monkeypatch.setattr(check.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1 << 22}.__getitem__)
+    monkeypatch.setattr(capture_check, "probe_video", lambda path: huge)
+    monkeypatch.setattr(
+        capture_check.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1 << 22}.__getitem__
+    )
     with pytest.raises(LimitExceededError, match=r"front\.mp4: takes 946 GB decoded .* has 17 GB"):
         checked(small_copy)
 

@@ -14,9 +14,9 @@ from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.verdict import Rejection
 from aomgen.errors import EstimationError
-from aomgen.replacement.correspondence import frontal, held_point_of, mirrored
+from aomgen.replacement.correspondence import frontal, held_point_of, mirror_asset
 from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
-from aomgen.replacement.recorded import recorded_contact, smooth_rise
+from aomgen.replacement.recorded_motion import recorded_contact, smooth_rise
 
 YAW = np.deg2rad(-70.0)
 SCALE = 1.15
@@ -99,12 +99,12 @@ def test_a_panel_that_slides_the_other_way_is_mirrored() -> None:
     demo, recorded = recording(right)
     contact = recorded_contact(demo, recorded)
     assert not contact.front.opens_left
-    result = fit_asset(mirrored(right), contact, "prismatic", "object", FitParams())
+    result = fit_asset(mirror_asset(right), contact, "prismatic", "object", FitParams())
     assert isinstance(result, FittedAsset)
     assert result.mirrored
     assert result.residual_mm < 3.0
     strict = FitParams(allow_mirror=False)
-    refused = fit_asset(mirrored(right), contact, "prismatic", "object", strict)
+    refused = fit_asset(mirror_asset(right), contact, "prismatic", "object", strict)
     assert isinstance(refused, Rejection)
     assert refused.reason == "hinge_side"
 
@@ -114,7 +114,7 @@ def test_what_a_mirror_leaves_as_it_is_is_never_mirrored(category: str, seed: in
     asset = make_asset(category, seed)
     demo, recorded = recording(asset)
     result = fit_asset(
-        mirrored(asset), recorded_contact(demo, recorded), demo.joint.type, "object", FitParams()
+        mirror_asset(asset), recorded_contact(demo, recorded), demo.joint.type, "object", FitParams()
     )
     assert isinstance(result, FittedAsset)
     assert not result.mirrored
@@ -159,7 +159,7 @@ def test_asset_with_another_kind_of_joint_is_refused() -> None:
 
 
 def test_hinge_on_the_other_side_is_mirrored_or_refused() -> None:
-    other = mirrored(make_asset("microwave", 1))
+    other = mirror_asset(make_asset("microwave", 1))
     result = fitted(other, "object")
     assert isinstance(result, FittedAsset)
     assert result.mirrored
@@ -180,10 +180,10 @@ def test_asset_that_cannot_open_far_enough_is_refused() -> None:
 
 def test_mirroring_twice_is_nothing_and_once_keeps_the_opening_direction() -> None:
     asset = make_asset("microwave", 3)
-    once = mirrored(asset)
+    once = mirror_asset(asset)
     M = np.diag([-1.0, 1.0, 1.0, 1.0])
     np.testing.assert_allclose(once.joint.motion(0.7), M @ asset.joint.motion(0.7) @ M, atol=1e-12)
-    for before, after in zip(asset.moving.meshes, mirrored(once).moving.meshes, strict=True):
+    for before, after in zip(asset.moving.meshes, mirror_asset(once).moving.meshes, strict=True):
         np.testing.assert_array_equal(before.vertices, after.vertices)
         np.testing.assert_array_equal(before.faces, after.faces)
     for box in once.moving.colliders:

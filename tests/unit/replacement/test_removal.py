@@ -7,8 +7,8 @@ from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.light import hemisphere_light
 from aomgen.errors import ReconstructionError
-from aomgen.replacement.inpaint import inpainted
-from aomgen.replacement.light import LIMITS, estimate_light, fitted_light
+from aomgen.replacement.inpaint import inpaint
+from aomgen.replacement.light_estimation import LIMITS, estimate_light, fit_light
 from aomgen.replacement.removal import clear_object, shadow_gain
 from aomgen.twin.twin import render_state
 
@@ -69,7 +69,7 @@ def test_inpainting_continues_color_and_texture():
     image = 0.5 + 0.001 * rows + 0.08 * np.sin(np.arange(140) * 1.1)[None, :, None] * np.ones((120, 1, 3))
     known = np.ones((120, 140), bool)
     known[40:80, 50:100] = False
-    result = inpainted(np.where(known[..., None], image, 0.0), known, rng)
+    result = inpaint(np.where(known[..., None], image, 0.0), known, rng)
     np.testing.assert_array_equal(result[known], image[known])
     filled = result[40:80, 50:100]
     assert np.abs(filled.mean(1) - image[40:80, 50:100].mean(1)).max() < 0.03
@@ -77,7 +77,7 @@ def test_inpainting_continues_color_and_texture():
 
 
 def test_inpainting_nothing_gives_grey():
-    assert (inpainted(np.zeros((40, 40, 3)), np.zeros((40, 40), bool), np.random.default_rng(0)) == 0.5).all()
+    assert (inpaint(np.zeros((40, 40, 3)), np.zeros((40, 40), bool), np.random.default_rng(0)) == 0.5).all()
 
 
 def shadowed(tint: tuple[float, float, float]) -> tuple[np.ndarray, ...]:
@@ -126,7 +126,7 @@ def test_light_is_fitted_in_spite_of_glare(toy_scene):
     albedo = linear_from_srgb(rng.uniform(0.5, 0.9, (2000, 3)))
     seen = albedo * toy_scene.light.irradiance(normals)
     seen[rng.random(2000) < 0.1] = 1.0
-    light, residual = fitted_light(normals, albedo, seen, hemisphere_light(np.ones(3), np.ones(3)))
+    light, residual = fit_light(normals, albedo, seen, hemisphere_light(np.ones(3), np.ones(3)))
     up = np.array([[0, 0, 1.0]])
     np.testing.assert_allclose(light.irradiance(up), toy_scene.light.irradiance(up), rtol=0.05)
     assert residual < 0.05

@@ -148,7 +148,7 @@ def test_rejects_are_grouped_by_reason_with_pair_and_limit(run: Run) -> None:
 
 
 def test_every_reason_of_planning_is_explained() -> None:
-    from aomgen.generalization.planning import REASONS
+    from aomgen.generalization.episode_planning import REASONS
 
     assert set(REASONS) <= set(reasons())
 

@@ -8,8 +8,8 @@ import pytest
 
 from aomgen.core.robot_choice import HandChoice, RobotChoice
 from aomgen.errors import MalformedFileError, MissingFileError, UnsafePathError
-from aomgen.robots.robot import chosen_robot
-from aomgen.robots.robot_store import save_robot, stored_robot
+from aomgen.robots.robot import choose_robot
+from aomgen.robots.robot_store import load_robot_description, save_robot
 
 
 @pytest.fixture
@@ -29,13 +29,13 @@ def choice(write_urdf):
 
 
 def test_a_stored_robot_needs_nothing_of_the_capture(choice, tmp_path):
-    robot = chosen_robot(choice)
+    robot = choose_robot(choice)
     folder = tmp_path / "twin"
     folder.mkdir()
     save_robot(folder, choice)
     choice.model_file.unlink()
     shutil.move(folder, tmp_path / "elsewhere")
-    stored = stored_robot(tmp_path / "elsewhere")
+    stored = load_robot_description(tmp_path / "elsewhere")
     joints, gripper = np.array([[0.2, -0.4, 1.1]]), [0.7]
     assert stored.joint_names == robot.joint_names
     assert stored.ee_poses(joints) == pytest.approx(robot.ee_poses(joints), abs=1e-12)
@@ -49,7 +49,7 @@ def test_damaged_headers_are_refused(choice, tmp_path):
 
     def stored(**changes):
         header.write_text(json.dumps({**good, **changes}))
-        return stored_robot(tmp_path)
+        return load_robot_description(tmp_path)
 
     with pytest.raises(UnsafePathError):
         stored(file="../robot.urdf")
@@ -59,7 +59,7 @@ def test_damaged_headers_are_refused(choice, tmp_path):
         stored(hand={"thumb": 1})
     header.write_text("{}")
     with pytest.raises(MalformedFileError, match="not complete"):
-        stored_robot(tmp_path)
+        load_robot_description(tmp_path)
     header.unlink()
     with pytest.raises(MissingFileError):
-        stored_robot(tmp_path)
+        load_robot_description(tmp_path)

@@ -14,7 +14,7 @@ from aomgen.splatting import checkpoint as module
 from aomgen.splatting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, training_digest
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.state import state_arrays
-from aomgen.splatting.training import TrainingParams, started, train
+from aomgen.splatting.training import TrainingParams, start_training, train
 
 # Growth, a change of resolution, exposure and random backgrounds all happen within these iterations.
 PARAMS = TrainingParams(
@@ -106,7 +106,7 @@ def test_a_finished_training_is_not_done_again(tmp_path: Path) -> None:
 def saved(tmp_path: Path) -> tuple[Path, str]:
     path, rng = tmp_path / "c", np.random.default_rng(4)
     digest = training_digest(scene(), cameras(), images(), PARAMS, rng)
-    save_checkpoint(path, started(scene(), cameras(), PARAMS, rng), digest)
+    save_checkpoint(path, start_training(scene(), cameras(), PARAMS, rng), digest)
     return path, digest
 
 
@@ -185,7 +185,7 @@ def test_a_checkpoint_of_other_inputs_is_refused_and_kept(tmp_path: Path, what: 
 
 def test_every_part_of_the_state_is_stored() -> None:
     """Whoever adds a field to the state must store it: the bytes differ when a field does."""
-    state = started(scene(), cameras(), PARAMS, np.random.default_rng(0))
+    state = start_training(scene(), cameras(), PARAMS, np.random.default_rng(0))
     stored = state_arrays(state)
     named = {"values", "averages", "squares", "reach", "exposure", "poses", "order", "counters"}
     assert {name.split(".")[0] for name in stored} == named

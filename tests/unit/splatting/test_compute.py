@@ -7,7 +7,7 @@ import torch
 from aomgen.errors import BackendError
 from aomgen.splatting.compute import Compute, NativeCompute, TorchCompute, make_compute
 from aomgen.splatting.differentiable import CpuRasterizer
-from aomgen.splatting.training import TrainingParams, learning, scene_extent, started
+from aomgen.splatting.training import TrainingParams, learning, scene_extent, start_training
 from small_scene import checkered, photograph, ring, start
 
 PARAMS = TrainingParams(
@@ -23,7 +23,7 @@ PARAMS = TrainingParams(
 def losses(compute: Compute) -> tuple[list[float], torch.Tensor]:
     scene, cameras = checkered(600, 0), ring(4)
     images, initial = photograph(scene, cameras), start(scene, 500)
-    state = started(initial, cameras, PARAMS, np.random.default_rng(0))
+    state = start_training(initial, cameras, PARAMS, np.random.default_rng(0))
     state.parameters = state.parameters.moved(compute.device)
     found = list(learning(state, cameras, images, PARAMS, scene_extent(initial, cameras), compute))
     return found, state.parameters.moved("cpu").values["means"]

@@ -15,7 +15,7 @@ import aomgen.splatting
 light = {name for name in sys.modules if name.split(".")[0] in ("numpy", "scipy", "torch")}
 assert not light, light
 from aomgen.splatting import Camera, Gaussians, contribution_weights, framing_camera, look_at
-from aomgen.splatting import Parts, RenderSession, gaussians_from_points, psnr, read_colmap, read_gaussians, render, write_gaussians
+from aomgen.splatting import RigidParts, RenderSession, gaussians_from_points, psnr, read_colmap, read_gaussians, render, write_gaussians
 heavy = {"torch", "pycolmap", "mujoco", "pxr", "pydantic", "av", "pyarrow"} & set(sys.modules)
 assert not heavy, heavy
 ours = {name.split(".")[1] for name in sys.modules if name.startswith("aomgen.")}

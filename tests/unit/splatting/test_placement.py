@@ -9,7 +9,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import invert
 from aomgen.splatting.differentiable import PartTensors
-from aomgen.splatting.placement import multiplied, placed_in_world, rotation_quats, view_directions
+from aomgen.splatting.placement import multiply_quats, place_in_world, rotation_quats, view_directions
 
 
 def poses(count: int, seed: int = 0) -> np.ndarray:
@@ -38,14 +38,14 @@ def rotations(quats: torch.Tensor) -> torch.Tensor:
     """(N, 3, 3) by turning the three axes as pure quaternions."""
     inverse = quats * quats.new_tensor([1, -1, -1, -1])
     axes = torch.eye(4, dtype=quats.dtype)[1:]
-    turned = [multiplied(multiplied(quats, axis.expand_as(quats)), inverse) for axis in axes]
+    turned = [multiply_quats(multiply_quats(quats, axis.expand_as(quats)), inverse) for axis in axes]
     return torch.stack([column[:, 1:] for column in turned], -1)
 
 
 def test_gaussians_move_with_their_parts() -> None:
     gaussians, Ts = random_gaussians(12), poses(3)
     parts = part_tensors(Ts, 12)
-    means, quats = placed_in_world(
+    means, quats = place_in_world(
         torch.tensor(gaussians.means).double(), 3 * torch.tensor(gaussians.quats).double(), parts
     )
     for part, T in enumerate(Ts):
@@ -116,7 +116,7 @@ def test_gradients_by_rigid_motions_are_exact(name: str) -> None:
         T = torch.eye(4, dtype=torch.float64)
         T[:3, :3] = torch.matrix_exp(spin) @ torch.tensor(R)
         parts = PartTensors(indices=torch.zeros(1, dtype=torch.int32), Ts_world_part=T[None])
-        means, quats = placed_in_world(mean, quat, parts)
+        means, quats = place_in_world(mean, quat, parts)
         directions = view_directions(mean, T_cam_world, parts)
         return (rotations(quats) * weights).sum() + means.square().sum() + directions[0, 0] ** 3
 

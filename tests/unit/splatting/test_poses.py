@@ -17,7 +17,7 @@ from aomgen.core.transforms import (
 )
 from aomgen.splatting import native
 from aomgen.splatting.poses import PoseIncrements, gauge_motions
-from aomgen.splatting.training import TrainingParams, learning, scene_extent, started, train
+from aomgen.splatting.training import TrainingParams, learning, scene_extent, start_training, train
 from small_scene import checkered, photograph, ring, start
 
 
@@ -60,7 +60,7 @@ def test_perturbed_poses_are_found_again() -> None:
     scene, truth = checkered(4000, 0), ring(16) + ring(8, height=1.3, shift=0.5)
     given = perturbed(truth, 0.008, 0.013)
     initial = start(scene, 1500)
-    state = started(initial, given, PARAMS, np.random.default_rng(0))
+    state = start_training(initial, given, PARAMS, np.random.default_rng(0))
     for _ in learning(state, given, photograph(scene, truth), PARAMS, scene_extent(initial, given)):
         pass
     found = [state.poses.corrected(i, camera) for i, camera in enumerate(given)]
@@ -72,7 +72,7 @@ def test_perturbed_poses_are_found_again() -> None:
 def test_without_refinement_poses_stay() -> None:
     scene, cameras = checkered(500, 0), ring(4)
     params = replace(PARAMS, iterations=12, refine_poses=False)
-    state = started(scene, cameras, params, np.random.default_rng(0))
+    state = start_training(scene, cameras, params, np.random.default_rng(0))
     for _ in learning(state, cameras, photograph(scene, cameras), params, 1.0):
         pass
     assert not state.poses.twists.any()
@@ -82,7 +82,7 @@ def test_without_refinement_poses_stay() -> None:
 def test_refinement_waits_for_its_share() -> None:
     scene, cameras = checkered(500, 0), ring(4)
     params = replace(PARAMS, iterations=20, refine_from=0.5)
-    state = started(scene, cameras, params, np.random.default_rng(0))
+    state = start_training(scene, cameras, params, np.random.default_rng(0))
     moved = []
     for _ in learning(state, cameras, photograph(scene, cameras), params, 1.0):
         moved.append(bool(state.poses.twists.any()))

@@ -6,10 +6,10 @@ from aomgen.core.light import Light, hemisphere_light, open_transfer, shaded_srg
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.errors import AssetError
-from aomgen.splatting.creases import crease_edges
 from aomgen.splatting.rasterizer import render
+from aomgen.splatting.sharp_edges import crease_edges
 from aomgen.splatting.surfels import surfels_of
-from aomgen.splatting.visibility import occluded_transfer
+from aomgen.splatting.visibility import estimate_transfer
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -84,7 +84,7 @@ def test_only_borders_and_sharp_edges_are_creases():
 def test_transfer_of_an_open_surface_is_the_clamped_cosine():
     points = np.random.default_rng(0).uniform((-0.2, -0.2, 0), (0.2, 0.2, 0), (400, 3))
     normals = np.tile([0, 0, 1.0], (400, 1))
-    transfer, turned = occluded_transfer(points, normals, points)
+    transfer, turned = estimate_transfer(points, normals, points)
     np.testing.assert_allclose(transfer, open_transfer(normals), atol=0.05)
     np.testing.assert_array_equal(turned, normals)
 
@@ -99,7 +99,7 @@ def test_the_floor_of_a_box_is_darker_than_its_lid():
     ]
     box = np.concatenate([floor, *sides])
     middle = np.array([[0.0, 0, 0], [0, 0, 0.2]])
-    transfer, _ = occluded_transfer(middle, np.array([[0, 0, 1.0], [0, 0, 1.0]]), box)
+    transfer, _ = estimate_transfer(middle, np.array([[0, 0, 1.0], [0, 0, 1.0]]), box)
     light = hemisphere_light((1, 1, 1), (0, 0, 0))
     inside, above = shaded_srgb(np.full((2, 3), 0.8), transfer, light.radiance_sh)
     assert inside.mean() < 0.85 * above.mean()

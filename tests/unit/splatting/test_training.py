@@ -14,17 +14,17 @@ from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import CpuRasterizer
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.splatting.optimizer import gaussians_of, parameters_of
-from aomgen.splatting.photographs import within_range
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.training import (
     TrainingParams,
-    finished,
+    choose_error_views,
+    finish_training,
     learning,
-    looked_at,
     scene_extent,
-    started,
+    start_training,
     train,
 )
+from aomgen.splatting.training_views import clip_to_sensor
 from small_scene import checkered, photograph, ring, start
 
 
@@ -123,13 +123,13 @@ def test_clipped_highlights_neither_bend_gains_nor_colors() -> None:
     ]
     params = replace(PARAMS, iterations=400, sh_degree=0, rate_gain=0.02, downsampling=((0.0, 1),))
     initial = start(scene, 1500)
-    state = started(initial, cameras, params, np.random.default_rng(0))
+    state = start_training(initial, cameras, params, np.random.default_rng(0))
     for _ in learning(state, cameras, images, params, scene_extent(initial, cameras)):
         pass
     red = state.exposure.log_gains[:, 0].numpy()
     assert red[1::2].mean() - red[::2].mean() == pytest.approx(np.log(1.25 / 0.8), abs=0.015)
     view = ring(1, height=0.9, shift=0.37)[0]
-    drawn, true = render(finished(state, params), view).rgb[..., 0], render(scene, view).rgb[..., 0]
+    drawn, true = render(finish_training(state, params), view).rgb[..., 0], render(scene, view).rgb[..., 0]
     assert abs((drawn - true)[true > 0.8].mean()) < 0.015  # 0.035 too dark without
 
 
@@ -137,7 +137,7 @@ def test_saturated_pixels_ask_for_no_less_than_white() -> None:
     target = torch.tensor([1.0, 1.0, 0.5, 0.5])[None, None].repeat(3, 1, 1)
     rendered = torch.tensor([1.2, 0.7, 1.2, 0.2])[None, None].repeat(3, 1, 1).requires_grad_()
     gains = torch.tensor([1.0, 1.1, 0.9], requires_grad=True)
-    seen = within_range(rendered, target, gains)
+    seen = clip_to_sensor(rendered, target, gains)
     shown = seen * gains[:, None, None]
     torch.testing.assert_close(shown[:, 0, 0], torch.ones(3))
     torch.testing.assert_close(shown[:, 0, 1:], (rendered * gains[:, None, None])[:, 0, 1:])
@@ -241,6 +241,6 @@ def test_metrics() -> None:
 def test_every_view_is_looked_at_before_any_twice() -> None:
     for views, count in ((56, 8), (12, 4), (5, 8), (9, 2)):
         turns = -(-views // min(count, views))
-        seen = np.concatenate([looked_at(views, count, turn) for turn in range(turns)])
+        seen = np.concatenate([choose_error_views(views, count, turn) for turn in range(turns)])
         assert set(seen) == set(range(views))
         assert len(seen) == turns * min(count, views)

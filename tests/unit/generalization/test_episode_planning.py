@@ -12,10 +12,10 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
+from aomgen.generalization.episode_planning import PlanParams, plan_episode
 from aomgen.generalization.generate import GenerationParams, generate_episodes
 from aomgen.generalization.grasps import Grasp, HandConventions, grasps, orientations
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
-from aomgen.generalization.planning import PlanParams, plan_episode
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
 from aomgen.generalization.stage import load_generalization, run_generalization
 from aomgen.generalization.variations import PoseRanges, in_view, variations, worth_trying

@@ -1,4 +1,4 @@
-"""The report's pictures of the recording: what was seen beside what was recovered."""
+"""The report's images of the recording: what was seen beside what was recovered."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.core.camera import Camera
 from aomgen.core.held_out import held_out
 from aomgen.core.motion import MotionEstimate
@@ -15,9 +15,9 @@ from aomgen.io.images import read_image, resize
 from aomgen.io.video import Video, probe_video, read_frames
 from aomgen.motion.stage import load_motion
 from aomgen.parts.survey_store import load_survey
-from aomgen.pipeline.recovery import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.stage import Run
+from aomgen.pipeline.twin_stages import demo_camera_world, scan_cameras_world
 from aomgen.pipeline.working import aligned_capture_of
 from aomgen.report.drawing import map_from_above, overlay_labels, overlay_outline, sheet
 from aomgen.robots.robot import RobotModel
@@ -33,7 +33,7 @@ Image8 = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovered:
-    """Everything the pictures are made from."""
+    """Everything the images are made from."""
 
     run: Run
     capture: Capture
@@ -110,8 +110,8 @@ def coverage_map(data: Recovered) -> Image8:
     seen = np.where(found.coverage.enough, 2, np.where(found.coverage.views > 0, 1, 0))
     cameras = scan_cameras_world(data.run)
     withheld = held_out([path.name for path in data.capture.scan_images])
-    learned = [camera for name, camera in cameras.items() if name not in withheld]
-    return map_from_above(found.points_world, SEEN[seen], learned)
+    training = [camera for name, camera in cameras.items() if name not in withheld]
+    return map_from_above(found.points_world, SEEN[seen], training)
 
 
 def robot_sheet(data: Recovered, count: int = 4) -> Image8:

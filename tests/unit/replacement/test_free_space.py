@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aomgen.replacement.extent import free_rectangle
+from aomgen.replacement.free_space import free_rectangle
 
 
 def table(spacing=0.01):

@@ -13,7 +13,7 @@ from aomgen.report.charts import Chart, draw_chart
 from aomgen.report.drawing import Image8, overlay_outline, sheet
 from aomgen.report.html import paragraph, picture
 from aomgen.report.joint_drawing import axis_space, overlay_motion
-from aomgen.report.pictures import Recovered
+from aomgen.report.recording_images import Recovered
 
 # Half a 95 % interval in standard deviations.
 NORMAL_95 = 1.96
@@ -24,7 +24,7 @@ WIDTH_PX = 420
 
 
 def motion_section(data: Recovered) -> list[str]:
-    """Sentence, pictures and charts."""
+    """Sentence, images and charts."""
     return [
         paragraph(motion_sentence(data.motion)),
         picture(joint_sheet(data), "the recovered joint when the motion starts, halfway and when it ends"),

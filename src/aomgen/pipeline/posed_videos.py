@@ -1,15 +1,15 @@
-"""The pictures of a capture with the state of the twin in each: what its looks are learned from."""
+"""The images of a capture with the twin's state in each, and the appearance that is fitted to them."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.appearance.directional_light import find_directional_light, remove_shadow
+from aomgen.appearance.directional_light import find_directional_light, remove_baked_shadow
 from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.robot_surfels import replace_robot_gaussians
 from aomgen.appearance.surfel_observations import PosedImages, match_exposure
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.held_out import held_out
@@ -20,23 +20,22 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.replacement.support import find_support
 from aomgen.robots.robot import RobotModel
-from aomgen.twin.lamp import Lamp
+from aomgen.twin.directional_shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, posed, render_state
 
-# More pictures tell little more, and take as long again.
-SCAN_PICTURES = 80
-# Pictures of the video for each of the scan: more of one place make all others worse. But the whole
-# motion has to be seen.
+# More images tell little more, and take as long again.
+MAX_SCAN_IMAGES = 80
+# Frames of the video for each image of the scan: more from one place make all other views worse.
 DEMO_SHARE = 0.5
 # Fewer frames skip parts of the motion.
-MIN_DEMO_PICTURES = 16
+MIN_DEMO_FRAMES = 16
 
 
-def scan_films(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -> list[PosedImages]:
+def pose_scan_images(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -> list[PosedImages]:
     """Scan images that are not held out, evenly chosen."""
     withheld = set(held_out([path.name for path in capture.scan_images]))
     usable = [p for p in capture.scan_images if p.name in cameras_world and p.name not in withheld]
-    chosen = np.unique(np.linspace(0, max(len(usable) - 1, 0), SCAN_PICTURES).astype(int))
+    chosen = np.unique(np.linspace(0, max(len(usable) - 1, 0), MAX_SCAN_IMAGES).astype(int))
     return [
         PosedImages(
             camera=cameras_world[usable[i].name],
@@ -47,18 +46,18 @@ def scan_films(capture: Capture, cameras_world: dict[str, Camera], twin: Twin) -
     ]
 
 
-def fitted_frames(capture: Capture, frames: int) -> NDArray[np.int64]:
+def select_training_frames(capture: Capture, frames: int) -> NDArray[np.int64]:
     """Which of the first fixed camera's frames the twin is fitted to; the others stay unseen."""
-    count = max(int(DEMO_SHARE * min(len(capture.scan_images), SCAN_PICTURES)), MIN_DEMO_PICTURES)
+    count = max(int(DEMO_SHARE * min(len(capture.scan_images), MAX_SCAN_IMAGES)), MIN_DEMO_FRAMES)
     return np.unique(np.linspace(0, frames - 1, count).astype(np.int64))
 
 
-def demo_film(
+def pose_demo_video(
     capture: Capture, camera_world: Camera, motion: MotionEstimate, twin: Twin, robot: RobotModel
 ) -> PosedImages:
     """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
     video = read_demo_videos(capture)[capture.cameras[0].name]
-    chosen = fitted_frames(capture, len(video.times_s))
+    chosen = select_training_frames(capture, len(video.times_s))
     times = video.times_s[chosen]
     joints, gripper = capture.joint_log.at(times + motion.clock_offset_s)
     states = tuple(
@@ -72,11 +71,13 @@ def demo_film(
     return match_exposure(view, np.asarray(first.rgb, np.float64), np.asarray(first.features)[..., 0] > 0.95)
 
 
-def with_looks(twin: Twin, robot: RobotModel, views: Sequence[PosedImages], progress: Progress) -> Twin:
+def refine_appearance(
+    twin: Twin, robot: RobotModel, views: Sequence[PosedImages], progress: Progress
+) -> Twin:
     """The twin as all pictures show it.
 
-    Its robot is dressed in the model's surface, shadows that move are told from the surface they fall
-    on, then everything is fitted.
+    The robot's Gaussians are replaced by surfels of its model, the moving shadow is separated from the
+    surface it falls on, then everything is fitted.
 
     Args:
         twin: The scan bound to its bodies.
@@ -89,12 +90,12 @@ def with_looks(twin: Twin, robot: RobotModel, views: Sequence[PosedImages], prog
     with_surfels = replace_robot_gaussians(twin, robot, views, rng)
     progress(0.3, "the lamp that throws its shadow")
     lamp = _lamp(with_surfels, robot, views[-1])
-    lit = with_surfels if lamp is None else remove_shadow(with_surfels, robot, lamp)
+    lit = with_surfels if lamp is None else remove_baked_shadow(with_surfels, robot, lamp)
     progress(0.4, "pictures in every posture")
     return refine_twin(lit, robot, views, rng)
 
 
-def _lamp(twin: Twin, robot: RobotModel, view: PosedImages) -> Lamp | None:
+def _lamp(twin: Twin, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
     """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
     world = posed(twin, robot, twin.scan_state)
     of_object = np.isin(twin.labels, (STATIC, MOVING))

@@ -1,4 +1,4 @@
-"""Straightening photographs: the same picture as a pinhole camera would have taken it."""
+"""Resampling and undistorting images: the same image as a pinhole camera would have taken it."""
 
 from collections.abc import Callable
 
@@ -12,8 +12,8 @@ from aomgen.core.values import Array
 Resample = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 
-def straightener(lens: Lens) -> Resample:
-    """A function that straightens images (H, W, 3) uint8 of one lens; the weights are made once."""
+def undistorter(lens: Lens) -> Resample:
+    """A function that undistorts images (H, W, 3) uint8 of one lens; the weights are made once."""
     return resampler(lens.source_pixels())
 
 
@@ -32,8 +32,8 @@ def resampler(source_pixels: Array) -> Resample:
     return resample
 
 
-def straighten_labels(labels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
-    """A label image (H, W) straightened: every pixel takes the label of the nearest one."""
+def undistort_labels(labels: NDArray[np.uint8], lens: Lens) -> NDArray[np.uint8]:
+    """A label image (H, W) undistorted: every pixel takes the label of the nearest one."""
     return resample_labels(labels, lens.source_pixels())
 
 

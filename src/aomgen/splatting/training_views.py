@@ -1,4 +1,4 @@
-"""Training images: the size they are learned at and the exposure they were taken with."""
+"""Training images: the size they are fitted at and the exposure they were taken with."""
 
 from dataclasses import dataclass, replace
 
@@ -15,15 +15,15 @@ SATURATED = 250 / 255
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
-    """One image at the size it is learned from: camera and planar (3, H, W) uint8."""
+class TrainingView:
+    """One image at the size it is fitted at: camera and planar (3, H, W) uint8."""
 
     camera: Camera
     image: Tensor
 
-    def moved(self, device: str) -> "View":
+    def moved(self, device: str) -> "TrainingView":
         """The same view with its pixels on a device."""
-        return View(camera=self.camera, image=self.image.to(device))
+        return TrainingView(camera=self.camera, image=self.image.to(device))
 
     def target(self) -> Tensor:
         """(3, H, W) float32, sRGB 0..1."""
@@ -68,10 +68,10 @@ class Exposure:
         self.log_gains -= self.log_gains.mean(0)
 
 
-def within_range(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tensor:
+def clip_to_sensor(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tensor:
     """The rendering (3, H, W), but no brighter than a saturated photograph could show.
 
-    A scene that a sensor clips is brighter than its picture. Without this, gains would be fitted
+    A scene that a sensor clips is brighter than its image. Without this, gains would be fitted
     to clipped values, and clipped values to gains. Where the target is saturated, what the gains
     (3,) lift above it equals it and has no gradient; elsewhere nothing changes.
     """
@@ -79,12 +79,12 @@ def within_range(rendered: Tensor, target: Tensor, gains: Tensor | None) -> Tens
     return torch.where(target >= SATURATED, torch.minimum(rendered, shown), rendered)
 
 
-def reduced(camera: Camera, image: NDArray[np.uint8], factor: int) -> View:
+def reduce_image(camera: Camera, image: NDArray[np.uint8], factor: int) -> TrainingView:
     """A view whose pixels are means of factor x factor pixels; what does not fill a pixel is cut."""
     planar = torch.tensor(np.ascontiguousarray(image.transpose(2, 0, 1)))
     factor = max(1, min(factor, image.shape[0] // 16, image.shape[1] // 16))
     if factor == 1:
-        return View(camera=camera, image=planar)
+        return TrainingView(camera=camera, image=planar)
     pooled = torch.nn.functional.avg_pool2d(planar.float(), factor).round_().to(torch.uint8)
     height, width = pooled.shape[1:]
     small = replace(
@@ -96,4 +96,4 @@ def reduced(camera: Camera, image: NDArray[np.uint8], factor: int) -> View:
         width=int(width),
         height=int(height),
     )
-    return View(camera=small, image=pooled)
+    return TrainingView(camera=small, image=pooled)

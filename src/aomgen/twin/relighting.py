@@ -11,15 +11,15 @@ from aomgen.core.values import Array, freeze
 
 # Weights below this are as good as none.
 NEGLIGIBLE: Final = 1e-3
-# Views must weigh this much together before they are believed in full.
-BELIEVED: Final = 0.6
+# Where the views' weights add up to less than this, the residual fades out.
+FULL_WEIGHT: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Remembered:
+class ResidualAppearance:
     """How a body's surfaces looked in orientations that were seen, beyond what diffuse light explains.
 
-    Glare, and the shadow that one link throws on the next, return where the body comes back to an
+    Specular light, and the shadow that one link throws on the next, return where the body comes back to an
     orientation and fade out away from it.
 
     Attributes:
@@ -27,7 +27,7 @@ class Remembered:
         rows: Relit surfaces (R,) of that body, as rows of `Relit`.
         Rs_world_body: Orientations that were seen (K, 3, 3).
         difference_srgb: Seen minus lit colors (K, R, 3).
-        reach_rad: Turn over which a memory fades: the standard deviation of its weight.
+        reach_rad: Rotation over which a residual fades: the standard deviation of its weight.
     """
 
     body: int
@@ -58,7 +58,7 @@ class Relit:
         light_of: (M,) index into `lights`.
         lights: What they are lit by, world frame. Materials that do not only scatter light, like
             metal, have their own.
-        remembered: Seen colors, at most one entry a body.
+        residuals: Seen colors, at most one entry a body.
     """
 
     indices: NDArray[np.int64]
@@ -66,7 +66,7 @@ class Relit:
     transfer: NDArray[np.float32]
     light_of: NDArray[np.int32]
     lights: tuple[Light, ...]
-    remembered: tuple[Remembered, ...] = ()
+    residuals: tuple[ResidualAppearance, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.indices)
@@ -85,21 +85,21 @@ class Relit:
             transfer=self.transfer[kept],
             light_of=self.light_of[kept],
             lights=self.lights,
-            remembered=tuple(
-                Remembered(
+            residuals=tuple(
+                ResidualAppearance(
                     body=item.body,
                     rows=row[item.rows[kept[item.rows]]],
                     Rs_world_body=item.Rs_world_body,
                     difference_srgb=item.difference_srgb[:, kept[item.rows]],
                     reach_rad=item.reach_rad,
                 )
-                for item in self.remembered
+                for item in self.residuals
             ),
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class LitSurface:
     """Relit Gaussians of one body under one light.
 
     Attributes:
@@ -107,7 +107,7 @@ class Surface:
         rows: Which rows of `Relit` (M,).
         albedo_linear, transfer: (M, 3) and (M, 9).
         light: What lights them, world frame.
-        remembered: Seen colors of exactly these rows, or None.
+        residual: Seen colors of exactly these rows, or None.
     """
 
     body: int
@@ -115,56 +115,56 @@ class Surface:
     albedo_linear: NDArray[np.float32]
     transfer: NDArray[np.float32]
     light: Light
-    remembered: Remembered | None
+    residual: ResidualAppearance | None
 
     def colors_srgb(self, R_world_body: Array) -> Array:
         """Colors (M, 3), sRGB 0..1, in an orientation (3, 3) of the body."""
         colors = shaded_srgb(self.albedo_linear, self.transfer, self.light.seen_from(R_world_body))
-        if self.remembered is None:
+        if self.residual is None:
             return colors
         for weight, difference in zip(
-            self.remembered.weights(R_world_body), self.remembered.difference_srgb, strict=True
+            self.residual.weights(R_world_body), self.residual.difference_srgb, strict=True
         ):
             if weight > NEGLIGIBLE:
                 colors = colors + weight * difference
         return np.clip(colors, 0, 1)
 
 
-def surfaces_of(relit: Relit | None, bodies: NDArray[np.int32]) -> tuple[Surface, ...]:
+def surfaces_of(relit: Relit | None, bodies: NDArray[np.int32]) -> tuple[LitSurface, ...]:
     """The relit Gaussians of a twin by body, then by light; `bodies` (N,) of all its Gaussians."""
     if relit is None:
         return ()
     owners = bodies[relit.indices]
-    memories = {item.body: item for item in relit.remembered}
+    residual_of = {item.body: item for item in relit.residuals}
     surfaces = []
     for body, light in np.unique(np.stack([owners, relit.light_of], 1), axis=0).tolist():
         rows = np.flatnonzero((owners == body) & (relit.light_of == light))
-        memory = memories.get(body)
-        if memory is not None:
+        residual = residual_of.get(body)
+        if residual is not None:
             column = np.full(len(owners), -1)
-            column[memory.rows] = np.arange(len(memory.rows))
+            column[residual.rows] = np.arange(len(residual.rows))
             columns = column[rows]
-            memory = None if (columns < 0).any() else Remembered(
+            residual = None if (columns < 0).any() else ResidualAppearance(
                 body=body,
                 rows=rows,
-                Rs_world_body=memory.Rs_world_body,
-                difference_srgb=memory.difference_srgb[:, columns],
-                reach_rad=memory.reach_rad,
+                Rs_world_body=residual.Rs_world_body,
+                difference_srgb=residual.difference_srgb[:, columns],
+                reach_rad=residual.reach_rad,
             )  # fmt: skip
         surfaces.append(
-            Surface(
+            LitSurface(
                 body=body,
                 rows=rows,
                 albedo_linear=relit.albedo_linear[rows],
                 transfer=relit.transfer[rows],
                 light=relit.lights[light],
-                remembered=memory,
+                residual=residual,
             )
         )
     return tuple(surfaces)
 
 
-def joined(first: Relit | None, second: Relit) -> Relit:
+def join_relit(first: Relit | None, second: Relit) -> Relit:
     """Surfaces of both, whose indices already mean the same twin."""
     if first is None:
         return second
@@ -175,17 +175,17 @@ def joined(first: Relit | None, second: Relit) -> Relit:
         transfer=np.concatenate([first.transfer, second.transfer]),
         light_of=np.concatenate([first.light_of, second.light_of + len(first.lights)]),
         lights=(*first.lights, *second.lights),
-        remembered=(
-            *first.remembered,
+        residuals=(
+            *first.residuals,
             *(
-                Remembered(
+                ResidualAppearance(
                     body=item.body,
                     rows=item.rows + count,
                     Rs_world_body=item.Rs_world_body,
                     difference_srgb=item.difference_srgb,
                     reach_rad=item.reach_rad,
                 )
-                for item in second.remembered
+                for item in second.residuals
             ),
         ),
     )
@@ -196,4 +196,4 @@ def orientation_weights(Rs_seen: Array, Rs: Array, reach_rad: float) -> Array:
     cosines = (np.einsum("tij,kij->tk", Rs, Rs_seen) - 1) / 2
     turns = np.arccos(np.clip(cosines, -1, 1))
     weights = np.exp(-0.5 * (turns / reach_rad) ** 2)
-    return weights / np.maximum(weights.sum(-1, keepdims=True), BELIEVED)
+    return weights / np.maximum(weights.sum(-1, keepdims=True), FULL_WEIGHT)

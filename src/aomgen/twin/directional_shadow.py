@@ -1,6 +1,6 @@
 """One strong light far away, and the shadow that moving bodies throw on the surface they work over.
 
-Whether a point is in shadow is read off a picture of the bodies taken from the lamp (shadow
+Whether a point is in shadow is read off an image of the bodies taken from the light (shadow
 mapping: Williams 1978, "Casting curved shadows on curved surfaces").
 """
 
@@ -15,12 +15,12 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze
-from aomgen.splatting.rasterizer import Parts, Rendering, render
+from aomgen.splatting.rasterizer import Rendering, RigidParts, render
 from aomgen.twin.shadow import HEIGHTS
 
-# Distance of the camera that stands for the lamp: its picture is an orthographic one, [m].
+# Distance of the camera that stands for the light: its image is an orthographic one, [m].
 FAR: Final = 60.0
-# Longer side of the picture from the lamp, [px]: a few millimeters each for an arm's shadow.
+# Longer side of the image from the light, [px]: a few millimeters each for an arm's shadow.
 MAP_SIDE: Final = 384
 # The role of Gaussians for shadows.
 SCENE: Final = 0  # what shadows fall on
@@ -29,11 +29,11 @@ MOVES: Final = 2  # throws a shadow that comes and goes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lamp:
+class DirectionalLight:
     """A light that throws crisp shadows on a level surface.
 
     Attributes:
-        direction: Unit (3,), from the scene to the lamp, world frame.
+        direction: Unit (3,), from the scene to the light, world frame.
         T_world_plane: The surface (4, 4), z = 0 on it.
         shade: Color in shadow divided by color in light (3,), sRGB, 0..1.
     """
@@ -47,17 +47,17 @@ class Lamp:
         freeze(self, "T_world_plane", self.T_world_plane, (4, 4))
         freeze(self, "shade", self.shade, (3,))
         if abs(np.linalg.norm(self.direction) - 1) > 1e-6:
-            raise ValueError("Lamp.direction has not length 1")
+            raise ValueError("DirectionalLight.direction has not length 1")
         if not ((self.shade > 0) & (self.shade <= 1)).all():
-            raise ValueError("Lamp.shade is not in 0..1")
+            raise ValueError("DirectionalLight.shade is not in 0..1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Silhouette:
-    """What a lamp sees of some bodies.
+    """What a light sees of some bodies.
 
     Attributes:
-        camera: At the lamp; None when there is nothing to see.
+        camera: At the light; None when there is nothing to see.
         alpha: (H, W), how much of its light is stopped.
     """
 
@@ -65,7 +65,7 @@ class Silhouette:
     alpha: NDArray[np.float32]
 
     def at(self, points_world: ArrayLike) -> Array:
-        """Share (...,) of the lamp's light that does not reach points (..., 3) behind the bodies."""
+        """Share (...,) of the light that does not reach points (..., 3) behind the bodies."""
         points = np.asarray(points_world, np.float64)
         if self.camera is None:
             return np.zeros(points.shape[:-1])
@@ -74,12 +74,12 @@ class Silhouette:
         return map_coordinates(self.alpha, [pixels[..., 1] - 0.5, pixels[..., 0] - 0.5], order=1)
 
 
-def silhouette(bodies: Gaussians, direction: ArrayLike, parts: Parts | None = None) -> Silhouette:
-    """Draw bodies as a lamp in a direction (3,) sees them.
+def silhouette(bodies: Gaussians, direction: ArrayLike, parts: RigidParts | None = None) -> Silhouette:
+    """Draw bodies as a light in a direction (3,) sees them.
 
     Args:
         bodies: N, world frame, or in the frames of `parts`.
-        direction: To the lamp.
+        direction: To the light.
         parts: Where the parts are.
     """
     if not len(bodies):
@@ -106,14 +106,16 @@ def silhouette(bodies: Gaussians, direction: ArrayLike, parts: Parts | None = No
     return Silhouette(camera=camera, alpha=render(bodies.with_sh_degree(0), camera, parts=parts).alpha)
 
 
-def shadowed(world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, points: ArrayLike) -> Array:
-    """Share (...,) of a lamp's light that moving bodies take from points (..., 3) of a surface below them.
+def cast_directional_shadow(
+    world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, points: ArrayLike
+) -> Array:
+    """Share (...,) of a light that moving bodies take from points (..., 3) of a surface below them.
 
     Args:
         world: All Gaussians (N), world frame.
         roles: `SCENE`, `STANDS` or `MOVES` for each (N,). Where something that stands throws its
             shadow there is nothing left to take.
-        direction: To the lamp (3,).
+        direction: To the light (3,).
         points: World frame.
     """
     taken = silhouette(world.select(roles == MOVES), direction).at(points)
@@ -121,19 +123,19 @@ def shadowed(world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, p
 
 
 def draw_lit(
-    lamp: Lamp, world: Gaussians, roles: NDArray[np.uint8], camera: Camera, **options: Any
+    light: DirectionalLight, world: Gaussians, roles: NDArray[np.uint8], camera: Camera, **options: Any
 ) -> tuple[Rendering, Array, Array]:
     """Draw Gaussians, and by what factor the shadow of moving bodies darkens each pixel.
 
     Args:
-        lamp: What shines.
-        world, roles: See `shadowed`.
+        light: What shines.
+        world, roles: See `cast_directional_shadow`.
         camera: Where to look from.
         options: For `splatting.rasterizer.render`.
 
     Returns:
-        The picture without shadow; how much of each pixel is the surface (H, W), 0..1; and how much of
-        the lamp's light is taken there (H, W), 0..1. See `darkened`.
+        The image without shadow; how much of each pixel is the surface (H, W), 0..1; and how much of
+        the light is taken there (H, W), 0..1. See `compute_shadow_factors`.
     """
     own = np.asarray(options.pop("features", np.zeros((len(world), 0))), np.float32)
     still = (roles == SCENE).astype(np.float32)[:, None]
@@ -141,8 +143,8 @@ def draw_lit(
     drawn = render(world, camera, features=np.concatenate([own, still], 1), with_ids=True, **options)
     images = np.asarray(drawn.features)
     depth = np.asarray(drawn.median_depth, np.float64)
-    points, on_plane = on_surface(lamp.T_world_plane, camera, depth)
-    taken = shadowed(world, roles, lamp.direction, points)
+    points, on_plane = intersect_surface(light.T_world_plane, camera, depth)
+    taken = cast_directional_shadow(world, roles, light.direction, points)
     picture = Rendering(
         rgb=drawn.rgb,
         alpha=drawn.alpha,
@@ -154,12 +156,12 @@ def draw_lit(
     return picture, on_plane * images[..., -1], taken
 
 
-def darkened(lamp: Lamp, dark: Array) -> NDArray[np.float32]:
-    """Factors (..., 3) on sRGB colors where a share (...,) of the lamp's light is taken."""
-    return (1 - dark[..., None] * (1 - lamp.shade)).astype(np.float32)
+def compute_shadow_factors(light: DirectionalLight, dark: Array) -> NDArray[np.float32]:
+    """Factors (..., 3) on sRGB colors where a share (...,) of the light is taken."""
+    return (1 - dark[..., None] * (1 - light.shade)).astype(np.float32)
 
 
-def on_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:
+def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:
     """Where lines of sight meet a plane (H, W, 3), and how much the depth seen (H, W) belongs to it, 0..1."""
     rays = camera.directions()
     to_plane = invert(T_world_plane)
@@ -176,7 +178,7 @@ def surface_share(T_world_plane: Array, points_world: ArrayLike) -> Array:
     return np.interp(heights, HEIGHTS, (0.0, 1.0, 1.0, 0.0))
 
 
-def unshaded(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
+def remove_shadow(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
     """Gaussians without a shadow that lies on them to some share `dark` (N,), 0..1."""
     factor = 1 / (1 - dark[:, None] * (1 - shade))
     sh = gaussians.sh * factor[:, None]

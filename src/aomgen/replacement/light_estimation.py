@@ -72,8 +72,8 @@ def estimate_light(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> L
     normals, albedo, seen = _robot_samples(twin, world, robot, rng)
     if not len(normals) >= MIN_SAMPLES:
         return LightEstimate(light=fallback, source="scene", samples=len(normals), residual=0.0)
-    light, residual = fitted_light(normals, albedo, seen, fallback)
-    return LightEstimate(light=limited(light), source="robot", samples=len(normals), residual=residual)
+    light, residual = fit_light(normals, albedo, seen, fallback)
+    return LightEstimate(light=limit_light(light), source="robot", samples=len(normals), residual=residual)
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
@@ -87,7 +87,7 @@ def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
     return hemisphere_light(np.full(3, level), np.full(3, 0.4 * level))
 
 
-def fitted_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> tuple[Light, float]:
+def fit_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> tuple[Light, float]:
     """Least squares of `seen = albedo * irradiance(normal) / pi` over nine coefficients.
 
     Args:
@@ -116,14 +116,14 @@ def fitted_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> tu
             columns.append(np.linalg.solve(A.T @ A + ridge, A.T @ b + ridge @ target[:, channel]))
         coefficients = np.stack(columns, 1)
         error = np.abs((albedo * (basis @ coefficients) - seen).mean(1))
-        # Glare and wrong links are outliers: Cauchy weights.
+        # Specular reflections and wrong links are outliers: Cauchy weights.
         weights = 1 / (1 + (error / max(2 * float(np.median(error)), 1e-6)) ** 2)
     light = _positive(coefficients)
     predicted = (albedo * light.irradiance(normals)).mean(1)
     return light, float(np.median(np.abs(predicted / np.maximum(seen.mean(1), 1e-6) - 1)))
 
 
-def limited(light: Light) -> Light:
+def limit_light(light: Light) -> Light:
     """The light with the brightness of a level white surface inside `LIMITS`."""
     level = float(light.irradiance(np.array([[0, 0, 1.0]])).mean())
     return light.scaled(np.clip(level, *LIMITS) / max(level, 1e-6))

@@ -17,17 +17,17 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Capture
 from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
 from aomgen.io.images import resize
-from aomgen.io.straighten import straightener
-from aomgen.io.video import Video, decoded_frames, probe_video, read_video
-from aomgen.robots.robot import RobotModel, chosen_robot
+from aomgen.io.resampling import undistorter
+from aomgen.io.video import Video, decode_frames, probe_video, read_video
+from aomgen.robots.robot import RobotModel, choose_robot
 
 # A demonstration shorter than this shows no motion that could be fitted.
 MIN_FRAMES = 20
 # A real joint may stand this far past the limit that its file states, [rad] or [m].
 LIMIT_SLACK = 0.05
-# A moving arm changes more of the picture at some moment; a frozen camera nothing at all.
+# A moving arm changes more of the image at some moment; a frozen camera nothing at all.
 MIN_CHANGED_SHARE = 0.003
-# Sensor noise and compression of small pictures stay below this, [grey levels].
+# Sensor noise and compression of small images stay below this, [grey levels].
 CHANGED = 25
 # Frames that are compared, and their size [px]: enough to see an arm move in a quarter of a second.
 CHANGE_FRAMES = 40
@@ -105,7 +105,7 @@ def check_robot(capture: Capture) -> RobotModel:
         ConfigError, InputError: The robot cannot be used, or a joint stays outside its limits
             during the scan.
     """
-    robot = chosen_robot(capture.robot)
+    robot = choose_robot(capture.robot)
     low, high = robot.joint_limits.T
     outside = np.maximum(low - capture.robot.scan_joints, capture.robot.scan_joints - high)
     worst = int(np.argmax(outside))
@@ -154,7 +154,7 @@ def _checked(capture: Capture, index: int) -> Video:
             f"lasts {length_s:.1f} s, but the joint log only {log_s:.1f} s",
             "re-export the log over the whole demonstration",
         )
-    return video if camera.lens is None else _straightened(video, camera.lens)
+    return video if camera.lens is None else _undistorted(video, camera.lens)
 
 
 def _check_memory(path: Path) -> None:
@@ -195,7 +195,7 @@ def _check_steady(video: Video, path: Path) -> None:
 
 
 def _turned(path: Path) -> list[str]:
-    _, frame = next(decoded_frames(path))
+    _, frame = next(decode_frames(path))
     if not frame.rotation:
         return []
     return [
@@ -204,7 +204,7 @@ def _turned(path: Path) -> list[str]:
     ]
 
 
-def _straightened(video: Video, lens: Lens) -> Video:
-    straighten = straightener(lens)
-    frames = np.stack([straighten(frame) for frame in video.frames_srgb])
+def _undistorted(video: Video, lens: Lens) -> Video:
+    undistort = undistorter(lens)
+    frames = np.stack([undistort(frame) for frame in video.frames_srgb])
     return Video(times_s=video.times_s, frames_srgb=frames, fps=video.fps)

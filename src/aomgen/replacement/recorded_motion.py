@@ -46,7 +46,7 @@ def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedC
     """Cut the contact out of the demonstration and describe the recorded object's front.
 
     Raises:
-        EstimationError: The part's front cannot be told (see `frontal`).
+        EstimationError: The part's front is ambiguous (see `frontal`).
     """
     frames = demo.contact_frames
     path = demo.grasp_path_world[frames]

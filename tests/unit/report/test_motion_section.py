@@ -10,7 +10,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.report.joint_drawing import AXIS, TOUCH, axis_space, overlay_motion
-from aomgen.report.motion import motion_charts, motion_sentence
+from aomgen.report.motion_section import motion_charts, motion_sentence
 
 TIMES_S = np.linspace(0, 4, 41, dtype=np.float64)
 HELD = np.array([0.5, 0.0, 0.2])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from aomgen.core.lens import Lens
-from aomgen.io.straighten import straighten_labels, straightener
+from aomgen.io.resampling import undistort_labels, undistorter
 
 LENS = Lens(fx=150.0, fy=150.0, cx=80.0, cy=60.0, width=160, height=120, k1=-0.25, k2=0.05)
 
@@ -21,7 +21,7 @@ def _photograph(lens: Lens) -> np.ndarray:
 
 
 def test_the_straightened_photograph_is_what_a_pinhole_camera_sees():
-    straight = straightener(LENS)(_photograph(LENS)).astype(float)
+    straight = undistorter(LENS)(_photograph(LENS)).astype(float)
     wanted = _photograph(LENS.straight()).astype(float)
     # The second channel runs over the rays backwards, which only the same rays would reproduce.
     difference = np.abs(straight - wanted)[..., [0, 2]]
@@ -32,7 +32,7 @@ def test_the_straightened_photograph_is_what_a_pinhole_camera_sees():
 def test_labels_take_the_nearest_label():
     labels = np.zeros((120, 160), np.uint8)
     labels[:, 80:] = 3
-    straight = straighten_labels(labels, LENS)
+    straight = undistort_labels(labels, LENS)
     assert set(np.unique(straight)) == {0, 3}
     assert (straight[:, :79] == 0).all()
     assert (straight[:, 81:] == 3).all()

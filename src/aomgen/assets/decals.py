@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
-from aomgen.assets.textures import WORDS, Texture, noise, tinted
+from aomgen.assets.textures import WORDS, Texture, noise, tint
 
 KEY_ROWS = ("`1234567890-=", "QWERTYUIOP[]", "ASDFGHJKL;'", "ZXCVBNM,./")
 
@@ -19,7 +19,7 @@ def tread_plate(rng: np.random.Generator, color_srgb: ArrayLike, size: int = 512
     along, across = (x + slant * y) / np.sqrt(2), (x - slant * y) / np.sqrt(2)
     bar = np.clip(1.3 - np.hypot(along / 13.0, across / 4.5), -0.4, 0.4)
     worn = noise(rng, size, 30) + 0.4 * noise(rng, size, 3)
-    return tinted(color_srgb, 0.22 * bar + 0.05 * worn + 0.03 * noise(rng, size, 0.8))
+    return tint(color_srgb, 0.22 * bar + 0.05 * worn + 0.03 * noise(rng, size, 0.8))
 
 
 def stickers(
@@ -32,7 +32,7 @@ def stickers(
         count: How many; each has a cell of its own, so that none hides another.
     """
     size = max(width, height)
-    ground = tinted(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.03 * noise(rng, size, 20))
+    ground = tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.03 * noise(rng, size, 20))
     image = Image.fromarray(ground[:height, :width])
     draw = ImageDraw.Draw(image)
     columns = int(np.ceil(np.sqrt(count * width / height)))
@@ -78,7 +78,7 @@ def screen(rng: np.random.Generator, width: int = 480, height: int = 300) -> Tex
 
 def keyboard(rng: np.random.Generator, color_srgb: ArrayLike, width: int = 512, height: int = 352) -> Texture:
     """Upper side of a laptop's base: keys, touch pad, a sticker in a corner; upright for its user."""
-    ground = tinted(color_srgb, 0.03 * noise(rng, width, 0.8) + 0.02 * noise(rng, width, 18))
+    ground = tint(color_srgb, 0.03 * noise(rng, width, 0.8) + 0.02 * noise(rng, width, 18))
     image = Image.fromarray(ground[:height])
     draw = ImageDraw.Draw(image)
     dark = float(np.mean(color_srgb_list(color_srgb))) > 0.4

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aomgen.alignment.calibrated_cameras import load_calibrated_cameras
 from aomgen.alignment.stage import load_alignment
 from aomgen.appearance.drawer_interior import add_drawer_interior
-from aomgen.capture.check import read_demo_videos
+from aomgen.capture.capture_check import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, camera_in_world
@@ -38,12 +38,12 @@ from aomgen.parts.label import Parts, PartsParams, segment_scan
 from aomgen.parts.stage import MASKS_FOLDER, load_parts, save_parts, scan_views
 from aomgen.parts.survey_store import run_survey
 from aomgen.pipeline.estimates import REFUSED_MOTION, estimates_of
-from aomgen.pipeline.films import demo_film, scan_films, with_looks
 from aomgen.pipeline.moving_parts import find_moving_parts
+from aomgen.pipeline.posed_videos import pose_demo_video, pose_scan_images, refine_appearance
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import aligned_capture_of, capture_of
 from aomgen.robots.configuration import RobotPosture
-from aomgen.robots.robot import RobotModel, chosen_robot
+from aomgen.robots.robot import RobotModel, choose_robot
 from aomgen.robots.robot_store import save_robot
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure.fixed_cameras import DemoView
@@ -61,7 +61,7 @@ MEDIAN_FRAMES = 48
 
 def robot_of(capture: Capture) -> RobotModel:
     """The robot of a capture, with the capture's world frame."""
-    return chosen_robot(capture.robot)
+    return choose_robot(capture.robot)
 
 
 def structure(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -212,7 +212,7 @@ def _recovered_motion(run: Run, folder: Path, progress: Progress) -> MotionEstim
 
 
 def motion_input(run: Run, scene: Gaussians, labels: NDArray[np.uint8]) -> MotionInput:
-    """What AOMotion looks at: the first fixed camera's film, the log, and the scan in its parts.
+    """The input of AOMotion: the first fixed camera's video, the log, and the scan in its parts.
 
     Args:
         run: Finished up to its alignment.
@@ -288,10 +288,10 @@ def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     posture, motion = posture_of(capture), load_motion(run.folders["motion"])
     robot = posture.robot
     scanned = scanned_twin(*labelled_scan(run.folders), motion.joint, posture)
-    film = demo_film(capture, demo_camera_world(run), motion, scanned, robot)
+    film = pose_demo_video(capture, demo_camera_world(run), motion, scanned, robot)
     bound = add_drawer_interior(scanned, robot, film)
-    films = [*scan_films(capture, scan_cameras_world(run), bound), film]
-    result = with_looks(bound, robot, films, progress)
+    films = [*pose_scan_images(capture, scan_cameras_world(run), bound), film]
+    result = refine_appearance(bound, robot, films, progress)
     save_twin(folder, result)
     save_robot(folder, capture.robot)
     return {

@@ -60,7 +60,7 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
     joint = asset.joint
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if body and asset.handle_bar is not None:
-        distances = distance_to_boxes(asset.handle_point[None], *stacked(body))[0]
+        distances = distance_to_boxes(asset.handle_point[None], *stack_boxes(body))[0]
         T = body[int(np.argmin(distances))].T_asset_box
         half = body[int(np.argmin(distances))].half_extents
         local = T[:3, :3].T @ (asset.handle_point - T[:3, 3])
@@ -71,7 +71,7 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
         return joint.axis
     motion = np.cross(joint.axis, asset.handle_point - joint.origin)
     motion = motion / max(float(np.linalg.norm(motion)), 1e-12)
-    poses, _ = stacked(asset.moving.colliders)
+    poses, _ = stack_boxes(asset.moving.colliders)
     axes = np.concatenate([poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 3), motion[None]])
     alignments = axes @ motion
     # The motion itself is last and wins only where no box looks along it within 30 degrees.
@@ -86,10 +86,10 @@ def held_at_rim(asset: ArticulatedAsset) -> bool:
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if bar is None or not body:
         return False
-    return bool(boxes_overlap(bar.T_asset_box, bar.half_extents, *stacked(body), margin=TOUCH).any())
+    return bool(boxes_overlap(bar.T_asset_box, bar.half_extents, *stack_boxes(body), margin=TOUCH).any())
 
 
-def stacked(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
+def stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
     """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
     poses = np.array([box.T_asset_box for box in colliders]).reshape(-1, 4, 4)
     return poses, np.array([box.half_extents for box in colliders]).reshape(-1, 3)
@@ -149,8 +149,8 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
 def _check_range(asset: ArticulatedAsset) -> list[str]:
     """Pairs of static and moving colliders that overlap somewhere along the joint."""
     thetas = np.linspace(0.0, asset.joint.upper, RANGE_SAMPLES)
-    poses_a, half_a = stacked(asset.static.colliders)
-    poses_b, half_b = stacked(asset.moving.colliders)
+    poses_a, half_a = stack_boxes(asset.static.colliders)
+    poses_b, half_b = stack_boxes(asset.moving.colliders)
     moved = asset.joint.motion(thetas)[:, None, None] @ poses_b[None, None]
     hits = boxes_overlap(poses_a[None, :, None], half_a[None, :, None], moved, half_b, margin=-TOUCH)
     problems = []
@@ -163,7 +163,7 @@ def _check_range(asset: ArticulatedAsset) -> list[str]:
 
 def _check_handle(asset: ArticulatedAsset) -> list[str]:
     """The bar lies where it is said to be, and a finger fits around and behind it."""
-    poses, half = stacked(asset.moving.colliders)
+    poses, half = stack_boxes(asset.moving.colliders)
     point = asset.handle_point
     distances = distance_to_boxes(point[None], poses, half)[0]
     if not distances.min() <= 0.002:
@@ -182,7 +182,7 @@ def _check_handle(asset: ArticulatedAsset) -> list[str]:
     sides = np.stack([across, -across]) if rim else -outward[None]
     balls = point + sides * ((thickness if rim else depth) / 2 + FINGER_BALL / 2 + 5e-4)
     others = _without(asset.moving, bar)
-    poses_o, half_o = stacked([*asset.static.colliders, *others])
+    poses_o, half_o = stack_boxes([*asset.static.colliders, *others])
     gap = distance_to_boxes(balls, poses_o, half_o).min() if len(half_o) else np.inf
     if not gap >= FINGER_BALL / 2:
         where = "on both sides of" if rim else "behind"
