@@ -26,8 +26,9 @@ from aomgen.motion.noise_model import (
 )
 
 _REMEDY = "record a longer demonstration"
-# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad]; less travel is within slip, [m].
+# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad].
 _MIN_TURN_RAD = float(np.radians(15.0))
+# Shortest travel that tells a joint, [m]: less is what a hand may slip.
 _MIN_TRAVEL_M = 0.03
 # Smallest difference of the types' evidence, twice the logarithm as in BIC: "positive" evidence begins at 2.
 _MIN_MARGIN = 3.0

@@ -30,8 +30,9 @@ _MIN_RESTING: Final = 2
 _ACCEPT_SD: Final = 2.0
 # Share of the video's detail that the rendered part has to explain: with less, its light has changed more than its pose.
 MIN_EXPLAINED: Final = 0.5
-# Error of a calibrated camera's pose, which turns and moves the joint with it, each component, [rad] and [m].
+# Error of a calibrated camera's pose, which turns and moves the joint with it, each component, [rad].
 _CAMERA_SD_RAD: Final = 0.001
+# The same of its position, [m].
 _CAMERA_SD_M: Final = 0.001
 
 
