@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-from aomgen.generalization.episode_planning import PlanParams
 
 from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
@@ -21,6 +20,7 @@ from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, invert
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.episodes.stage import episode_of
+from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import GenerationParams, generate_episodes
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
