@@ -7,7 +7,7 @@ sure that is, follows from the path alone. Slip is not known and need not be.
 import numpy as np
 
 from aomgen.core.transforms import angle_between, apply, matrix_from_rotvec, transform
-from aomgen.motion.ee_path import Hold
+from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.joint_estimation import estimate_joint
 
 AXIS, ORIGIN = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.2, 0.0])  # the hinge, m
@@ -23,7 +23,7 @@ def main() -> None:
         turned = matrix_from_rotvec(theta * AXIS)
         held = turned @ (GRASP - ORIGIN) + ORIGIN + rng.normal(0, 2e-4, 3)
         poses.append(transform(matrix_from_rotvec(FOLLOWED * theta * AXIS), held))
-    hold = Hold(point_ee=np.zeros(3), closing_ee=np.array([1.0, 0.0, 0.0]), sd_m=0.005)
+    hold = GraspGuess(point_ee=np.zeros(3), closing_ee=np.array([1.0, 0.0, 0.0]), sd_m=0.005)
 
     estimate = estimate_joint(np.array(poses), hold)
     joint = estimate.joint

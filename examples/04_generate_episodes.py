@@ -25,7 +25,7 @@ from aomgen.generalization.generate import GenerationParams, generate_episodes
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.robot import RobotModel, load_robot
-from aomgen.synthetic.demonstration_search import Performance, perform
+from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 
 FPS = 10
 
@@ -38,7 +38,7 @@ def recorded(robot: RobotModel, shown: Performance) -> Demonstration:
     moving = np.flatnonzero((thetas > 0.01 * thetas.max()) & (thetas < 0.99 * thetas.max()))
     start, end = moving[0] - 1, moving[-1] + 1
     poses = robot.ee_poses(run.joints[frames])
-    held = apply(shown.setting.T_world_object, shown.setting.asset.handle_point)
+    held = apply(shown.layout.T_world_object, shown.layout.asset.handle_point)
     return Demonstration(
         times_s=run.times_s[frames], joints=run.joints[frames], gripper=np.clip(run.gripper[frames], 0.0, 1.0),
         Ts_world_ee=poses, thetas=thetas, start_s=float(run.times_s[frames][start]),
@@ -55,8 +55,8 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=3)
     options = parser.parse_args()
     robot = load_robot("ur5e_2f85")
-    shown = perform(robot, make_asset("drawer", 1), np.random.default_rng(3))
-    demo, asset, T_world_asset = recorded(robot, shown), shown.setting.asset, shown.setting.T_world_object
+    shown = find_demonstration(robot, make_asset("drawer", 1), np.random.default_rng(3))
+    demo, asset, T_world_asset = recorded(robot, shown), shown.layout.asset, shown.layout.T_world_object
 
     thetas = np.maximum.accumulate(demo.thetas[demo.contact_frames])
     fitted = FittedAsset(

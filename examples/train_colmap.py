@@ -15,7 +15,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.held_out import held_out
 from aomgen.core.structure import Structure
 from aomgen.gaussians.dense_points import DensifyParams, densify
-from aomgen.gaussians.train import initial_gaussians, judge
+from aomgen.gaussians.train import evaluate_view, initial_gaussians
 from aomgen.io.colmap import ColmapView, read_colmap
 from aomgen.io.images import read_image, resize
 from aomgen.io.ply import write_gaussians
@@ -66,7 +66,7 @@ def main() -> None:
     )
     cameras = [structure.cameras_recon[name] for name in learned]
     trained = train(initial, cameras, list(learned.values()), params, show, np.random.default_rng(0))
-    scores = [judge(trained, structure.cameras_recon[name], images[name]).psnr_db for name in test]
+    scores = [evaluate_view(trained, structure.cameras_recon[name], images[name]).psnr_db for name in test]
     print(f"\n{len(trained)} Gaussians after {time.perf_counter() - start:.0f} s")
     print(f"held-out PSNR {np.mean(scores):.2f} dB")
     write_gaussians(options.out, trained)

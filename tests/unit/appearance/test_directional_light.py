@@ -126,7 +126,7 @@ def test_unshading_undoes_a_shade(toy_scene):
 
 def test_training_under_a_lamp_does_not_learn_its_shadow(toy_scene):
     lamp = lamp_from(0.2, -0.3)
-    twin = replace(toy_scene.twin, lamp=lamp)
+    twin = replace(toy_scene.twin, directional_light=lamp)
     view = make_images(toy_scene, lamp, np.random.default_rng(0), count=1)
     state = view.states[0]
     training_views = [view] * 12

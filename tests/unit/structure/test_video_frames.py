@@ -105,7 +105,7 @@ def test_a_prompted_frame_takes_the_place_of_the_chosen_one_beside_it(video, tmp
 
 def test_a_second_call_reads_what_the_first_one_wrote(video, tmp_path, monkeypatch):
     first = extract_frames(video, set(), tmp_path, silent)
-    monkeypatch.setattr(frames_module, "decoded_frames", lambda path: pytest.fail("decoded again"))
+    monkeypatch.setattr(frames_module, "decode_frames", lambda path: pytest.fail("decoded again"))
     assert extract_frames(video, set(), tmp_path, silent) == first == find_extracted_frames(tmp_path)
 
 
