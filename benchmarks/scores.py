@@ -41,7 +41,8 @@ def run_scores(
         ConfigError: A part failed; its output has been shown.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for name, arguments in _parts(folder, captures, seed).items():
+    parts = _parts(folder, captures, seed)
+    for name, arguments in parts.items():
         result = folder / f"{name}.json"
         if result.is_file():
             tell(f"{name}: kept")
@@ -57,10 +58,9 @@ def run_scores(
             )
         if name == "demo":
             write_json(result, {"seconds": time.monotonic() - started})
-    names = _parts(folder, captures, seed)
     figures = {
         figure: value
-        for name in names
+        for name in parts
         for figure, value in flatten(name, json.loads((folder / f"{name}.json").read_text("utf-8")))
     }
     write_json(folder / SCORES_FILE, figures)

@@ -29,6 +29,7 @@ from aomgen.alignment.time_offset_frames import (
     change_gains,
 )
 from aomgen.core.clock import Clock
+from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
@@ -150,7 +151,7 @@ def _too_short(frames: ClockFrames, log_times_s: Array) -> SyncError:
 def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
     best = int(np.argmax(scores))
     base = float(np.median(scores))
-    spread = 1.4826 * float(np.median(np.abs(scores - base)))
+    spread = robust_sd(scores - base)
     gain = float(scores[best]) - base
     if not gain > MIN_GAIN_SD * max(spread, 1e-9) * 0.5:
         raise SyncError(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array
 from aomgen.errors import SyncError
 from aomgen.io.images import resize
@@ -66,7 +67,7 @@ class ClockFrames:
         if not len(images) > max(LAGS):
             raise SyncError("video", f"has only {len(images)} frames to compare", "record the whole motion")
         times = video.times_s[::stride]
-        noise = 1.4826 * float(np.median(np.abs(np.diff(images, axis=0))))
+        noise = robust_sd(np.diff(images, axis=0))
         step = float((times[-1] - times[0]) / (len(times) - 1))
         return ClockFrames(times_s=times, step_s=step, images=images, noise=max(noise, 0.5))
 

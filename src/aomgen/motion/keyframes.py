@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array
 from aomgen.motion.filters import close_gaps, dilate, fill_holes, keep_touching, remove_glitches, smooth
 from aomgen.motion.gripper_signals import TouchInterval
@@ -164,7 +165,7 @@ def find_interval(
 def _noise(values: Array, step_s: float) -> float:
     """Robust standard deviation of a series (T,) about its smooth course."""
     rough = values - smooth(values, step_s, SMOOTH_S)
-    return 1.4826 * float(np.median(np.abs(rough - np.median(rough))))
+    return robust_sd(rough - np.median(rough))
 
 
 def count_reference_frames(times_s: Array) -> int:

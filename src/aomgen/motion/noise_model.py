@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aomgen.core.joint import JointType
+from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array, freeze
 
 # A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
@@ -68,7 +69,7 @@ class NoisePrior:
         for k, rows in enumerate((points, turns)):
             rough = np.diff(rows, n=3, axis=0) if len(rows) > 5 else np.zeros((1, 3))
             # Third differences of white noise have a variance of 20.
-            sd = 1.4826 * float(np.median(np.abs(rough))) / np.sqrt(20.0)
+            sd = robust_sd(rough) / np.sqrt(20.0)
             steps[k] = np.log(max(sd / self.medians[k], 1e-3)) / self.spreads[k]
         return np.clip(steps, *STEP_LIMITS)
 

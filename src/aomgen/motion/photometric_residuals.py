@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from aomgen.core.joint import Joint
+from aomgen.core.robust import robust_sd
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.motion.joint_models import make_tangent_basis
@@ -128,7 +129,7 @@ def linearize_frame(
     left, scale = residuals, _NOISE_FLOOR
     for _ in range(_REWEIGHTINGS):
         left = residuals - nuisances @ _regression(nuisances, residuals[:, None], weights)[:, 0]
-        scale = max(1.4826 * float(np.median(np.abs(left))), _NOISE_FLOOR)
+        scale = max(robust_sd(left), _NOISE_FLOOR)
         weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
     derivatives = derivatives - nuisances @ _regression(nuisances, derivatives, weights)
     return LinearizedFrame(
@@ -210,7 +211,7 @@ def _settled(seen: Array, drawn: Array) -> tuple[Array, float]:
     left, scale = seen[:, 0], _NOISE_FLOOR
     for _ in range(_REWEIGHTINGS):
         left = (seen - drawn @ _regression(drawn, seen, weights))[:, 0]
-        scale = max(1.4826 * float(np.median(np.abs(left))), _NOISE_FLOOR)
+        scale = max(robust_sd(left), _NOISE_FLOOR)
         weights = 1 / (1 + (left / (_OUTLIER * scale)) ** 2) ** 2
     return left, scale
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from aomgen.core.robust import SD_OF_MAD
 from aomgen.core.values import Array, freeze
 from aomgen.errors import InputError, NoMotionError
 
@@ -19,8 +20,6 @@ SMOOTH_FRAMES, SMOOTH_ORDER = 11, 3
 BASELINE_PERCENT = 20.0
 # Sigmas above B at which a frame is flagged, as printed.
 NOISE_UNITS = 3.0
-# Standard deviations in a median absolute deviation of normal noise.
-SD_OF_MAD = 1.4826
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,12 +9,13 @@ covers is taken for its shadow, and where it moved along its own place its textu
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.robust import SD_OF_MAD
 from aomgen.core.values import Array
 from aomgen.io.images import resize
 from aomgen.motion.filters import close_gaps, dilate, keep_touching
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import find_part_region
-from aomgen.paper.mask_keyframes import SD_OF_MAD, PartMasks
+from aomgen.paper.mask_keyframes import PartMasks
 from aomgen.robots.robot_masks import robot_masks
 
 # The first picture is the median of so much video, so that its own noise does not count, [s].
