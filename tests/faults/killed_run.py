@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.core.camera import Camera, look_at
-from aomgen.core.episode import Episode, no_contacts
-from aomgen.core.joint import Joint
+from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.generalization.episode_planning import PlanParams
@@ -30,6 +28,7 @@ from aomgen.pipeline.stage import Run, Stage
 from aomgen.robots.robot import load_robot
 
 sys.path.append(str(Path(__file__).parents[1] / "helpers"))
+from drawer_episode import corner_camera, drawer_episode
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
 EPISODES, FRAMES, SIZE = 10, 30, (128, 96)
@@ -68,33 +67,9 @@ def episode(index: int) -> Episode:
     """An episode with numbers of its own."""
     rng = np.random.default_rng(index)
     joints = np.cumsum(rng.normal(0, 0.02, (FRAMES, 6)), 0)
-    camera = Camera(
-        fx=90, fy=90, cx=64, cy=48, width=SIZE[0], height=SIZE[1], T_world_cam=look_at((1, 1, 1), (0, 0, 0))
-    )
-    return Episode(
-        index=index,
-        seed=0,
-        instruction="open the drawer",
-        robot="ur5e_2f85",
-        asset="drawer-1",
-        asset_usd="asset.usda",
-        joint_names=tuple("abcdef"),
-        fps=10,
-        joints=joints,
-        gripper=np.zeros(FRAMES),
-        action_joints=joints,
-        action_gripper=np.zeros(FRAMES),
-        Ts_world_ee=np.tile(np.eye(4), (FRAMES, 1, 1)),
-        Ts_world_ee_action=np.tile(np.eye(4), (FRAMES, 1, 1)),
-        thetas=np.linspace(0, 0.2, FRAMES),
-        phases=np.zeros(FRAMES, np.int64),
-        contacts=no_contacts(),
-        joint=Joint(type="prismatic", axis=(0, -1, 0), origin=(0, 0, 0), lower=0, upper=0.3),
-        T_world_object=np.eye(4),
-        cameras={"front": camera},
-        verdict={"passed": True},
-        simulation={"bolted": True},
-    )
+    cameras = {"front": corner_camera(*SIZE)}
+    thetas = np.linspace(0, 0.2, FRAMES)
+    return drawer_episode(index, joints, thetas, cameras, {"passed": True}, {"bolted": True})
 
 
 def commit_all(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:

@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.core.camera import Camera, look_at
-from aomgen.core.episode import Episode, no_contacts
-from aomgen.core.joint import Joint
 from aomgen.errors import MalformedFileError
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video, read_frames
@@ -20,6 +17,7 @@ from aomgen.report import episodes
 from aomgen.report.episodes import episodes_section
 from aomgen.report.rejects import reasons, rejects_section
 from aomgen.report.summary import provenance_table
+from drawer_episode import corner_camera, drawer_episode
 
 FRAMES, SIZE = 6, (64, 48)
 OUTCOME = {
@@ -45,40 +43,17 @@ def run(tmp_path: Path) -> Run:
 
 def commit(run: Run, count: int, video: bytes) -> None:
     """Episodes that are fully open in their fourth frame."""
-    camera = Camera(
-        fx=90, fy=90, cx=32, cy=24, width=SIZE[0], height=SIZE[1], T_world_cam=look_at((1, 1, 1), (0, 0, 0))
-    )
-    joints = np.zeros((FRAMES, 6))
+    camera = corner_camera(*SIZE)
+    cameras = {"front": camera, "side": camera}
+    thetas = np.array([0, 0.1, 0.15, 0.2, 0.19, 0.19])
+    verdict = {
+        "bolted": True,
+        "grasp": "tilt +0",
+        "variation": VARIATION,
+        "dynamic": [OUTCOME, {**OUTCOME, "tracking_mm": 2.0}],
+    }
     for index in range(count):
-        episode = Episode(
-            index=index,
-            seed=0,
-            instruction="open the drawer",
-            robot="ur5e_2f85",
-            asset="drawer-1",
-            asset_usd="asset.usda",
-            joint_names=tuple("abcdef"),
-            fps=10,
-            joints=joints,
-            gripper=np.zeros(FRAMES),
-            action_joints=joints,
-            action_gripper=np.zeros(FRAMES),
-            Ts_world_ee=np.tile(np.eye(4), (FRAMES, 1, 1)),
-            Ts_world_ee_action=np.tile(np.eye(4), (FRAMES, 1, 1)),
-            thetas=np.array([0, 0.1, 0.15, 0.2, 0.19, 0.19]),
-            phases=np.zeros(FRAMES, np.int64),
-            contacts=no_contacts(),
-            joint=Joint(type="prismatic", axis=(0, -1, 0), origin=(0, 0, 0), lower=0, upper=0.3),
-            T_world_object=np.eye(4),
-            cameras={"front": camera, "side": camera},
-            verdict={
-                "bolted": True,
-                "grasp": "tilt +0",
-                "variation": VARIATION,
-                "dynamic": [OUTCOME, {**OUTCOME, "tracking_mm": 2.0}],
-            },
-            simulation={},
-        )
+        episode = drawer_episode(index, np.zeros((FRAMES, 6)), thetas, cameras, verdict, {})
         commit_episode(run.folders["episodes"], episode, {"front": video, "side": video})
 
 
