@@ -15,7 +15,7 @@ from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_s
 from aomgen.parts.stage import scan_views
 from aomgen.pipeline.aligning import align_by_paper
 from aomgen.pipeline.stages import STAGES
-from aomgen.pipeline.twin_stages import posture_of, scanned_twin
+from aomgen.pipeline.twin_stages import configuration_of, scanned_twin
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure.stage import load_structure
 from aomgen.twin.twin import Twin
@@ -42,21 +42,21 @@ def paper_twin(out: Path, capture: Capture, estimates: dict[str, Any]) -> tuple[
         AlignmentError, ReconstructionError: The method has no answer.
     """
     folders = {stage.name: out / stage.folder for stage in STAGES}
-    structure, posture = load_structure(folders["structure"]), posture_of(capture)
+    structure, configuration = load_structure(folders["structure"]), configuration_of(capture)
     images = {path.name: path for path in capture.scan_images}
     gaussians_recon = load_gaussians(folders["gaussians"]).gaussians_recon
     started = time.monotonic()
     S_world_recon = align_by_paper(capture, structure, gaussians_recon).S_world_recon
     seconds = time.monotonic() - started
     world = gaussians_recon.transformed(S_world_recon)
-    views = scan_views(structure, S_world_recon, images, posture)
+    views = scan_views(structure, S_world_recon, images, configuration)
     segmenter = choose_segmenter(capture.mask_folders)
     params = PartsParams(robot="boxes")
-    scan = segment_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    scan = segment_scan(world, views, capture.prompts, segmenter, configuration, silent, params)
     parts = find_parts(scan, part_evidence(scan))
     joint = load_motion(folders["motion"]).joint
     return (
-        scanned_twin(world, parts, joint, posture),
+        scanned_twin(world, parts, joint, configuration),
         _with_alignment(estimates, structure.cameras_recon, structure.demo_cameras_recon, S_world_recon),
         seconds,
     )

@@ -12,7 +12,7 @@ from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_s
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.stage import MASKS_FOLDER, scan_views
 from aomgen.pipeline.stages import STAGES
-from aomgen.pipeline.twin_stages import posture_of, scanned_twin, scanned_world
+from aomgen.pipeline.twin_stages import configuration_of, scanned_twin, scanned_world
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure.stage import load_structure
 from aomgen.twin.twin import Twin
@@ -33,9 +33,9 @@ def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
     folders = {stage.name: out / stage.folder for stage in STAGES}
     S_world_recon = load_alignment(folders["alignment"]).S_world_recon
     world = scanned_world(folders)
-    posture = posture_of(capture)
+    configuration = configuration_of(capture)
     images = {path.name: path for path in capture.scan_images}
-    views = scan_views(load_structure(folders["structure"]), S_world_recon, images, posture)
+    views = scan_views(load_structure(folders["structure"]), S_world_recon, images, configuration)
     segmenter = choose_segmenter(capture.mask_folders)
     affinity = AffinityPartsParams(masks_folder=out / FOLDER / MASKS_FOLDER)
     started = time.monotonic()
@@ -43,8 +43,8 @@ def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
     find_all_masks(world, views, prompted, segmenter, silent, affinity)
     masked = time.monotonic()
     params = PartsParams(method="saga", affinity=affinity)
-    scan = segment_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    scan = segment_scan(world, views, capture.prompts, segmenter, configuration, silent, params)
     parts = find_parts(scan, part_evidence(scan))
     seconds = {"masks": masked - started, "features": time.monotonic() - masked}
-    twin = scanned_twin(world, parts, load_motion(folders["motion"]).joint, posture)
+    twin = scanned_twin(world, parts, load_motion(folders["motion"]).joint, configuration)
     return twin, {step: round(value, 1) for step, value in seconds.items()}

@@ -19,7 +19,7 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.atomic import write_json
 from aomgen.io.images import read_image
 from aomgen.io.jsonfile import read_json
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 ALIGNMENT_FILE = "alignment.json"
 
@@ -29,7 +29,7 @@ def run_alignment(
     images: Mapping[str, Path],
     demo_first_srgb: Mapping[str, NDArray[np.uint8]],
     prompts: tuple[Prompt, ...],
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     folder: Path,
     progress: Progress,
     params: AlignmentParams | None = None,
@@ -42,7 +42,7 @@ def run_alignment(
         images: Scan images by file name; held-out ones are not looked at.
         demo_first_srgb: First frame (H, W, 3) of each fixed camera's video, robot as in the scan.
         prompts: Of the capture; those of the robot that carry a box are used.
-        posture: Robot and its joint values during the scan.
+        configuration: Robot and its joint values during the scan.
         folder: Receives the result.
         progress: Called at each step.
         params: Effort and limits.
@@ -57,7 +57,7 @@ def run_alignment(
         points_recon=structure.points_recon,
         errors=camera_errors_of(structure),
     )
-    result = align(scan, posture, progress, np.random.default_rng(seed), params)
+    result = align(scan, configuration, progress, np.random.default_rng(seed), params)
     save_alignment(result, folder)
     return result
 

@@ -17,7 +17,7 @@ from aomgen.io.images import read_image
 from aomgen.parts.cutting import Cut
 from aomgen.parts.label import Parts
 from aomgen.parts.scan_views import ScanView
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 PARTS_FILE = "parts.npz"
@@ -27,7 +27,7 @@ PIECES = ("means", "quats", "scales", "opacities", "sh")
 
 
 def scan_views(
-    structure: Structure, S_world_recon: Array, images: Mapping[str, Path], posture: RobotPosture
+    structure: Structure, S_world_recon: Array, images: Mapping[str, Path], configuration: RobotConfiguration
 ) -> list[ScanView]:
     """The scan images that are not held out, world frame, with the robot drawn into them.
 
@@ -35,17 +35,17 @@ def scan_views(
         structure: Cameras, recon frame.
         S_world_recon: The alignment.
         images: All scan images by file name.
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
     """
     withheld = set(held_out(list(images)))
     cameras = {n: camera_in_world(S_world_recon, c) for n, c in structure.cameras_recon.items()}
     width = max(camera.width for camera in cameras.values())
     height = max(camera.height for camera in cameras.values())
     views = []
-    with SilhouetteRenderer(posture.robot, max_width=width, max_height=height) as renderer:
+    with SilhouetteRenderer(configuration.robot, max_width=width, max_height=height) as renderer:
         for name, camera in cameras.items():
             if name not in withheld:
-                bodies, _ = renderer.draw(camera, posture.joints, posture.gripper)
+                bodies, _ = renderer.draw(camera, configuration.joints, configuration.gripper)
                 image = read_image(images[name])
                 views.append(ScanView(name=name, camera=camera, image_srgb=image, robot=bodies >= 0))
     return views

@@ -15,7 +15,7 @@ from aomgen.io.atomic import write_bytes
 from aomgen.parts.coverage import Coverage
 from aomgen.parts.label import Parts
 from aomgen.parts.survey import Survey, survey
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import view_depths
 
 COVERAGE_FILE = "coverage.npz"
@@ -28,7 +28,7 @@ def run_survey(
     world: Gaussians,
     S_world_recon: Array,
     parts: Parts,
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     folder: Path,
 ) -> Survey:
     """Look up how the sides of all parts were seen (see `survey`) and write `coverage.npz`.
@@ -38,7 +38,7 @@ def run_survey(
         world: The trained scene, world frame.
         S_world_recon: The alignment.
         parts: Labels of these Gaussians.
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         folder: Receives the result.
     """
     withheld = set(held_out([*structure.cameras_recon, *structure.dropped]))
@@ -48,7 +48,7 @@ def run_survey(
         if name not in withheld
     ]
     views = view_depths(world, cameras)
-    found = survey(world, parts.labels, posture, views, np.random.default_rng(SEED))
+    found = survey(world, parts.labels, configuration, views, np.random.default_rng(SEED))
     save_survey(folder, found)
     return found
 

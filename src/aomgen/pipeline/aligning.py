@@ -20,7 +20,7 @@ from aomgen.gaussians.stage import load_gaussians
 from aomgen.io.video import Video
 from aomgen.paper.icp_alignment import align_as_paper
 from aomgen.pipeline.stage import WARNINGS, Run
-from aomgen.pipeline.twin_stages import posture_of
+from aomgen.pipeline.twin_stages import configuration_of
 from aomgen.pipeline.working import capture_of
 from aomgen.structure.stage import load_structure
 
@@ -39,7 +39,7 @@ def alignment(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
             {path.name: path for path in capture.scan_images},
             {name: video.frames_srgb[0] for name, video in videos.items()},
             capture.prompts,
-            posture_of(capture),
+            configuration_of(capture),
             folder,
             part(progress, 0.0, 0.6),
         )
@@ -75,7 +75,7 @@ def align_by_paper(capture: Capture, scene: Structure, gaussians_recon: Gaussian
         views_of(scene, {path.name: path for path in capture.scan_images}, {}),
         boxes_of(scene, capture.prompts, ("robot",)),
         gaussians_recon,
-        posture_of(capture),
+        configuration_of(capture),
         np.random.default_rng(0),
     )
 
@@ -85,7 +85,7 @@ def _start(capture: Capture, scene: Structure, result: Alignment) -> AlignedScan
         S_world_recon=result.S_world_recon,
         views=views_of(scene, {path.name: path for path in capture.scan_images}, {}),
         points_recon=scene.points_recon,
-        posture=posture_of(capture),
+        configuration=configuration_of(capture),
         log=capture.joint_log,
         clock_offset_s=capture.clock_offset_s,
     )

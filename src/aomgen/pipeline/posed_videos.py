@@ -91,7 +91,7 @@ def refine_appearance(
     progress(0.3, "the lamp that throws its shadow")
     lamp = _lamp(with_surfels, robot, views[-1])
     lit = with_surfels if lamp is None else remove_baked_shadow(with_surfels, robot, lamp)
-    progress(0.4, "pictures in every posture")
+    progress(0.4, "pictures in every configuration")
     return refine_twin(lit, robot, views, rng)
 
 

@@ -42,7 +42,7 @@ from aomgen.pipeline.moving_parts import find_moving_parts
 from aomgen.pipeline.posed_videos import pose_demo_video, pose_scan_images, refine_appearance
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import aligned_capture_of, capture_of
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel, choose_robot
 from aomgen.robots.robot_store import save_robot
 from aomgen.segmentation.segmenter import choose_segmenter
@@ -127,16 +127,16 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     scene = load_structure(run.folders["structure"])
     S_world_recon = load_alignment(run.folders["alignment"]).S_world_recon
     world = scanned_world(run.folders)
-    posture = posture_of(capture)
+    configuration = configuration_of(capture)
     images = {path.name: path for path in capture.scan_images}
-    views = scan_views(scene, S_world_recon, images, posture)
+    views = scan_views(scene, S_world_recon, images, configuration)
     progress(0.1, "robot drawn into the scan")
     scan = segment_scan(
         world,
         views,
         capture.prompts,
         choose_segmenter(capture.mask_folders, run.project.segmenter),
-        posture,
+        configuration,
         part(progress, 0.1, 0.5),
         PartsParams(
             method=run.project.parts_method,
@@ -146,7 +146,7 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     )
     result = find_moving_parts(scan, partial(motion_input, run), part(progress, 0.5, 1.0))
     save_parts(result, folder)
-    found = run_survey(scene, result.cut.applied(world), S_world_recon, result, posture, folder)
+    found = run_survey(scene, result.cut.applied(world), S_world_recon, result, configuration, folder)
     counts = np.bincount(result.labels, minlength=4)
     return {
         "robot": int(counts[ROBOT]),
@@ -256,38 +256,38 @@ def scanned_object(run: Run) -> tuple[Array, Array]:
     return surface_points(world, parts.labels, MOVING), surface_points(world, parts.labels, STATIC)
 
 
-def posture_of(capture: Capture) -> RobotPosture:
+def configuration_of(capture: Capture) -> RobotConfiguration:
     """The robot as it stood during the scan."""
-    return RobotPosture(
+    return RobotConfiguration(
         robot=robot_of(capture), joints=capture.robot.scan_joints, gripper=capture.robot.scan_gripper
     )
 
 
-def scanned_twin(world: Gaussians, parts: Parts, joint: Joint, posture: RobotPosture) -> Twin:
+def scanned_twin(world: Gaussians, parts: Parts, joint: Joint, configuration: RobotConfiguration) -> Twin:
     """The scan bound to the bodies that carry it, in the scan's state.
 
     Args:
         world: Gaussians, world frame.
         parts: Of these Gaussians.
         joint: Of the moving part.
-        posture: The robot during the scan.
+        configuration: The robot during the scan.
     """
     static, moving = (surface_points(world, parts.labels, label) for label in (STATIC, MOVING))
     state = TwinState(
-        joints=posture.joints,
-        gripper=posture.gripper,
+        joints=configuration.joints,
+        gripper=configuration.gripper,
         theta=0.0,
         T_world_object=object_frame(static, joint, moving),
     )
-    return bind(world, parts.labels, parts.robot_bodies, posture.robot, joint, state)
+    return bind(world, parts.labels, parts.robot_bodies, configuration.robot, joint, state)
 
 
 def twin(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     """Every Gaussian bound to the body that carries it, and everything fitted to scan and video."""
     capture = aligned_capture_of(run)
-    posture, motion = posture_of(capture), load_motion(run.folders["motion"])
-    robot = posture.robot
-    scanned = scanned_twin(*labelled_scan(run.folders), motion.joint, posture)
+    configuration, motion = configuration_of(capture), load_motion(run.folders["motion"])
+    robot = configuration.robot
+    scanned = scanned_twin(*labelled_scan(run.folders), motion.joint, configuration)
     film = pose_demo_video(capture, demo_camera_world(run), motion, scanned, robot)
     bound = add_drawer_interior(scanned, robot, film)
     films = [*pose_scan_images(capture, scan_cameras_world(run), bound), film]

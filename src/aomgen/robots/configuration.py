@@ -14,7 +14,7 @@ _TURN_RAD = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotPosture:
+class RobotConfiguration:
     """The robot during the scan: model, joints (J,) [rad] and gripper 0..1."""
 
     robot: RobotModel

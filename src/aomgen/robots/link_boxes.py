@@ -5,14 +5,14 @@ from numpy.typing import NDArray
 
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 # Gaussians lie some millimetres off the surface that they paint.
 MARGIN_M = 0.005
 
 
 def bodies_in_boxes(
-    points_world: Array, posture: RobotPosture, margin_m: float = MARGIN_M
+    points_world: Array, configuration: RobotConfiguration, margin_m: float = MARGIN_M
 ) -> NDArray[np.int32]:
     """The robot body whose box holds each point.
 
@@ -21,7 +21,7 @@ def bodies_in_boxes(
 
     Args:
         points_world: (N, 3), [m].
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         margin_m: Boxes are larger by this on every side.
 
     Returns:
@@ -29,11 +29,13 @@ def bodies_in_boxes(
 
     Source: AOMGen, sec. 4.2, "Robot". Not checked: whatever else stands in a box is taken as robot.
     """
-    poses = posture.robot.link_poses(posture.joints[None], posture.gripper)[0]
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
     owners = np.full(len(points_world), -1, np.int32)
     depth = np.ones(len(points_world))
-    for body in sorted({mesh.body for mesh in posture.robot.meshes}):
-        vertices = np.concatenate([mesh.vertices_body for mesh in posture.robot.meshes if mesh.body == body])
+    for body in sorted({mesh.body for mesh in configuration.robot.meshes}):
+        vertices = np.concatenate(
+            [mesh.vertices_body for mesh in configuration.robot.meshes if mesh.body == body]
+        )
         low, high = vertices.min(0) - margin_m, vertices.max(0) + margin_m
         local = apply(invert(poses[body]), points_world)
         # 0 in the middle of the box, 1 on its faces.
