@@ -19,7 +19,7 @@ from aomgen.pipeline.project import Project
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.runner import TIMINGS
 from aomgen.pipeline.working import with_joint_zeros, working_capture
-from aomgen.robots.robot import choose_robot
+from aomgen.robots.loading import choose_robot
 from aomgen.structure.stage import load_structure
 from aomgen.twin.twin import Twin, TwinState
 from benchmarks.accuracy import score_estimates

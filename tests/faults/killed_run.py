@@ -25,7 +25,7 @@ from aomgen.io.video import encode_video
 from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages
 from aomgen.pipeline.stage import Run, Stage
-from aomgen.robots.robot import load_robot
+from aomgen.robots.loading import load_robot
 
 sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 from drawer_episode import corner_camera, drawer_episode

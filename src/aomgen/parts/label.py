@@ -34,8 +34,7 @@ from aomgen.parts.prompted_images import PromptedImage, PromptFit, segment_promp
 from aomgen.parts.robot_labels import robot_bodies
 from aomgen.parts.scan_views import ScanView, spread
 from aomgen.parts.smoothing import smooth_posterior
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.link_boxes import bodies_in_boxes
+from aomgen.robots.configuration import RobotConfiguration, bodies_in_boxes
 from aomgen.segmentation.interface import Segmenter
 
 STAGE = "parts"

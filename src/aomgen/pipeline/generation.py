@@ -11,8 +11,9 @@ from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
 from aomgen.core.episode import NEW_CAMERA
+from aomgen.core.joint_log import JointLog
 from aomgen.core.light import Light
-from aomgen.core.motion import Direction
+from aomgen.core.motion import Direction, MotionEstimate
 from aomgen.core.plan import FittedAsset
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
@@ -46,7 +47,6 @@ from aomgen.replacement.light_estimation import estimate_light
 from aomgen.replacement.recorded_motion import recorded_contact
 from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.replacement.support import seen_from_above
-from aomgen.robots.demonstrated_path import demonstration_from
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
@@ -255,7 +255,40 @@ def recorded_demonstration(
     """The recorded demonstration and object as later stages use them."""
     capture = aligned_capture_of(run)
     motion = load_motion(run.folders["motion"])
-    demo = demonstration_from(motion, capture.joint_log, robot, demo_fps(run))
+    demo = _demonstration(motion, capture.joint_log, robot, demo_fps(run))
     moving, static = scanned_object(run)
     recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
     return demo, recorded
+
+
+def _demonstration(motion: MotionEstimate, log: JointLog, robot: RobotModel, fps: float) -> Demonstration:
+    """Sample the recorded demonstration at a constant rate.
+
+    Args:
+        motion: Recovered motion; brings the video's times and the clock offset.
+        log: Joint log on its own clock; its noise is averaged over a sample's length.
+        robot: For the end effector's poses.
+        fps: Samples a second.
+
+    Returns:
+        Samples from the first to the last video frame.
+    """
+    first, last = float(motion.times_s[0]), float(motion.times_s[-1])
+    times = first + np.arange(int((last - first) * fps + 1e-6) + 1) / fps
+    # Five readings about each sample, within half a sample, take most of the log's noise away.
+    offsets = np.linspace(-0.25, 0.25, 5) / fps
+    readings = [log.at(times + offset + motion.clock_offset_s) for offset in offsets]
+    joints = np.mean([joints for joints, _ in readings], 0)
+    gripper = np.clip(np.mean([gripper for _, gripper in readings], 0), 0.0, 1.0)
+    return Demonstration(
+        times_s=times,
+        joints=joints,
+        gripper=gripper,
+        Ts_world_ee=robot.ee_poses(joints),
+        thetas=motion.theta_at(times),
+        start_s=motion.start_s,
+        end_s=motion.end_s,
+        joint=motion.joint,
+        grasp_ee=motion.grasp_ee,
+        ee_turn_ratio=motion.ee_turn_ratio,
+    )

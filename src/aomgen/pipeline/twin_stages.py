@@ -43,7 +43,8 @@ from aomgen.pipeline.posed_videos import pose_demo_video, pose_scan_images, refi
 from aomgen.pipeline.stage import WARNINGS, Run
 from aomgen.pipeline.working import aligned_capture_of, capture_of
 from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel, choose_robot
+from aomgen.robots.loading import choose_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import save_robot
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.structure.fixed_cameras import DemoView
