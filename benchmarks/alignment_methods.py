@@ -48,7 +48,7 @@ def with_parts(results: Results, folder: Path, evidence: MotionEvidence) -> tupl
 
 def bound_twin(results: Results) -> Twin:
     """The scan of a run bound to its bodies, nothing refined."""
-    return bind_scan(results.scene, results.parts, results.motion.joint, results.posture)
+    return bind_scan(results.scene, results.parts, results.motion.joint, results.configuration)
 
 
 def paper_figures(scored: dict[str, Any], seconds: float) -> dict[str, Any]:

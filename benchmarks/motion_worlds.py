@@ -22,7 +22,8 @@ from aomgen.io.atomic import staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import MotionInput as MotionInput
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.capture_writer import find_moved_range
 from aomgen.synthetic.conditions import Conditions, draw_conditions

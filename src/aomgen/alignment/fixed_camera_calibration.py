@@ -33,7 +33,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot_masks import robot_masks
 
 # Scan views that carry the information of the alignment.
@@ -71,7 +71,7 @@ class AlignedScan:
         S_world_recon: Aligned similarity (4, 4).
         views: Scan images that may be used.
         points_recon: Sparse points (P, 3) of the structure.
-        posture: Robot during the scan.
+        configuration: Robot during the scan.
         log: Joint log of the demonstration.
         clock_offset_s: Log time minus video time when it is known.
     """
@@ -79,7 +79,7 @@ class AlignedScan:
     S_world_recon: Array
     views: list[AlignmentImage]
     points_recon: Array
-    posture: RobotPosture
+    configuration: RobotConfiguration
     log: JointLog
     clock_offset_s: float | None
 
@@ -126,7 +126,7 @@ def calibrate_fixed_cameras(
     for name, item in videos.items():
         if item.T_world_cam is not None:
             placed = camera_in_world(S, item.camera_recon)
-            refuse_gross(name, item.T_world_cam, placed, scene.posture.points_world(300))
+            refuse_gross(name, item.T_world_cam, placed, scene.configuration.points_world(300))
     clocks: dict[str, Clock | SyncError] = {}
     for index, (name, item) in enumerate(videos.items()):
         clocks[name] = _first_clock(scene, item)
@@ -134,12 +134,12 @@ def calibrate_fixed_cameras(
     views = [limit_width(view, params.width) for view in scene.views]
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
-    with robot_drawing(scene.posture, width, height) as drawing:
+    with robot_drawing(scene.configuration, width, height) as drawing:
         # Without frames cameras and scan stay where they are.
         shown = spread(views, S, drawing, _VIEWS) if params.frames else []
-        zeros_rad = np.zeros(len(scene.posture.joints))
+        zeros_rad = np.zeros(len(scene.configuration.joints))
         arm = LoggedRobot(
-            robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad
+            robot=scene.configuration.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad
         )
         splits = {name: _split_frames(S, item, clocks[name], arm, params) for name, item in videos.items()}
         problem = BundleProblem(
@@ -179,7 +179,7 @@ def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncErro
     if scene.clock_offset_s is not None:
         return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
     camera = camera_in_world(scene.S_world_recon, item.camera_recon)
-    with robot_masks(scene.posture.robot, camera, scene.log) as masks_at:
+    with robot_masks(scene.configuration.robot, camera, scene.log) as masks_at:
         try:
             return estimate_clock(item.video, scene.log.times_s, masks_at)
         except SyncError as error:

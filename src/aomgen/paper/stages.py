@@ -30,7 +30,7 @@ def align_scan(results: Results) -> Alignment:
         views_of(structure, results.scan_images, {}),
         boxes_of(structure, capture.prompts, ("robot",)),
         results.gaussians_recon,
-        results.posture_in(capture),
+        results.configuration_in(capture),
         np.random.default_rng(0),
     )
 

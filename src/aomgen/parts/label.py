@@ -35,8 +35,7 @@ from aomgen.parts.prompted_images import PromptedImage, PromptFit, segment_promp
 from aomgen.parts.robot_labels import robot_bodies
 from aomgen.parts.scan_views import ScanView, spread
 from aomgen.parts.smoothing import smooth_posterior
-from aomgen.robots.configuration import RobotPosture
-from aomgen.robots.link_boxes import bodies_in_boxes
+from aomgen.robots.configuration import RobotConfiguration, bodies_in_boxes
 from aomgen.segmentation.interface import Segmenter
 
 STAGE = "parts"
@@ -97,7 +96,7 @@ def segment_scan(
     views: list[ScanView],
     prompts: tuple[Prompt, ...],
     segmenter: Segmenter,
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     progress: Progress,
     params: PartsParams | None = None,
 ) -> PromptedScan:
@@ -108,7 +107,7 @@ def segment_scan(
         views: Scan images with drawn robot masks, world frame, held-out ones left out.
         prompts: Of the capture; boxes of "moving" and "static" are used.
         segmenter: Turns boxes into masks.
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         progress: Called at each step.
         params: See `PartsParams`.
 
@@ -117,10 +116,10 @@ def segment_scan(
     """
     params = params or PartsParams()
     if params.robot == "boxes":
-        bodies = bodies_in_boxes(np.asarray(gaussians.means, np.float64), posture)
+        bodies = bodies_in_boxes(np.asarray(gaussians.means, np.float64), configuration)
         share = (bodies >= 0).astype(np.float64)
     else:
-        bodies, share = robot_bodies(gaussians, views, posture, np.random.default_rng(params.seed))
+        bodies, share = robot_bodies(gaussians, views, configuration, np.random.default_rng(params.seed))
     progress(0.3, "robot labelled")
     prompted = segment_prompts(views, prompts, segmenter)
     progress(0.7, "prompts answered")

@@ -40,7 +40,7 @@ def run(
         views,
         capture.prompts,
         choose_segmenter(capture.mask_folders, project.segmenter),
-        results.posture,
+        results.configuration,
         part(progress, 0.1, 0.5),
         PartsParams(
             method=project.parts_method,
@@ -68,14 +68,14 @@ def run(
 
 def scan_views(results: Results) -> list[ScanView]:
     """The scan images that are not held out, world frame, with the robot drawn into them."""
-    withheld, posture = set(held_out(list(results.scan_images))), results.posture
+    withheld, configuration = set(held_out(list(results.scan_images))), results.configuration
     width = max(camera.width for camera in results.scan_cameras.values())
     height = max(camera.height for camera in results.scan_cameras.values())
     views = []
-    with SilhouetteRenderer(posture.robot, max_width=width, max_height=height) as renderer:
+    with SilhouetteRenderer(configuration.robot, max_width=width, max_height=height) as renderer:
         for name, camera in results.scan_cameras.items():
             if name not in withheld:
-                bodies, _ = renderer.draw(camera, posture.joints, posture.gripper)
+                bodies, _ = renderer.draw(camera, configuration.joints, configuration.gripper)
                 image = read_image(results.scan_images[name])
                 views.append(ScanView(name=name, camera=camera, image_srgb=image, robot=bodies >= 0))
     return views
@@ -87,4 +87,4 @@ def survey_parts(results: Results, parts: Parts) -> Survey:
     cameras = [camera for name, camera in results.scan_cameras.items() if name not in withheld]
     world = parts.cut.applied(results.gaussians)
     views = view_depths(world, cameras)
-    return survey(world, parts.labels, results.posture, views, np.random.default_rng(SEED))
+    return survey(world, parts.labels, results.configuration, views, np.random.default_rng(SEED))
