@@ -17,6 +17,7 @@ from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError, MalformedFileError, MissingFileError, UnsafePathError
+from benchmarks.other_objects import make_object
 
 UsdGeom = pytest.importorskip("pxr.UsdGeom")
 from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade  # noqa: E402
@@ -80,7 +81,7 @@ def test_binary_round_trip_of_a_scaled_drawer(tmp_path: Path) -> None:
 )
 def test_round_trip_keeps_the_heading_of_every_kind(tmp_path: Path, category: str, seed: int) -> None:
     """A panel that slides sideways still faces -y, although its motion does not point there."""
-    asset = make_asset(category, seed)
+    asset = make_object(category, seed)
     write_usd(asset, tmp_path / "asset.usda")
     assert_same(asset, parse_usd(tmp_path / "asset.usda"))
 

@@ -1,11 +1,13 @@
-"""Printed surfaces of made assets: stickers, screens, keyboards, tread plate, oven knobs."""
+"""Printed surfaces of made assets: stickers, screens, keyboards, keypads, rating plates, names."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
-from aomgen.assets.textures import WORDS, Texture, noise, tint
+from aomgen.assets.procedural.textures import Texture, noise, tint
 
+# Names of makers and products.
+WORDS = ("Orlo", "Vesta", "Kanto", "Milla", "Norden", "Tavi", "Brisk", "Ondea", "Halden", "Pelto")
 KEY_ROWS = ("`1234567890-=", "QWERTYUIOP[]", "ASDFGHJKL;'", "ZXCVBNM,./")
 
 
@@ -46,20 +48,17 @@ def stickers(
     return np.asarray(image)
 
 
-def screen(rng: np.random.Generator, width: int = 480, height: int = 300) -> Texture:
+def screen(rng: np.random.Generator) -> Texture:
     """A lit display: hills under a sky, two windows with text, a bar of icons."""
+    width, height = 480, 300
     sky, hill = rng.uniform(0.25, 0.75, 3), rng.uniform(0.1, 0.5, 3)
     share = np.linspace(0, 1, height)[:, None, None]
     picture = np.broadcast_to((1 - share) * sky + share * (0.5 + 0.5 * sky), (height, width, 3)).copy()
     columns = np.arange(width) / width
     for layer in range(3):
         phase = rng.uniform(0, 2 * np.pi, 2)
-        line = (
-            0.45
-            + 0.15 * layer
-            + 0.06 * np.sin(5 * columns + phase[0])
-            + 0.03 * np.sin(13 * columns + phase[1])
-        )
+        waves = 0.45 + 0.15 * layer + 0.06 * np.sin(5 * columns + phase[0])
+        line = waves + 0.03 * np.sin(13 * columns + phase[1])
         picture[np.arange(height)[:, None] / height > line] = hill * (1.0 - 0.22 * layer)
     image = Image.fromarray(np.round(255 * picture).astype(np.uint8))
     draw = ImageDraw.Draw(image)
@@ -67,22 +66,23 @@ def screen(rng: np.random.Generator, width: int = 480, height: int = 300) -> Tex
         x0, y0 = int((left + rng.uniform(0, 0.05)) * width), int(rng.uniform(0.08, 0.2) * height)
         x1, y1 = x0 + int(0.38 * width), y0 + int(rng.uniform(0.45, 0.6) * height)
         draw.rectangle((x0, y0, x1, y1), fill=(243, 243, 240), outline=(60, 60, 60))
-        draw.rectangle((x0, y0, x1, y0 + 14), fill=_ink(rng))
+        draw.rectangle((x0, y0, x1, y0 + 14), fill=draw_ink(rng))
         for y in range(y0 + 22, y1 - 10, 12):
             draw.text((x0 + 6, y), _words(rng, 3), fill=(40, 40, 50), font=ImageFont.load_default(10))
     for icon in range(9):
         x = width * (0.2 + 0.068 * icon)
-        draw.rounded_rectangle((x, height - 26, x + 20, height - 6), 4, fill=_ink(rng))
+        draw.rounded_rectangle((x, height - 26, x + 20, height - 6), 4, fill=draw_ink(rng))
     return np.asarray(image)
 
 
-def keyboard(rng: np.random.Generator, color_srgb: ArrayLike, width: int = 512, height: int = 352) -> Texture:
+def keyboard(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     """Upper side of a laptop's base: keys, touch pad, a sticker in a corner; upright for its user."""
+    width, height = 512, 352
     ground = tint(color_srgb, 0.03 * noise(rng, width, 0.8) + 0.02 * noise(rng, width, 18))
     image = Image.fromarray(ground[:height])
     draw = ImageDraw.Draw(image)
-    dark = float(np.mean(color_srgb_list(color_srgb))) > 0.4
-    key, ink = ((32, 32, 36), (225, 225, 225)) if dark else ((205, 205, 205), (25, 25, 30))
+    bright = np.mean(color_srgb) > 0.4
+    key, ink = ((32, 32, 36), (225, 225, 225)) if bright else ((205, 205, 205), (25, 25, 30))
     left, top = 0.05 * width, 0.07 * height
     pitch = 0.9 * width / 13.5
     for row, letters in enumerate(KEY_ROWS):
@@ -95,47 +95,112 @@ def keyboard(rng: np.random.Generator, color_srgb: ArrayLike, width: int = 512, 
         x = left + start * pitch
         draw.rounded_rectangle((x, y, x + length * pitch - 4, y + 0.8 * pitch - 4), 3, fill=key)
     pad = (0.34 * width, y + 1.0 * pitch, 0.66 * width, 0.96 * height)
-    draw.rounded_rectangle(pad, 6, fill=tuple(int(200 * c) for c in color_srgb_list(color_srgb)), outline=key)
+    draw.rounded_rectangle(pad, 6, fill=_painted(color_srgb, 200), outline=key)
     _sticker(draw, rng, np.array([0.84 * width, 0.85 * height]), np.array([0.11 * width, 0.08 * height]))
     return np.asarray(image)
 
 
-def knobs(rng: np.random.Generator, color_srgb: ArrayLike, width: int = 512, height: int = 96) -> Texture:
-    """Control strip of an oven: three dials with their scales, a clock, a name."""
-    image = Image.new("RGB", (width, height), tuple(int(255 * c) for c in color_srgb_list(color_srgb)))
+def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
+    """Control panel with a clock and twelve keys, upright when v points up."""
+    width, height = 192, 448
+    image = Image.new("RGB", (width, height), _painted(np.round(255 * np.asarray(color_srgb)), 1))
     draw = ImageDraw.Draw(image)
-    ink = (235, 235, 230) if float(np.mean(color_srgb_list(color_srgb))) < 0.5 else (30, 30, 34)
-    for number in range(3):
-        x, y, radius = width * (0.10 + 0.15 * number), height * 0.5, 0.27 * height
-        for mark in range(9):
-            angle = np.deg2rad(135 + 33.75 * mark)
-            dx, dy = np.cos(angle), np.sin(angle)
-            inner, outer = radius * 1.2, radius * 1.5
-            draw.line((x + inner * dx, y + inner * dy, x + outer * dx, y + outer * dy), fill=ink, width=2)
-        draw.ellipse(
-            (x - radius, y - radius, x + radius, y + radius), fill=(90, 90, 94), outline=ink, width=2
-        )
-        angle = rng.uniform(0, 2 * np.pi)
-        draw.line(
-            (x, y, x + radius * np.cos(angle), y + radius * np.sin(angle)), fill=(250, 250, 250), width=4
-        )
-    draw.rectangle((0.55 * width, 0.25 * height, 0.73 * width, 0.75 * height), fill=(8, 10, 12))
+    ink = (235, 235, 230) if np.mean(color_srgb) < 0.5 else (30, 30, 34)
+    margin, top = int(0.12 * width), int(0.06 * height)
+    draw.rectangle((margin, top, width - margin, top + int(0.13 * height)), fill=(8, 12, 10))
     clock = f"{rng.integers(1, 24)}:{rng.integers(0, 60):02d}"
-    font = ImageFont.load_default(34)
-    draw.text((0.64 * width, 0.5 * height), clock, fill=(250, 120, 60), font=font, anchor="mm")
-    draw.text((0.87 * width, 0.5 * height), str(rng.choice(WORDS)), fill=ink, font=font, anchor="mm")
+    draw.text(
+        (width / 2, top + 0.065 * height),
+        clock,
+        fill=(90, 240, 150),
+        font=ImageFont.load_default(40),
+        anchor="mm",
+    )
+    names = [str(i) for i in range(1, 10)] + ["C", "0", "+"]
+    cell = (width - 2 * margin) / 3
+    for index, name in enumerate(names):
+        x, y = margin + cell * (index % 3), 0.28 * height + 0.9 * cell * (index // 3)
+        box = (x + 3, y + 3, x + cell - 3, y + 0.9 * cell - 3)
+        draw.rounded_rectangle(box, 5, outline=ink, width=2)
+        draw.text(
+            (x + cell / 2, y + 0.45 * cell), name, fill=ink, font=ImageFont.load_default(22), anchor="mm"
+        )
+    y = 0.80 * height
+    for x, fill, name in ((margin, (180, 40, 36), "STOP"), (width / 2 + 4, (40, 140, 70), "START")):
+        draw.rounded_rectangle((x, y, x + width / 2 - margin - 4, y + 0.10 * height), 8, fill=fill)
+        centre = (x + (width / 2 - margin) / 2, y + 0.05 * height)
+        draw.text(centre, name, fill=(250, 250, 250), font=ImageFont.load_default(18), anchor="mm")
     return np.asarray(image)
 
 
-def color_srgb_list(color_srgb: ArrayLike) -> list[float]:
-    """A color (3,) as plain numbers."""
-    return [float(c) for c in np.asarray(color_srgb, np.float64)]
+def label(rng: np.random.Generator) -> Texture:
+    """Rating plate: name, lines of small print, a bar code."""
+    width, height = 320, 200
+    image = Image.new("RGB", (width, height), _painted(rng.integers(215, 250, 3), 1))
+    draw = ImageDraw.Draw(image)
+    draw.rectangle((4, 4, width - 5, height - 5), outline=(40, 40, 40), width=2)
+    draw.text(
+        (16, 12),
+        f"{rng.choice(WORDS)} {rng.integers(100, 999)}",
+        fill=(20, 20, 20),
+        font=ImageFont.load_default(34),
+    )
+    for row in range(5):
+        words = " ".join(f"{rng.choice(WORDS)}-{rng.integers(10, 99)}" for _ in range(3))
+        draw.text((16, 58 + 17 * row), words, fill=(50, 50, 50), font=ImageFont.load_default(14))
+    bar_code(draw, rng, (16, width - 20), (height - 50, height - 14), 6)
+    return np.asarray(image)
+
+
+def vents(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
+    """Rows of ventilation slots in a painted sheet."""
+    width, height = 256, 160
+    image = Image.new("RGB", (width, height), _painted(color_srgb))
+    draw = ImageDraw.Draw(image)
+    columns, rows = int(rng.integers(8, 13)), int(rng.integers(3, 5))
+    for i in range(columns):
+        for j in range(rows):
+            x, y = 10 + i * (width - 20) / columns, 10 + j * (height - 20) / rows
+            box = (x + 2, y + 3, x + (width - 20) / columns - 5, y + (height - 20) / rows - 5)
+            draw.rounded_rectangle(box, 3, fill=(22, 22, 24))
+    return np.asarray(image)
+
+
+def nameplate(rng: np.random.Generator, color_srgb: ArrayLike, height: int = 56) -> Texture:
+    """Brand name in light or dark letters on the surface's color."""
+    image = Image.new("RGB", (256, height), _painted(color_srgb))
+    ink = (225, 225, 225) if np.mean(color_srgb) < 0.5 else (35, 35, 40)
+    text = str(rng.choice(WORDS)).upper()
+    font = ImageFont.load_default(36)
+    ImageDraw.Draw(image).text((128, height / 2), text, fill=ink, font=font, anchor="mm")
+    return np.asarray(image)
+
+
+def bar_code(
+    draw: ImageDraw.ImageDraw, rng: np.random.Generator, x: tuple[int, int], y: tuple[int, int], gap: int
+) -> None:
+    """Bars from left to right between two rows, fewer than `gap` apart, [px]."""
+    left = x[0]
+    while left < x[1]:
+        width = int(rng.integers(1, 5))
+        draw.rectangle((left, y[0], left + width, y[1]), fill=(10, 10, 10))
+        left += width + int(rng.integers(2, gap))
+
+
+def draw_ink(rng: np.random.Generator) -> tuple[int, int, int]:
+    """Any color, 0..255."""
+    r, g, b = (int(c) for c in rng.integers(15, 245, 3))
+    return r, g, b
+
+
+def _painted(color_srgb: ArrayLike, scale: int = 255) -> tuple[int, ...]:
+    return tuple(int(scale * c) for c in np.asarray(color_srgb, np.float64).tolist())
 
 
 def _sticker(draw: ImageDraw.ImageDraw, rng: np.random.Generator, middle: ArrayLike, half: ArrayLike) -> None:
     (x, y), (a, b) = np.asarray(middle, np.float64), np.asarray(half, np.float64)
     box = (float(x - a), float(y - b), float(x + a), float(y + b))
-    fill, ink = _ink(rng), _ink(rng)
+    fill, ink = draw_ink(rng), draw_ink(rng)
     kind = rng.integers(3)
     if kind == 0:
         draw.ellipse(box, fill=fill, outline=ink, width=4)
@@ -152,14 +217,9 @@ def _sticker(draw: ImageDraw.ImageDraw, rng: np.random.Generator, middle: ArrayL
     for _ in range(4):
         dx, dy = rng.uniform(-0.5, 0.5, 2) * (a, b)
         r = rng.uniform(0.08, 0.2) * min(a, b)
-        draw.ellipse((x + dx - r, y + dy - r, x + dx + r, y + dy + r), fill=_ink(rng))
+        draw.ellipse((x + dx - r, y + dy - r, x + dx + r, y + dy + r), fill=draw_ink(rng))
     size = int(np.clip(0.5 * b, 9, 30))
     draw.text((x, y), str(rng.choice(WORDS)), fill=ink, font=ImageFont.load_default(size), anchor="mm")
-
-
-def _ink(rng: np.random.Generator) -> tuple[int, int, int]:
-    r, g, b = (int(c) for c in rng.integers(15, 245, 3))
-    return r, g, b
 
 
 def _words(rng: np.random.Generator, count: int) -> str:
