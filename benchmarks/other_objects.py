@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from aomgen.assets.make import MAKERS, OTHER_MAKERS, Maker, make_asset, make_by
-from aomgen.assets.procedural import decals, textures
+from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
     OUTWARD,
@@ -127,10 +127,12 @@ def _add_oven_body(body: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.
     }
     body.boxes("shell", shell, Material(texture_srgb=sheet(rng, color), roughness=0.45, metallic=0.3))
     dials = Material(texture_srgb=draw_knobs(rng, color), roughness=0.35)
-    plate, slots = (Material(texture_srgb=image) for image in (decals.label(rng), decals.vents(rng, color)))
+    plate, slots = (
+        Material(texture_srgb=image) for image in (textures.label(rng), textures.vents(rng, color))
+    )
     edge, z = 0.004, z0 + 0.05
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.0)
-    name = Material(texture_srgb=decals.nameplate(rng, color), roughness=0.35)
+    name = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
     size = (2 * (w - edge), s.strip - 2 * edge)
     body.print("dials", "front", (-w + edge, s.front, below + edge), size, dials)
     body.print("label", "top", (x, y, z1), (0.12, 0.075), plate)
@@ -160,7 +162,7 @@ def _add_oven_door(
     sheet = Material(texture_srgb=textures.brushed_metal(rng, color), roughness=0.35, metallic=0.4)
     glass = Material(texture_srgb=textures.window(rng), roughness=0.1)
     steel = Material(texture_srgb=textures.brushed_metal(rng, (0.78, 0.78, 0.80), 256), metallic=0.8)
-    name = Material(texture_srgb=decals.nameplate(rng, color), roughness=0.35)
+    name = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
     door.shell("frame", window_frame((-w, w), y, (z0, z1), frame), sheet)
     size, up, inset = 2 * (w - frame), (0, 0, z1 - z0 - 2 * frame), 0.2 * s.door
     for key, x, right, depth in (
@@ -207,7 +209,7 @@ def _add_boards(body: LinkBuilder, s: SimpleNamespace, wood: Material, rng: np.r
         **carcass(w, (y0, y1), (z0, z1), board),
         "shelf": box(-w + board, w - board, y0, y1 - board, s.shelf - board, s.shelf, "xXY"),
     }
-    plate = Material(texture_srgb=decals.label(rng))
+    plate = Material(texture_srgb=textures.label(rng))
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
     body.boxes("boards", boards, wood)
     body.boxes("feet", feet(w, (y0, y1), z0, inset=0.05, half=0.02), FELT)
@@ -230,7 +232,7 @@ def _add_drawer(drawer: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.r
     face = box(-w + 0.002, w - 0.002, s.start - s.front, s.start, low - 0.004, top + 0.008)
     ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
     sheet = Material(texture_srgb=textures.wood(rng, pick(rng, COLORS["wood"])), roughness=0.5)
-    sign = Material(texture_srgb=decals.nameplate(rng, paint, 64))
+    sign = Material(texture_srgb=textures.nameplate(rng, paint, 64))
     drawer.boxes("front", {"front": face}, sheet)
     depth = (s.start, s.depth / 2 - s.board - 0.01)
     drawer.boxes("tray", tray((-inner, inner), depth, (low + GAP, top - 0.025), 0.010), ply)
@@ -243,7 +245,7 @@ def _add_door(door: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.rando
     # A finger's breadth below the drawer's front, so that neither rubs the other.
     low, top = s.feet, s.shelf - 0.004 - GAP
     sheet = Material(texture_srgb=textures.speckled(rng, paint), roughness=0.5)
-    art = Material(texture_srgb=decals.stickers(rng, paint, 320, 320, 5), roughness=0.6)
+    art = Material(texture_srgb=textures.stickers(rng, paint, 320, 320, 5), roughness=0.6)
     door.boxes("door", {"door": box(-w + 0.002, w - 0.002, front, s.start, low, top)}, sheet)
     free, size = -1.0 if s.right else 1.0, 0.55 * min(2 * w, top - low)
     corner = (-free * 0.3 * w - size / 2, front, (low + top - size) / 2)
@@ -284,7 +286,7 @@ def draw_knobs(rng: np.random.Generator, color_srgb: Color, width: int = 512, he
     clock = f"{rng.integers(1, 24)}:{rng.integers(0, 60):02d}"
     font = ImageFont.load_default(34)
     draw.text((0.64 * width, 0.5 * height), clock, fill=(250, 120, 60), font=font, anchor="mm")
-    name = str(rng.choice(decals.WORDS))
+    name = str(rng.choice(textures.WORDS))
     draw.text((0.87 * width, 0.5 * height), name, fill=ink, font=font, anchor="mm")
     return np.asarray(image)
 

@@ -1,7 +1,12 @@
-"""Reading articulated USD assets safely: a child process parses, this one only takes arrays."""
+"""Reading articulated USD assets safely: a child process parses, this one only takes arrays.
+
+The child is `python -m aomgen.assets.usd_read IN OUT`: it writes OUT (see `archive.py`); an error of ours becomes
+a JSON line on standard error and exit code REFUSED, anything else is a crash that the parent reports.
+"""
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -9,8 +14,7 @@ from pathlib import Path
 
 import aomgen
 from aomgen import errors
-from aomgen.assets.archive import load_asset
-from aomgen.assets.usd_child import REFUSED
+from aomgen.assets.archive import load_asset, save_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, MissingFileError
 
@@ -18,6 +22,10 @@ from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, M
 MAX_BYTES = 512 << 20
 # Usual assets take a few seconds, [s]; a parser that hangs is stopped.
 TIMEOUT_S = 120.0
+# Address space of the child, [bytes]: the largest asset that is read needs a part of it.
+MAX_MEMORY_BYTES = 8 << 30
+# Exit code of an asset that is refused with a message; 1 and 2 are the interpreter's own.
+REFUSED = 3
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -54,7 +62,7 @@ def read_usd(path: Path, *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
 def _run_child(path: Path, result: Path, timeout_s: float) -> None:
     package_parent = str(Path(aomgen.__file__).resolve().parent.parent)
     search = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH", "")]))
-    command = [sys.executable, "-m", "aomgen.assets.usd_child", str(path), str(result)]
+    command = [sys.executable, "-m", "aomgen.assets.usd_read", str(path), str(result)]
     try:
         done = subprocess.run(
             command,
@@ -86,3 +94,22 @@ def _error_of(message: str, path: Path) -> AomgenError:
         return kind(values["where"], values["problem"], values["remedy"])
     except (ValueError, IndexError, KeyError, AttributeError):
         return MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")
+
+
+def parse_as_child(arguments: list[str]) -> int:
+    """Parse `arguments[0]` into `arguments[1]`; returns the exit code."""
+    from aomgen.assets.usd_parse import parse_usd
+
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        save_asset(parse_usd(Path(arguments[0])), Path(arguments[1]))
+    except AomgenError as error:
+        answer = {"error": type(error).__name__, "where": error.where, "problem": error.problem}
+        sys.stderr.write(json.dumps({**answer, "remedy": error.remedy}) + "\n")
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(parse_as_child(sys.argv[1:]))

@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from aomgen.assets.procedural.builder import pick
-from aomgen.assets.procedural.decals import WORDS
-from aomgen.assets.procedural.textures import COLORS, Texture, noise, tint, wood
+from aomgen.assets.procedural.textures import COLORS, WORDS, Texture, noise, tint, wood
 
 
 def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Texture:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from aomgen.assets.procedural import decals, textures
+from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
     OUTWARD,
@@ -99,7 +99,7 @@ def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
     low = top - s.drawer_height
     wood = _wood(rng, COLORS["wood"], 0.55)
     front = _wood(rng, COLORS["wood"], 0.5) if rng.random() < 0.5 else _paint(rng, pick(rng, COLORS["paint"]))
-    plate = Material(texture_srgb=decals.label(rng))
+    plate = Material(texture_srgb=textures.label(rng))
     boards = carcass(w, (y0, y1), (z0, z1), s.board)
     if low - s.board > z0 + s.board + 0.02:
         boards["shelf"] = box(-w + s.board, w - s.board, y0, y1 - s.board, low - s.board, low, "xXY")
@@ -120,7 +120,7 @@ def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
     drawer.boxes("front", {"front": face}, front)
     depth = (start, y1 - s.board - 0.01)
     drawer.boxes("tray", tray((-inner, inner), depth, (low + GAP, top - 0.03), s.side), ply)
-    sign = Material(texture_srgb=decals.nameplate(rng, (0.93, 0.92, 0.88), 64))
+    sign = Material(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 64))
     drawer.print("sign", "front", (-w + 0.02, face.lower[1], face.upper[2] - 0.034), (0.06, 0.015), sign)
     drawer.bar(bar, metal)
     joint = slide(OUTWARD, bar, min(s.travel, s.depth - KEPT_IN))
@@ -212,8 +212,8 @@ def _add_cabinet_body(
 ) -> None:
     w, y0, y1, z0, z1, board = s.width / 2, -s.depth / 2, s.depth / 2, s.feet, s.height, s.board
     lip, middle = y0 - 2 * GAP - s.door, (z0 + z1) / 2
-    plate = Material(texture_srgb=decals.label(rng))
-    art = Material(texture_srgb=decals.stickers(rng, paint, count=5), roughness=0.6)
+    plate = Material(texture_srgb=textures.label(rng))
+    art = Material(texture_srgb=textures.stickers(rng, paint, count=5), roughness=0.6)
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, -0.02)
     boards = {
         **carcass(w, (y0, y1), (z0, z1), board),
@@ -238,7 +238,7 @@ def _add_cans(body: LinkBuilder, s: SimpleNamespace, levels: Span, rng: np.rando
         for place in range(3):
             x = _sided(s, -s.width / 2 + 0.07 + 0.075 * place + rng.uniform(-0.008, 0.008))
             y, height = rng.uniform(-0.03, 0.04), rng.uniform(0.06, 0.09)
-            print_srgb = decals.stickers(rng, rng.uniform(0.15, 0.85, 3), 256, 128, 4)
+            print_srgb = textures.stickers(rng, rng.uniform(0.15, 0.85, 3), 256, 128, 4)
             paper = Material(texture_srgb=print_srgb, tile_m=height)
             radius = rng.uniform(0.022, 0.03)
             body.meshes.append(rod(f"can_{level}_{place}", (x, y, z), (x, y, z + height), radius, paper, 18))
@@ -254,7 +254,7 @@ def _add_sliding_panel(
 ) -> None:
     face = _wood(rng, COLORS["wood"], 0.5) if rng.random() < 0.5 else _paint(rng, paint)
     metal = _metal(rng)
-    art = decals.stickers(rng, face.texture_srgb.mean((0, 1)) / 255, 320, 320, 5)
+    art = textures.stickers(rng, face.texture_srgb.mean((0, 1)) / 255, 320, 320, 5)
     door.boxes("door", {"door": slab}, face)
     (x0, _, z0), (x1, _, z1) = slab.lower, slab.upper
     size = min(0.5 * (x1 - x0), 0.6 * (z1 - z0))

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from aomgen.assets.procedural import decals, textures
+from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
     SEAL,
@@ -102,8 +102,8 @@ def _add_toolbox_body(
     w, front = s.width / 2, -s.depth / 2
     plastic = _tread_plate(rng, color, roughness=0.5, metallic=0.2)
     steel = _steel(rng)
-    sticker = Material(texture_srgb=decals.label(rng), roughness=0.5)
-    brand = Material(texture_srgb=decals.nameplate(rng, lid_color), roughness=0.4)
+    sticker = Material(texture_srgb=textures.label(rng), roughness=0.5)
+    brand = Material(texture_srgb=textures.nameplate(rng, lid_color), roughness=0.4)
     x, z = rng.uniform(-0.13, -0.10), rng.uniform(0.012, 0.022)
     body.boxes("body", _walls(s, 0.0, s.seam, open_above=True), plastic)
     body.boxes("catches", _latches(s, s.seam - 0.034, s.seam), steel)
@@ -136,8 +136,8 @@ def _add_toolbox_lid(
     w, low, top = s.width / 2, s.low, s.low + s.lid
     plastic, steel = _tread_plate(rng, color, roughness=0.45), _steel(rng)
     rubber = Material(texture_srgb=textures.plastic(rng, (0.10, 0.10, 0.11), 128))
-    stickers = Material(texture_srgb=decals.stickers(rng, color), roughness=0.5)
-    brand = Material(texture_srgb=decals.nameplate(rng, color), roughness=0.4)
+    stickers = Material(texture_srgb=textures.stickers(rng, color), roughness=0.5)
+    brand = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.4)
     lid.boxes("lid", _walls(s, low, top, open_above=False), plastic)
     lid.boxes("latches", _latches(s, low, low + 0.030), steel)
     grip = 0.16 * s.width
@@ -180,7 +180,7 @@ def _latches(s: SimpleNamespace, z0: float, z1: float) -> dict[str, AlignedBox]:
 def _tread_plate(
     rng: np.random.Generator, color: Color, *, roughness: float, metallic: float = 0.0
 ) -> Material:
-    sheet = decals.tread_plate(rng, color)
+    sheet = textures.tread_plate(rng, color)
     return Material(texture_srgb=sheet, tile_m=0.45, roughness=roughness, metallic=metallic)
 
 
@@ -215,7 +215,7 @@ def _add_base(base: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.rando
     base.boxes("base", slabs, _case(rng, color))
     base.boxes("feet", strips, BLACK)
     front = inner + 0.003
-    keys = Material(texture_srgb=decals.keyboard(rng, color), roughness=0.6)
+    keys = Material(texture_srgb=textures.keyboard(rng, color), roughness=0.6)
     base.print("keys", "top", (-w + 0.006, front, s.seam), (2 * w - 0.012, d - 0.006 - front), keys)
     for side, sign in (("left", -1.0), ("right", 1.0)):
         x, y, z_hinge = 0.66 * sign * w, d, s.seam + SEAL / 2
@@ -228,7 +228,7 @@ def _add_laptop_lid(lid: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.
     top = low + s.lid
     slab, rim = box(-w, w, RIM - d, d, low, top, "y"), box(-w, w, -d, RIM - d, low, top, "Y")
     case = _case(rng, color)
-    display = Material(texture_srgb=decals.screen(rng), roughness=0.2)
+    display = Material(texture_srgb=textures.screen(rng), roughness=0.2)
     lid.boxes("lid", {"lid": slab, "handle_rim": rim}, case)
     _add_cover_print(lid, (w, d), color, top, rng)
     # Upright for the user once the lid is open: its top is the free edge.
@@ -242,11 +242,11 @@ def _add_cover_print(
 ) -> None:
     """On the lid: the maker's name alone, upright once the lid is open, or stickers all over it."""
     if rng.random() < 0.5:
-        name = Material(texture_srgb=decals.nameplate(rng, color, 64), roughness=0.4)
+        name = Material(texture_srgb=textures.nameplate(rng, color, 64), roughness=0.4)
         lid.meshes.append(panel("name", (0.04, -0.01, top + PRINT_GAP), (-0.08, 0, 0), (0, -0.02, 0), name))
         return
     w, d = half[0] - 0.012, half[1] - 0.012
-    art = Material(texture_srgb=decals.stickers(rng, color, count=int(rng.integers(2, 8))), roughness=0.5)
+    art = Material(texture_srgb=textures.stickers(rng, color, count=int(rng.integers(2, 8))), roughness=0.5)
     lid.print("stickers", "top", (-w, -d, top), (2 * w, 2 * d), art)
 
 

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from aomgen.assets.procedural import decals, textures
+from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     SEAL,
     UPRIGHT,
@@ -125,14 +125,14 @@ def _add_prints(
 ) -> None:
     """Keypad on the fascia, rating plate on the top, vents on both sides."""
     w, z0, z1, edge, column = s.width / 2, s.feet, s.height, 0.004, _column(s)
-    keypad = Material(texture_srgb=decals.keypad(rng, panel_color), roughness=0.35)
+    keypad = Material(texture_srgb=textures.keypad(rng, panel_color), roughness=0.35)
     left = min(_sided(s, column), _sided(s, w)) + edge
     size = (w - column - 2 * edge, z1 - z0 - 2 * edge)
     body.print("keypad", "front", (left, s.front, z0 + edge), size, keypad)
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.0)
-    plate = Material(texture_srgb=decals.label(rng))
+    plate = Material(texture_srgb=textures.label(rng))
     body.print("label", "top", (x, y, z1), (0.12, 0.075), plate)
-    slots = Material(texture_srgb=decals.vents(rng, color))
+    slots = Material(texture_srgb=textures.vents(rng, color))
     y, z = rng.uniform(-0.10, 0.0), z0 + rng.uniform(0.06, 0.10)
     body.print("vents_right", "right", (w, y, z), (0.13, 0.08), slots)
     body.print("vents_left", "left", (-w, y + 0.13, z), (0.13, 0.08), slots)
@@ -145,7 +145,7 @@ def _add_door(
     x, y, z = (-s.width / 2, -s.width / 2 + s.door_width), (s.front, s.seam), (s.feet, s.height)
     grain = Material(texture_srgb=textures.plastic(rng, color), tile_m=0.5, roughness=0.35)
     glass = Material(texture_srgb=textures.window(rng), roughness=0.1)
-    name = Material(texture_srgb=decals.nameplate(rng, color), roughness=0.35)
+    name = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
     door.shell("frame", window_frame(x, y, z, s.frame), grain)
     left = min(_sided(s, x[0] + s.frame), _sided(s, x[1] - s.frame))
     size, low, inset = x[1] - x[0] - 2 * s.frame, z[0] + s.frame, 0.25 * s.door
