@@ -12,7 +12,6 @@ import numpy as np
 
 from aomgen.alignment.bundle_adjustment import BundleSolution, drifts
 from aomgen.alignment.bundle_equations import BundleParams, BundleProblem, CameraEvidence
-from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.alignment.calibration_check import deviation, refuse_gross
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.held_out_frames import HeldOutSplit, estimate_joint_zeros, reject_unconfirmed
@@ -28,6 +27,7 @@ from aomgen.alignment.silhouette_residuals import (
 from aomgen.alignment.time_offset import estimate_clock
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.clock import Clock
+from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
@@ -92,7 +92,7 @@ class FixedCameraCalibration:
     """Similarity, fixed cameras and joint zeros after the refinement; `zeros_rad` (J,) add to the log's joints."""
 
     S_world_recon: Array
-    cameras: dict[str, CalibratedCamera]
+    cameras: dict[str, FixedCamera]
     zeros_rad: Array
     zero_sds_rad: Array
 
@@ -223,7 +223,7 @@ def _in_problem(item: FixedCameraVideo, split: HeldOutSplit, params: BundleParam
 
 def _calibrated_camera(
     name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution
-) -> CalibratedCamera:
+) -> FixedCamera:
     state = refinement.cameras[name]
     used = bool(len(split.frames.times_s))
     start = camera_in_world(refinement.S_world_recon, item.camera_recon)
@@ -247,7 +247,7 @@ def _calibrated_camera(
         refusal = _drift_refusal(name, clock, item.video)
     else:
         clock = replace(clock, rate=0.0)
-    return CalibratedCamera(
+    return FixedCamera(
         camera=camera,
         clock=clock if isinstance(clock, Clock) and not refusal else None,
         refusal=refusal,
