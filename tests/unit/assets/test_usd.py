@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.assets.archive import load_asset, save_asset
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.make import make_asset
@@ -16,6 +15,7 @@ from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError, MalformedFileError, MissingFileError, UnsafePathError
+from aomgen.io.artifact import load_artifact, save_artifact
 from benchmarks.other_objects import make_object
 
 UsdGeom = pytest.importorskip("pxr.UsdGeom")
@@ -226,9 +226,9 @@ def test_faces_out_of_range_are_malformed(usd: Path) -> None:
         read_usd(usd)
 
 
-def test_archive_is_exact_and_bounded(tmp_path: Path, microwave: ArticulatedAsset) -> None:
-    save_asset(microwave, tmp_path / "a.npz")
-    assert_same(microwave, load_asset(tmp_path / "a.npz"), tolerance=0.0)
+def test_artifact_of_an_asset_is_exact(tmp_path: Path, microwave: ArticulatedAsset) -> None:
+    save_artifact(tmp_path, "a", microwave)
+    assert_same(microwave, load_artifact(tmp_path, "a", ArticulatedAsset), tolerance=0.0)
     (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:1000])
     with pytest.raises(MalformedFileError):
-        load_asset(tmp_path / "a.npz")
+        load_artifact(tmp_path, "a", ArticulatedAsset)
