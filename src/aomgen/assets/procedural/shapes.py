@@ -47,6 +47,11 @@ class AlignedBox:
     upper: tuple[float, float, float]
     skip: str = ""
 
+    def mirrored(self) -> "AlignedBox":
+        """Its image behind the plane x = 0."""
+        (x0, y0, z0), (x1, y1, z1) = self.lower, self.upper
+        return box(-x1, -x0, y0, y1, z0, z1, self.skip.translate(str.maketrans("xX", "Xx")))
+
     def collider(self, name: str) -> BoxCollider:
         """The same box for physics."""
         lower, upper = np.array(self.lower), np.array(self.upper)
@@ -57,21 +62,6 @@ class AlignedBox:
 def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, skip: str = "") -> AlignedBox:
     """An `AlignedBox` from its six planes, [m]."""
     return AlignedBox(lower=(x0, y0, z0), upper=(x1, y1, z1), skip=skip)
-
-
-def carcass(
-    w: float, depth: tuple[float, float], height: tuple[float, float], board: float
-) -> dict[str, AlignedBox]:
-    """Boards around a piece of furniture that is open to the front: `w` to both sides, front to back, floor to top."""
-    (y0, y1), (z0, z1) = depth, height
-    inside = (z0 + board, z1 - board)
-    return {
-        "top": box(-w, w, y0, y1, z1 - board, z1),
-        "bottom": box(-w, w, y0, y1, z0, z0 + board),
-        "left": box(-w, -w + board, y0, y1, *inside, "zZ"),
-        "right": box(w - board, w, y0, y1, *inside, "zZ"),
-        "back": box(-w + board, w - board, y1 - board, y1, *inside, "xXzZ"),
-    }
 
 
 def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mesh:
