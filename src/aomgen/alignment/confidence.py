@@ -127,7 +127,7 @@ def _evidence(
         edge_weights=edge_weights(edges, strength),
         border_px=borders,
         border_weights=region_weights(borders, variances, BORDER_REACH_PX),
-        jacobian=shift_jacobian(camera, contour, drawing.posture.ee_world),
+        jacobian=shift_jacobian(camera, contour, drawing.configuration.ee_world),
         joint_jacobian=np.stack(turned, 1),
         camera_jacobian=np.asarray(
             np.concatenate([gradient, np.cross(contour.points - camera.center, gradient)], axis=1), np.float64

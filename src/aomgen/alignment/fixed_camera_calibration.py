@@ -12,7 +12,6 @@ import numpy as np
 
 from aomgen.alignment.bundle_adjustment import BundleSolution, drifts
 from aomgen.alignment.bundle_equations import BundleParams, BundleProblem, CameraEvidence
-from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.alignment.calibration_check import deviation, refuse_gross
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.held_out_frames import HeldOutSplit, estimate_joint_zeros, reject_unconfirmed
@@ -28,12 +27,13 @@ from aomgen.alignment.silhouette_residuals import (
 from aomgen.alignment.time_offset import estimate_clock
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.clock import Clock
+from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array, freeze
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot_masks import robot_masks
 
 # Scan views that carry the information of the alignment.
@@ -71,7 +71,7 @@ class AlignedScan:
         S_world_recon: Aligned similarity (4, 4).
         views: Scan images that may be used.
         points_recon: Sparse points (P, 3) of the structure.
-        posture: Robot during the scan.
+        configuration: Robot during the scan.
         log: Joint log of the demonstration.
         clock_offset_s: Log time minus video time when it is known.
     """
@@ -79,7 +79,7 @@ class AlignedScan:
     S_world_recon: Array
     views: list[AlignmentImage]
     points_recon: Array
-    posture: RobotPosture
+    configuration: RobotConfiguration
     log: JointLog
     clock_offset_s: float | None
 
@@ -92,7 +92,7 @@ class FixedCameraCalibration:
     """Similarity, fixed cameras and joint zeros after the refinement; `zeros_rad` (J,) add to the log's joints."""
 
     S_world_recon: Array
-    cameras: dict[str, CalibratedCamera]
+    cameras: dict[str, FixedCamera]
     zeros_rad: Array
     zero_sds_rad: Array
 
@@ -126,7 +126,7 @@ def calibrate_fixed_cameras(
     for name, item in videos.items():
         if item.T_world_cam is not None:
             placed = camera_in_world(S, item.camera_recon)
-            refuse_gross(name, item.T_world_cam, placed, scene.posture.points_world(300))
+            refuse_gross(name, item.T_world_cam, placed, scene.configuration.points_world(300))
     clocks: dict[str, Clock | SyncError] = {}
     for index, (name, item) in enumerate(videos.items()):
         clocks[name] = _first_clock(scene, item)
@@ -134,12 +134,12 @@ def calibrate_fixed_cameras(
     views = [limit_width(view, params.width) for view in scene.views]
     pictures = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
     width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
-    with robot_drawing(scene.posture, width, height) as drawing:
+    with robot_drawing(scene.configuration, width, height) as drawing:
         # Without frames cameras and scan stay where they are.
         shown = spread(views, S, drawing, _VIEWS) if params.frames else []
-        zeros_rad = np.zeros(len(scene.posture.joints))
+        zeros_rad = np.zeros(len(scene.configuration.joints))
         arm = LoggedRobot(
-            robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad
+            robot=scene.configuration.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad
         )
         splits = {name: _split_frames(S, item, clocks[name], arm, params) for name, item in videos.items()}
         problem = BundleProblem(
@@ -179,7 +179,7 @@ def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncErro
     if scene.clock_offset_s is not None:
         return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
     camera = camera_in_world(scene.S_world_recon, item.camera_recon)
-    with robot_masks(scene.posture.robot, camera, scene.log) as masks_at:
+    with robot_masks(scene.configuration.robot, camera, scene.log) as masks_at:
         try:
             return estimate_clock(item.video, scene.log.times_s, masks_at)
         except SyncError as error:
@@ -223,7 +223,7 @@ def _in_problem(item: FixedCameraVideo, split: HeldOutSplit, params: BundleParam
 
 def _calibrated_camera(
     name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution
-) -> CalibratedCamera:
+) -> FixedCamera:
     state = refinement.cameras[name]
     used = bool(len(split.frames.times_s))
     start = camera_in_world(refinement.S_world_recon, item.camera_recon)
@@ -247,7 +247,7 @@ def _calibrated_camera(
         refusal = _drift_refusal(name, clock, item.video)
     else:
         clock = replace(clock, rate=0.0)
-    return CalibratedCamera(
+    return FixedCamera(
         camera=camera,
         clock=clock if isinstance(clock, Clock) and not refusal else None,
         refusal=refusal,

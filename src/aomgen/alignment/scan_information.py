@@ -57,13 +57,13 @@ class ScanContour:
 
 def trace_scan(scan: ScanViews, S_world_recon: Array, zeros_rad: Array) -> list[ScanContour]:
     """Contours of the robot as scanned, with joint zeros, in the views that show enough of it."""
-    posture = replace(scan.drawing.posture, joints=scan.drawing.posture.joints + zeros_rad)
-    drawing = replace(scan.drawing, posture=posture)
+    configuration = replace(scan.drawing.configuration, joints=scan.drawing.configuration.joints + zeros_rad)
+    drawing = replace(scan.drawing, configuration=configuration)
     contours = []
     for index, view in enumerate(scan.views):
         drawn = drawing.draw(camera_in_world(S_world_recon, view.camera_recon), _POINTS)
         if drawn is not None:
-            turns = posture.turns(drawn.contour.points, drawn.bodies)
+            turns = configuration.turns(drawn.contour.points, drawn.bodies)
             contours.append(ScanContour(view=index, contour=drawn.contour, turns=turns, zeros_rad=zeros_rad))
     return contours
 

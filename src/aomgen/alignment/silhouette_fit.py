@@ -23,7 +23,7 @@ from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.transforms import matrix_from_rotvec, similarity
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 
@@ -74,14 +74,14 @@ class RobotDrawing:
 
     Attributes:
         fine, coarse: Renderers of the same robot.
-        posture: Its joint values.
+        configuration: Its joint values.
         pivot: Point (3,) that the robot's motions turn about, [m].
-        segments, joint_motions: See `RobotPosture`.
+        segments, joint_motions: See `RobotConfiguration`.
     """
 
     fine: SilhouetteRenderer
     coarse: SilhouetteRenderer
-    posture: RobotPosture
+    configuration: RobotConfiguration
     pivot: Array
     segments: NDArray[np.int64]
     joint_motions: Array
@@ -89,7 +89,7 @@ class RobotDrawing:
     def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> RenderedRobot | None:
         """The robot in one image, or None when too little of it, or nothing else, is there."""
         renderer = self.fine if fine else self.coarse
-        bodies, depth = renderer.draw(camera, self.posture.joints, self.posture.gripper)
+        bodies, depth = renderer.draw(camera, self.configuration.joints, self.configuration.gripper)
         mask = bodies >= 0
         if not 0.002 < mask.mean() < 0.7:
             return None
@@ -101,20 +101,20 @@ class RobotDrawing:
 
 
 @contextmanager
-def robot_drawing(posture: RobotPosture, width: int, height: int) -> Iterator[RobotDrawing]:
+def robot_drawing(configuration: RobotConfiguration, width: int, height: int) -> Iterator[RobotDrawing]:
     """A drawing for images up to a size [px]; holds two OpenGL contexts."""
     limits = {"max_width": width, "max_height": height}
     with (
-        SilhouetteRenderer(posture.robot, **limits) as fine,
-        SilhouetteRenderer(posture.robot, **limits, cell_m=COARSE_CELL_M) as coarse,
+        SilhouetteRenderer(configuration.robot, **limits) as fine,
+        SilhouetteRenderer(configuration.robot, **limits, cell_m=COARSE_CELL_M) as coarse,
     ):
         yield RobotDrawing(
             fine=fine,
             coarse=coarse,
-            posture=posture,
-            pivot=posture.points_world().mean(0),
-            segments=posture.segments(),
-            joint_motions=posture.joint_motions(),
+            configuration=configuration,
+            pivot=configuration.points_world().mean(0),
+            segments=configuration.segments(),
+            joint_motions=configuration.joint_motions(),
         )
 
 
@@ -208,7 +208,7 @@ def move_similarity(S: Array, step: Array, pivot: Array) -> Array:
 
 def spread(views: list[AlignmentImage], S: Array, drawing: RobotDrawing, count: int) -> list[AlignmentImage]:
     """Views that show the robot well, chosen far from one another by viewing direction."""
-    robot = drawing.posture.points_world(300)
+    robot = drawing.configuration.points_world(300)
     target = robot.mean(0)
     usable, directions = [], []
     for view in views:

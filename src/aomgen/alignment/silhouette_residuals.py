@@ -20,7 +20,7 @@ from aomgen.core.transforms import invert
 from aomgen.core.values import Array, freeze
 from aomgen.io.images import resize
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
@@ -154,13 +154,13 @@ def trace(
         seen = bodies[rows, columns]
         moves = ((after[k] - before[k]) @ invert(poses[k]) / (2 * _SPEED_S))[seen]
         velocities = np.einsum("cij,cj->ci", moves[:, :3, :3], contour.points) + moves[:, :3, 3]
-        posture = RobotPosture(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
+        configuration = RobotConfiguration(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
         contours.append(
             FrameContour(
                 frame=k,
                 contour=contour,
                 velocities=velocities,
-                turns=posture.turns(contour.points, seen),
+                turns=configuration.turns(contour.points, seen),
                 clock=clock,
                 zeros_rad=arm.zeros_rad,
             )

@@ -62,7 +62,7 @@ def find_wrist_rotation(
 
     Not checked: the last joint turns (one that slides finds no better turn).
     """
-    hand = len(drawing.posture.joints)
+    hand = len(drawing.configuration.joints)
 
     names = {view.name for view in views}
 
@@ -72,9 +72,9 @@ def find_wrist_rotation(
         return (float(points.mean()), len(points)) if len(points) else (0.0, 0)
 
     def turned(turn_deg: float) -> RobotDrawing:
-        joints = drawing.posture.joints.copy()
+        joints = drawing.configuration.joints.copy()
         joints[-1] += np.radians(turn_deg)
-        return replace(drawing, posture=replace(drawing.posture, joints=joints))
+        return replace(drawing, configuration=replace(drawing.configuration, joints=joints))
 
     own, count = confirmed(logged)
     shares = [confirmed(collect_evidence(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]

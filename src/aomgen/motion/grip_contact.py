@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
-from aomgen.robots.robot_parts import FingerPad
+from aomgen.robots.robot import FingerPad
 
 # Reconstructed surfaces of thin things are off by this much, in the scan and by its alignment, [m].
 SURFACE_SD_M = 0.002

@@ -1,20 +1,23 @@
-"""The robot as it stood during the scan, and how each of its joints would move it."""
+"""The robot as it stood during the scan: where it is, and how each of its joints would move it."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.transforms import apply
+from aomgen.core.mesh import sample_surface
+from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 
+# Gaussians lie some millimetres off the surface that they paint.
+MARGIN_M = 0.005
 # Step of the numeric derivative, [rad]: its error is far below a pixel.
 _TURN_RAD = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotPosture:
+class RobotConfiguration:
     """The robot during the scan: model, joints (J,) [rad] and gripper 0..1."""
 
     robot: RobotModel
@@ -34,11 +37,9 @@ class RobotPosture:
     def surface_world(self, count: int, rng: np.random.Generator) -> Array:
         """Points (count, 3) spread evenly over the surface of the posed robot, [m]."""
         poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
-        corners = np.concatenate([apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes])
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        a, b, c = np.moveaxis(corners[rng.choice(len(corners), count, p=areas / areas.sum())], 1, 0)
-        u, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-        return np.asarray((1 - u) * a + u * (1 - v) * b + u * v * c, np.float64)
+        corners = [apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes]
+        vertices = np.concatenate(corners).reshape(-1, 3)
+        return sample_surface(vertices, np.arange(len(vertices)).reshape(-1, 3), count, rng)[0]
 
     @property
     def ee_world(self) -> Array:
@@ -73,3 +74,33 @@ class RobotPosture:
         last = np.array([int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in moved])
         fields = (motions[np.arange(len(last)), last] - np.eye(4)) / _TURN_RAD
         return fields, moved.sum(0)
+
+
+def bodies_in_boxes(points_world: Array, configuration: RobotConfiguration) -> NDArray[np.int32]:
+    """The robot body whose box holds each point.
+
+    Boxes are those of the meshes along the axes of their body. Of several boxes the one counts in
+    whose middle the point lies most.
+
+    Args:
+        points_world: (N, 3), [m].
+        configuration: Robot as scanned.
+
+    Returns:
+        Index into `robot.body_names` (N,), -1 for points in no box.
+
+    Source: AOMGen, sec. 4.2, "Robot". Not checked: whatever else stands in a box is taken as robot.
+    """
+    robot = configuration.robot
+    poses = robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    owners = np.full(len(points_world), -1, np.int32)
+    depth = np.ones(len(points_world))
+    for body in sorted({mesh.body for mesh in robot.meshes}):
+        vertices = np.concatenate([mesh.vertices_body for mesh in robot.meshes if mesh.body == body])
+        low, high = vertices.min(0) - MARGIN_M, vertices.max(0) + MARGIN_M
+        local = apply(invert(poses[body]), points_world)
+        # 0 in the middle of the box, 1 on its faces.
+        place = np.abs(2 * (local - low) / (high - low) - 1).max(1)
+        nearer = place < depth
+        owners[nearer], depth[nearer] = body, place[nearer]
+    return owners
