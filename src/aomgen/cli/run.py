@@ -28,7 +28,7 @@ def run_project(project, *, until: str = ""):
         with display() as shown:
             changed = run_pipeline(project, shown, until=until)
     except EstimationError as error:
-        from aomgen.report.refusal import write_refusal
+        from aomgen.report.motion_section import write_refusal
 
         page = write_refusal(project.out, str(error))
         if page is not None:

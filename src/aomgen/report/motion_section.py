@@ -1,18 +1,26 @@
-"""The report's section on the recovered motion: when, how far, about which axis, and how surely."""
+"""What the report says of the motion: when, how far, about which axis, and how surely.
+
+A demonstration from which no motion could be recovered gets its own page, `refused.html`.
+"""
+
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING
 from aomgen.core.camera import Camera
-from aomgen.core.motion import MotionEstimate
+from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
+from aomgen.io.artifact import load_artifact
+from aomgen.io.atomic import write_text
 from aomgen.io.images import resize
+from aomgen.motion.estimates_file import REFUSED_FILE, REFUSED_MOTION
 from aomgen.pipeline.rendering import draw_twin
 from aomgen.report.charts import Chart, draw_chart
 from aomgen.report.drawing import Image8, overlay_outline, sheet
-from aomgen.report.html import paragraph, picture
+from aomgen.report.html import page, paragraph, picture, section
 from aomgen.report.joint_drawing import axis_space, overlay_motion
 from aomgen.report.recording_images import recorded_states
 from aomgen.results import Results
@@ -85,16 +93,9 @@ def _cut(
 
 def motion_charts(motion: MotionEstimate) -> list[str]:
     """The score with start and end, the joint value with its 95 % band, slip and pivot."""
-    curve, span = motion.curve, (motion.start_s, motion.end_s)
+    span = (motion.start_s, motion.end_s)
     factor, unit = (180 / np.pi, "deg") if motion.joint.type == "revolute" else (1e3, "mm")
     values, half = factor * motion.thetas, NORMAL_95 * factor * motion.theta_sd
-    score = Chart(
-        x_label="video time [s]",
-        y_label="motion score",
-        curves=[("score", curve.times_s, curve.scores), ("smoothed", curve.times_s, curve.smoothed)],
-        level=("threshold", curve.threshold),
-        span=span,
-    )
     theta = Chart(
         x_label="video time [s]",
         y_label=f"joint value [{unit}]",
@@ -112,8 +113,7 @@ def motion_charts(motion: MotionEstimate) -> list[str]:
         span=span,
     )
     return [
-        paragraph("The share of the part's picture that shows neither its first nor its last place."),
-        draw_chart(score),
+        *_draw_score(motion.curve, "threshold", span),
         paragraph("The joint value with its 95 % band."),
         draw_chart(theta),
         paragraph("How far the hand slid along the part and turned against it."),
@@ -137,3 +137,60 @@ def _certainty(motion: MotionEstimate) -> str:
         return ""
     place = f", its place to {1e3 * motion.origin_ci95_m:.0f} mm" if motion.joint.type == "revolute" else ""
     return f"; with 95 %, its axis is known to {np.degrees(motion.axis_ci95_rad):.1f} deg{place}"
+
+
+def write_refusal(out: Path, reason: str) -> Path | None:
+    """Draw the motion score that a refused run left behind.
+
+    Args:
+        out: The run's folder.
+        reason: The error's sentence.
+
+    Returns:
+        Path of the page; None when the run was refused before or after its motion.
+    """
+    if not (out / f"{REFUSED_MOTION}.json").is_file():
+        return None
+    curve = load_artifact(out, REFUSED_MOTION, MotionCurve)
+    body = [
+        "<h1>No motion was recovered</h1>",
+        paragraph(reason),
+        section("Evidence", *_draw_evidence(curve)),
+    ]
+    path = out / REFUSED_FILE
+    write_text(path, page("No motion was recovered", body))
+    return path
+
+
+def _draw_score(curve: MotionCurve, threshold: str, span: tuple[float, float] | None) -> list[str]:
+    """The motion score over time, with what its threshold is called."""
+    chart = Chart(
+        x_label="video time [s]",
+        y_label="motion score",
+        curves=[("score", curve.times_s, curve.scores), ("smoothed", curve.times_s, curve.smoothed)],
+        level=(threshold, curve.threshold),
+        span=span,
+    )
+    words = "The share of the part's picture that shows neither its first nor its last place."
+    return [paragraph(words), draw_chart(chart)]
+
+
+def _draw_evidence(curve: MotionCurve) -> list[str]:
+    """Score and gripper of a refused demonstration."""
+    hand = Chart(
+        x_label="video time [s]",
+        y_label="hand, shares of the largest",
+        curves=[
+            (name, curve.times_s, values / max(float(np.max(values)), 1e-9))
+            for name, values in (
+                (f"distance, largest {100 * float(curve.distances_m.max()):.0f} cm", curve.distances_m),
+                (f"speed, {curve.speeds_m_s.max():.2f} m/s", curve.speeds_m_s),
+                ("gripper closed", curve.gripper),
+            )
+        ],
+    )
+    return [
+        *_draw_score(curve, "stillness", None),
+        paragraph("Fingers to part, speed of the hand, and how far the gripper is closed."),
+        draw_chart(hand),
+    ]

@@ -13,10 +13,9 @@ from aomgen.pipeline.stage import results_of
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
 from aomgen.report import recording_images
 from aomgen.report.drawing import sheet
-from aomgen.report.episodes import episodes_section
+from aomgen.report.episodes import episodes_section, rejects_section
 from aomgen.report.html import contents, page, paragraph, picture, section, table, text
 from aomgen.report.motion_section import motion_section
-from aomgen.report.rejects import rejects_section
 from aomgen.report.summary import (
     manifest_of,
     next_steps,

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
+from aomgen.io.artifact import save_artifact
+from aomgen.motion.estimates_file import REFUSED_MOTION, forget_refusal
 from aomgen.report.joint_drawing import AXIS, TOUCH, axis_space, overlay_motion
-from aomgen.report.motion_section import motion_charts, motion_sentence
+from aomgen.report.motion_section import motion_charts, motion_sentence, write_refusal
 
 TIMES_S = np.linspace(0, 4, 41, dtype=np.float64)
 HELD = np.array([0.5, 0.0, 0.2])
@@ -146,3 +149,33 @@ def test_the_sentence_claims_no_certainty_that_nobody_estimated() -> None:
     assert "known to 5.7 deg. " in slide
     unsure = motion_sentence(replace(estimate(), axis_ci95_rad=0.0, origin_ci95_m=0.0))
     assert "It is a revolute joint. " in unsure
+
+
+def refused_curve() -> MotionCurve:
+    times = np.arange(20) / 10
+    return MotionCurve(
+        times_s=times,
+        scores=np.full(20, 0.01),
+        smoothed=np.zeros(20),
+        threshold=0.02,
+        distances_m=np.full(20, 0.3),
+        speeds_m_s=np.zeros(20),
+        gripper=np.zeros(20),
+    )
+
+
+def test_the_score_is_drawn_beside_the_reason(tmp_path: Path) -> None:
+    save_artifact(tmp_path, REFUSED_MOTION, refused_curve())
+    page = write_refusal(tmp_path, "the part does not move")
+    assert page is not None
+    text = page.read_text()
+    assert "the part does not move" in text
+    assert text.count("<svg") == 2
+
+
+def test_a_run_refused_elsewhere_or_forgotten_has_no_page(tmp_path: Path) -> None:
+    assert write_refusal(tmp_path, "no images") is None
+    save_artifact(tmp_path, REFUSED_MOTION, refused_curve())
+    write_refusal(tmp_path, "the part does not move")
+    forget_refusal(tmp_path)
+    assert list(tmp_path.iterdir()) == []
