@@ -1,15 +1,15 @@
 """Observed colors of the robot's surface: one for every surfel in every image that sees it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
-from aomgen.conventions import linear_from_srgb, srgb_from_linear
 from aomgen.core.camera import Camera
+from aomgen.core.exposure import change_exposure, fit_gains
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
@@ -19,10 +19,6 @@ from aomgen.twin.twin import Twin, TwinState, body_poses
 
 # Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
 MARGIN_PX: Final = 1
-# Two cameras are compared where neither is near black nor burnt out, sRGB.
-COMPARED: Final = (0.08, 0.92)
-# Gain between two cameras beyond which something else than exposure is at work.
-MAX_GAIN: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,25 +115,9 @@ def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bo
         view: Its first image shows what `drawn_srgb` shows.
         drawn_srgb: The twin from the video's camera in the state of the first image (H, W, 3), 0..1.
         compared: Pixels (H, W) that show the same thing in both.
-
-    Exposure and white balance are a gain for each channel in linear light.
     """
-    first = view.images_srgb[0] / 255.0
-    usable = compared[..., None] & (np.minimum(first, drawn_srgb) > COMPARED[0])
-    usable &= np.maximum(first, drawn_srgb) < COMPARED[1]
-    gains = np.ones(3)
-    for channel in range(3):
-        mask = usable[..., channel]
-        if mask.any():
-            ratio = linear_from_srgb(drawn_srgb[..., channel][mask]) / linear_from_srgb(
-                first[..., channel][mask]
-            )
-            gains[channel] = np.clip(np.median(ratio), 1 / MAX_GAIN, MAX_GAIN)
-    table = np.arange(256) / 255.0
-    curves = np.stack([srgb_from_linear(np.minimum(linear_from_srgb(table) * gain, 1)) for gain in gains], 1)
-    lookup = np.rint(curves * 255).astype(np.uint8)
-    images = tuple(lookup[image, np.arange(3)] for image in view.images_srgb)
-    return PosedImages(camera=view.camera, images_srgb=images, states=view.states)
+    gains = fit_gains(view.images_srgb[0][compared] / 255, drawn_srgb[compared])
+    return replace(view, images_srgb=tuple(change_exposure(image, gains) for image in view.images_srgb))
 
 
 def pixel_size(robot: RobotModel, twin: Twin, views: Sequence[PosedImages]) -> float:

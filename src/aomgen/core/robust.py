@@ -5,8 +5,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.core.values import Array
+
 # Standard deviations in a median absolute deviation of normal noise: 1 / (inverse normal distribution at 3/4).
 SD_OF_MAD: Final = 1.4826
+# Residuals beyond this many standard deviations count little.
+OUTLIER_SD: Final = 2.5
+# Rounds of iteratively reweighted least squares; weights change little after these.
+_REWEIGHTINGS: Final = 5
 
 
 def robust_sd(deviations: ArrayLike) -> float:
@@ -25,3 +31,27 @@ def masked_median(values: NDArray, known: NDArray[np.bool_]) -> tuple[NDArray[np
     some = np.asarray(known.any(axis=0))
     bare[:, ~some] = 0
     return np.asarray(np.nanmedian(bare, axis=0), np.float32), some
+
+
+def weigh(residuals: Array, sd: float) -> Array:
+    """Weights of residuals, 1 for 0. Source: Geman and McClure, 1987."""
+    return 1 / (1 + (residuals / (OUTLIER_SD * sd)) ** 2) ** 2
+
+
+def regress(columns: Array, targets: Array, weights: Array) -> Array:
+    """Coefficients (N, ...) of columns (P, N) that give targets (P, ...); columns that say nothing get 0."""
+    weighted = columns * weights[:, None]
+    normal = weighted.T @ columns
+    normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(len(normal))
+    return np.asarray(np.linalg.solve(normal, weighted.T @ targets), np.float64)
+
+
+def regress_robustly(columns: Array, target: Array, least_sd: float) -> tuple[Array, Array, float]:
+    """Coefficients (N,) of columns (P, N) that give a target (P,), weights (P,), and the deviation of what is left."""
+    weights, coefficients, sd = np.ones(len(target)), np.zeros(columns.shape[1]), least_sd
+    for _ in range(_REWEIGHTINGS):
+        coefficients = regress(columns, target, weights)
+        residuals = target - columns @ coefficients
+        sd = max(robust_sd(residuals), least_sd)
+        weights = weigh(residuals, sd)
+    return coefficients, weights, sd

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.exposure import match_frames
 from aomgen.core.motion import MotionCurve
 from aomgen.errors import NoMotionError
 from aomgen.io.images import resize
-from aomgen.motion.exposure import match_exposure
 from aomgen.motion.filters import dilate, smooth
 from aomgen.motion.gripper_signals import (
     GripperSignals,
@@ -29,11 +29,10 @@ from aomgen.motion.keyframes import (
     find_part_region,
     measure_departures,
 )
-from aomgen.motion.motion_test import MotionEvidence
+from aomgen.motion.motion_test import MotionEvidence, estimate_following
 from aomgen.motion.onset import GripperPath
 from aomgen.motion.params import MotionParams
 from aomgen.motion.part_identification import PartIdentification, identify_part
-from aomgen.motion.rendered_motion_test import estimate_following
 from aomgen.robots.robot_masks import MasksAt
 
 # Step of the dense end-effector path, [s]: that of a 100 Hz joint log.
@@ -84,7 +83,7 @@ class VideoObservations:
         frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb[::stride]]
         masks = masks_at(times + offset_s, small.width, small.height)
         region = find_part_region(demo.points_moving, small)
-        matched = match_exposure(np.stack(frames), masks, region)
+        matched = match_frames(np.stack(frames), masks, region)
         good = ~matched.bad
         if not good.sum() >= _LEAST_FRAMES:
             raise NoMotionError(
@@ -115,7 +114,8 @@ class VideoObservations:
             for points in (demo.points_static, demo.points_other)
         )
         return identify_part(
-            (demo.points_moving, demo.points_static, demo.points_other),
+            demo.scene,
+            demo.labels,
             (self.signals, static, other),
             self.frames_srgb,
             self.masks,

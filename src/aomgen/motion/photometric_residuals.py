@@ -12,16 +12,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from aomgen.core.joint import Joint
-from aomgen.core.robust import robust_sd
+from aomgen.core.robust import OUTLIER_SD, regress, regress_robustly, weigh
 from aomgen.core.values import Array
 from aomgen.motion.part_renderer import FloatImage, PartRenderer, PartRendering, find_interior
 
 # A grey level: no residual is trusted to be smaller, 0..1.
 _NOISE_FLOOR = 1 / 255
-# Residuals beyond this many standard deviations count little (Geman-McClure).
-_OUTLIER = 2.5
-# Rounds of iteratively reweighted least squares; weights change little after these.
-_REWEIGHTINGS = 5
 # A joint, and its values at the video's frames (T,).
 JointMotion = tuple[Joint, Array]
 
@@ -82,7 +78,7 @@ def linearize_frame(
     ]
     slopes = np.gradient(first.luma)
     light = _fit_light(picture, first, mask, band, [*changes, *slopes])
-    precisions = _weigh(light.residuals, light.sd) / light.sd**2
+    precisions = weigh(light.residuals, light.sd) / light.sd**2
     derivatives, slopes = np.split(light.others, [len(steps)], axis=1)
     shift_precision = np.linalg.eigvalsh(slopes.T * precisions @ slopes)[-1]
     return LinearizedFrame(
@@ -114,7 +110,7 @@ class Comparison:
     @property
     def margin(self) -> float:
         """Twice the log evidence of the second answer over the first: each square counts once."""
-        return _OUTLIER**2 * float(self.squares @ self.gains)
+        return OUTLIER_SD**2 * float(self.squares @ self.gains)
 
 
 def compare_frames(
@@ -131,9 +127,9 @@ def compare_frames(
         lights = [_fit_light(picture, view, mask, band) for view in views]
         sd = min(light.sd for light in lights)
         squared = np.stack([light.residuals for light in lights]) ** 2
-        weights = _weigh(np.sqrt(squared), sd)
+        weights = weigh(np.sqrt(squared), sd)
         detail = np.stack([light.detail for light in lights]) ** 2
-        costs.append(np.mean(squared / (squared + (_OUTLIER * sd) ** 2), axis=1))
+        costs.append(np.mean(squared / (squared + (OUTLIER_SD * sd) ** 2), axis=1))
         explained.append(1 - (weights * squared).sum(1) / np.maximum((weights * detail).sum(1), 1e-12))
         squares.append(mask.sum() / band.shading_px)
     shape = (len(squares), 2)
@@ -169,26 +165,9 @@ def _fit_light(
     images = [picture * view.alpha - view.luma, view.luma, view.alpha, *others]
     bands = _extract_band(np.stack(images, -1).astype(np.float32), mask, band)
     light, targets = bands[:, 1:3], np.delete(bands, (1, 2), axis=1)
-    weights, sd = np.ones(len(bands)), _NOISE_FLOOR
-    for _ in range(_REWEIGHTINGS):
-        residuals = (targets[:, :1] - light @ _regress(light, targets[:, :1], weights))[:, 0]
-        sd = max(robust_sd(residuals), _NOISE_FLOOR)
-        weights = _weigh(residuals, sd)
-    left = targets - light @ _regress(light, targets, weights)
+    _, weights, sd = regress_robustly(light, targets[:, 0], _NOISE_FLOOR)
+    left = targets - light @ regress(light, targets, weights)
     return _Light(detail=bands[:, 0] + bands[:, 1], residuals=left[:, 0], sd=sd, others=left[:, 1:])
-
-
-def _weigh(residuals: Array, sd: float) -> Array:
-    """Geman-McClure weights, 1 for residuals of 0."""
-    return 1 / (1 + (residuals / (_OUTLIER * sd)) ** 2) ** 2
-
-
-def _regress(columns: Array, targets: Array, weights: Array) -> Array:
-    """Coefficients (N, M) of columns (P, N) that give targets (P, M); columns that say nothing get 0."""
-    weighted = columns * weights[:, None]
-    normal = weighted.T @ columns
-    normal += (1e-3 * np.trace(normal) + 1e-9) * np.eye(len(normal))
-    return np.asarray(np.linalg.solve(normal, weighted.T @ targets), np.float64)
 
 
 def _extract_band(images: FloatImage, mask: NDArray[np.bool_], band: Band) -> Array:

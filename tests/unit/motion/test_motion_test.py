@@ -8,9 +8,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.values import Array
 from aomgen.errors import NoMotionError
-from aomgen.motion.exposure import match_exposure
-from aomgen.motion.motion_test import MotionEvidence
-from aomgen.motion.rendered_motion_test import FollowingEstimate, estimate_following
+from aomgen.motion.motion_test import FollowingEstimate, MotionEvidence, estimate_following
 from aomgen.splatting.rasterizer import render
 
 BLIND = FollowingEstimate(share=0.0, sd=float("inf"))
@@ -103,16 +101,3 @@ def test_a_part_that_follows_is_told_from_one_that_stands(way_m: float) -> None:
     assert moved.share == pytest.approx(1.0, abs=0.15)
     assert abs(stood.share) < 0.35
     assert signs(0.01, moved).log_likelihood_ratio > 0 > signs(0.05, stood).log_likelihood_ratio
-
-
-def test_frames_are_brought_to_one_exposure_and_strangers_are_named() -> None:
-    rng = np.random.default_rng(0)
-    picture = rng.uniform(60, 160, (48, 64, 3))
-    gains = 1 + 0.15 * rng.uniform(-1, 1, 12)
-    frames = picture * gains[:, None, None, None] + rng.normal(size=(12, 48, 64, 3))
-    frames[5] = 255
-    frames[8] = rng.uniform(0, 255, picture.shape)
-    film = match_exposure(frames.astype(np.uint8), np.zeros((12, 48, 64), bool), np.zeros((48, 64), bool))
-    assert np.flatnonzero(film.bad).tolist() == [5, 8]
-    good = film.frames_srgb[~film.bad].astype(float)
-    assert np.abs(good - good.mean(0)).mean() < 1.5

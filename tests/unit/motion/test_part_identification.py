@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.values import Array
 from aomgen.errors import WrongPromptError
 from aomgen.motion.gripper_signals import GripperSignals
@@ -32,6 +34,19 @@ def wall(columns: tuple[int, int], rows: tuple[int, int], depth: float = 1.0) ->
     return np.column_stack(
         [np.full(u.size, depth), depth * (80 - u.ravel()) / 100, depth * (60 - v.ravel()) / 100]
     )
+
+
+def scene(*parts: Array) -> tuple[Gaussians, Array]:
+    """Round Gaussians, about a pixel wide, at the points of the moving part, the static part, and the rest."""
+    means = np.concatenate(parts)
+    gaussians = gaussians_of(
+        means=means,
+        quats=np.tile([1.0, 0, 0, 0], (len(means), 1)),
+        scales=np.full((len(means), 3), 0.004),
+        opacities=np.full(len(means), 0.99),
+        sh=np.zeros((len(means), 1, 3)),
+    )
+    return gaussians, np.repeat([MOVING, STATIC, BACKGROUND][: len(parts)], [len(part) for part in parts])
 
 
 DOOR, BODY, BOOKS = wall((30, 60), (40, 80)), wall((60, 120), (30, 90)), wall((125, 150), (70, 90))
@@ -70,14 +85,14 @@ def judged(
     parts: tuple[Array, Array, Array], gaps_m: tuple[float, float, float], *, grips: bool = True
 ) -> PartIdentification:
     first, second, third = (hand(gap, grips=grips) for gap in gaps_m)
-    return identify_part(parts, (first, second, third), DOOR_OPENS, NOBODY, CAMERA)
+    return identify_part(*scene(*parts), (first, second, third), DOOR_OPENS, NOBODY, CAMERA)
 
 
 @pytest.mark.parametrize("grips", [True, False])
 def test_the_door_that_the_hand_opens_is_confirmed(grips: bool) -> None:
     moved = judged((DOOR, BODY, BOOKS), (0.003, 0.04, 0.2), grips=grips)
     assert moved.moving.gap_m == pytest.approx(0.003)
-    assert moved.moving.changed > 0.95
+    assert moved.moving.changed > 0.85
     assert moved.static.changed < 0.05
     assert moved.odds > 10
     moved.check()
@@ -91,7 +106,7 @@ def test_swapped_prompts_are_refused_with_what_to_do(grips: bool) -> None:
         moved.check()
     assert str(caught.value) == (
         "prompts of the moving part: what the hand moved is the part prompted as 'static': the fingers closed "
-        "40 mm from 'moving' and 3 mm from 'static', and the video changed 0 % of 'moving' and 100 % of "
+        "40 mm from 'moving' and 3 mm from 'static', and the video changed 0 % of 'moving' and 93 % of "
         "'static'; in capture.toml, swap the boxes of 'moving' and 'static', or draw 'moving' around the door "
         "or drawer alone"
     )
@@ -100,7 +115,7 @@ def test_swapped_prompts_are_refused_with_what_to_do(grips: bool) -> None:
 def test_swapping_the_parts_inverts_the_odds() -> None:
     right = judged((DOOR, BODY, BOOKS), (0.003, 0.04, 5.0))
     swapped = judged((BODY, DOOR, BOOKS), (0.04, 0.003, 5.0))
-    assert right.odds * swapped.odds == pytest.approx(1.0, rel=1e-6)
+    assert right.odds * swapped.odds == pytest.approx(1.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("grips", [True, False])
@@ -141,13 +156,13 @@ def test_the_robot_in_front_of_a_part_is_no_change() -> None:
     robot[GRASP:, 60:90, 60:120] = True
     frames[robot] = 250
     signals = (hand(0.003), hand(0.04), hand(0.2))
-    moved = identify_part((DOOR, BODY, BOOKS), signals, frames, robot, CAMERA)
+    moved = identify_part(*scene(DOOR, BODY, BOOKS), signals, frames, robot, CAMERA)
     assert moved.static.changed < 0.05
 
 
 def test_the_nearer_surface_is_the_one_that_is_seen() -> None:
     front, behind = wall((30, 60), (40, 80)), wall((20, 120), (30, 90), depth=1.3)
-    door, body = find_visible_regions((front, behind), CAMERA)
+    door, body = find_visible_regions(*scene(front, behind), CAMERA)
     assert not np.any(door & body)
     assert door[60, 45]
     assert body[60, 100]
@@ -156,6 +171,6 @@ def test_the_nearer_surface_is_the_one_that_is_seen() -> None:
 
 
 def test_a_surface_out_of_view_covers_nothing() -> None:
-    door, none = find_visible_regions((DOOR, np.array([[-1.0, 0, 0]])), CAMERA)
+    door, none = find_visible_regions(*scene(DOOR, np.array([[-1.0, 0, 0]])), CAMERA)
     assert door.any()
     assert not none.any()

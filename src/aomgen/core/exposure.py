@@ -1,0 +1,81 @@
+"""Exposure and white balance: one gain for each channel in linear light."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.core.robust import masked_median
+from aomgen.core.values import Array
+
+# Colors that are neither drowned in noise nor clipped, sRGB 0..1.
+_DARK, _BRIGHT = 0.08, 0.92
+# Gain beyond which something else than exposure is at work.
+_MAX_GAIN = 4.0
+# Frames that make the common picture, evenly over the video, and every n-th pixel: enough for medians.
+_SAMPLES, _STRIDE = 15, 3
+# A frame whose rest differs this many times more than usual from the common picture is a bad one, if it is by
+# more than noise and compression, 8 bit.
+_BAD, _NOISE = 6.0, 3.0
+
+
+def fit_gains(seen_srgb: NDArray, wanted_srgb: NDArray) -> Array:
+    """Gains (3,) that bring seen colors (N, 3) to wanted ones, 0..1, by the median; 1 where none can be compared."""
+    lower, upper = np.minimum(seen_srgb, wanted_srgb), np.maximum(seen_srgb, wanted_srgb)
+    ratios = linear_from_srgb(wanted_srgb) / np.maximum(linear_from_srgb(seen_srgb), 1e-3)
+    gains, known = masked_median(ratios, (lower > _DARK) & (upper < _BRIGHT))
+    return np.where(known, np.clip(gains, 1 / _MAX_GAIN, _MAX_GAIN), 1.0).astype(np.float64)
+
+
+def apply_gains(colors_srgb: NDArray, gains: Array) -> NDArray:
+    """Colors (..., 3), 0..1, as they look with gains (3,)."""
+    return srgb_from_linear(np.minimum(linear_from_srgb(colors_srgb) * gains, 1))
+
+
+def change_exposure(image_srgb: NDArray[np.uint8], gains: Array) -> NDArray[np.uint8]:
+    """An 8 bit image (..., 3) as it looks with gains (3,)."""
+    table = apply_gains(np.arange(256)[:, None] / 255, gains)
+    return np.rint(255 * table).astype(np.uint8)[image_srgb, np.arange(3)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchedFrames:
+    """A video at one exposure.
+
+    Attributes:
+        frames_srgb: (T, H, W, 3) uint8.
+        bad: Frames (T,) that show something else than the others: drop-outs, flashes, cuts.
+    """
+
+    frames_srgb: NDArray[np.uint8]
+    bad: NDArray[np.bool_]
+
+
+def match_frames(
+    frames_srgb: NDArray[np.uint8], hidden: NDArray[np.bool_], region: NDArray[np.bool_]
+) -> MatchedFrames:
+    """Bring every frame of a fixed camera to the exposure of the video's median picture, by what stands still.
+
+    Args:
+        frames_srgb: (T, H, W, 3).
+        hidden: Where the robot is (T, H, W).
+        region: Where the part is at its scanned place (H, W).
+
+    Not checked: that the standing scene fills more than half of the picture.
+    """
+    still = ~region[::_STRIDE, ::_STRIDE]
+    colors = frames_srgb[:, ::_STRIDE, ::_STRIDE][:, still]
+    seen = ~hidden[:, ::_STRIDE, ::_STRIDE][:, still]
+    chosen = np.linspace(0, len(colors) - 1, min(_SAMPLES, len(colors))).astype(int)
+    common, known = masked_median(colors[chosen], seen[chosen])
+    matched = np.empty_like(frames_srgb)
+    errors = np.full(len(frames_srgb), np.inf)
+    for k, frame in enumerate(frames_srgb):
+        shown = seen[k] & known
+        gains = fit_gains(colors[k, shown] / 255, common[shown] / 255)
+        matched[k] = change_exposure(frame, gains)
+        if shown.any():
+            left = change_exposure(colors[k, shown], gains) - common[shown]
+            errors[k] = np.median(np.abs(left).max(-1))
+    return MatchedFrames(frames_srgb=matched, bad=errors > max(_BAD * float(np.median(errors)), _NOISE))
