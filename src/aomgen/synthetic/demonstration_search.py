@@ -72,13 +72,13 @@ def find_demonstration(
         raise ConfigError(asset.name, what, f"choose {' or '.join(known)}")
     for _ in range(MAX_TRIES):
         layout = draw_layout(asset, rng)
-        world = build_world(robot, layout, visual=False)
-        planned = plan(robot, world, layout, rng, style)
+        scene = build_world(robot, layout, visual=False)
+        planned = plan(scene, layout, rng, style)
         if planned is None:
             continue
         if planned[0].outcome == "locked":
-            world.model.dof_damping[world.model.joint(world.names.joint).dofadr[0]] = LOCKED_DAMPING
-        shown = simulate(robot, world, planned[1])
+            scene.model.dof_damping[scene.object_dof] = LOCKED_DAMPING
+        shown = simulate(scene, planned[1])
         performance = Performance(layout=layout, style=planned[0], script=planned[1], demonstration=shown)
         if not shown.diverged and not shown.foreign and _succeeded(performance):
             return performance

@@ -1,16 +1,16 @@
 """The demonstration itself: a simulation in which only contact moves the object."""
 
+import copy
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from aomgen.core.values import Array, freeze
-from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_parts import HandDrive
+from aomgen.simulation.replay import servo_control
+from aomgen.simulation.scene import Scene
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
-from aomgen.synthetic.layout import World
 
 # Simulated time before the log begins, in which servos and contacts come to rest, [s].
 SETTLE_S = 0.3
@@ -69,58 +69,66 @@ class SimulatedDemonstration:
             freeze(self, name, getattr(self, name), (count, None))
 
 
-def simulate(robot: RobotModel, world: World, script: CommandedTrajectory) -> SimulatedDemonstration:
+def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstration:
     """Run a script with position control and velocity feed-forward; the object's joint is passive.
 
     Nothing is written into the state after the first step. Autoreset is off.
     """
-    model = world.model
+    model = copy.copy(scene.model)
     model.opt.timestep = CONTROL_STEP_S
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    model.actuator_forcerange[model.actuator(_drive(robot).actuator).id] *= script.grip
+    model.actuator_forcerange[scene.gripper.actuator] *= script.grip
     data = mujoco.MjData(model)
-    at_rest = robot.qpos(script.joints[0], script.gripper[0])[0]
-    data.qpos[: len(at_rest)] = at_rest
-    data.joint(world.names.joint).qpos[0] = script.theta_start
-    control = _Control(robot, model)
+    data.qpos[:] = scene.qpos(script.joints[:1], script.gripper[0], script.theta_start)[0]
     velocities = np.gradient(script.joints, CONTROL_STEP_S, axis=0)
-    control.apply(data, script.joints[0], velocities[0] * 0, script.gripper[0])
-    for _ in range(round(SETTLE_S / CONTROL_STEP_S)):
-        mujoco.mj_step(model, data)
-    hand = _Hand(robot, world)
+    data.ctrl[:] = servo_control(scene, script.joints[0], np.zeros_like(velocities[0]), script.gripper[0])
+    mujoco.mj_step(model, data, round(SETTLE_S / CONTROL_STEP_S))
+    sides = _name_sides(model, scene.robot)
     qpos = np.empty((len(script.times_s), model.nq))
     contacts, foreign = [], False
     for step in range(len(script.times_s)):
         qpos[step] = data.qpos
-        touches, strange = hand.touches(data)
+        touches, strange = _read_touches(scene, data, sides)
         contacts.append(touches)
         foreign |= strange
-        control.apply(data, script.joints[step], velocities[step], script.gripper[step])
+        data.ctrl[:] = servo_control(scene, script.joints[step], velocities[step], script.gripper[step])
         mujoco.mj_step(model, data)
-    drive = _drive(robot)
-    opened, closed = drive.driver_range
-    columns = [model.joint(name).qposadr[0] for name in robot.joint_names]
+    opened, closed = scene.gripper.driver_range
     return SimulatedDemonstration(
         times_s=script.times_s,
         qpos=qpos,
-        joints=qpos[:, columns],
-        gripper=(qpos[:, model.joint(drive.driver).qposadr[0]] - opened) / (closed - opened),
-        theta=qpos[:, model.joint(world.names.joint).qposadr[0]],
+        joints=qpos[:, scene.arm.qpos],
+        gripper=(qpos[:, scene.gripper.driver] - opened) / (closed - opened),
+        theta=qpos[:, scene.object_qpos],
         contacts=tuple(contacts),
         foreign=foreign,
         diverged=bool(data.warning.number.sum() > 0) or not np.isfinite(qpos).all(),
     )
 
 
-def _drive(robot: RobotModel) -> HandDrive:
-    if robot.drive is None:
-        raise ConfigError(
-            robot.name, "has no fingers that could open anything", "give an arm with its gripper"
-        )
-    return robot.drive
+def _read_touches(
+    scene: Scene, data: mujoco.MjData, sides: dict[int, str]
+) -> tuple[tuple[TrueContact, ...], bool]:
+    """Touches of the hand on the moving part, and whether the robot touches anything else."""
+    roles, found, strange = scene.roles, [], False
+    wrench = np.zeros(6)
+    for number in range(data.ncon):
+        contact = data.contact[number]
+        a, b = contact.geom
+        if roles.robot[a] == roles.robot[b] or contact.dist > 0:
+            continue
+        ours, other = (a, b) if roles.robot[a] else (b, a)
+        if not (roles.moving[other] and roles.gripper[ours]):
+            strange = True
+            continue
+        mujoco.mj_contactForce(scene.model, data, number, wrench)
+        normal = contact.frame[:3] * (1.0 if ours == a else -1.0)
+        finger = sides[int(scene.model.geom_bodyid[ours])]
+        found.append(TrueContact(finger=finger, point=contact.pos, normal=normal, force=float(wrench[0])))
+    return tuple(found), strange
 
 
-def _branches(model: mujoco.MjModel, robot: RobotModel) -> dict[int, str]:
+def _name_sides(model: mujoco.MjModel, robot: RobotModel) -> dict[int, str]:
     """Side of every body between a finger pad and the palm, and of all that hangs on those."""
     hand = {model.body(name).id for name in robot.hand_bodies}
     arms = {int(model.jnt_bodyid[model.joint(name).id]) for name in robot.gripper_table.joint_names}
@@ -135,51 +143,3 @@ def _branches(model: mujoco.MjModel, robot: RobotModel) -> dict[int, str]:
     for body in sorted(hand):
         sides.setdefault(body, sides.get(int(model.body_parentid[body]), "palm"))
     return sides
-
-
-class _Control:
-    """Writes actuator commands: position servos whose lag is cancelled by velocity feed-forward."""
-
-    def __init__(self, robot: RobotModel, model: mujoco.MjModel) -> None:
-        of_joint = {model.actuator_trnid[a, 0]: a for a in range(model.nu) if model.actuator_trntype[a] == 0}
-        self._arm = np.array([of_joint[model.joint(name).id] for name in robot.joint_names])
-        self._lead = model.actuator_biasprm[self._arm, 2] / model.actuator_biasprm[self._arm, 1]
-        drive = _drive(robot)
-        self._opened, self._closed = drive.control_range
-        self._gripper = model.actuator(drive.actuator).id
-
-    def apply(self, data: mujoco.MjData, joints: Array, velocities: Array, gripper: float) -> None:
-        data.ctrl[self._arm] = joints + self._lead * velocities
-        data.ctrl[self._gripper] = self._opened + gripper * (self._closed - self._opened)
-
-
-class _Hand:
-    """Reads the contacts between robot, object and table."""
-
-    def __init__(self, robot: RobotModel, world: World) -> None:
-        self._model = world.model
-        bodies = [self._model.body(b).name for b in self._model.geom_bodyid]
-        self._robot = np.array([name in robot.body_names for name in bodies])
-        self._moving = np.array([name == world.names.moving_body for name in bodies])
-        self._hand = np.array([name in robot.hand_bodies for name in bodies])
-        branch = _branches(self._model, robot)
-        self._finger = [branch.get(int(b), "palm") for b in self._model.geom_bodyid]
-
-    def touches(self, data: mujoco.MjData) -> tuple[tuple[TrueContact, ...], bool]:
-        """Touches of the hand on the moving part, and whether the robot touches anything else."""
-        found, strange = [], False
-        wrench = np.zeros(6)
-        for number in range(data.ncon):
-            contact = data.contact[number]
-            a, b = contact.geom
-            if self._robot[a] == self._robot[b] or contact.dist > 0:
-                continue
-            ours, other = (a, b) if self._robot[a] else (b, a)
-            if not (self._moving[other] and self._hand[ours]):
-                strange = True
-                continue
-            mujoco.mj_contactForce(self._model, data, number, wrench)
-            normal = contact.frame[:3] * (1.0 if ours == a else -1.0)
-            finger = self._finger[ours]
-            found.append(TrueContact(finger=finger, point=contact.pos, normal=normal, force=float(wrench[0])))
-        return tuple(found), strange

@@ -84,7 +84,7 @@ def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performan
     for name in no_handle:
         world.model.geom(name).contype = 0
         world.model.geom(name).conaffinity = 0
-    shown = simulate(robot, world, open_hand)
+    shown = simulate(world, open_hand)
     start, goal = performance.script.theta_start, performance.script.theta_goal
     assert abs(shown.theta[-1] - start) < 0.05 * goal
 

@@ -54,7 +54,7 @@ def draw_sizes(rng: np.random.Generator, table: Mapping[str, Span]) -> SimpleNam
 
 def pick(rng: np.random.Generator, options: Sequence[Item]) -> Item:
     """One of several, each as likely."""
-    return options[rng.integers(len(options))]
+    return options[int(rng.integers(len(options)))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -230,13 +230,13 @@ def assemble(
     category: str, static: AssetLink, moving: AssetLink, joint: Joint, held: BarHandle | Array
 ) -> ArticulatedAsset:
     """The asset, still without a name; it is held at a bar, or at a point (3,) of a level rim."""
-    bar = held if isinstance(held, BarHandle) else None
+    point, axis = (held.middle, held.axis) if isinstance(held, BarHandle) else (held, LEVEL)
     return ArticulatedAsset(
         name="",
         category=category,
         static=static,
         moving=moving,
         joint=joint,
-        handle_point=held if bar is None else bar.middle,
-        handle_axis=LEVEL if bar is None else bar.axis,
+        handle_point=point,
+        handle_axis=axis,
     )
