@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from aomgen.core.camera import camera_in_world
-from aomgen.core.progress import silent
 from aomgen.core.recording import Capture
 from aomgen.gaussians.stage import load_gaussians
 from aomgen.motion.stage import load_motion
-from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_scan
+from aomgen.paper.link_boxes import bodies_in_boxes
+from aomgen.parts.label import find_parts, part_evidence, segment_scan
+from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.stage import scan_views
 from aomgen.pipeline.aligning import align_by_paper
 from aomgen.pipeline.stages import STAGES
@@ -51,8 +52,8 @@ def paper_twin(out: Path, capture: Capture, estimates: dict[str, Any]) -> tuple[
     world = gaussians_recon.transformed(S_world_recon)
     views = scan_views(structure, S_world_recon, images, posture)
     segmenter = choose_segmenter(capture.mask_folders)
-    params = PartsParams(robot="boxes")
-    scan = segment_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    prompted = segment_prompts(views, capture.prompts, segmenter)
+    scan = segment_scan(world, views, bodies_in_boxes(world.means, posture), prompted)
     parts = find_parts(scan, part_evidence(scan))
     joint = load_motion(folders["motion"]).joint
     return (

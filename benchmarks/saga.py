@@ -3,14 +3,19 @@
 import time
 from pathlib import Path
 
+import numpy as np
+
 from aomgen.alignment.stage import load_alignment
 from aomgen.core.progress import silent
 from aomgen.core.recording import Capture
 from aomgen.motion.stage import load_motion
-from aomgen.parts.affinity_parts import AffinityPartsParams, find_all_masks
-from aomgen.parts.label import PartsParams, find_parts, part_evidence, segment_scan
+from aomgen.paper.affinity_features import AffinityParams
+from aomgen.paper.affinity_parts import affinity_evidence
+from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
+from aomgen.parts.label import SEED, find_parts, part_evidence, segment_scan
 from aomgen.parts.prompted_images import segment_prompts
-from aomgen.parts.stage import MASKS_FOLDER, scan_views
+from aomgen.parts.robot_labels import label_robot
+from aomgen.parts.stage import scan_views
 from aomgen.pipeline.stages import STAGES
 from aomgen.pipeline.twin_stages import posture_of, scanned_twin, scanned_world
 from aomgen.segmentation.segmenter import choose_segmenter
@@ -37,13 +42,14 @@ def saga_twin(out: Path, capture: Capture) -> tuple[Twin, dict[str, float]]:
     images = {path.name: path for path in capture.scan_images}
     views = scan_views(load_structure(folders["structure"]), S_world_recon, images, posture)
     segmenter = choose_segmenter(capture.mask_folders)
-    affinity = AffinityPartsParams(masks_folder=out / FOLDER / MASKS_FOLDER)
-    started = time.monotonic()
+    params, rng = AffinityParams(), np.random.default_rng(SEED)
     prompted = segment_prompts(views, capture.prompts, segmenter)
-    find_all_masks(world, views, prompted, segmenter, silent, affinity)
+    started = time.monotonic()
+    folder = out / FOLDER / MASKS_FOLDER
+    masks = segment_views(world, views, prompted, segmenter, silent, params.views, folder)
     masked = time.monotonic()
-    params = PartsParams(method="saga", affinity=affinity)
-    scan = segment_scan(world, views, capture.prompts, segmenter, posture, silent, params)
+    given = affinity_evidence(world, views, masks, prompted, silent, params, rng)
+    scan = segment_scan(world, views, label_robot(world, views, posture, rng), prompted, given)
     parts = find_parts(scan, part_evidence(scan))
     seconds = {"masks": masked - started, "features": time.monotonic() - masked}
     twin = scanned_twin(world, parts, load_motion(folders["motion"]).joint, posture)

@@ -21,7 +21,6 @@ from aomgen.robots.configuration import RobotPosture
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 PARTS_FILE = "parts.npz"
-MASKS_FOLDER = "automatic_masks"
 # Arrays of the pieces of Gaussians that were cut.
 PIECES = ("means", "quats", "scales", "opacities", "sh")
 
@@ -56,7 +55,6 @@ def save_parts(parts: Parts, folder: Path) -> None:
     pieces = {name: getattr(parts.cut.pieces, name) for name in PIECES}
     arrays = {
         "labels": parts.labels,
-        "confidence": parts.confidence,
         "robot_bodies": parts.robot_bodies,
         "cut_sources": parts.cut.sources,
         **{f"cut_{name}": array for name, array in pieces.items()},
@@ -79,7 +77,6 @@ def load_parts(folder: Path) -> Parts:
         pieces = Gaussians(**{name: arrays[f"cut_{name}"] for name in PIECES})
         return Parts(
             labels=arrays["labels"],
-            confidence=arrays["confidence"],
             robot_bodies=arrays["robot_bodies"],
             cut=Cut(sources=arrays["cut_sources"], pieces=pieces),
             method=str(arrays["method"]),

@@ -31,11 +31,16 @@ from aomgen.io.video import Video, probe_video
 from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.motion.part_identification import list_warnings
 from aomgen.motion.stage import load_motion, run_motion
+from aomgen.paper.affinity_features import AffinityParams
+from aomgen.paper.affinity_parts import affinity_evidence
+from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
+from aomgen.paper.link_boxes import bodies_in_boxes
 from aomgen.paper.motion_estimate import run_paper_motion
 from aomgen.paper.true_part_masks import part_masks
-from aomgen.parts.affinity_parts import AffinityPartsParams
-from aomgen.parts.label import Parts, PartsParams, segment_scan
-from aomgen.parts.stage import MASKS_FOLDER, load_parts, save_parts, scan_views
+from aomgen.parts.label import SEED, Parts, segment_scan
+from aomgen.parts.prompted_images import segment_prompts
+from aomgen.parts.robot_labels import label_robot
+from aomgen.parts.stage import load_parts, save_parts, scan_views
 from aomgen.parts.survey_store import run_survey
 from aomgen.pipeline.estimates import REFUSED_MOTION, estimates_of
 from aomgen.pipeline.moving_parts import find_moving_parts
@@ -131,19 +136,22 @@ def parts(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     images = {path.name: path for path in capture.scan_images}
     views = scan_views(scene, S_world_recon, images, posture)
     progress(0.1, "robot drawn into the scan")
-    scan = segment_scan(
-        world,
-        views,
-        capture.prompts,
-        choose_segmenter(capture.mask_folders, run.project.segmenter),
-        posture,
-        part(progress, 0.1, 0.5),
-        PartsParams(
-            method=run.project.parts_method,
-            affinity=AffinityPartsParams(masks_folder=folder / MASKS_FOLDER),
-            robot="boxes" if run.project.alignment_method == "paper" else "links",
-        ),
-    )
+    if run.project.alignment_method == "paper":
+        bodies = bodies_in_boxes(world.means, posture)
+    else:
+        bodies = label_robot(world, views, posture, np.random.default_rng(SEED))
+    progress(0.2, "robot labelled")
+    segmenter = choose_segmenter(capture.mask_folders, run.project.segmenter)
+    prompted = segment_prompts(views, capture.prompts, segmenter)
+    progress(0.4, "prompts answered")
+    given = None
+    if run.project.parts_method == "saga":
+        params, rng = AffinityParams(), np.random.default_rng(SEED)
+        masks = segment_views(
+            world, views, prompted, segmenter, part(progress, 0.4, 0.45), params.views, folder / MASKS_FOLDER
+        )
+        given = affinity_evidence(world, views, masks, prompted, part(progress, 0.45, 0.5), params, rng)
+    scan = segment_scan(world, views, bodies, prompted, given)
     result = find_moving_parts(scan, partial(motion_input, run), part(progress, 0.5, 1.0))
     save_parts(result, folder)
     found = run_survey(scene, result.cut.applied(world), S_world_recon, result, posture, folder)
