@@ -343,7 +343,7 @@ def test_a_missing_or_foreign_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_part_without_points_is_named() -> None:
-    from aomgen.motion.box_edges import fit_upright_box
+    from aomgen.core.boxes import fit_box
 
     with pytest.raises(InputError, match="3 points"):
-        fit_upright_box(np.zeros((3, 3)), 0.0)
+        fit_box(np.zeros((3, 3)), np.eye(3))
