@@ -333,7 +333,7 @@ def test_an_estimate_survives_the_disk(tmp_path: Path) -> None:
 
 
 def test_a_part_without_points_is_named() -> None:
-    from aomgen.motion.box_edges import fit_upright_box
+    from aomgen.core.boxes import fit_box
 
     with pytest.raises(InputError, match="3 points"):
-        fit_upright_box(np.zeros((3, 3)), 0.0)
+        fit_box(np.zeros((3, 3)), np.eye(3))
