@@ -16,7 +16,6 @@ from aomgen.errors import BackendError, MalformedFileError, WrongPromptError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.images import read_labels, write_image
 from aomgen.parts.label import (
-    Parts,
     PromptedScan,
     cut_scan,
     find_parts,
