@@ -33,22 +33,22 @@ class PartPath:
     """The part during the first moments of a touch.
 
     Attributes:
-        times_log_s: Moments (K,), log clock, [s].
+        times_s: Moments (K,), [s].
         Ts_world_part: Transforms (K, 4, 4) that carry the part from its scanned place to where it is then.
     """
 
-    times_log_s: Array
+    times_s: Array
     Ts_world_part: Array
 
     def __post_init__(self) -> None:
-        freeze(self, "times_log_s", self.times_log_s, (None,))
-        freeze(self, "Ts_world_part", self.Ts_world_part, (len(self.times_log_s), 4, 4))
+        freeze(self, "times_s", self.times_s, (None,))
+        freeze(self, "Ts_world_part", self.Ts_world_part, (len(self.times_s), 4, 4))
 
     @staticmethod
-    def carried(robot: RobotModel, log: JointLog, resting_log_s: float, times_log_s: Array) -> "PartPath":
+    def carried(robot: RobotModel, log: JointLog, resting_s: float, times_s: Array) -> "PartPath":
         """The part as if the hand held it firmly at times (K,) since a time at which it rested."""
-        Ts_world_ee = robot.ee_poses(log.at(np.append(resting_log_s, times_log_s))[0])
-        return PartPath(times_log_s=times_log_s, Ts_world_part=Ts_world_ee[1:] @ invert(Ts_world_ee[0]))
+        Ts_world_ee = robot.ee_poses(log.at(np.append(resting_s, times_s))[0])
+        return PartPath(times_s=times_s, Ts_world_part=Ts_world_ee[1:] @ invert(Ts_world_ee[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +87,7 @@ def find_contacts(
     Source: AOMGen, sec. 4.2, "Contact Point Detection", with patches in place of one nearest pair.
     Not checked: that anything touches at all; `gap_m` tells.
     """
-    joints, gripper = log.at(path.times_log_s)
+    joints, gripper = log.at(path.times_s)
     Ts_world_ee = robot.ee_poses(joints)
     T_ee_part = average_poses(invert(Ts_world_ee) @ path.Ts_world_part)
     points_ee = apply(T_ee_part, points_moving)

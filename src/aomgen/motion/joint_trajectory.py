@@ -104,7 +104,7 @@ def prepare_recovery(
     begin = PartPath.carried(
         demo.robot,
         demo.log,
-        (touch_s if touch.gripped else seen)[0] + demo.clock_offset_s,
+        (touch_s if touch.gripped else seen)[0],
         _begin(seen, demo, params),
     )
     contacts, found = _explained(demo, shape, surface, begin, seen, joint)
@@ -134,9 +134,9 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
     """
-    demo, shape, seen, offset_s = first.demo, first.shape, first.seen, first.demo.clock_offset_s
+    demo, shape, seen = first.demo, first.shape, first.seen
     times = _dense(first.touch_s)
-    poses = ee_poses_at(demo, times + offset_s)
+    poses = ee_poses_at(demo, times)
     leave = find_motion_tolerance(joint_type)
 
     def along(found: JointCandidates, interval: tuple[float, float]) -> ValueTrajectory:
@@ -154,8 +154,8 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
 
     def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> PartPath:
         moments = _begin(trajectory.interval, demo, params)
-        thetas = np.interp(moments - offset_s, times, trajectory.values) - trajectory.levels[0]
-        return PartPath(times_log_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
+        thetas = np.interp(moments, times, trajectory.values) - trajectory.levels[0]
+        return PartPath(times_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
 
     trajectory = along(first.found, seen)
     begin = beginning(first.found, trajectory)
@@ -184,7 +184,7 @@ def _explained(
 ) -> tuple[Contacts, JointCandidates]:
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
     contacts = _contacts(demo, shape, surface, begin)
-    held = ee_poses_at(demo, _dense(interval) + demo.clock_offset_s)
+    held = ee_poses_at(demo, _dense(interval))
     # Fingers that do not stand against each other push, and hold in no direction.
     normals = [patch.normal for patch in contacts.patches]
     pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
@@ -197,9 +197,9 @@ def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: PartPa
 
 
 def _begin(interval: tuple[float, float], demo: MotionInput, params: MotionParams) -> Array:
-    """First moments of the motion from its first frame on, log clock (K,), [s]."""
+    """First moments of the motion from its first frame on (K,), [s]."""
     steps = np.linspace(0.0, WINDOW_S, params.contact_steps, dtype=np.float64)
-    return steps + (find_first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
+    return steps + find_first_frame(demo.video.times_s, interval[0])
 
 
 def find_first_frame(frames: Array, moment_s: float) -> float:
@@ -218,6 +218,6 @@ def _dense(interval: tuple[float, float]) -> Array:
     return np.linspace(interval[0], interval[1], count, dtype=np.float64)
 
 
-def ee_poses_at(demo: MotionInput, log_times_s: Array) -> Array:
-    """End-effector poses (T, 4, 4), world frame, at times (T,) of the log's clock."""
-    return np.asarray(demo.robot.ee_poses(demo.log.at(log_times_s)[0]), np.float64)
+def ee_poses_at(demo: MotionInput, times_s: Array) -> Array:
+    """End-effector poses (T, 4, 4), world frame, at times (T,)."""
+    return np.asarray(demo.robot.ee_poses(demo.log.at(times_s)[0]), np.float64)

@@ -125,7 +125,7 @@ def make_part_renderer(
         height=rows.stop - rows.start,
     )
     images = [resize(demo.video.frames_srgb[k], small.width, small.height)[rows, columns] for k in frames]
-    masks = masks_at(demo.video.times_s[frames] + demo.clock_offset_s, small.width, small.height)
+    masks = masks_at(demo.video.times_s[frames], small.width, small.height)
     hidden = np.stack([dilate(mask, dilate_px)[rows, columns] for mask in masks])
     luma = np.asarray(np.stack(images).astype(np.float32) @ _LUMA / 255, np.float32)
     near = moves | _in_view(scene, camera)

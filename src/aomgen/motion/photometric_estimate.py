@@ -60,8 +60,7 @@ def make_kinematic_prior(
         estimate: The hand's answer.
         lines: Axes (S, 3) and points on them (S, 3) [m] that the hand finds equally likely, world frame.
     """
-    begin = np.array([estimate.start_s + demo.clock_offset_s])
-    held = apply(demo.robot.ee_poses(demo.log.at(begin)[0]), estimate.grasp_ee)[0]
+    held = apply(demo.robot.ee_poses(demo.log.at([estimate.start_s])[0]), estimate.grasp_ee)[0]
     joint = estimate.joint
     pivot = joint.origin + joint.axis * ((held - joint.origin) @ joint.axis)
     answer = KinematicPrior(

@@ -229,12 +229,11 @@ def motion_input(run: Run, scene: Gaussians, labels: NDArray[np.uint8]) -> Motio
     return MotionInput(
         video=read_demo_videos(capture)[name],
         camera=calibrated.camera,
-        log=capture.joint_log,
+        log=capture.joint_log.shifted(clock.offset_s),
         robot=robot_of(capture),
         scene=scene,
         labels=labels,
-        clock_offset_s=clock.offset_s,
-        clock_sd_s=clock.sd_s,
+        clock=clock,
     )
 
 

@@ -112,7 +112,7 @@ def test_what_the_scan_did_not_see_is_held_all_over_the_pads(robot: RobotModel) 
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
     part = np.random.default_rng(0).uniform([0.08, 0.05, -0.1], [0.3, 0.06, -0.05], (500, 3))
     away = transform(np.eye(3), T_world_ee[:3, :3] @ [-0.01, 0, 0])
-    path = PartPath(times_log_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([np.eye(4), away]))
+    path = PartPath(times_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([np.eye(4), away]))
     contacts = find_contacts(robot, log, apply(T_world_ee, part), AXES, path)
     assert {patch.finger for patch in contacts.patches} == {"left", "right"}
     assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.01)
@@ -202,7 +202,7 @@ def test_the_part_is_sought_where_it_is_and_not_where_it_was(robot: RobotModel) 
     log = still_log(robot, 0.857)
     gone = transform(np.eye(3), T_world_ee[:3, :3] @ [0, 0, -0.015])
     scanned = apply(invert(gone), apply(T_world_ee, bar(0.1, 0.006, 0.0)))
-    path = PartPath(times_log_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([gone, gone]))
+    path = PartPath(times_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([gone, gone]))
     assert middle_ee(robot, find_contacts(robot, log, scanned, AXES, path)) == pytest.approx(
         [0, 0, 0], abs=0.006
     )
