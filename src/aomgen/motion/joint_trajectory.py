@@ -8,7 +8,7 @@ from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.motion.axis_prior import PartShape, measure_shape
-from aomgen.motion.contact import SPACING_M, WINDOW_S, Contacts, PartPath, find_contacts
+from aomgen.motion.contact import SURFACE_SD_M, WINDOW_S, Contacts, carry_part, find_contacts
 from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
@@ -100,13 +100,10 @@ def prepare_recovery(
     inside = slice(touch.first, touch.last + 1)
     joint = params.joint if touch.gripped else replace(params.joint, noise=loosen_prior(params.joint.noise))
     shape = measure_shape(demo.points_static, demo.points_moving)
-    surface = demo.surface_moving(SPACING_M)
-    begin = PartPath.carried(
-        demo.robot,
-        demo.log,
-        (touch_s if touch.gripped else seen)[0],
-        _begin(seen, demo, params),
-    )
+    surface = demo.surface_moving(SURFACE_SD_M)
+    moments = _begin(seen, demo, params)
+    rested_s = (touch_s if touch.gripped else seen)[0]
+    begin = (moments, carry_part(demo.robot, demo.log, rested_s, moments))
     contacts, found = _explained(demo, shape, surface, begin, seen, joint)
     return RecoveryInput(
         demo=demo,
@@ -152,10 +149,10 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
         start, end = (_nearby(felt[k], seen[k], _AGREE_S) for k in (0, 1))
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
-    def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> PartPath:
+    def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> tuple[Array, Array]:
         moments = _begin(trajectory.interval, demo, params)
         thetas = np.interp(moments, times, trajectory.values) - trajectory.levels[0]
-        return PartPath(times_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
+        return moments, found.of(joint_type).joint.motion(thetas)
 
     trajectory = along(first.found, seen)
     begin = beginning(first.found, trajectory)
@@ -178,7 +175,7 @@ def _explained(
     demo: MotionInput,
     shape: PartShape,
     surface: Array,
-    begin: PartPath,
+    begin: tuple[Array, Array],
     interval: tuple[float, float],
     params: JointParams,
 ) -> tuple[Contacts, JointCandidates]:
@@ -192,8 +189,9 @@ def _explained(
     return contacts, fit_candidates(held, hold, shape, params)
 
 
-def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: PartPath) -> Contacts:
-    return find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
+def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: tuple[Array, Array]) -> Contacts:
+    axes = shape.box.T_world_box[:3, :3].T
+    return find_contacts(demo.robot, demo.log, (surface, axes), *begin)
 
 
 def _begin(interval: tuple[float, float], demo: MotionInput, params: MotionParams) -> Array:
