@@ -12,8 +12,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.values import Array
 from aomgen.io.video import Video
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.kinematic_prior import KinematicPrior
-from aomgen.motion.photometric_residuals import shift_joint
+from aomgen.motion.kinematic_prior import KinematicPrior, shift_joint
 from aomgen.splatting.rasterizer import render
 
 HINGE = Joint(type="revolute", axis=np.array([0, 0, 1.0]), origin=np.zeros(3), lower=0.0, upper=1.0)

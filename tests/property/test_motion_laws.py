@@ -56,9 +56,7 @@ QUICK = MotionParams(
     width=120,
     joint=JointParams(nodes=8),
     contact_steps=2,
-    photometric=PhotometricParams(
-        knots=3, max_pixels=4000, bands=(Band(blur_px=1.0, wide_px=4.0, margin_px=2),), rounds=2
-    ),
+    photometric=PhotometricParams(knots=3, max_pixels=4000, bands=(Band(blur_px=1.0, wide_px=4.0),)),
 )
 HINGE = Joint(
     type="revolute",

@@ -21,12 +21,16 @@ from aomgen.motion.joint_trajectory import (
     recover_motion,
 )
 from aomgen.motion.joint_value import compute_path_values, find_motion_tolerance, sample_at_frames
-from aomgen.motion.model_selection import compute_type_margin
+from aomgen.motion.kinematic_prior import make_kinematic_prior
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.opening_direction import infer_direction
 from aomgen.motion.params import MotionParams
-from aomgen.motion.photometric import PhotometricFrames, select_frames
-from aomgen.motion.photometric_estimate import make_kinematic_prior, refine_estimate
+from aomgen.motion.photometric import (
+    PhotometricFrames,
+    compute_type_margin,
+    refine_estimate,
+    select_frames,
+)
 from aomgen.motion.photometric_residuals import JointMotion
 from aomgen.robots.robot_masks import MasksAt, robot_masks
 
