@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import ConfigError
@@ -133,6 +134,7 @@ def load_motion_world(place: Path) -> MotionWorld:
     content, arrays = read_json(place / _WORLD), read_npz(place / _ARRAYS)
     fx, fy, cx, cy, width, height = content["intrinsics"]
     robot = load_robot(DEFAULT_ROBOT)
+    clock = Clock(offset_s=content["clock_offset_s"], sd_s=content["clock_sd_s"])
     return MotionWorld(
         name=place.name,
         demonstration=MotionInput(
@@ -146,12 +148,11 @@ def load_motion_world(place: Path) -> MotionWorld:
                 joints=arrays["joints"],
                 gripper=arrays["gripper"],
                 joint_names=robot.joint_names,
-            ),
+            ).shifted(clock.offset_s),
             robot=robot,
             scene=Gaussians(**{name: arrays[name] for name in _GAUSSIANS}),
             labels=arrays["labels"],
-            clock_offset_s=content["clock_offset_s"],
-            clock_sd_s=content["clock_sd_s"],
+            clock=clock,
         ),
         truth=read_truth(place),
     )  # fmt: skip

@@ -149,6 +149,15 @@ class Results:
         return self.alignment.cameras[self.demo_camera]
 
     @cached_property
+    def demo_log(self) -> JointLog:
+        """The robot's joint log on the clock of the first fixed camera's video.
+
+        Raises:
+            SyncError: The clock offset is unknown.
+        """
+        return self.capture.joint_log.shifted(self.fixed_camera.require_clock().offset_s)
+
+    @cached_property
     def scan_cameras(self) -> dict[str, Camera]:
         """Registered scan cameras by image name, world frame."""
         cameras = self.structure.cameras_recon
@@ -186,12 +195,12 @@ class Results:
     @cached_property
     def demonstration(self) -> Demonstration:
         """Robot and part from the first to the last video frame, at the video's rate."""
-        return resample_demonstration(self.motion, self.capture.joint_log, self.robot, self.fps)
+        return resample_demonstration(self.motion, self.demo_log, self.robot, self.fps)
 
     def states_at(self, times_s: ArrayLike, T_world_object: ArrayLike) -> tuple[TwinState, ...]:
         """What robot and part did at video times (N,), for an object at a pose (4, 4)."""
         times = np.asarray(times_s, np.float64)
-        joints, gripper = self.capture.joint_log.at(times + self.motion.clock_offset_s)
+        joints, gripper = self.demo_log.at(times)
         pose = np.asarray(T_world_object, np.float64)
         return tuple(
             TwinState(joints=q, gripper=float(g), theta=float(theta), T_world_object=pose)
@@ -227,8 +236,8 @@ def resample_demonstration(
     """Sample the recorded demonstration at a constant rate.
 
     Args:
-        motion: Recovered motion; brings the video's times and the clock offset.
-        log: Joint log on its own clock; its noise is averaged over a sample's length.
+        motion: Recovered motion; brings the video's times.
+        log: On the clock of that video; its noise is averaged over a sample's length.
         robot: For the end effector's poses.
         fps: Samples a second.
 
@@ -239,7 +248,7 @@ def resample_demonstration(
     times = first + np.arange(int((last - first) * fps + 1e-6) + 1) / fps
     # Five readings about each sample, within half a sample, take most of the log's noise away.
     offsets = np.linspace(-0.25, 0.25, 5) / fps
-    readings = [log.at(times + offset + motion.clock_offset_s) for offset in offsets]
+    readings = [log.at(times + offset) for offset in offsets]
     joints = np.mean([joints for joints, _ in readings], 0)
     gripper = np.clip(np.mean([gripper for _, gripper in readings], 0), 0.0, 1.0)
     return Demonstration(
