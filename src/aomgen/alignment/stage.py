@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.align import Alignment, AlignmentParams, align
-from aomgen.alignment.camera_uncertainty import CameraErrors, camera_covariance
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.uncertainty import CameraErrors, camera_covariance
 from aomgen.core.held_out import held_out
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Prompt

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from aomgen.alignment.align import Alignment
-from aomgen.alignment.bundle_equations import BundleParams
+from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.calibrated_cameras import save_calibrated_cameras
 from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
 from aomgen.alignment.stage import boxes_of, run_alignment, save_alignment, views_of

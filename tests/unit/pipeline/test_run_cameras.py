@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.core.camera import Camera
+from aomgen.core.fixed_camera import FixedCamera
 from aomgen.errors import ConfigError
 from aomgen.pipeline import run_cameras
 from aomgen.pipeline.project import Project
@@ -22,7 +22,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     (tmp_path / "07_replacement").mkdir()
     monkeypatch.setattr(run_cameras, "scan_cameras_world", lambda run: {"0001.jpg": SCAN, "0000.jpg": SCAN})
     monkeypatch.setattr(run_cameras, "stored_cameras", lambda run: {"front": EPISODES, "side": EPISODES})
-    calibrated = {"front": CalibratedCamera(camera=VIDEO, clock=None)}
+    calibrated = {"front": FixedCamera(camera=VIDEO, clock=None)}
     monkeypatch.setattr(run_cameras, "load_calibrated_cameras", lambda folder: calibrated)
     return Project(capture=tmp_path, out=tmp_path)
 
