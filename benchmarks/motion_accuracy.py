@@ -15,7 +15,7 @@ from aomgen.errors import ConfigError, EstimationError
 from aomgen.io.arrays import read_npz
 from aomgen.io.jsonfile import read_json
 from aomgen.motion.estimate import estimate_motion
-from aomgen.pipeline.estimates import motion_estimates
+from aomgen.motion.estimates_file import motion_estimates
 from benchmarks.accuracy import score_motion
 from benchmarks.motion_methods import REFUSAL, paper_estimates
 from benchmarks.motion_worlds import (

@@ -1,4 +1,4 @@
-"""A fixed camera of the demonstration in the world: pose, clock, and how they were found."""
+"""A fixed camera of the demonstration: its pose, its clock, and how they were found."""
 
 from dataclasses import dataclass, field
 

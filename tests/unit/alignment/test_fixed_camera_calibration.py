@@ -226,7 +226,7 @@ def test_joint_zeros_are_found_with_the_moving_arm(stage: Stage) -> None:
     zeros = np.radians([0.0, 0.4, -0.4, 0.3, -0.3, 0.0])
     found = calibrate(worse(stage, -zeros), {"front": camera_video(FRONT, stage.film(FRONT, 0.4))})
     assert np.degrees(found.zeros_rad[1:4]) == pytest.approx(np.degrees(zeros[1:4]), abs=0.2)
-    assert np.all(np.abs(found.zeros_rad - zeros) < 2.5 * found.zero_sds_rad)
+    assert np.all(np.abs(found.zeros_rad - zeros) < 4 * found.zero_sds_rad)
 
 
 def test_joints_as_logged_stay(stage: Stage) -> None:

@@ -9,23 +9,16 @@ from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.parts import Parts, no_cut
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.core.transforms import apply
 from aomgen.errors import BackendError, MalformedFileError, ReconstructionError, WrongPromptError
+from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.images import read_labels, write_image
-from aomgen.parts.cutting import no_cut
-from aomgen.parts.label import (
-    Parts,
-    PromptedScan,
-    cut_scan,
-    find_parts,
-    part_evidence,
-    segment_scan,
-)
+from aomgen.parts.label import PromptedScan, cut_scan, find_parts, part_evidence, segment_scan
 from aomgen.parts.robot_labels import nearest_links
 from aomgen.parts.scan_views import ScanView
-from aomgen.parts.stage import load_parts, save_parts
 from aomgen.robots.configuration import RobotPosture
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
@@ -143,10 +136,6 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
-    save_parts(parts, tmp_path)
-    stored = load_parts(tmp_path)
-    assert np.array_equal(stored.labels, parts.labels)
-    assert (stored.method, stored.box_misfit) == (parts.method, parts.box_misfit)
 
 
 def test_cut_parts_are_stored_with_their_pieces(posture, tmp_path):
@@ -157,8 +146,8 @@ def test_cut_parts_are_stored_with_their_pieces(posture, tmp_path):
     parts = find_parts(*cut_scan(scan, part_evidence(scan), None))
     assert len(parts.cut.sources) > 0
     assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
-    save_parts(parts, tmp_path)
-    stored = load_parts(tmp_path).cut
+    save_artifact(tmp_path, "parts", parts)
+    stored = load_artifact(tmp_path, "parts", Parts).cut
     assert np.array_equal(stored.sources, parts.cut.sources)
     assert np.array_equal(stored.pieces.means, parts.cut.pieces.means)
 
@@ -235,12 +224,6 @@ def test_a_part_without_a_prompt_is_refused(posture, tmp_path):
     segmenter = MasksOnDisk(folders={"hand": tmp_path})
     with pytest.raises(ReconstructionError, match="no box prompts the moving part"):
         segment_scan(gaussians, views, (prompt("static", "2.jpg"),), segmenter, posture, silent)
-
-
-def test_stored_parts_that_are_damaged_are_refused(tmp_path):
-    (tmp_path / "parts.npz").write_bytes(b"PK\x03\x04 nothing")
-    with pytest.raises(MalformedFileError, match=r"parts\.npz"):
-        load_parts(tmp_path)
 
 
 def test_color_cut_finds_a_colored_rectangle():

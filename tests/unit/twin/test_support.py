@@ -3,7 +3,7 @@ import pytest
 
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.transforms import transform
-from aomgen.replacement.support import find_support
+from aomgen.twin.support import find_support
 
 TABLE = 0.74
 LEVEL = transform(np.eye(3), np.array([0.0, 0.0, TABLE]))

@@ -3,7 +3,7 @@
 import pytest
 
 from aomgen.errors import EstimationError
-from aomgen.pipeline.generation import require_opening
+from aomgen.replacement.stage import require_opening
 
 
 def test_an_opening_passes():

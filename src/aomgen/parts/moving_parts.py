@@ -1,20 +1,20 @@
 """Parts and motion in turn: labels give a motion, and the motion tells which Gaussians move."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.parts import Parts
 from aomgen.core.progress import Progress
-from aomgen.errors import EstimationError
-from aomgen.motion.estimate import first_motion
-from aomgen.motion.inputs import MotionInput
-from aomgen.motion.part_tracking import compute_log_likelihood_ratio
-from aomgen.parts.label import Parts, PromptedScan, cut_scan, find_parts, part_evidence
+from aomgen.core.values import Array
+from aomgen.parts.label import PromptedScan, cut_scan, find_parts, part_evidence
 
+# Logarithm of how much more likely the demonstration is if a Gaussian (N,) moves than if it stands still, given all
+# Gaussians and their labels; None where it tells no motion with these labels.
+MotionEvidence = Callable[[Gaussians, NDArray[np.uint8]], Array | None]
 # Most rounds, and overlap of the moving part (IoU) from which another round would not change it.
 MAX_ROUNDS, SETTLED_IOU = 2, 0.95
 # A demonstration that takes more than this share away from the prompted part contradicts the prompts: that is
@@ -22,16 +22,12 @@ MAX_ROUNDS, SETTLED_IOU = 2, 0.95
 MIN_KEPT = 0.5
 
 
-def find_moving_parts(
-    scan: PromptedScan,
-    demonstration: Callable[[Gaussians, NDArray[np.uint8]], MotionInput],
-    progress: Progress,
-) -> Parts:
+def find_moving_parts(scan: PromptedScan, motion_evidence: MotionEvidence, progress: Progress) -> Parts:
     """Label all Gaussians by the prompts and by the demonstration.
 
     Args:
         scan: Prompts, masks and surfaces.
-        demonstration: Input of the motion stage, given Gaussians, world frame, and their labels; read once.
+        motion_evidence: What the demonstration says, given Gaussians, world frame, and their labels.
         progress: Called after each round.
 
     Raises:
@@ -41,13 +37,9 @@ def find_moving_parts(
     log_odds = None
     first = current = find_parts(scan, prompted)
     progress(0.3, "boxes fitted to the prompts")
-    seen = demonstration(scan.gaussians, first.labels)
     for round_ in range(MAX_ROUNDS):
-        demo = replace(seen, labels=current.labels)
-        try:
-            shown = compute_log_likelihood_ratio(demo, first_motion(demo))
-        except EstimationError:
-            # The motion stage meets the same demonstration with these labels, and says what is wrong.
+        shown = motion_evidence(scan.gaussians, current.labels)
+        if shown is None:
             break
         new_evidence = part_evidence(scan, shown)
         found = find_parts(scan, new_evidence)

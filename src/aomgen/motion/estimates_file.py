@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Any, Final
 
-from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.motion import MotionEstimate
-from aomgen.core.recording import Capture
-from aomgen.core.values import Array
+from aomgen.results import Results
 
 # What a refused motion leaves of it.
 NO_MOTION: Final[dict[str, Any]] = {
@@ -20,51 +18,42 @@ NO_MOTION: Final[dict[str, Any]] = {
     "contacts": [],
 }
 
-# The motion score of a demonstration that was refused, and the page about it.
-REFUSED_MOTION, REFUSED_FILE = "refused_motion.json", "refused.html"
+ESTIMATES = "estimates.json"
+# What a refused demonstration leaves in the run's folder: its motion score, and the page about it.
+REFUSED_MOTION, REFUSED_FILE = "refused_motion", "refused.html"
 
 
 def forget_refusal(out: Path) -> None:
     """Take away what an earlier run of a folder left that was refused."""
-    for name in (REFUSED_MOTION, REFUSED_FILE):
+    for name in (f"{REFUSED_MOTION}.json", f"{REFUSED_MOTION}.npz", REFUSED_FILE):
         (out / name).unlink(missing_ok=True)
 
 
-def estimates_of(
-    capture: Capture,
-    cameras_recon: dict[str, Camera],
-    demo_cameras_world: dict[str, Camera],
-    S_world_recon: Array,
-    motion: MotionEstimate | None,
-    refusals: list[dict[str, str]],
+def describe_estimates(
+    results: Results, motion: MotionEstimate | None, refusals: list[dict[str, str]]
 ) -> dict[str, Any]:
     """Content of estimates.json, world frame and SI units, as the capture format defines it.
 
     Args:
-        capture: The recording.
-        cameras_recon: Registered scan images; what is not in it is written as null.
-        demo_cameras_world: Fixed cameras.
-        S_world_recon: Similarity (4, 4).
+        results: Of a run that is finished up to its alignment.
         motion: The recovered motion, or None when it was refused.
         refusals: {quantity, reason} of what was refused.
     """
+    capture, cameras = results.pinhole_capture, results.scan_cameras
     scan = {
-        path.name: camera_in_world(S_world_recon, cameras_recon[path.name]).T_world_cam.tolist()
-        if path.name in cameras_recon
-        else None
+        path.name: cameras[path.name].T_world_cam.tolist() if path.name in cameras else None
         for path in capture.scan_images
     }
-    common = {
+    fixed = results.alignment.cameras
+    return {
         "format": 1,
         "capture": capture.name,
-        "S_world_recon": S_world_recon.tolist(),
+        "S_world_recon": results.alignment.S_world_recon.tolist(),
         "scan": scan,
-        "demo_cameras": {name: camera.T_world_cam.tolist() for name, camera in demo_cameras_world.items()},
+        "demo_cameras": {name: item.camera.T_world_cam.tolist() for name, item in fixed.items()},
         "refusals": refusals,
+        **(NO_MOTION if motion is None else motion_estimates(motion)),
     }
-    if motion is None:
-        return common | NO_MOTION
-    return common | motion_estimates(motion)
 
 
 def motion_estimates(motion: MotionEstimate) -> dict[str, Any]:

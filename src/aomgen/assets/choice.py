@@ -10,7 +10,6 @@ from aomgen.assets.usd_read import SUFFIXES, read_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError
 from aomgen.io.schema import suggest
-from aomgen.pipeline.manifest import files_digest
 
 
 def asset_file(spec: str) -> Path | None:
@@ -57,11 +56,6 @@ def open_assets(specs: Sequence[str]) -> list[ArticulatedAsset]:
                     "name each asset once; a USD file is named by its default prim",
                 )
     return assets
-
-
-def assets_digest(specs: Sequence[str]) -> str:
-    """Digest of the USD files among the assets of a project, not of what they refer to."""
-    return files_digest([file for file in map(asset_file, specs) if file is not None and file.is_file()])
 
 
 def is_made(category: str) -> bool:
