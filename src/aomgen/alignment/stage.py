@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.align import align
-from aomgen.alignment.bundle_equations import BundleParams
-from aomgen.alignment.camera_uncertainty import CameraErrors, camera_covariance
+from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
 from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.uncertainty import CameraErrors, camera_covariance
 from aomgen.core.alignment import Alignment
 from aomgen.core.held_out import held_out
 from aomgen.core.progress import Progress, part

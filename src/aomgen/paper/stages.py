@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.bundle_equations import BundleParams
+from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.stage import boxes_of, calibrate_cameras, views_of
 from aomgen.core.alignment import Alignment
 from aomgen.core.motion import MotionEstimate
