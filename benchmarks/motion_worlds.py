@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import ConfigError
@@ -21,7 +22,8 @@ from aomgen.io.atomic import staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import MotionInput as MotionInput
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.capture_writer import find_moved_range
 from aomgen.synthetic.conditions import Conditions, demo_candidates, draw_conditions, scan_cameras
@@ -131,6 +133,7 @@ def load_motion_world(place: Path) -> MotionWorld:
     content, arrays = read_json(place / _WORLD), read_npz(place / _ARRAYS)
     fx, fy, cx, cy, width, height = content["intrinsics"]
     robot = load_robot(DEFAULT_ROBOT)
+    clock = Clock(offset_s=content["clock_offset_s"], sd_s=content["clock_sd_s"])
     return MotionWorld(
         name=place.name,
         demonstration=MotionInput(
@@ -144,12 +147,11 @@ def load_motion_world(place: Path) -> MotionWorld:
                 joints=arrays["joints"],
                 gripper=arrays["gripper"],
                 joint_names=robot.joint_names,
-            ),
+            ).shifted(clock.offset_s),
             robot=robot,
             scene=Gaussians(**{name: arrays[name] for name in _GAUSSIANS}),
             labels=arrays["labels"],
-            clock_offset_s=content["clock_offset_s"],
-            clock_sd_s=content["clock_sd_s"],
+            clock=clock,
         ),
         truth=read_truth(place),
     )  # fmt: skip

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.align import align
-from aomgen.alignment.bundle_equations import BundleParams
-from aomgen.alignment.camera_uncertainty import CameraErrors, camera_covariance
+from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
 from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.uncertainty import CameraErrors, camera_covariance
 from aomgen.core.alignment import Alignment
 from aomgen.core.held_out import held_out
 from aomgen.core.progress import Progress, part
@@ -44,7 +44,7 @@ def align_scan(results: Results, progress: Progress) -> Alignment:
         points_recon=structure.points_recon,
         errors=camera_errors_of(structure),
     )
-    return align(scan, results.posture_in(capture), progress, np.random.default_rng(SEED))
+    return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED))
 
 
 def calibrate_cameras(
@@ -60,7 +60,7 @@ def calibrate_cameras(
         S_world_recon=found.S_world_recon,
         views=views_of(structure, results.scan_images, {}),
         points_recon=structure.points_recon,
-        posture=results.posture_in(capture),
+        configuration=results.configuration_in(capture),
         log=capture.joint_log,
         clock_offset_s=capture.clock_offset_s,
     )

@@ -12,7 +12,6 @@ from aomgen.conventions import PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.joint_log import JointLog
-from aomgen.core.robot_choice import HandChoice
 from aomgen.core.values import Array
 from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_bytes, write_json, write_text
@@ -49,12 +48,11 @@ class Recording:
     conditions: Conditions
 
 
-def write_recording(folder: Path, recording: Recording, robot: str, hand: HandChoice) -> None:
+def write_recording(folder: Path, recording: Recording, robot: str) -> None:
     """Write capture.toml, scan, video and joint log.
 
     Args:
         robot: The line of capture.toml that names the robot.
-        hand: What its file does not tell.
 
     Raises:
         StorageError: The disk refuses.
@@ -66,7 +64,7 @@ def write_recording(folder: Path, recording: Recording, robot: str, hand: HandCh
         encode_video(recording.video.frames, recording.conditions.fps, crf=17),
     )
     write_text(folder / "demo" / "joints.csv", joints_csv(recording.video.schedule.log))
-    write_text(folder / "capture.toml", _capture_toml(recording, robot, hand))
+    write_text(folder / "capture.toml", _capture_toml(recording, robot))
 
 
 def write_truth(folder: Path, recording: Recording) -> None:
@@ -136,7 +134,7 @@ def joints_csv(log: JointLog) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
+def _capture_toml(recording: Recording, robot: str) -> str:
     names = ", ".join(f'"{name}"' for name in recording.video.schedule.log.joint_names)
     lines = [
         "format = 1",
@@ -149,7 +147,6 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
         f"joints = [{names}]",
         'gripper = "gripper"',
         'scan_state = "first_row"',
-        *_hand_lines(hand),
         "",
         "[scan]",
         'images = "scan"',
@@ -174,20 +171,6 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
 
 def _stated(recording: Recording, camera: Camera) -> list[str]:
     return [f"intrinsics = {_intrinsics(camera)}"] if recording.conditions.intrinsics_known else []
-
-
-def _hand_lines(hand: HandChoice) -> list[str]:
-    lines = []
-    for key, values in (("open", hand.open), ("closed", hand.closed)):
-        if values:
-            lines.append(
-                f"{key} = {{ " + ", ".join(f'"{name}" = {value}' for name, value in values.items()) + " }"
-            )
-    if hand.fingers:
-        lines.append(f"fingers = {list(hand.fingers)}".replace("'", '"'))
-    if hand.ee_site:
-        lines.append(f'ee_site = "{hand.ee_site}"')
-    return ["", "[robot.hand]", *lines] if lines else []
 
 
 def _clearest(labels: list[NDArray[np.uint8]], label: int) -> list[int]:

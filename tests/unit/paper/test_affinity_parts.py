@@ -11,31 +11,33 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.errors import MalformedFileError, ReconstructionError
-from aomgen.parts.affinity import Affinity, mask_size, measure_masks, relative_sizes
-from aomgen.parts.affinity_parts import (
-    AffinityPartsParams,
-    affinity_evidence,
-    find_all_masks,
-    spread_views,
+from aomgen.io.arrays import npz_bytes
+from aomgen.paper.affinity_features import (
+    Affinity,
+    AffinityParams,
+    mask_size,
+    measure_masks,
+    pair_evidence,
+    relative_sizes,
+    train_affinity,
 )
-from aomgen.parts.affinity_query import Query, answer_query, best_threshold
-from aomgen.parts.affinity_training import AffinityParams, pair_evidence, train_affinity
-from aomgen.parts.prompted_images import segment_prompts
-from aomgen.parts.scan_views import ScanView
-from aomgen.parts.smoothing import smooth_posterior
-from aomgen.segmentation.automatic_masks import (
-    ViewMasks,
+from aomgen.paper.affinity_parts import affinity_evidence, answer_query, best_threshold
+from aomgen.paper.automatic_masks import (
     best_masks,
     grid_points,
     load_masks,
-    masks_of_views,
     save_masks,
+    segment_views,
+    spread_views,
 )
+from aomgen.parts.prompted_images import PromptedImage, segment_prompts
+from aomgen.parts.scan_views import ScanView
+from aomgen.parts.smoothing import smooth_posterior
 from aomgen.segmentation.interface import PointMasks, given_masks, masks_of_logits
 from aomgen.segmentation.segmenter import ColorCut
 from aomgen.splatting.rasterizer import render
 
-TRAINING = AffinityParams(channels=8, iterations=40, pixels=200, width=96)
+TRAINING = AffinityParams(views=6, channels=8, iterations=40, pixels=200, width=96)
 
 # The scene below is drawn in units of this, [m], so that its Gaussians touch on the grid of `pieces`.
 SCALE = 0.3
@@ -129,24 +131,20 @@ def scanned(gaussians, labels, folder, progress=silent):
     views = scan_views(gaussians)
     segmenter = TrueSegmenter(gaussians, labels, views)
     prompted = segment_prompts(views, prompts(gaussians, labels, views[1].camera), segmenter)
-    params = AffinityPartsParams(views=6, object_side=4, training=TRAINING, masks_folder=folder)
-    return (
-        find_all_masks(gaussians, views, prompted, segmenter, progress, params),
-        prompted,
-        segmenter,
-        params,
-    )
+    masks = segment_views(gaussians, views, prompted, segmenter, progress, TRAINING.views, folder)
+    return views, masks, prompted, segmenter
 
 
 def test_parts_of_a_known_scene_are_found():
     gaussians, labels = scene()
-    scan, prompted, _, params = scanned(gaussians, labels, None)
-    found = affinity_evidence(gaussians, scan, prompted, silent, params)
+    views, masks, prompted, _ = scanned(gaussians, labels, None)
+    rng = np.random.default_rng(0)
+    found = affinity_evidence(gaussians, views, masks, prompted, silent, TRAINING, rng)
     colors = np.clip(0.5 + 0.2820948 * gaussians.sh[:, 0], 0, 1)
     posterior = smooth_posterior(gaussians.means, colors, found.log_likelihoods)
     parts = np.array([0, STATIC, MOVING])[np.argmax(posterior, 1)]
     seen = np.zeros(len(gaussians), bool)
-    for view in scan.views:
+    for view in views:
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
         seen[ids[ids >= 0]] = True
     assert np.mean(parts[seen] == np.array([0, STATIC, MOVING])[labels[seen]]) > 0.95
@@ -163,12 +161,12 @@ def test_a_scan_that_was_cut_short_goes_on_where_it_was(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         scanned(gaussians, labels, tmp_path, stop)
     first = {path.stem for path in tmp_path.iterdir()}
-    scan, _, again, _ = scanned(gaussians, labels, tmp_path)
+    views, masks, _, again = scanned(gaussians, labels, tmp_path)
     assert len(first) == 3
     # The prompted image is always prepared, its prompts are asked anew.
     assert {name[:-4] for name in again.prepared} & first == {"1"}
-    assert np.array_equal(scan.found["1.jpg"][1], true_masks(gaussians, labels, scan.views[0].camera)[1])
-    _, _, last, _ = scanned(gaussians, labels, tmp_path)
+    assert np.array_equal(masks["1.jpg"][1], true_masks(gaussians, labels, views[1].camera)[1])
+    *_, last = scanned(gaussians, labels, tmp_path)
     assert last.prepared == ["1.jpg"]
 
 
@@ -177,7 +175,7 @@ def test_training_needs_two_masks():
     view = scan_views(gaussians)[0]
     one = measure_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera)[:1], 96)
     with pytest.raises(ReconstructionError, match="1 masks were found, want 2"):
-        train_affinity(gaussians, [one], silent, TRAINING)
+        train_affinity(gaussians, [one], silent, TRAINING, np.random.default_rng(0))
 
 
 def test_the_same_seed_gives_the_same_features():
@@ -185,7 +183,7 @@ def test_the_same_seed_gives_the_same_features():
     view = scan_views(gaussians)[0]
     sized = measure_masks(gaussians, view.camera, true_masks(gaussians, labels, view.camera), 96)
     params = replace(TRAINING, iterations=3)
-    runs = [train_affinity(gaussians, [sized], silent, params) for _ in range(2)]
+    runs = [train_affinity(gaussians, [sized], silent, params, np.random.default_rng(0)) for _ in range(2)]
     assert np.array_equal(runs[0].features, runs[1].features)
 
 
@@ -241,16 +239,16 @@ def test_pairs_at_a_size():
     # Pixels: 0 window, 1 frame, 2 body, 3 beside. Masks: window, door, object.
     masks = np.array([[1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0]], bool)
     sizes = np.array([0.1, 0.2, 0.5])
-    together, apart, perhaps = pair_evidence(masks, sizes, 0.2, 0.5)
+    together, apart, perhaps = pair_evidence(masks, sizes, 0.2)
     assert together[0, 1]
     assert apart[0, 2]
     assert apart[1, 2]
     assert not perhaps.any() or not perhaps[0, 2]
-    together, apart, _ = pair_evidence(masks, sizes, 0.5, 0.5)
+    together, apart, _ = pair_evidence(masks, sizes, 0.5)
     assert together[0, 2]
     assert apart[2, 3]
     # Without a mask of the door, window and frame perhaps belong together at the door's size.
-    together, apart, perhaps = pair_evidence(masks[[0, 2]], sizes[[0, 2]], 0.2, 0.5)
+    together, apart, perhaps = pair_evidence(masks[[0, 2]], sizes[[0, 2]], 0.2)
     assert perhaps[0, 1]
     assert not apart[0, 1]
     for item in (together, apart, perhaps):
@@ -277,9 +275,11 @@ def test_a_part_is_told_from_the_rest_of_its_thing():
     gates = {"gate_slopes": np.zeros(3), "gate_offsets": np.zeros(3), "sizes_m": np.array([0.1, 1.0])}
     affinity = Affinity(features=features, **gates)
     view = scan_views(gaussians)[1]
-    query = Query(camera=view.camera, mask=true_masks(gaussians, labels, view.camera)[1], ignored=view.robot)
-    alone = answer_query(gaussians, affinity, [query], 96)
-    within = answer_query(gaussians, affinity, [query], 96, labels >= 1)
+    lid, box = true_masks(gaussians, labels, view.camera)[1], np.array([0.0, 0, 128, 96])
+    image = TrueSegmenter(gaussians, labels, [view]).prepare(view.name, view.image_srgb)
+    prompt = PromptedImage(view=view, prepared=image, part=MOVING, box=box, masks=(lid,))
+    alone = answer_query(gaussians, affinity, [prompt], 96)
+    within = answer_query(gaussians, affinity, [prompt], 96, labels >= 1)
     found = within.similarities > within.threshold
     assert alone.iou < 0.8
     assert within.iou > 0.9
@@ -316,25 +316,24 @@ def test_good_masks_are_kept_once_and_best_first():
         quality=np.array([0.9, 0.95, 1, 1, 0.85, 0.3], np.float32),
         stability=np.array([0.9, 0.95, 1, 1, 0.9, 1], np.float32),
     )
-    kept = best_masks(answers)
-    assert np.array_equal(kept.masks, np.stack([disc, other]))
-    assert np.all(np.diff(kept.scores) <= 0)
+    assert np.array_equal(best_masks(answers, np.zeros((64, 64), bool)), np.stack([disc, other]))
 
 
 def test_nothing_found_is_no_mask():
-    assert best_masks(masks_of_logits([], [], (20, 30))).masks.shape == (0, 20, 30)
+    found = best_masks(masks_of_logits([], [], (20, 30)), np.zeros((20, 30), bool))
+    assert found.shape == (0, 20, 30)
 
 
 def test_stored_masks_come_back(tmp_path):
     masks = np.random.default_rng(0).random((3, 17, 21)) > 0.5
-    item = ViewMasks(masks=masks, scores=np.array([0.9, 0.8, 0.7], np.float32))
-    save_masks(tmp_path / "a.npz", item)
-    back = masks_of_views(["a.jpg"], lambda name: pytest.fail("searched again"), tmp_path, silent)["a.jpg"]
-    assert np.array_equal(back.masks, masks)
-    assert np.array_equal(back.scores, item.scores)
+    save_masks(tmp_path / "a.npz", masks)
+    assert np.array_equal(load_masks(tmp_path / "a.npz"), masks)
     (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 nothing")
-    with pytest.raises(MalformedFileError, match="does not hold masks"):
+    with pytest.raises(MalformedFileError, match="not a readable npz"):
         load_masks(tmp_path / "a.npz")
+    (tmp_path / "b.npz").write_bytes(npz_bytes({"packed": np.zeros(3)}))
+    with pytest.raises(MalformedFileError, match="does not hold masks"):
+        load_masks(tmp_path / "b.npz")
 
 
 def test_views_are_spread():

@@ -6,8 +6,8 @@ import pytest
 
 from aomgen.core.robot_choice import HandChoice
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
-from aomgen.errors import ConfigError, MalformedFileError
-from aomgen.robots.robot import load_robot
+from aomgen.errors import MalformedFileError
+from aomgen.robots.loading import load_robot
 
 ARM = ("shoulder", "elbow", "wrist")
 JOINTS = np.array([[0.4, -0.5, 0.9]])
@@ -139,13 +139,6 @@ def test_fingers_that_hardly_move_are_no_gripper(write_urdf):
 def test_joint_names_that_make_no_arm_are_refused(write_urdf, joints, message):
     with pytest.raises(MalformedFileError, match=message):
         load_robot(write_urdf(), joints=joints)
-
-
-def test_unknown_names_are_refused(write_urdf):
-    with pytest.raises(ConfigError, match="ur5e_2f85"):
-        load_robot("ur17")
-    with pytest.raises(ConfigError, match="base_frame"):
-        load_robot(write_urdf(), "flange")
 
 
 MJCF = """<mujoco model="one">

@@ -1,11 +1,15 @@
-"""A user's URDF or MJCF as an editable model that holds the robot and nothing else."""
+"""A robot's files as one editable MuJoCo model that holds the robot and nothing else."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from aomgen.errors import MalformedFileError
 from aomgen.io.robot_xml import RobotXml
-from aomgen.robots.robot_files import set_options
+from aomgen.robots.description import RobotFiles
 
 # Every name of the file carries this while it is taken over, then loses it again.
 TAKEOVER = "file/"
@@ -18,15 +22,61 @@ SCENE_SIZES = ("nuser_actuator", "nuser_body", "nuser_cam", "nuser_geom", "nuser
 BASE_BODY = "robot_base"
 
 
-def read_robot_spec(xml: RobotXml, turned: bool) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
-    """The robot of a file in radians, with named bodies, without actuators, sensors, lights and floor.
+def set_options(spec: mujoco.MjSpec) -> None:
+    """Angles in radians and the solver settings that every model of ours shares."""
+    spec.compiler.degree = False
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # MuJoCo 4.0.0 factorises sparse Newton systems wrongly; dense is also faster at this size.
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+
+
+def read_finished_spec(files: RobotFiles, *, turned: bool) -> mujoco.MjSpec:
+    """A robot whose own actuators and contact shapes are used; its files hold nothing else.
+
+    Args:
+        files: What is read.
+        turned: World is turned by 180 degrees about z against the file's root frame.
+
+    Raises:
+        MalformedFileError: MuJoCo cannot read a file, or it states angles in degrees.
+    """
+    spec = _parsed(files.arm)
+    parts = [spec] if files.gripper is None else [spec, _parsed(files.gripper)]
+    for part in parts:
+        if part.compiler.degree:
+            raise MalformedFileError(
+                files.arm.path, "states angles in degrees", 'save it with angle="radian"'
+            )
+        for item in (*part.keys, *part.lights):
+            part.delete(item)
+        set_options(part)
+    if files.gripper is not None:
+        _attach(spec, parts[1], files)
+    if turned:
+        for body in spec.worldbody.bodies:
+            body.set_frame(spec.worldbody.add_frame(quat=[0.0, 0.0, 0.0, 1.0]))
+    return spec
+
+
+def _attach(spec: mujoco.MjSpec, part: mujoco.MjSpec, files: RobotFiles) -> None:
+    if files.attach not in [item.name for item in spec.sites]:
+        raise MalformedFileError(
+            files.arm.path, f"has no site '{files.attach}' (gripper.attach)", "name one that it has"
+        )
+    spec.attach(part, site=files.attach, prefix=files.prefix)
+
+
+def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """The robot of any file in radians, with named bodies, without actuators, sensors, lights and floor.
 
     Only the tree of bodies that holds most joints is kept; whatever else the file's scene has
     (tables, objects, mocap targets) goes. Shapes that stand in the world itself, floors left out,
     become the body "robot_base".
 
     Args:
-        xml: With its references checked.
+        files: What is read.
         turned: World is turned by 180 degrees about z against the file's root frame.
 
     Returns:
@@ -35,15 +85,17 @@ def read_robot_spec(xml: RobotXml, turned: bool) -> tuple[mujoco.MjSpec, tuple[s
     Raises:
         MalformedFileError: MuJoCo cannot read the file, or it holds no hinge or slide joint.
     """
-    source = _parsed(xml)
-    actuated = _actuated_joints(source, xml)
+    arm, source = files.arm, _parsed(files.arm)
+    if files.gripper is not None:
+        _attach(source, _parsed(files.gripper), files)
+    actuated = _actuated_joints(source, arm)
     for kind in ("keys", "lights", "cameras", "sensors", "actuators", "tendons", "pairs"):
         for item in list(getattr(source, kind)):
             source.delete(item)
     for equality in list(source.equalities):
         if equality.type in (mujoco.mjtEq.mjEQ_TENDON, mujoco.mjtEq.mjEQ_FLEX):
             source.delete(equality)
-    _keep_robot_tree(source, xml)
+    _keep_robot_tree(source, arm)
     spec = mujoco.MjSpec()
     for compiler in (spec.compiler, source.compiler):
         compiler.boundmass, compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
@@ -72,13 +124,12 @@ def _parsed(xml: RobotXml) -> mujoco.MjSpec:
         if xml.kind == "mjcf":
             return mujoco.MjSpec.from_file(str(xml.path))
         meshes = {name: file.read_bytes() for name, file in xml.meshes.items()}
-        spec = mujoco.MjSpec.from_string(xml.text, assets=meshes)
+        return mujoco.MjSpec.from_string(xml.text, assets=meshes)
     except (ValueError, RuntimeError) as error:
         raise MalformedFileError(xml.path, f"cannot be read by MuJoCo ({error})", "correct it") from error
-    return spec
 
 
-def compile_model(spec: mujoco.MjSpec, xml: RobotXml) -> mujoco.MjModel:
+def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     """The compiled model.
 
     Raises:
@@ -87,7 +138,7 @@ def compile_model(spec: mujoco.MjSpec, xml: RobotXml) -> mujoco.MjModel:
     try:
         return spec.compile()
     except (ValueError, RuntimeError) as error:
-        raise MalformedFileError(xml.path, f"cannot be used by MuJoCo ({error})", "correct it") from error
+        raise MalformedFileError(path, f"cannot be used by MuJoCo ({error})", "correct it") from error
 
 
 def _actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:
@@ -96,7 +147,7 @@ def _actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:
         actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON
     ]
     if pulled:
-        model = compile_model(spec.copy(), xml)
+        model = compile_model(spec.copy(), xml.path)
         for tendon in pulled:
             number = model.tendon(tendon).id
             start, count = model.tendon_adr[number], model.tendon_num[number]
@@ -111,9 +162,7 @@ def _keep_robot_tree(spec: mujoco.MjSpec, xml: RobotXml) -> None:
 
     def joints(root: mujoco.MjsBody) -> int:
         found = root.find_all("joint")
-        if any(joint.type not in moving for joint in found):
-            return 0
-        return len(found)
+        return len(found) if all(joint.type in moving for joint in found) else 0
 
     roots = list(spec.worldbody.bodies)
     counts = [joints(root) for root in roots]
@@ -166,3 +215,66 @@ def _rename(spec: mujoco.MjSpec) -> None:
     for exclude in spec.excludes:
         exclude.bodyname1 = exclude.bodyname1.removeprefix(TAKEOVER)
         exclude.bodyname2 = exclude.bodyname2.removeprefix(TAKEOVER)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmChain:
+    """Which joints of a model are the arm's, and what hangs on its end.
+
+    Attributes:
+        joints: Names in the order asked for.
+        last_body: Id of the body that the last arm joint moves.
+        hand_bodies: Ids of the bodies beyond it.
+        hand_joints: Names of the joints beyond the arm's.
+    """
+
+    joints: tuple[str, ...]
+    last_body: int
+    hand_bodies: tuple[int, ...]
+    hand_joints: tuple[str, ...]
+
+
+def arm_chain(model: mujoco.MjModel, joints: Sequence[str], path: Path) -> ArmChain:
+    """The arm that these joints make.
+
+    Raises:
+        MalformedFileError: A name is unknown, the joints lie on more than one branch, or a joint
+            between them is not listed.
+    """
+    known = [model.joint(j).name for j in range(model.njnt)]
+    absent = [name for name in joints if name not in known]
+    if absent:
+        raise MalformedFileError(
+            path, f"has no joint '{absent[0]}'", f"name its own in robot.joints: {', '.join(known)}"
+        )
+    bodies = [int(model.jnt_bodyid[known.index(name)]) for name in joints]
+    last = max(bodies, key=lambda body: len(ancestors(model, body)))
+    line = {last, *ancestors(model, last)}
+    aside = [name for name, body in zip(joints, bodies, strict=True) if body not in line]
+    if aside:
+        raise MalformedFileError(
+            path,
+            f"has joint '{aside[0]}' on another branch than the other arm joints",
+            "list one arm's joints",
+        )
+    hand = tuple(body for body in range(1, model.nbody) if last in ancestors(model, body))
+    below = {last, *hand}
+    hand_joints = tuple(
+        known[j] for j in range(model.njnt) if model.jnt_bodyid[j] in below and known[j] not in joints
+    )
+    left = [name for name in known if name not in joints and name not in hand_joints]
+    if left:
+        raise MalformedFileError(
+            path,
+            f"has joint '{left[0]}', which is neither listed in robot.joints nor part of the hand",
+            "log it too, or fix it in the file",
+        )
+    return ArmChain(joints=tuple(joints), last_body=last, hand_bodies=hand, hand_joints=hand_joints)
+
+
+def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
+    """Bodies between a body and the world, nearest first."""
+    result = []
+    while body := int(model.body_parentid[body]):
+        result.append(body)
+    return result

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from aomgen.alignment.camera_uncertainty import CameraErrors, camera_covariance
 from aomgen.alignment.confidence import ViewEvidence
 from aomgen.alignment.contours import Contour, shift_gradient, shift_jacobian
-from aomgen.alignment.uncertainty import covariance_from_cameras
+from aomgen.alignment.uncertainty import CameraErrors, camera_covariance, covariance_from_cameras
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 

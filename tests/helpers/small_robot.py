@@ -1,10 +1,5 @@
 """Small robot descriptions that tests write, damage and read."""
 
-from collections.abc import Callable
-from pathlib import Path
-
-import pytest
-
 # Three hinges, two of them with parallel axes, and a gripper whose fingers slide along y.
 URDF = """<?xml version="1.0"?>
 <robot name="small">
@@ -49,15 +44,3 @@ def urdf_text(*, mimic: str = MIMIC, stroke: float = STROKE_M, base: str | None 
     links = "".join(f'<link name="{name}">{INERTIA}{_shape(*shape)}</link>' for name, shape in SHAPES.items())
     base = base if base is not None else _shape("0 0 0.05", "0.1 0.1 0.1")
     return URDF.format(links=links, base=base, mimic=mimic, stroke=stroke)
-
-
-@pytest.fixture
-def write_urdf(tmp_path: Path) -> Callable[..., Path]:
-    """Writes the small robot, changed as the arguments of `urdf_text` say."""
-
-    def write(**changes: object) -> Path:
-        path = tmp_path / "robot.urdf"
-        path.write_text(urdf_text(**changes))  # pyright: ignore[reportArgumentType]
-        return path
-
-    return write
