@@ -110,9 +110,13 @@ class LinkBuilder:
 
     def __init__(self, name: str, *, mirrored: bool = False) -> None:
         """Where `mirrored`, boxes are given for one side and built for the other (x -> -x)."""
-        self._name, self._mirrored = name, mirrored
+        self._name, self.mirrored = name, mirrored
         self.meshes: list[Mesh] = []
         self.colliders: list[BoxCollider] = []
+
+    def across(self, x: float) -> float:
+        """The x of a point that is given for one side, [m]."""
+        return -x if self.mirrored else x
 
     def boxes(
         self, name: str, rows: Mapping[str, AlignedBox], surface: Material, *, symmetric: bool = False
@@ -158,7 +162,7 @@ class LinkBuilder:
         )
 
     def _sided(self, row: AlignedBox) -> AlignedBox:
-        return row.mirrored() if self._mirrored else row
+        return row.mirrored() if self.mirrored else row
 
 
 def carcass(w: float, depth: Span, height: Span, board: float) -> dict[str, AlignedBox]:
