@@ -105,6 +105,17 @@ class BarHandle:
         return -1.0 * offset, offset
 
 
+def make_bar(s: SimpleNamespace, foot: ArrayLike, axis: Array, length: float) -> BarHandle:
+    """A bar as thick and as far off as the drawn sizes say."""
+    return BarHandle(
+        foot=np.asarray(foot, np.float64),
+        axis=axis,
+        length=length,
+        thickness=s.bar_thickness,
+        clearance=s.bar_clearance,
+    )
+
+
 class LinkBuilder:
     """A link under construction; what is added first comes first."""
 

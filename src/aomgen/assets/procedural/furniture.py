@@ -18,13 +18,13 @@ from aomgen.assets.procedural.builder import (
     carcass,
     draw_sizes,
     feet,
+    make_bar,
     pick,
     slide,
 )
 from aomgen.assets.procedural.shapes import AlignedBox, Material, box, merge_meshes, rod
 from aomgen.assets.procedural.textures import COLORS
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.values import Array
 
 # Free space between a body and what slides in it, [m].
 GAP = 0.003
@@ -115,7 +115,7 @@ def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
     inner = w - s.board - GAP
     ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
     metal = _metal(rng)
-    bar = _bar(s, np.array([0.0, face.lower[1], (low + top) / 2]), LEVEL, s.bar_length)
+    bar = make_bar(s, np.array([0.0, face.lower[1], (low + top) / 2]), LEVEL, s.bar_length)
     drawer = LinkBuilder("drawer")
     drawer.boxes("front", {"front": face}, front)
     depth = (start, y1 - s.board - 0.01)
@@ -179,7 +179,7 @@ def _dresser_front(s: SimpleNamespace, cell: tuple[int, int]) -> AlignedBox:
 
 def _dresser_bar(s: SimpleNamespace, face: AlignedBox) -> BarHandle:
     middle = (np.array(face.lower) + face.upper) / 2
-    return _bar(s, np.array([middle[0], face.lower[1], middle[2]]), LEVEL, s.bar_length)
+    return make_bar(s, np.array([middle[0], face.lower[1], middle[2]]), LEVEL, s.bar_length)
 
 
 def _dresser_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
@@ -199,7 +199,7 @@ def make_cabinet(rng: np.random.Generator) -> ArticulatedAsset:
     z = (s.feet + s.rail + GAP, s.height - s.rail - GAP)
     slab = box(-s.width / 2 + GAP, s.overlap, front - GAP - s.door, front - GAP, *z)
     middle = np.array([body.across(-s.width / 2 + 0.055), slab.lower[1], (z[0] + z[1]) / 2])
-    bar = _bar(s, middle, UPRIGHT, s.bar_share * (z[1] - z[0]))
+    bar = make_bar(s, middle, UPRIGHT, s.bar_share * (z[1] - z[0]))
     _add_cabinet_body(body, s, wood, paint, rng)
     _add_sliding_panel(door, s, slab, paint, bar, rng)
     joint = slide([body.across(1.0), 0.0, 0.0], bar, w - s.overlap - GAP)
@@ -280,12 +280,6 @@ def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, Alig
         "tray_right": box(x1 - thin, x1, start, end, floor + thin, rim, "yz"),
         "tray_back": box(x0 + thin, x1 - thin, end - thin, end, floor + thin, rim, "xXz"),
     }
-
-
-def _bar(s: SimpleNamespace, foot: Array, axis: Array, length: float) -> BarHandle:
-    return BarHandle(
-        foot=foot, axis=axis, length=length, thickness=s.bar_thickness, clearance=s.bar_clearance
-    )
 
 
 def _wood(rng: np.random.Generator, colors: tuple[Color, ...], roughness: float) -> Material:

@@ -16,6 +16,7 @@ from aomgen.assets.procedural.builder import (
     feet,
     hinge,
     lining,
+    make_bar,
     pick,
     window_frame,
 )
@@ -64,15 +65,8 @@ def make_microwave(rng: np.random.Generator) -> ArticulatedAsset:
     # The back and the front of the door, asset frame y.
     s.seam = -s.depth / 2 - SEAL
     s.front = s.seam - s.door
-    bar = BarHandle(
-        foot=np.array(
-            [body.across(-s.width / 2 + s.door_width - s.frame / 2), s.front, (s.feet + s.height) / 2]
-        ),
-        axis=UPRIGHT,
-        length=s.bar_share * (s.height - s.feet),
-        thickness=s.bar_thickness,
-        clearance=s.bar_clearance,
-    )
+    foot = [body.across(-s.width / 2 + s.door_width - s.frame / 2), s.front, (s.feet + s.height) / 2]
+    bar = make_bar(s, foot, UPRIGHT, s.bar_share * (s.height - s.feet))
     _add_body(body, s, body_color, rng)
     _add_cavity(body, s, rng)
     _add_prints(body, s, body_color, door_color, rng)
