@@ -42,7 +42,7 @@ class AxisHint:
 
     Attributes:
         axis: Unit direction (3,), either sign.
-        axis_sd_rad: Its standard deviation each way, [rad].
+        axis_sd_rad: Its standard deviation each way, infinite for any direction, [rad].
         at: A point (3,) near the line, [m].
         across: Directions (M, 3) in which the line's place is known; M is 0 or 2.
         across_sds_m: Their standard deviations (M,), [m].
@@ -79,10 +79,21 @@ class AxisHint:
 
     @property
     def log_density(self) -> float:
-        """Normalization of the residuals, with the odds."""
-        direction = -np.log(4 * np.pi * self.axis_sd_rad**2)
+        """Normalization of the residuals, with the odds; a deviation of a radian and more is any direction."""
+        direction = -np.log(4 * np.pi * min(self.axis_sd_rad, 1.0) ** 2)
         place = -np.log(np.sqrt(2 * np.pi) * self.across_sds_m).sum()
         return float(np.log(self.probability) + direction + place)
+
+
+# The shape says nothing.
+ANYWHERE = AxisHint(
+    axis=np.array([0.0, 0.0, 1.0]),
+    axis_sd_rad=np.inf,
+    at=np.zeros(3),
+    across=np.zeros((0, 3)),
+    across_sds_m=np.zeros(0),
+    probability=NEITHER,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

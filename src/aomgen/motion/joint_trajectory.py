@@ -24,7 +24,7 @@ from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
-from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
+from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part
 
 # Step at which joint values are computed, [s]: that of a 100 Hz joint log.
 _DENSE_STEP_S = 0.01
@@ -98,7 +98,7 @@ def prepare_recovery(
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     inside = slice(touch.first, touch.last + 1)
-    joint = params.joint if touch.gripped else replace(params.joint, noise=loosen_prior(params.joint.noise))
+    joint = params.joint if touch.gripped else replace(params.joint, noise=params.joint.noise.loosened())
     shape = measure_shape(demo.points_static, demo.points_moving)
     surface = demo.surface_moving(SURFACE_SD_M)
     moments = _begin(seen, demo, params)

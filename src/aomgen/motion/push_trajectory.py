@@ -4,19 +4,15 @@ Before the hand meets the part and after it lets go, it moves freely. In between
 hand ever pushed it; the picture tells where on the hand's way that begins and ends.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from aomgen.core.values import Array, freeze
 from aomgen.motion.joint_value import ValueTrajectory
 from aomgen.motion.keyframes import Departures
-from aomgen.motion.noise_model import SCALES, NoisePrior
 from aomgen.motion.onset import STILL_M, Detectability, GripperPath, detect_offset, detect_onset
 
-# A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
-# 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
-_LOOSE_RATE, _LOOSE_SPREAD = 0.06, 0.1
 # A hand leaves for good when it goes aside, farther than along the part's way, by this much within this time.
 _ASIDE_M, _ASIDE_S = 0.004, 0.1
 
@@ -87,19 +83,4 @@ def _farthest(values: Array, middle: int) -> Array:
     """Values (T,) without what the hand moves backwards: before it comes to the part, and when it leaves it."""
     return np.concatenate(
         [np.minimum.accumulate(values[: middle + 1][::-1])[::-1], np.maximum.accumulate(values[middle:])[1:]]
-    )
-
-
-def loosen_prior(noise: NoisePrior) -> NoisePrior:
-    """Usual flaws of a path on which the hand only pushes or hooks: it slides across the motion."""
-    spreads = [
-        _LOOSE_SPREAD if name in ("bar", "straight") else spread
-        for name, spread in zip(SCALES, noise.spreads, strict=True)
-    ]
-    return replace(
-        noise,
-        face_rate=_LOOSE_RATE / 4,
-        bar_rate=_LOOSE_RATE,
-        straight_rate=_LOOSE_RATE,
-        spreads=tuple(spreads),
     )

@@ -6,9 +6,8 @@ import pytest
 from aomgen.motion.gripper_signals import GripperSignals, TouchInterval, refine_touch
 from aomgen.motion.joint_value import LEAVE_M, ValueTrajectory
 from aomgen.motion.keyframes import Departures
-from aomgen.motion.noise_model import NoisePrior
 from aomgen.motion.onset import Detectability, GripperPath
-from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
+from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part
 
 TIMES = np.arange(0.0, 8.0, 0.01, dtype=np.float64)
 FRAMES = np.arange(0.0, 8.0, 0.1, dtype=np.float64)
@@ -61,15 +60,6 @@ def test_a_fist_that_slides_along_the_part_still_pushes_it() -> None:
     sliding = 0.3 * (HAND - HAND[0])
     found = course(PART * 6, 0.6 - PART * 6, (2.0, 6.0), aside_m=sliding)
     assert found.levels == pytest.approx((0.0, 0.1), abs=0.003)
-
-
-def test_a_hand_that_holds_nothing_slides_evenly_without_telling() -> None:
-    noise = NoisePrior()
-    free = loosen_prior(noise)
-    assert free.straight_rate > 10 * noise.straight_rate
-    assert free.bar_rate > 5 * noise.bar_rate
-    assert free.spreads[-1] < 0.2 < noise.spreads[-1]
-    assert (free.place_m, free.turn_rad, free.tilt_rate) == (noise.place_m, noise.turn_rad, noise.tilt_rate)
 
 
 def test_a_way_to_and_fro_is_longer_than_its_distance() -> None:
