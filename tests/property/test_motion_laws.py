@@ -37,7 +37,8 @@ from aomgen.motion.observations import VideoObservations
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
 from aomgen.motion.photometric_residuals import Band
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_masks import robot_masks
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import RenderSession

@@ -10,6 +10,7 @@ import typer
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
 from aomgen.cli.ending import report_bug, stop_at_signals
+from aomgen.cli.robot_draft import robot_app
 from aomgen.cli.run import find_project, run_project
 from aomgen.errors import AomgenError, ConfigError, InputError
 
@@ -23,6 +24,7 @@ app = typer.Typer(
 assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
 app.add_typer(assets_app, name="assets")
 app.add_typer(bench_app, name="bench")
+app.add_typer(robot_app, name="robot")
 
 SAMPLE = "microwave-a"
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
@@ -70,7 +72,7 @@ def demo(
 
     Stop it whenever you like; the same command continues where it was.
     """
-    from aomgen.pipeline.project import Project
+    from aomgen.core.project import Project
 
     sample = Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE
     project = Project(
@@ -88,7 +90,7 @@ def check(
     path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
 ) -> None:
     """Validate a capture, a project or an asset, with reasons; changes nothing."""
-    from aomgen.pipeline.asset_choice import asset_file, open_asset
+    from aomgen.assets.choice import asset_file, open_asset
 
     if asset_file(str(path)) is not None:
         joint = open_asset(str(path)).joint
