@@ -13,7 +13,6 @@ from scipy.optimize import minimize
 from aomgen.core.boxes import MIN_POINTS, OrientedBox, find_upright_axes, fit_box
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array, freeze
-from aomgen.motion.box_edges import find_face_normal
 from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
@@ -174,6 +173,14 @@ def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
             best = box
     static = fit_box(_beside(points_static, best), best.T_world_box[:3, :3])
     return PartShape(box=best, face_normal=find_face_normal(static, best), corners=around.corners())
+
+
+def find_face_normal(static: OrientedBox, moving: OrientedBox) -> Array:
+    """Box axis along which the moving part sticks out of the static one most, for its size."""
+    offset = moving.coordinates(static.T_world_box[:3, 3])
+    depth = np.abs(offset) / (static.half_extents + moving.half_extents)
+    axis = int(np.argmax(depth))
+    return -np.sign(offset[axis]) * moving.T_world_box[:3, axis]
 
 
 def _beside(points_static: Array, box: OrientedBox) -> Array:
