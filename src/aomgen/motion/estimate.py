@@ -186,9 +186,7 @@ def _theta_sd(demo: MotionInput, recovery: RecoveredMotion, thetas: Array, frame
     poses = ee_poses_at(demo, np.concatenate([[first], moments]))
     draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
     values = [
-        compute_path_values(
-            replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal
-        ).values
+        compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal)
         for axis, origin, grasp in draws
     ]
     offset = apply(poses[0], estimate.grasp_ee) - joint.origin
