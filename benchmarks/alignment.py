@@ -152,17 +152,17 @@ def _align(scene: Scene) -> Alignment:
         points_recon=scene.points_recon,
         errors=scene.errors,
     )
-    return align(scan, scene.posture, silent, np.random.default_rng(0))
+    return align(scan, scene.configuration, silent, np.random.default_rng(0))
 
 
 def _error_m(S_world_recon: np.ndarray, scene: Scene) -> float:
-    ee = scene.posture.ee_world
+    ee = scene.configuration.ee_world
     return float(np.linalg.norm(apply(S_world_recon @ np.linalg.inv(scene.S_world_recon), ee) - ee))
 
 
 def _frame_spread_mm(scene: Scene, rng: np.random.Generator) -> float:
     """How far the answers for one scene in differently scaled and turned frames lie apart."""
-    points = scene.posture.points_world(100)
+    points = scene.configuration.points_world(100)
     placed = []
     for scale in (0.05, 20.0):
         turned = resimilated(scene, scale, matrix_from_rotvec(rng.normal(0, 1.5, 3)), rng)
@@ -207,7 +207,7 @@ def load_scene(results: Results) -> Scene:
         robot_boxes=boxes_of(structure, capture.prompts, ("robot",)),
         other_boxes=boxes_of(structure, capture.prompts, ("static", "moving")),
         points_recon=structure.points_recon,
-        posture=results.posture_in(capture),
+        configuration=results.configuration_in(capture),
         S_world_recon=S_world_recon,
         errors=camera_errors_of(structure),
     )

@@ -7,9 +7,8 @@ from typing import Any
 
 from aomgen.appearance.stage import bind_scan
 from aomgen.core.progress import silent
-from aomgen.paper.stages import run_alignment
+from aomgen.paper.stages import run_alignment, run_parts
 from aomgen.parts.moving_parts import MotionEvidence
-from aomgen.parts.stage import run as run_parts
 from aomgen.results import Results
 from aomgen.twin.twin import Twin
 from benchmarks.table import as_table
@@ -48,7 +47,7 @@ def with_parts(results: Results, folder: Path, evidence: MotionEvidence) -> tupl
 
 def bound_twin(results: Results) -> Twin:
     """The scan of a run bound to its bodies, nothing refined."""
-    return bind_scan(results.scene, results.parts, results.motion.joint, results.posture)
+    return bind_scan(results.scene, results.parts, results.motion.joint, results.configuration)
 
 
 def paper_figures(scored: dict[str, Any], seconds: float) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.demonstration import Demonstration, EpisodeScene
 from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.parts import Parts
 from aomgen.core.plan import FittedAsset
@@ -24,9 +25,9 @@ from aomgen.core.structure import Structure
 from aomgen.io.artifact import load_artifact
 from aomgen.io.ply import read_gaussians
 from aomgen.io.video import Video, probe_video
-from aomgen.robots.configuration import RobotPosture
-from aomgen.robots.demonstrated_path import demonstration_from
-from aomgen.robots.robot import RobotModel, choose_robot
+from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.loading import choose_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.twin.twin import Twin, TwinState
 
 # Where stages leave their values: `save_artifact(folder, <name of the stage>, value)`, and these files.
@@ -131,21 +132,30 @@ class Results:
             robot=replace(robot, scan_joints=robot.scan_joints + zeros_rad),
         )
 
-    def posture_in(self, capture: Capture) -> RobotPosture:
+    def configuration_in(self, capture: Capture) -> RobotConfiguration:
         """The robot as it stood during the scan of a capture."""
-        return RobotPosture(
+        return RobotConfiguration(
             robot=self.robot, joints=capture.robot.scan_joints, gripper=capture.robot.scan_gripper
         )
 
     @cached_property
-    def posture(self) -> RobotPosture:
+    def configuration(self) -> RobotConfiguration:
         """The robot as it stood during the scan."""
-        return self.posture_in(self.capture)
+        return self.configuration_in(self.capture)
 
     @property
     def fixed_camera(self) -> FixedCamera:
         """The first fixed camera, as calibrated."""
         return self.alignment.cameras[self.demo_camera]
+
+    @cached_property
+    def demo_log(self) -> JointLog:
+        """The robot's joint log on the clock of the first fixed camera's video.
+
+        Raises:
+            SyncError: The clock offset is unknown.
+        """
+        return self.capture.joint_log.shifted(self.fixed_camera.require_clock().offset_s)
 
     @cached_property
     def scan_cameras(self) -> dict[str, Camera]:
@@ -184,13 +194,13 @@ class Results:
 
     @cached_property
     def demonstration(self) -> Demonstration:
-        """Robot and part at the video's rate."""
-        return demonstration_from(self.motion, self.capture.joint_log, self.robot, self.fps)
+        """Robot and part from the first to the last video frame, at the video's rate."""
+        return resample_demonstration(self.motion, self.demo_log, self.robot, self.fps)
 
     def states_at(self, times_s: ArrayLike, T_world_object: ArrayLike) -> tuple[TwinState, ...]:
         """What robot and part did at video times (N,), for an object at a pose (4, 4)."""
         times = np.asarray(times_s, np.float64)
-        joints, gripper = self.capture.joint_log.at(times + self.motion.clock_offset_s)
+        joints, gripper = self.demo_log.at(times)
         pose = np.asarray(T_world_object, np.float64)
         return tuple(
             TwinState(joints=q, gripper=float(g), theta=float(theta), T_world_object=pose)
@@ -218,3 +228,38 @@ class Results:
         """Fitted assets in the project's order."""
         count = len(self.project.assets)
         return [load_artifact(self.asset_folder(index), FITTED, FittedAsset) for index in range(count)]
+
+
+def resample_demonstration(
+    motion: MotionEstimate, log: JointLog, robot: RobotModel, fps: float
+) -> Demonstration:
+    """Sample the recorded demonstration at a constant rate.
+
+    Args:
+        motion: Recovered motion; brings the video's times.
+        log: On the clock of that video; its noise is averaged over a sample's length.
+        robot: For the end effector's poses.
+        fps: Samples a second.
+
+    Returns:
+        Samples from the first to the last video frame.
+    """
+    first, last = float(motion.times_s[0]), float(motion.times_s[-1])
+    times = first + np.arange(int((last - first) * fps + 1e-6) + 1) / fps
+    # Five readings about each sample, within half a sample, take most of the log's noise away.
+    offsets = np.linspace(-0.25, 0.25, 5) / fps
+    readings = [log.at(times + offset) for offset in offsets]
+    joints = np.mean([joints for joints, _ in readings], 0)
+    gripper = np.clip(np.mean([gripper for _, gripper in readings], 0), 0.0, 1.0)
+    return Demonstration(
+        times_s=times,
+        joints=joints,
+        gripper=gripper,
+        Ts_world_ee=robot.ee_poses(joints),
+        thetas=motion.theta_at(times),
+        start_s=motion.start_s,
+        end_s=motion.end_s,
+        joint=motion.joint,
+        grasp_ee=motion.grasp_ee,
+        ee_turn_ratio=motion.ee_turn_ratio,
+    )

@@ -26,7 +26,7 @@ from aomgen.io.video import encode_video
 from aomgen.pipeline.runner import run_stages
 from aomgen.pipeline.stage import Stage
 from aomgen.results import Results
-from aomgen.robots.robot import load_robot
+from aomgen.robots.loading import load_robot
 
 sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 from drawer_episode import corner_camera, drawer_episode

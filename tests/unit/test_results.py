@@ -82,7 +82,7 @@ def test_joint_zeros_are_added_to_log_and_scan(results):
     )
     save_artifact(results.folders["alignment"], "alignment", alignment)
     assert np.allclose(results.capture.joint_log.joints - results.recorded.joint_log.joints, zeros)
-    assert np.allclose(results.posture.joints - results.recorded.robot.scan_joints, zeros)
+    assert np.allclose(results.configuration.joints - results.recorded.robot.scan_joints, zeros)
 
 
 def test_a_value_of_an_unfinished_stage_is_named_and_read_once_it_is_there(results):

@@ -40,7 +40,7 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 STAGE = "alignment"
 # Least support beyond chance of the whole robot, 0..1; contours beside the robot reach 0 by definition.
@@ -86,7 +86,7 @@ class AlignmentParams:
 
 def align(
     scan: Scan,
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     progress: Progress,
     rng: np.random.Generator,
     params: AlignmentParams | None = None,
@@ -94,8 +94,8 @@ def align(
     """Find `S_world_recon` from the robot's contours in the scan images.
 
     Args:
-        scan: Images that show the robot in `posture`, with at least one prompted box.
-        posture: Robot and its joint values during the scan.
+        scan: Images that show the robot in `configuration`, with at least one prompted box.
+        configuration: Robot and its joint values during the scan.
         progress: Called after each hypothesis.
         rng: Random choices of the search.
         params: See `AlignmentParams`.
@@ -118,17 +118,17 @@ def align(
     scan = replace(scan, views=[limit_width(view, WIDTH) for view in scan.views])
     width = max(view.camera_recon.width for view in scan.views)
     height = max(view.camera_recon.height for view in scan.views)
-    with robot_drawing(posture, width, height) as drawing:
+    with robot_drawing(configuration, width, height) as drawing:
         S, runner_up = _likeliest(scan, drawing, part(progress, 0.0, 0.6), rng, params)
         chosen = spread(scan.views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
         evidence = collect_evidence(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
-        _refuse_unconfirmed(confirmed, runner_up, posture)
+        _refuse_unconfirmed(confirmed, runner_up, configuration)
         hand = find_wrist_rotation(S, chosen[::2], drawing, params.contour_points, evidence)
-        _refuse_turned_hand(hand, posture)
-    _refuse_wrong_joints(evidence, posture)
+        _refuse_turned_hand(hand, configuration)
+    _refuse_wrong_joints(evidence, configuration)
     residuals = {view.name: np.abs(view.edge_px[view.confirmed]) for view in evidence}
     result = Alignment(
         S_world_recon=S @ S_unit_recon,
@@ -162,7 +162,7 @@ def _likeliest(
     best: list[tuple[Confirmation, Array]] = []
     for number, factor in enumerate(params.guesses):
         effort = replace(params.search, guesses=factor * params.search.guesses)
-        found = search_poses(scan, drawing.posture, rng, effort).at_least(FINALIST_SHARE)
+        found = search_poses(scan, drawing.configuration, rng, effort).at_least(FINALIST_SHARE)
         now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
         now(0.5, "looked for likely places")
         ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
@@ -174,7 +174,7 @@ def _likeliest(
     first, S = best[0]
     if not first.lift >= MIN_LIFT / 2:
         raise _unconfirmed(first)
-    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > DISTINCT_M]
+    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.configuration) > DISTINCT_M]
     return S, max(others, default=0.0)
 
 
@@ -223,7 +223,7 @@ def _unconfirmed(found: Confirmation) -> AlignmentError:
     )
 
 
-def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPosture) -> None:
+def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: RobotConfiguration) -> None:
     if not found.lift >= MIN_LIFT:
         raise _unconfirmed(found)
     if not found.support - runner_up >= MIN_MARGIN:
@@ -235,7 +235,7 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPos
     # The base may stand behind things or on a mount, and says nothing about the joints.
     for segment, lift in sorted(found.lift_of_segment.items()):
         if segment > 0 and not lift >= MIN_SEGMENT_LIFT:
-            joint = posture.robot.joint_names[segment - 1]
+            joint = configuration.robot.joint_names[segment - 1]
             raise AlignmentError(
                 STAGE,
                 f"the robot is not seen where the log puts it, from {joint} on (the images confirm "
@@ -244,7 +244,7 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPos
             )
 
 
-def _refuse_wrong_joints(evidence: list[ViewEvidence], posture: RobotPosture) -> None:
+def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfiguration) -> None:
     found = joint_offsets(evidence)
     sizes = np.abs(found.offsets_rad)
     wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > JOINT_SDS * found.sds_rad)
@@ -253,13 +253,13 @@ def _refuse_wrong_joints(evidence: list[ViewEvidence], posture: RobotPosture) ->
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
         sd_deg, limit_deg = np.degrees(found.sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
         said = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
-        raise _joint_off(posture.robot.joint_names[worst], found.offsets_rad[worst], said)
+        raise _joint_off(configuration.robot.joint_names[worst], found.offsets_rad[worst], said)
 
 
-def _refuse_turned_hand(found: WristRotation, posture: RobotPosture) -> None:
+def _refuse_turned_hand(found: WristRotation, configuration: RobotConfiguration) -> None:
     if found.clear:
         said = f"they confirm {found.gain:.0%} more of the gripper there"
-        raise _joint_off(posture.robot.joint_names[-1], found.turn_rad, said)
+        raise _joint_off(configuration.robot.joint_names[-1], found.turn_rad, said)
 
 
 def _joint_off(name: str, offset_rad: float, said: str) -> AlignmentError:
@@ -270,8 +270,8 @@ def _joint_off(name: str, offset_rad: float, said: str) -> AlignmentError:
     )
 
 
-def _distance(S_a: Array, S_b: Array, posture: RobotPosture) -> float:
+def _distance(S_a: Array, S_b: Array, configuration: RobotConfiguration) -> float:
     """Mean distance [m] between the robot placed by one similarity and by another."""
-    points = posture.points_world(200)
+    points = configuration.points_world(200)
     moved = apply(S_a @ np.linalg.inv(S_b), points)
     return float(np.linalg.norm(moved - points, axis=1).mean())

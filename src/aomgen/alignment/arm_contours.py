@@ -21,7 +21,7 @@ from aomgen.core.transforms import invert
 from aomgen.core.values import Array, freeze
 from aomgen.io.images import resize
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
@@ -130,8 +130,8 @@ def trace(
     motions = (after - before) @ invert(arm.robot.link_poses(joints, gripper)) / (2 * _SPEED_S)
     contours = []
     for k in range(len(times)):
-        posture = RobotPosture(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
-        drawn = render_robot(arm.renderer, posture, camera, points)
+        configuration = RobotConfiguration(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
+        drawn = render_robot(arm.renderer, configuration, camera, points)
         if drawn is None:
             continue
         own, moves = drawn.contour.points, motions[k][drawn.bodies]
@@ -140,7 +140,7 @@ def trace(
                 index=k,
                 gray=frames.grays[k],
                 contour=drawn.contour,
-                turns=posture.turns(own, drawn.bodies),
+                turns=configuration.turns(own, drawn.bodies),
                 velocities=np.einsum("cij,cj->ci", moves[:, :3, :3], own) + moves[:, :3, 3],
                 zeros_rad=arm.zeros_rad,
                 log_time_s=float(times[k]),
@@ -153,18 +153,18 @@ def trace_scan(
     views: list[AlignmentImage], drawing: RobotDrawing, S_world_recon: Array, zeros_rad: Array
 ) -> list[ArmContour]:
     """Contours of the robot as scanned, with joint zeros, in the views that show enough of it."""
-    posture = replace(drawing.posture, joints=drawing.posture.joints + zeros_rad)
+    configuration = replace(drawing.configuration, joints=drawing.configuration.joints + zeros_rad)
     contours = []
     for index, view in enumerate(views):
         camera = camera_in_world(S_world_recon, view.camera_recon)
-        drawn = render_robot(drawing.fine, posture, camera, _SCAN_POINTS)
+        drawn = render_robot(drawing.fine, configuration, camera, _SCAN_POINTS)
         if drawn is not None:
             contours.append(
                 ArmContour(
                     index=index,
                     gray=gray_levels(view.image_srgb),
                     contour=drawn.contour,
-                    turns=posture.turns(drawn.contour.points, drawn.bodies),
+                    turns=configuration.turns(drawn.contour.points, drawn.bodies),
                     velocities=np.zeros_like(drawn.contour.points),
                     zeros_rad=zeros_rad,
                 )

@@ -13,7 +13,7 @@ from scipy.cluster.vq import kmeans, vq
 
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 # Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40
@@ -82,13 +82,16 @@ class ColorScore:
 
 
 def color_score(
-    views: list[AlignmentImage], posture: RobotPosture, rng: np.random.Generator, points: int = 1200
+    views: list[AlignmentImage],
+    configuration: RobotConfiguration,
+    rng: np.random.Generator,
+    points: int = 1200,
 ) -> ColorScore:
     """Prepare small images for quick looks.
 
     Args:
         views: Images, some 80 px wide: an arm's link is then a few pixels thick.
-        posture: The robot during the scan.
+        configuration: The robot during the scan.
         rng: Chooses points and colors.
         points: On the robot's surface; enough that neighbours are a pixel apart.
     """
@@ -98,7 +101,7 @@ def color_score(
     return ColorScore(
         views=views,
         labels=[one_hot[vq(part, palette)[0]] for part in pixels],
-        points_world=posture.surface_world(points, rng),
+        points_world=configuration.surface_world(points, rng),
     )
 
 

@@ -122,17 +122,17 @@ def _evidence(
     size = np.array([camera.width, camera.height])
     inside = np.all((aside.contour.pixels > 3) & (aside.contour.pixels < size - 3), axis=1)
     gradient = shift_gradient(camera, contour)
-    turns = drawing.posture.turns(contour.points, drawn.bodies)
+    turns = drawing.configuration.turns(contour.points, drawn.bodies)
     return ViewEvidence(
         name=view.name,
-        segments=drawing.posture.segments()[drawn.bodies],
+        segments=drawing.configuration.segments()[drawn.bodies],
         confirmed=_find_confirmed(contour, drawn.mask, view, gray),
         by_chance=_find_confirmed(aside.contour, aside.mask, view, gray)[inside],
         edge_px=edges,
         edge_weights=EDGE_KERNEL.weights(edges) / edge_sds(strength) ** 2,
         border_px=borders,
         border_weights=border_kernel(BORDER_REACH_PX).weights(borders) / border_sds**2,
-        jacobian=shift_jacobian(camera, contour, drawing.posture.ee_world),
+        jacobian=shift_jacobian(camera, contour, drawing.configuration.ee_world),
         joint_jacobian=np.einsum("cd,cjd->cj", gradient, turns),
         camera_jacobian=np.asarray(
             np.concatenate([gradient, np.cross(contour.points - camera.center, gradient)], axis=1), np.float64
@@ -238,7 +238,7 @@ def find_wrist_rotation(
 
     Not checked: the last joint turns (one that slides finds no better turn).
     """
-    hand = len(drawing.posture.joints)
+    hand = len(drawing.configuration.joints)
 
     names = {view.name for view in views}
 
@@ -248,9 +248,9 @@ def find_wrist_rotation(
         return (float(points.mean()), len(points)) if len(points) else (0.0, 0)
 
     def turned(turn_deg: float) -> RobotDrawing:
-        joints = drawing.posture.joints.copy()
+        joints = drawing.configuration.joints.copy()
         joints[-1] += np.radians(turn_deg)
-        return replace(drawing, posture=replace(drawing.posture, joints=joints))
+        return replace(drawing, configuration=replace(drawing.configuration, joints=joints))
 
     own, count = confirmed(logged)
     shares = [confirmed(collect_evidence(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]

@@ -31,7 +31,7 @@ from aomgen.core.transforms import invert
 from aomgen.core.values import Array, freeze
 from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot_masks import robot_masks
 
 # Scan views that carry the information of the alignment.
@@ -72,7 +72,7 @@ class AlignedScan:
         S_world_recon: Aligned similarity (4, 4).
         views: Scan images that may be used.
         points_recon: Sparse points (P, 3) of the structure.
-        posture: Robot during the scan.
+        configuration: Robot during the scan.
         log: Joint log of the demonstration.
         clock_offset_s: Log time minus video time when it is known.
     """
@@ -80,7 +80,7 @@ class AlignedScan:
     S_world_recon: Array
     views: list[AlignmentImage]
     points_recon: Array
-    posture: RobotPosture
+    configuration: RobotConfiguration
     log: JointLog
     clock_offset_s: float | None
 
@@ -128,18 +128,18 @@ def calibrate_fixed_cameras(
     for index, (name, item) in enumerate(videos.items()):
         if item.T_world_cam is not None:
             placed = camera_in_world(S, item.camera_recon)
-            refuse_gross(name, item.T_world_cam, placed, scene.posture.points_world(300))
+            refuse_gross(name, item.T_world_cam, placed, scene.configuration.points_world(300))
         progress(0.5 * index / len(videos), f"looking for the clock of camera '{name}'")
         clocks[name] = _first_clock(scene, item)
     views = [limit_width(view, params.width) for view in scene.views]
     sizes = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
     width, height = max(camera.width for camera in sizes), max(camera.height for camera in sizes)
-    with robot_drawing(scene.posture, width, height) as drawing:
+    with robot_drawing(scene.configuration, width, height) as drawing:
         arm = LoggedRobot(
-            robot=scene.posture.robot,
+            robot=scene.configuration.robot,
             log=scene.log,
             renderer=drawing.fine,
-            zeros_rad=np.zeros(len(scene.posture.joints)),
+            zeros_rad=np.zeros(len(scene.configuration.joints)),
         )
         problem = BundleProblem(
             S_world_recon=S,
@@ -177,7 +177,7 @@ def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncErro
     if scene.clock_offset_s is not None:
         return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
     camera = camera_in_world(scene.S_world_recon, item.camera_recon)
-    with robot_masks(scene.posture.robot, camera, scene.log) as masks_at:
+    with robot_masks(scene.configuration.robot, camera, scene.log) as masks_at:
         try:
             return estimate_clock(item.video, scene.log.times_s, masks_at)
         except SyncError as error:

@@ -18,7 +18,7 @@ from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,26 +124,29 @@ class PoseCandidates:
 
 
 def search_poses(
-    scan: Scan, posture: RobotPosture, rng: np.random.Generator, params: SearchParams | None = None
+    scan: Scan,
+    configuration: RobotConfiguration,
+    rng: np.random.Generator,
+    params: SearchParams | None = None,
 ) -> PoseCandidates:
     """Find likely poses of the robot, best first and far from one another.
 
     Args:
         scan: Images with cameras, one prompted box or more.
-        posture: The robot during the scan.
+        configuration: The robot during the scan.
         rng: Makes guesses and children.
         params: Effort.
     """
     params = params or SearchParams()
-    vertices = posture.points_world()
+    vertices = configuration.points_world()
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
     places = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
     Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
-    first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], posture, rng)
-    score = color_score([limit_width(view, params.width) for view in chosen], posture, rng)
+    first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], configuration, rng)
+    score = color_score([limit_width(view, params.width) for view in chosen], configuration, rng)
     begin = GENERATIONS[0]
     found = PoseCandidates(Ss_world_recon=Ss, scores=first(Ss))
     found = select_distinct(found, probe, begin.apart, begin.parents)

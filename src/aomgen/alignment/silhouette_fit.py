@@ -23,7 +23,7 @@ from aomgen.core.least_squares import Kernel, ResidualTerm, solve
 from aomgen.core.transforms import matrix_from_rotvec, similarity
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 # Least and largest share of the image that the robot may cover: below is no signal, above no contour.
@@ -71,10 +71,10 @@ class RenderedRobot:
 
 
 def render_robot(
-    renderer: SilhouetteRenderer, posture: RobotPosture, camera: Camera, limit: int
+    renderer: SilhouetteRenderer, configuration: RobotConfiguration, camera: Camera, limit: int
 ) -> RenderedRobot | None:
     """The robot with at most `limit` outline points; None when too little of it, or nothing else, is there."""
-    bodies, depth = renderer.draw(camera, posture.joints, posture.gripper)
+    bodies, depth = renderer.draw(camera, configuration.joints, configuration.gripper)
     mask = bodies >= 0
     if not _SHARES[0] < mask.mean() < _SHARES[1]:
         return None
@@ -92,23 +92,25 @@ class RobotDrawing:
 
     fine: SilhouetteRenderer
     coarse: SilhouetteRenderer
-    posture: RobotPosture
+    configuration: RobotConfiguration
     pivot: Array
 
     def draw(self, camera: Camera, limit: int, *, fine: bool = True) -> RenderedRobot | None:
         """The robot in one image, see `render_robot`."""
-        return render_robot(self.fine if fine else self.coarse, self.posture, camera, limit)
+        return render_robot(self.fine if fine else self.coarse, self.configuration, camera, limit)
 
 
 @contextmanager
-def robot_drawing(posture: RobotPosture, width: int, height: int) -> Iterator[RobotDrawing]:
+def robot_drawing(configuration: RobotConfiguration, width: int, height: int) -> Iterator[RobotDrawing]:
     """A drawing for images up to a size [px]; holds two OpenGL contexts."""
     limits = {"max_width": width, "max_height": height}
     with (
-        SilhouetteRenderer(posture.robot, **limits) as fine,
-        SilhouetteRenderer(posture.robot, **limits, cell_m=COARSE_CELL_M) as coarse,
+        SilhouetteRenderer(configuration.robot, **limits) as fine,
+        SilhouetteRenderer(configuration.robot, **limits, cell_m=COARSE_CELL_M) as coarse,
     ):
-        yield RobotDrawing(fine=fine, coarse=coarse, posture=posture, pivot=posture.points_world().mean(0))
+        yield RobotDrawing(
+            fine=fine, coarse=coarse, configuration=configuration, pivot=configuration.points_world().mean(0)
+        )
 
 
 def refine(
@@ -189,7 +191,7 @@ def move_similarity(S: Array, step: Array, pivot: Array) -> Array:
 
 def spread(views: list[AlignmentImage], S: Array, drawing: RobotDrawing, count: int) -> list[AlignmentImage]:
     """Views that show the robot well, chosen far from one another by viewing direction."""
-    robot = drawing.posture.points_world(300)
+    robot = drawing.configuration.points_world(300)
     usable = []
     for view in views:
         camera = camera_in_world(S, view.camera_recon)

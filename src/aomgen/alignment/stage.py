@@ -44,7 +44,7 @@ def align_scan(results: Results, progress: Progress) -> Alignment:
         points_recon=structure.points_recon,
         errors=camera_errors_of(structure),
     )
-    return align(scan, results.posture_in(capture), progress, np.random.default_rng(SEED))
+    return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED))
 
 
 def calibrate_cameras(
@@ -60,7 +60,7 @@ def calibrate_cameras(
         S_world_recon=found.S_world_recon,
         views=views_of(structure, results.scan_images, {}),
         points_recon=structure.points_recon,
-        posture=results.posture_in(capture),
+        configuration=results.configuration_in(capture),
         log=capture.joint_log,
         clock_offset_s=capture.clock_offset_s,
     )

@@ -23,7 +23,7 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
 from aomgen.results import Results
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import save_robot
 from aomgen.twin.binding import bind, object_frame
@@ -41,7 +41,7 @@ MIN_DEMO_FRAMES = 16
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Bind the scan to its bodies, fit the twin to all images, and write it with its robot."""
-    scanned = bind_scan(results.scene, results.parts, results.motion.joint, results.posture)
+    scanned = bind_scan(results.scene, results.parts, results.motion.joint, results.configuration)
     video = pose_demo_video(results, scanned)
     bound = add_drawer_interior(scanned, results.robot, video)
     views = [*pose_scan_images(results, bound), video]
@@ -55,23 +55,23 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     }
 
 
-def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, posture: RobotPosture) -> Twin:
+def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, configuration: RobotConfiguration) -> Twin:
     """The scan bound to the bodies that carry it, in the scan's state.
 
     Args:
         scene: Gaussians, world frame.
         parts: Of these Gaussians.
         joint: Of the moving part.
-        posture: The robot during the scan.
+        configuration: The robot during the scan.
     """
     static, moving = (surface_points(scene, parts.labels, label) for label in (STATIC, MOVING))
     state = TwinState(
-        joints=posture.joints,
-        gripper=posture.gripper,
+        joints=configuration.joints,
+        gripper=configuration.gripper,
         theta=0.0,
         T_world_object=object_frame(static, joint, moving),
     )
-    return bind(scene, parts.labels, parts.robot_bodies, posture.robot, joint, state)
+    return bind(scene, parts.labels, parts.robot_bodies, configuration.robot, joint, state)
 
 
 def pose_scan_images(results: Results, twin: Twin) -> list[PosedImages]:
@@ -128,7 +128,7 @@ def refine_appearance(
     progress(0.3, "the lamp that throws its shadow")
     lamp = _lamp(with_surfels, robot, views[-1])
     lit = with_surfels if lamp is None else remove_baked_shadow(with_surfels, robot, lamp)
-    progress(0.4, "pictures in every posture")
+    progress(0.4, "pictures in every configuration")
     return refine_twin(lit, robot, views, rng)
 
 

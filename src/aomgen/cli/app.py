@@ -10,6 +10,7 @@ import typer
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
 from aomgen.cli.ending import report_bug, stop_at_signals
+from aomgen.cli.robot_draft import robot_app
 from aomgen.cli.run import find_project, run_project
 from aomgen.errors import AomgenError, ConfigError, InputError
 
@@ -23,6 +24,7 @@ app = typer.Typer(
 assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
 app.add_typer(assets_app, name="assets")
 app.add_typer(bench_app, name="bench")
+app.add_typer(robot_app, name="robot")
 
 SAMPLE = "microwave-a"
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]

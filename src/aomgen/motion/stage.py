@@ -83,16 +83,14 @@ def motion_input(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) 
     Raises:
         SyncError: The clock offset is unknown.
     """
-    clock = results.fixed_camera.require_clock()
     return MotionInput(
         video=results.videos[results.demo_camera],
         camera=results.fixed_camera.camera,
-        log=results.capture.joint_log,
+        log=results.demo_log,
         robot=results.robot,
         scene=scene,
         labels=labels,
-        clock_offset_s=clock.offset_s,
-        clock_sd_s=clock.sd_s,
+        clock=results.fixed_camera.require_clock(),
     )
 
 

@@ -1,9 +1,12 @@
-"""The stages that a project may have done as the paper does them, see `alignment_method` and `motion_method`."""
+"""The stages that a project may have done as the paper does them, chosen by its `*_method`s."""
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.stage import boxes_of, calibrate_cameras, views_of
@@ -12,10 +15,21 @@ from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import Progress, part
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.stage import OnCurve, motion_input, recover_motion
+from aomgen.paper.affinity_features import AffinityParams
+from aomgen.paper.affinity_parts import affinity_evidence
+from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
 from aomgen.paper.icp_alignment import align_as_paper
+from aomgen.paper.link_boxes import bodies_in_boxes
 from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
 from aomgen.paper.true_part_masks import part_masks
+from aomgen.parts import stage as parts_stage
+from aomgen.parts.label import SEED
+from aomgen.parts.likelihood import PartEvidence
+from aomgen.parts.moving_parts import MotionEvidence
+from aomgen.parts.prompted_images import PromptedImage
+from aomgen.parts.scan_views import ScanView
 from aomgen.results import Results
+from aomgen.segmentation.interface import Segmenter
 
 
 def run_alignment(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -30,9 +44,46 @@ def align_scan(results: Results) -> Alignment:
         views_of(structure, results.scan_images, {}),
         boxes_of(structure, capture.prompts, ("robot",)),
         results.gaussians_recon,
-        results.posture_in(capture),
+        results.configuration_in(capture),
         np.random.default_rng(0),
     )
+
+
+def run_parts(
+    results: Results, folder: Path, progress: Progress, motion_evidence: MotionEvidence
+) -> dict[str, Any]:
+    """Link boxes for the robot where the paper's alignment is asked for, affinity features where "saga" is."""
+    project = results.project
+    robot = label_robot_by_boxes if project.alignment_method == "paper" else parts_stage.label_robot_by_links
+    evidence = partial(learn_affinity, folder) if project.parts_method == "saga" else parts_stage.no_evidence
+    return parts_stage.run(results, folder, progress, motion_evidence, robot, evidence)
+
+
+def label_robot_by_boxes(results: Results, views: list[ScanView]) -> NDArray[np.int32]:
+    """The link whose bounding box holds a Gaussian."""
+    return bodies_in_boxes(results.gaussians.means, results.configuration)
+
+
+def learn_affinity(
+    folder: Path,
+    results: Results,
+    views: list[ScanView],
+    prompted: Sequence[PromptedImage],
+    segmenter: Segmenter,
+    progress: Progress,
+) -> PartEvidence:
+    """Automatic masks, and affinity features learned from them; masks are kept in the stage's folder."""
+    params, rng = AffinityParams(), np.random.default_rng(SEED)
+    masks = segment_views(
+        results.gaussians,
+        views,
+        prompted,
+        segmenter,
+        part(progress, 0.0, 0.5),
+        params.views,
+        folder / MASKS_FOLDER,
+    )
+    return affinity_evidence(results.gaussians, views, masks, prompted, part(progress, 0.5, 1.0), params, rng)
 
 
 def run_motion(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.parts.coverage import MIN_VIEWS, Coverage, coverage_of
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
 # Points along each edge of a side.
@@ -90,7 +90,7 @@ class Survey:
 def survey(
     gaussians_world: Gaussians,
     labels: NDArray[np.uint8],
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     views: list[ViewDepth],
     rng: np.random.Generator,
 ) -> Survey:
@@ -99,7 +99,7 @@ def survey(
     Args:
         gaussians_world: The scene, [m].
         labels: Part of each Gaussian (N,).
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         views: What the training views see, world frame.
         rng: Spreads points over the robot.
     """
@@ -107,7 +107,7 @@ def survey(
     points = np.asarray(gaussians_world.means[ours], np.float64)
     forward = _forward(points)
     sides = [*object_sides(points, forward), *table_sides(points, forward)]
-    sides += robot_sides(posture, forward, rng)
+    sides += robot_sides(configuration, forward, rng)
     places = np.concatenate([side.points for side in sides])
     normals = np.concatenate([side.normals for side in sides])
     return Survey(
@@ -175,18 +175,20 @@ def table_sides(points: Array, forward: Array) -> list[Side]:
     return result
 
 
-def robot_sides(posture: RobotPosture, forward: Array, rng: np.random.Generator) -> list[Side]:
+def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.random.Generator) -> list[Side]:
     """Four sides and the top of the posed robot; undersides, which no table lets be seen, are left out.
 
     Args:
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         forward: Level unit direction (2,) in which it looks at the object.
         rng: Spreads points over the meshes.
     """
-    poses = posture.robot.link_poses(posture.joints[None], posture.gripper)[0]
-    areas = [face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in posture.robot.meshes]
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    areas = [
+        face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in configuration.robot.meshes
+    ]
     points, normals = [], []
-    for mesh, area in zip(posture.robot.meshes, areas, strict=True):
+    for mesh, area in zip(configuration.robot.meshes, areas, strict=True):
         count = round(ROBOT_POINTS * area / sum(areas))
         if count:
             vertices = apply(poses[mesh.body], mesh.vertices_body)

@@ -51,8 +51,12 @@ def _by_method(setting: str, functions: Mapping[str, StageFunction]) -> StageFun
 def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Parts, told by the motion which of them move."""
     from aomgen.motion.stage import motion_evidence
-    from aomgen.parts.stage import run
 
+    project = results.project
+    if project.alignment_method == "paper" or project.parts_method == "saga":
+        from aomgen.paper.stages import run_parts as run
+    else:
+        from aomgen.parts.stage import run
     return run(results, folder, progress, partial(motion_evidence, results))
 
 

@@ -26,12 +26,12 @@ AIR_M = 0.12
 KNOTS, REACH_KNOTS, SLACK_KNOTS = 40, 10, 4
 # Closing of the hand with which a pinch is checked, and how deep a pressing hand may seem to be, [m].
 PINCHING, PRESS_M = 0.6, 0.003
-# Different starts end in few different postures; the same one is not followed twice.
+# Different starts end in few different configurations; the same one is not followed twice.
 SAME_RAD = 0.02
 # Starts of the inverse kinematics that are tried before a layout is given up.
 SEEDS = 14
 # Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
-POSTURES = {
+CONFIGURATIONS = {
     "ur5e_2f85": ([-np.pi, -2.4, 0.8, -2.5, -2.6, -np.pi], [np.pi, -0.7, 2.5, 1.0, 2.6, np.pi]),
 }
 
@@ -58,7 +58,7 @@ def plan(
         return None
     arm = ArmKinematics(world.model, robot)
     path = _hand_path(robot, layout, grasp, style)
-    low, high = POSTURES.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
+    low, high = CONFIGURATIONS.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
     dead_ends: list[Array] = []
     for _ in range(SEEDS):
         start = rng.uniform(low, high)

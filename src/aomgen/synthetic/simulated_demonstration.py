@@ -7,8 +7,7 @@ import numpy as np
 
 from aomgen.core.values import Array, freeze
 from aomgen.errors import ConfigError
-from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_parts import HandDrive
+from aomgen.robots.robot import HandDrive, RobotModel
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
 from aomgen.synthetic.layout import World
 

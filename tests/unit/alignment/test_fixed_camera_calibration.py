@@ -20,7 +20,7 @@ from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
 from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
@@ -45,12 +45,14 @@ class Stage:
     scan_off_rad: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     def scene(self, **changes: object) -> AlignedScan:
-        posture = RobotPosture(robot=self.robot, joints=SCAN_JOINTS + self.scan_off_rad, gripper=0.1)
+        configuration = RobotConfiguration(
+            robot=self.robot, joints=SCAN_JOINTS + self.scan_off_rad, gripper=0.1
+        )
         known = AlignedScan(
             S_world_recon=S_WORLD_RECON,
             views=self.views,
             points_recon=self.points_recon,
-            posture=posture,
+            configuration=configuration,
             log=self.log,
             clock_offset_s=None,
         )

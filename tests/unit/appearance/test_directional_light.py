@@ -105,7 +105,7 @@ def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
     world = posed(scanned, toy_scene.robot, scanned.scan_state)
     away = cKDTree(world.means[dark > 0]).query(world.means)[0] > 2 * EDGE_M
     np.testing.assert_allclose(freed.gaussians.sh[away], scanned.gaussians.sh[away], atol=1e-6)
-    # Cast anew, the posture of the scan looks as it was scanned, but for blurred edges.
+    # Cast anew, the configuration of the scan looks as it was scanned, but for blurred edges.
     state = toy_scene.twin.scan_state
     was, now, lit = (
         render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb

@@ -8,7 +8,7 @@ from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, similarity
 from aomgen.parts.coverage import Coverage, coverage_of
 from aomgen.parts.survey import Survey, object_sides, survey, table_sides
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 
 MIDDLE = np.array([0.45, -0.05, 0.15])
@@ -37,9 +37,9 @@ def ring() -> list[Camera]:
 
 
 def survey_of(scene, cameras: list[Camera]) -> Survey:
-    posture = RobotPosture(robot=scene.robot, joints=scene.twin.scan_state.joints, gripper=0.0)
+    configuration = RobotConfiguration(robot=scene.robot, joints=scene.twin.scan_state.joints, gripper=0.0)
     views = view_depths(scene.gaussians, cameras)
-    return survey(scene.gaussians, scene.labels, posture, views, np.random.default_rng(0))
+    return survey(scene.gaussians, scene.labels, configuration, views, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
