@@ -22,8 +22,8 @@ from aomgen.gaussians.train import (
 )
 from aomgen.io.images import read_image
 from aomgen.pipeline.project import Project
+from aomgen.splatting.checkpoint import TrainingState
 from aomgen.splatting.metrics import psnr
-from aomgen.splatting.state import TrainingState
 from aomgen.splatting.training import finish_training, learning, scene_extent, start_training
 from aomgen.structure.stage import load_structure
 

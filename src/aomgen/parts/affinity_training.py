@@ -24,8 +24,8 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.errors import ReconstructionError
 from aomgen.parts.affinity import Affinity, SizedMasks, relative_sizes
+from aomgen.splatting.compute import make_rasterizer
 from aomgen.splatting.differentiable import GaussianTensors, Rasterizer, RasterOptions
-from aomgen.splatting.rasterizers import make_rasterizer
 
 STAGE = "affinity"
 # Gaussians, itself included, whose mean feature each one is rendered with: local smoothing against noise.
