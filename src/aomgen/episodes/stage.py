@@ -19,7 +19,7 @@ from aomgen.io.atomic import remove_staging
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.assumptions import assumptions
+from aomgen.simulation.verify import assumptions
 from aomgen.twin.layers import StaticLayer
 from aomgen.twin.twin import Twin
 
