@@ -99,7 +99,7 @@ def check(
     from aomgen.capture.capture_check import check_capture
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import category_warnings, check_project, machine_warnings
-    from aomgen.pipeline.project import read_project
+    from aomgen.pipeline.project_file import read_project
 
     if path.suffix == ".toml" and path.name != "capture.toml":
         project = read_project(path)
@@ -138,7 +138,7 @@ def init(
     """Write a project file with every choice spelled out, after checking capture and assets."""
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
-    from aomgen.pipeline.project import write_project
+    from aomgen.pipeline.project_file import write_project
 
     if project.exists():
         raise ConfigError(project, "exists already", "choose another name with --project")

@@ -17,7 +17,7 @@ from aomgen.io.overrides import override
 from aomgen.io.schema import suggest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
-from aomgen.pipeline.project import write_project
+from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.runner import Display, run_stages
 from aomgen.pipeline.stage import Stage, StageFunction
 from aomgen.results import Results
@@ -55,7 +55,7 @@ def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]
 
     project = results.project
     if project.alignment_method == "paper" or project.parts_method == "saga":
-        from aomgen.paper.stages import run_parts as run
+        from aomgen.paper.methods import run_parts as run
     else:
         from aomgen.parts.stage import run
     return run(results, folder, progress, partial(motion_evidence, results))
@@ -104,7 +104,7 @@ STAGES: tuple[Stage, ...] = (
         weight=17,
         function=_by_method(
             "alignment_method",
-            {"outlines": _lazily("alignment.stage"), "paper": _lazily("paper.stages", "run_alignment")},
+            {"outlines": _lazily("alignment.stage"), "paper": _lazily("paper.methods", "run_alignment")},
         ),
     ),
     Stage(
@@ -128,7 +128,7 @@ STAGES: tuple[Stage, ...] = (
         weight=9,
         function=_by_method(
             "motion_method",
-            {"aomotion": _lazily("motion.stage"), "paper": _lazily("paper.stages", "run_motion")},
+            {"aomotion": _lazily("motion.stage"), "paper": _lazily("paper.methods", "run_motion")},
         ),
     ),
     Stage(

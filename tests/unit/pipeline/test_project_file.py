@@ -6,7 +6,7 @@ import pytest
 
 from aomgen.core.project import Project
 from aomgen.errors import ConfigError, MissingFileError
-from aomgen.pipeline.project import read_project, write_project
+from aomgen.pipeline.project_file import read_project, write_project
 from aomgen.pipeline.stages import STAGES, check_params
 
 
