@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,7 @@ from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.core.structure import Structure
 from aomgen.io.artifact import load_artifact
+from aomgen.io.overrides import override
 from aomgen.io.ply import read_gaussians
 from aomgen.io.video import Video, probe_video
 from aomgen.robots.configuration import RobotConfiguration
@@ -32,6 +34,7 @@ from aomgen.twin.twin import Twin, TwinState
 
 # Where stages leave their values: `save_artifact(folder, <name of the stage>, value)`, and these files.
 GAUSSIANS_FILE = "gaussians.ply"
+T = TypeVar("T")
 ASSETS_FOLDER, FITTED, ASSET_USD = "assets", "fitted", "asset.usda"
 
 
@@ -50,6 +53,10 @@ class Results:
     project: Project
     out: Path
     folders: Mapping[str, Path]
+
+    def params(self, stage: str, defaults: T) -> T:
+        """Parameters of a stage: its defaults, and what the project changes of them."""
+        return override(defaults, self.project.params.get(stage, {}), stage)
 
     # The capture.
 
@@ -149,6 +156,15 @@ class Results:
         return self.alignment.cameras[self.demo_camera]
 
     @cached_property
+    def demo_log(self) -> JointLog:
+        """The robot's joint log on the clock of the first fixed camera's video.
+
+        Raises:
+            SyncError: The clock offset is unknown.
+        """
+        return self.capture.joint_log.shifted(self.fixed_camera.require_clock().offset_s)
+
+    @cached_property
     def scan_cameras(self) -> dict[str, Camera]:
         """Registered scan cameras by image name, world frame."""
         cameras = self.structure.cameras_recon
@@ -186,12 +202,12 @@ class Results:
     @cached_property
     def demonstration(self) -> Demonstration:
         """Robot and part from the first to the last video frame, at the video's rate."""
-        return resample_demonstration(self.motion, self.capture.joint_log, self.robot, self.fps)
+        return resample_demonstration(self.motion, self.demo_log, self.robot, self.fps)
 
     def states_at(self, times_s: ArrayLike, T_world_object: ArrayLike) -> tuple[TwinState, ...]:
         """What robot and part did at video times (N,), for an object at a pose (4, 4)."""
         times = np.asarray(times_s, np.float64)
-        joints, gripper = self.capture.joint_log.at(times + self.motion.clock_offset_s)
+        joints, gripper = self.demo_log.at(times)
         pose = np.asarray(T_world_object, np.float64)
         return tuple(
             TwinState(joints=q, gripper=float(g), theta=float(theta), T_world_object=pose)
@@ -227,8 +243,8 @@ def resample_demonstration(
     """Sample the recorded demonstration at a constant rate.
 
     Args:
-        motion: Recovered motion; brings the video's times and the clock offset.
-        log: Joint log on its own clock; its noise is averaged over a sample's length.
+        motion: Recovered motion; brings the video's times.
+        log: On the clock of that video; its noise is averaged over a sample's length.
         robot: For the end effector's poses.
         fps: Samples a second.
 
@@ -239,7 +255,7 @@ def resample_demonstration(
     times = first + np.arange(int((last - first) * fps + 1e-6) + 1) / fps
     # Five readings about each sample, within half a sample, take most of the log's noise away.
     offsets = np.linspace(-0.25, 0.25, 5) / fps
-    readings = [log.at(times + offset + motion.clock_offset_s) for offset in offsets]
+    readings = [log.at(times + offset) for offset in offsets]
     joints = np.mean([joints for joints, _ in readings], 0)
     gripper = np.clip(np.mean([gripper for _, gripper in readings], 0), 0.0, 1.0)
     return Demonstration(

@@ -6,6 +6,7 @@ import numpy as np
 
 from aomgen.conventions import BACKGROUND, MOVING
 from aomgen.core.camera import Camera, look_at
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array
@@ -107,7 +108,6 @@ def world(
         robot=None,  # type: ignore[arg-type]
         scene=concatenate([wall, panel]),
         labels=np.repeat(np.array([BACKGROUND, MOVING], np.uint8), [len(wall), len(panel)]),
-        clock_offset_s=0.0,
-        clock_sd_s=0.0,
+        clock=Clock(offset_s=0.0),
     )
     return World(demo=demo, hidden=hidden, joint=joint, thetas=thetas)

@@ -63,6 +63,11 @@ class Camera:
             height=height,
         )
 
+    def narrowed(self, width: int) -> "Camera":
+        """The same view, at most `width` pixels wide."""
+        share = min(1.0, width / self.width)
+        return self.resized(round(self.width * share), max(1, round(self.height * share)))
+
     def project(self, points_world: ArrayLike) -> tuple[Array, Array]:
         """Pixels (N, 2) and depths (N,) of points (N, 3); points behind have depth <= 0."""
         points_cam = apply(self.T_cam_world, points_world)
@@ -72,6 +77,14 @@ class Camera:
             [self.fx * points_cam[..., 0] / safe + self.cx, self.fy * points_cam[..., 1] / safe + self.cy], -1
         )
         return pixels, depths
+
+    def projection_slopes(self, points_world: ArrayLike) -> Array:
+        """Change (N, 2, 3) of the pixels of points (N, 3) before the camera with a motion of these, [px/m]."""
+        x, y, z = np.moveaxis(apply(self.T_cam_world, points_world), -1, 0)
+        zero = np.zeros_like(z)
+        along_u = self.fx * np.stack([1 / z, zero, -x / z**2], -1)
+        along_v = self.fy * np.stack([zero, 1 / z, -y / z**2], -1)
+        return np.stack([along_u, along_v], -2) @ self.T_cam_world[:3, :3]
 
     def directions(self) -> Array:
         """Viewing rays (height, width, 3), world frame, scaled to depth 1 (not unit length)."""

@@ -58,16 +58,14 @@ class Parts:
 
     Attributes:
         labels: (N,), see `conventions.PART_LABELS`.
-        confidence: (N,), probability of the label.
         robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
         cut: Which Gaussians of the scan were cut, and their pieces.
-        method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or "saga".
+        method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or another one's name.
         box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
         static_agreement, moving_agreement: IoU of the drawn part with its masks in the prompted images, 0..1.
     """
 
     labels: NDArray[np.uint8]
-    confidence: NDArray[np.float32]
     robot_bodies: NDArray[np.int32]
     cut: Cut
     method: str
@@ -78,7 +76,6 @@ class Parts:
     def __post_init__(self) -> None:
         count = len(self.labels)
         freeze(self, "labels", self.labels, (count,), np.uint8)
-        freeze(self, "confidence", self.confidence, (count,), np.float32)
         freeze(self, "robot_bodies", self.robot_bodies, (count,), np.int32)
 
     def warnings(self) -> list[str]:

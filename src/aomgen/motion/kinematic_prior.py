@@ -82,10 +82,9 @@ def make_kinematic_prior(
         estimate: By the gripper's path.
         lines: Equally likely axes (S, 3) and points on them (S, 3) [m], world frame.
     """
-    begin = np.array([estimate.start_s + demo.clock_offset_s])
     prior = KinematicPrior(
         joint=estimate.joint,
-        held_world=apply(demo.robot.ee_poses(demo.log.at(begin)[0]), estimate.grasp_ee)[0],
+        held_world=apply(demo.robot.ee_poses(demo.log.at([estimate.start_s])[0]), estimate.grasp_ee)[0],
         covariance=_LEAST_VARIANCE * np.eye(4 if estimate.joint.type == "revolute" else 2),
         interval=(estimate.start_s, estimate.end_s),
         times_s=estimate.times_s,

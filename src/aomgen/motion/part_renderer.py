@@ -121,7 +121,7 @@ def make_part_renderer(
         height=rows.stop - rows.start,
     )
     images = [resize(demo.video.frames_srgb[k], small.width, small.height)[rows, columns] for k in frames]
-    masks = masks_at(demo.video.times_s[frames] + demo.clock_offset_s, small.width, small.height)
+    masks = masks_at(demo.video.times_s[frames], small.width, small.height)
     near = moves | _find_near(scene, camera)
     renderer = PartRenderer(
         camera=camera,

@@ -73,7 +73,7 @@ def _find_held(demo: MotionInput, motion: MotionEstimate) -> NDArray[np.bool_]:
     """Gaussians (G,) between two pads when the motion begins."""
     if len(demo.robot.pads) != 2:
         return np.zeros(len(demo.scene), bool)
-    joints, gripper = demo.log.at(np.array([motion.start_s + demo.clock_offset_s]))
+    joints, gripper = demo.log.at([motion.start_s])
     bodies = demo.robot.link_poses(joints, gripper)[0]
     first, second = (bodies[pad.body] @ pad.T_body_pad for pad in demo.robot.pads)
     between = np.ones(len(demo.scene), bool)
@@ -110,7 +110,7 @@ def track_log_likelihood_ratio(
 
     def read(frames: NDArray[np.intp]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         images = [resize(demo.video.frames_srgb[k], camera.width, camera.height) for k in frames]
-        masks = masks_at(times[frames] + demo.clock_offset_s, camera.width, camera.height)
+        masks = masks_at(times[frames], camera.width, camera.height)
         return np.stack(images), ~np.stack([dilate(mask, _ROBOT_MARGIN_PX) for mask in masks])
 
     stands = np.flatnonzero(demo.labels != ROBOT)

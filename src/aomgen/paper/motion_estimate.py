@@ -82,7 +82,7 @@ def estimate_motion_paper(
     curve = _curve(demo, scored)
     on_curve(curve)
     interval = flagged_frames(scored)
-    held = frames[interval[0] : interval[1] + 1] + demo.clock_offset_s
+    held = frames[interval[0] : interval[1] + 1]
     progress(0.3, "contact")
     pair = nearest_pair(demo.robot, demo.log, demo.points_moving, float(held[0]), np.random.default_rng(0))
     path = contact_path(pair, demo.robot, demo.log, held)
@@ -117,14 +117,14 @@ def _assemble(
     thetas: Array,
 ) -> MotionEstimate:
     frames, (first, last) = demo.video.times_s, interval
-    T_world_ee = demo.robot.ee_poses(demo.log.at([frames[first] + demo.clock_offset_s])[0])[0]
+    T_world_ee = demo.robot.ee_poses(demo.log.at([frames[first]])[0])[0]
     values = np.zeros(len(frames))
     values[first : last + 1] = thetas
     values[last + 1 :] = values[last]
     nothing = np.zeros(len(frames))
     return MotionEstimate(
-        clock_offset_s=demo.clock_offset_s,
-        clock_offset_sd_s=demo.clock_sd_s,
+        clock_offset_s=demo.clock.offset_s,
+        clock_offset_sd_s=demo.clock.sd_s,
         start_s=float(frames[first]),
         end_s=float(frames[last]),
         curve=curve,
@@ -148,9 +148,7 @@ def _assemble(
 
 
 def _curve(demo: MotionInput, scored: Scores) -> MotionCurve:
-    signals = read_gripper_signals(
-        demo.robot, demo.log, demo.points_moving, demo.video.times_s, demo.clock_offset_s
-    )
+    signals = read_gripper_signals(demo.robot, demo.log, demo.points_moving, demo.video.times_s)
     return MotionCurve(
         times_s=demo.video.times_s,
         scores=scored.scores,

@@ -1,9 +1,11 @@
 """A part label for every Gaussian, the robot link that carries it, and which sides the scan saw. [paper 4.1]"""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.held_out import held_out
@@ -11,43 +13,58 @@ from aomgen.core.parts import Parts
 from aomgen.core.progress import Progress, part
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
-from aomgen.parts.affinity_parts import AffinityPartsParams
-from aomgen.parts.label import PartsParams, segment_scan
+from aomgen.parts.label import SEED, segment_scan
+from aomgen.parts.likelihood import PartEvidence
 from aomgen.parts.moving_parts import MotionEvidence, find_moving_parts
+from aomgen.parts.prompted_images import PromptedImage, segment_prompts
+from aomgen.parts.robot_labels import label_robot
 from aomgen.parts.scan_views import ScanView
 from aomgen.parts.survey import Survey, survey
 from aomgen.results import Results
 from aomgen.robots.silhouette import SilhouetteRenderer
+from aomgen.segmentation.interface import Segmenter
 from aomgen.segmentation.segmenter import choose_segmenter
 from aomgen.splatting.surfaces import view_depths
 
-MASKS_FOLDER = "automatic_masks"
 # Name of the coverage maps beside the labels.
 COVERAGE = "coverage"
-# Of the samples of the survey, fixed so that a run can be repeated.
-SEED = 0
+
+# The robot body (N,) that carries each Gaussian, -1 where it is not of the robot.
+LabelRobot = Callable[[Results, list[ScanView]], NDArray[np.int32]]
+# Evidence of the object's parts by another method than boxes; None for boxes.
+GivenEvidence = Callable[
+    [Results, list[ScanView], Sequence[PromptedImage], Segmenter, Progress], PartEvidence | None
+]
+
+
+def label_robot_by_links(results: Results, views: list[ScanView]) -> NDArray[np.int32]:
+    """The nearest link of the model where the model is drawn."""
+    return label_robot(results.gaussians, views, results.configuration, np.random.default_rng(SEED))
+
+
+def no_evidence(*_: object) -> None:
+    """Boxes are the evidence."""
 
 
 def run(
-    results: Results, folder: Path, progress: Progress, motion_evidence: MotionEvidence
+    results: Results,
+    folder: Path,
+    progress: Progress,
+    motion_evidence: MotionEvidence,
+    label_robot: LabelRobot = label_robot_by_links,
+    given_evidence: GivenEvidence = no_evidence,
 ) -> dict[str, Any]:
     """Label the Gaussians by prompts and demonstration, and survey how the sides of all parts were seen."""
-    project, capture = results.project, results.capture
+    capture = results.capture
     views = scan_views(results)
     progress(0.1, "robot drawn into the scan")
-    scan = segment_scan(
-        results.gaussians,
-        views,
-        capture.prompts,
-        choose_segmenter(capture.mask_folders, project.segmenter),
-        results.configuration,
-        part(progress, 0.1, 0.5),
-        PartsParams(
-            method=project.parts_method,
-            affinity=AffinityPartsParams(masks_folder=folder / MASKS_FOLDER),
-            robot="boxes" if project.alignment_method == "paper" else "links",
-        ),
-    )
+    bodies = label_robot(results, views)
+    progress(0.2, "robot labelled")
+    segmenter = choose_segmenter(capture.mask_folders, results.project.segmenter)
+    prompted = segment_prompts(views, capture.prompts, segmenter)
+    progress(0.4, "prompts answered")
+    given = given_evidence(results, views, prompted, segmenter, part(progress, 0.4, 0.5))
+    scan = segment_scan(results.gaussians, views, bodies, prompted, given)
     found = find_moving_parts(scan, motion_evidence, part(progress, 0.5, 1.0))
     save_artifact(folder, "parts", found)
     seen = survey_parts(results, found)
