@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
 
-from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts
 from aomgen.core.values import Array

@@ -11,9 +11,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.assets.make import make_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import ConfigError
@@ -37,6 +37,7 @@ from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 from aomgen.synthetic.world import DEFAULT_ROBOT
 from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
+from benchmarks.other_objects import make_object
 from benchmarks.truth import Truth, read_truth
 
 Kind = Literal["open", "closing", "hook", "push", "nothing", "touch", "locked", "cut", "short"]
@@ -78,7 +79,7 @@ def motion_world(category: str, seed: int, folder: Path, kind: Kind = "open") ->
     """Load a world, made first when it is not there.
 
     Args:
-        category: One that `assets.make.make_asset` knows.
+        category: One that `other_objects.make_object` knows.
         seed: Chooses everything else.
         folder: Where worlds are kept; this one in "<category>-<seed>", or "<category>-<seed>-<kind>".
         kind: What is demonstrated.
@@ -133,6 +134,7 @@ def load_motion_world(place: Path) -> MotionWorld:
     content, arrays = read_json(place / _WORLD), read_npz(place / _ARRAYS)
     fx, fy, cx, cy, width, height = content["intrinsics"]
     robot = load_robot(DEFAULT_ROBOT)
+    clock = Clock(offset_s=content["clock_offset_s"], sd_s=content["clock_sd_s"])
     return MotionWorld(
         name=place.name,
         demonstration=MotionInput(
@@ -146,12 +148,11 @@ def load_motion_world(place: Path) -> MotionWorld:
                 joints=arrays["joints"],
                 gripper=arrays["gripper"],
                 joint_names=robot.joint_names,
-            ),
+            ).shifted(clock.offset_s),
             robot=robot,
             scene=Gaussians(**{name: arrays[name] for name in _GAUSSIANS}),
             labels=arrays["labels"],
-            clock_offset_s=content["clock_offset_s"],
-            clock_sd_s=content["clock_sd_s"],
+            clock=clock,
         ),
         truth=read_truth(place),
     )  # fmt: skip
@@ -198,7 +199,7 @@ def performed(
     Raises:
         ConfigError: None of MAX_MANNERS can.
     """
-    asset = make_asset(category, seed)
+    asset = make_object(category, seed)
     for _ in range(MAX_MANNERS - 1):
         try:
             return find_demonstration(robot, asset, rng, draw_kind_style(kind, asset, rng))

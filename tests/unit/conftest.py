@@ -22,6 +22,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.binding import bind
 from aomgen.twin.twin import Twin, TwinState
+from benchmarks.other_objects import make_object
 from broken_captures import write_small
 from small_robot import urdf_text
 
@@ -83,7 +84,7 @@ def robot_gaussians(robot: RobotModel, Ts: np.ndarray, light: Light, rng) -> tup
 @pytest.fixture(scope="session")
 def made() -> Callable[[str, int], ArticulatedAsset]:
     """Makes the asset of a category and seed, once; everything in it is frozen."""
-    return cache(make_asset)
+    return cache(make_object)
 
 
 @pytest.fixture(scope="session")

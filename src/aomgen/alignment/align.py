@@ -10,8 +10,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from aomgen.alignment.camera_uncertainty import CameraErrors
-from aomgen.alignment.confidence import Confirmation, ViewEvidence, collect_evidence, confirmation
+from aomgen.alignment.confidence import (
+    Confirmation,
+    ViewEvidence,
+    WristRotation,
+    collect_evidence,
+    confirmation,
+    find_wrist_rotation,
+)
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Scan, SearchParams, search_poses
 from aomgen.alignment.silhouette_fit import (
@@ -24,14 +30,15 @@ from aomgen.alignment.silhouette_fit import (
     spread,
 )
 from aomgen.alignment.uncertainty import (
+    CameraErrors,
     covariance_from_cameras,
     joint_offsets,
     similarity_covariance,
 )
-from aomgen.alignment.wrist_check import WristRotation, find_wrist_rotation
+from aomgen.core.alignment import Alignment
 from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
 from aomgen.robots.configuration import RobotConfiguration
 
@@ -54,6 +61,8 @@ MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
 JOINT_SDS = 4.0
 # An offset counts when it moves the contour by more than the error of an image edge, [px].
 MIN_JOINT_MOVE_PX = 0.5
+# Images wider than this are reduced, [px]: the sparse structure's own accuracy needs no more.
+WIDTH = 640
 # Largest standard deviation of the end effector, [m]: with more, a grasp on a handle is not determined.
 MAX_SD_M = 0.01
 
@@ -66,48 +75,13 @@ class AlignmentParams:
         search: Effort of the search for hypotheses.
         guesses: Factors of its guesses, tried in turn until a hypothesis is confirmed.
         views: Scan images used, spread over the walk.
-        width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
     """
 
     search: SearchParams = field(default_factory=SearchParams)
     views: int = 24
-    width: int = 640
     contour_points: int = 400
     guesses: tuple[int, ...] = (1, 3)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alignment:
-    """The similarity and its confidence.
-
-    Attributes:
-        S_world_recon: Similarity (4, 4), metres per recon unit included.
-        support: Share of outline points, over all views, that the images confirm within 2 px.
-        chance: The same for the outlines moved aside.
-        runner_up_support: The same for the best different hypothesis, 0 when there was none.
-        residual_px: Median distance of confirmed outline points from image edges.
-        residual_px_of_view: The same for each view that shows enough robot.
-        ee_sd_m: Standard deviation of the end effector.
-        joint_zeros_rad: What to add to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 where
-            nothing speaks for it, empty before that was looked at.
-        joint_zero_sds_rad: Standard deviations.
-    """
-
-    S_world_recon: Array
-    support: float
-    chance: float
-    runner_up_support: float
-    residual_px: float
-    residual_px_of_view: dict[str, float]
-    ee_sd_m: float
-    joint_zeros_rad: Array = field(default_factory=lambda: np.zeros(0))
-    joint_zero_sds_rad: Array = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-        freeze(self, "joint_zeros_rad", self.joint_zeros_rad, (None,))
-        freeze(self, "joint_zero_sds_rad", self.joint_zero_sds_rad, (len(self.joint_zeros_rad),))
 
 
 def align(
@@ -141,7 +115,7 @@ def align(
     cameras = [view.camera_recon for view in scan.views]
     S_unit_recon = unit_frame([camera.center for camera in cameras], cameras[0].T_world_cam)
     scan = scan.seen_from(S_unit_recon)
-    scan = replace(scan, views=[limit_width(view, params.width) for view in scan.views])
+    scan = replace(scan, views=[limit_width(view, WIDTH) for view in scan.views])
     width = max(view.camera_recon.width for view in scan.views)
     height = max(view.camera_recon.height for view in scan.views)
     with robot_drawing(configuration, width, height) as drawing:
@@ -155,12 +129,24 @@ def align(
         hand = find_wrist_rotation(S, chosen[::2], drawing, params.contour_points, evidence)
         _refuse_turned_hand(hand, configuration)
     _refuse_wrong_joints(evidence, configuration)
-    result = replace(
-        _summary(S @ S_unit_recon, evidence, confirmed),
+    residuals = {view.name: np.abs(view.edge_px[view.confirmed]) for view in evidence}
+    result = Alignment(
+        S_world_recon=S @ S_unit_recon,
+        support=confirmed.support,
+        chance=confirmed.chance,
         runner_up_support=runner_up,
+        residual_px=float(np.median(np.concatenate([*residuals.values()]))),
+        residual_px_of_view={
+            name: float(np.median(own)) for name, own in residuals.items() if len(own) >= 10
+        },
         ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
     )
-    _refuse_vague(result)
+    if not result.ee_sd_m <= MAX_SD_M:
+        raise AlignmentError(
+            STAGE,
+            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * MAX_SD_M:.0f} mm",
+            "scan the robot from more sides",
+        )
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
 
@@ -228,24 +214,6 @@ def _refine_starts(
     return sorted(ranked, key=lambda item: -item[0].support)
 
 
-def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation) -> Alignment:
-    of_view = {
-        view.name: float(np.median(np.abs(view.edge_px[view.confirmed])))
-        for view in evidence
-        if view.confirmed.sum() >= 10
-    }
-    pooled = np.concatenate([view.edge_px[view.confirmed] for view in evidence])
-    return Alignment(
-        S_world_recon=S,
-        support=found.support,
-        chance=found.chance,
-        runner_up_support=0.0,
-        residual_px=float(np.median(np.abs(pooled))),
-        residual_px_of_view=of_view,
-        ee_sd_m=0.0,
-    )
-
-
 def _unconfirmed(found: Confirmation) -> AlignmentError:
     return AlignmentError(
         STAGE,
@@ -283,32 +251,23 @@ def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfi
     wrong &= found.moves_px > MIN_JOINT_MOVE_PX
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
-        offset_deg, sd_deg = np.degrees(found.offsets_rad[worst]), np.degrees(found.sds_rad[worst])
-        raise AlignmentError(
-            STAGE,
-            f"{configuration.robot.joint_names[worst]} looks {offset_deg:+.0f} deg off in the images "
-            f"(+-{sd_deg:.1f}, limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f})",
-            "check scan_state: the joint values must be those during the scan",
-        )
+        sd_deg, limit_deg = np.degrees(found.sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
+        said = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
+        raise _joint_off(configuration.robot.joint_names[worst], found.offsets_rad[worst], said)
 
 
 def _refuse_turned_hand(found: WristRotation, configuration: RobotConfiguration) -> None:
     if found.clear:
-        raise AlignmentError(
-            STAGE,
-            f"{configuration.robot.joint_names[-1]} looks {np.degrees(found.turn_rad):+.0f} deg off in the images "
-            f"(they confirm {found.gain:.0%} more of the hand there)",
-            "check scan_state: the joint values must be those during the scan",
-        )
+        said = f"they confirm {found.gain:.0%} more of the gripper there"
+        raise _joint_off(configuration.robot.joint_names[-1], found.turn_rad, said)
 
 
-def _refuse_vague(result: Alignment) -> None:
-    if not result.ee_sd_m <= MAX_SD_M:
-        raise AlignmentError(
-            STAGE,
-            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * MAX_SD_M:.0f} mm",
-            "scan the robot from more sides",
-        )
+def _joint_off(name: str, offset_rad: float, said: str) -> AlignmentError:
+    return AlignmentError(
+        STAGE,
+        f"{name} looks {np.degrees(offset_rad):+.0f} deg off in the images ({said})",
+        "check scan_state: the joint values must be those during the scan",
+    )
 
 
 def _distance(S_a: Array, S_b: Array, configuration: RobotConfiguration) -> float:

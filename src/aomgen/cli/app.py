@@ -72,7 +72,7 @@ def demo(
 
     Stop it whenever you like; the same command continues where it was.
     """
-    from aomgen.pipeline.project import Project
+    from aomgen.core.project import Project
 
     sample = Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE
     project = Project(
@@ -90,7 +90,7 @@ def check(
     path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
 ) -> None:
     """Validate a capture, a project or an asset, with reasons; changes nothing."""
-    from aomgen.pipeline.asset_choice import asset_file, open_asset
+    from aomgen.assets.choice import asset_file, open_asset
 
     if asset_file(str(path)) is not None:
         joint = open_asset(str(path)).joint

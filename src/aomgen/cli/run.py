@@ -17,7 +17,7 @@ def run_project(project, *, until: str = ""):
         AomgenError: Whatever a stage refuses.
     """
     from aomgen.cli.display import display
-    from aomgen.pipeline.estimates import forget_refusal
+    from aomgen.motion.estimates_file import forget_refusal
     from aomgen.pipeline.run_record import RunRecord, save_record
     from aomgen.pipeline.stages import REPORT_FILE, run_pipeline
 

@@ -1,22 +1,112 @@
-"""Upright boxes around points."""
+"""Oriented boxes around points."""
+
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
 
-from aomgen.core.values import Array
+from aomgen.core.transforms import apply, transform
+from aomgen.core.values import Array, freeze
+from aomgen.errors import InputError
 
-# A box lies between these quantiles of the points, so that strays do not stretch it.
+# A box lies between these quantiles of the points, so that outliers do not stretch it.
 QUANTILES = (0.01, 0.99)
+# Of the footprint's yaw less counts: handles are up to 2 % of the points.
+FOOTPRINT_QUANTILES = (0.02, 0.98)
+# Fewer points have no box.
+MIN_POINTS = 20
 
 
-def upright_box_axes(points_xy: ArrayLike) -> Array:
-    """Axes (2, 2), as columns, of the level rectangle of least area around points (N, 2)."""
-    xy = np.asarray(points_xy, np.float64)
-    best, best_area = np.eye(2), np.inf
-    for yaw in np.radians(np.arange(0.0, 90.0)):
-        R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        low, high = np.quantile(xy @ R, QUANTILES, axis=0)
-        area = float(np.prod(high - low))
-        if area < best_area:
-            best, best_area = R, area
-    return best
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrientedBox:
+    """A box with axes of its own.
+
+    Attributes:
+        T_world_box: Centre and axes (4, 4).
+        half_extents: (3,), [m].
+    """
+
+    T_world_box: Array
+    half_extents: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_world_box", self.T_world_box, (4, 4))
+        freeze(self, "half_extents", self.half_extents, (3,))
+
+    @property
+    def diagonal_m(self) -> float:
+        """Length of the space diagonal, [m]."""
+        return float(2 * np.linalg.norm(self.half_extents))
+
+    def coordinates(self, points_world: ArrayLike) -> Array:
+        """Points (N, 3) in the box's frame."""
+        R, center = self.T_world_box[:3, :3], self.T_world_box[:3, 3]
+        return np.asarray(points_world, np.float64) @ R - center @ R
+
+    def contains(self, points_world: ArrayLike) -> NDArray[np.bool_]:
+        """Which points (N, 3) are inside; NaN is not."""
+        inside = np.abs(self.coordinates(points_world)) < self.half_extents
+        return inside[:, 0] & inside[:, 1] & inside[:, 2]
+
+    def corners(self) -> Array:
+        """(8, 3), world frame, [m]."""
+        return apply(self.T_world_box, np.array(list(product((-1.0, 1.0), repeat=3))) * self.half_extents)
+
+    def edges(self) -> Array:
+        """End points (12, 2, 3) of the twelve edges, world frame, [m]."""
+        ends = []
+        for along in range(3):
+            first, second = (axis for axis in range(3) if axis != along)
+            for sign_first, sign_second in product((-1.0, 1.0), repeat=2):
+                corner = np.zeros(3)
+                corner[first], corner[second] = sign_first, sign_second
+                step = np.eye(3)[along]
+                ends.append([corner - step, corner + step])
+        return apply(self.T_world_box, np.array(ends) * self.half_extents)
+
+    def faces(self) -> list[tuple[Array, float]]:
+        """Planes `normal @ x = offset` of the six faces, world frame, normals along the box's axes."""
+        normals, centers = self.T_world_box[:3, :3].T, self.T_world_box[:3, 3] @ self.T_world_box[:3, :3]
+        return [
+            (normal, float(center + side))
+            for normal, center, half in zip(normals, centers, self.half_extents, strict=True)
+            for side in (-half, half)
+        ]
+
+
+def fit_box(points_world: ArrayLike, R_world_box: Array) -> OrientedBox:
+    """Box with given axes (3, 3) around points (N, 3), without those beyond `QUANTILES`.
+
+    Raises:
+        InputError: Fewer than 20 points.
+    """
+    points = np.asarray(points_world, np.float64)
+    if not len(points) >= MIN_POINTS:
+        raise InputError("part points", f"{len(points)} points, need {MIN_POINTS}", "correct the prompts")
+    low, high = np.quantile(points @ R_world_box, QUANTILES, axis=0)
+    return OrientedBox(
+        T_world_box=transform(R_world_box, R_world_box @ ((low + high) / 2)),
+        half_extents=np.maximum((high - low) / 2, 1e-4),
+    )
+
+
+def find_upright_axes(points_world: ArrayLike) -> Array:
+    """Axes (3, 3), z up, of the upright box with the least base around points (N, 2 or more), yaw in 0..pi/2."""
+    xy = np.asarray(points_world, np.float64)[:, :2]
+
+    def area(yaw: float) -> float:
+        low, high = np.quantile(xy @ upright_axes(yaw)[:2, :2], FOOTPRINT_QUANTILES, axis=0)
+        return float(np.prod(high - low))
+
+    step = np.pi / 180
+    coarse = min(np.arange(90) * step, key=area)
+    fine = minimize_scalar(area, bounds=(coarse - step, coarse + step), method="bounded").x
+    return upright_axes(min((coarse, float(fine)), key=area) % (np.pi / 2))
+
+
+def upright_axes(yaw: float) -> Array:
+    """Axes (3, 3) turned about the vertical, [rad]."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -63,6 +63,11 @@ class Camera:
             height=height,
         )
 
+    def narrowed(self, width: int) -> "Camera":
+        """The same view, at most `width` pixels wide."""
+        share = min(1.0, width / self.width)
+        return self.resized(round(self.width * share), max(1, round(self.height * share)))
+
     def project(self, points_world: ArrayLike) -> tuple[Array, Array]:
         """Pixels (N, 2) and depths (N,) of points (N, 3); points behind have depth <= 0."""
         points_cam = apply(self.T_cam_world, points_world)

@@ -6,21 +6,14 @@ decides: every possibility is offered with its odds.
 """
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
 
-from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
+from aomgen.core.boxes import MIN_POINTS, OrientedBox, find_upright_axes, fit_box
+from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array, freeze
-from aomgen.motion.box_edges import (
-    MIN_POINTS,
-    TAIL_PERCENT,
-    OrientedBox,
-    find_face_normal,
-    find_footprint_yaw,
-    fit_upright_box,
-)
+from aomgen.motion.box_edges import find_face_normal
 from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
@@ -159,19 +152,17 @@ def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
     Not checked: that the points show the whole part.
     """
     everything = np.concatenate([points_static, points_moving])
-    yaw = find_footprint_yaw(everything)
-    together, around = fit_upright_box(points_moving, yaw), fit_upright_box(everything, yaw)
+    axes = find_upright_axes(everything)
+    together, around = fit_box(points_moving, axes), fit_box(everything, axes)
     best = together
     for box in (
-        fit_upright_box(points_moving, find_footprint_yaw(points_moving)),
+        fit_box(points_moving, find_upright_axes(points_moving)),
         _leaning_box(points_moving, together),
     ):
         if _volume(box) < _CLEARLY * _volume(best):
             best = box
-    static = _box_about(_beside(points_static, best), best.T_world_box[:3, :3])
-    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
-    corners = apply(around.T_world_box, signs * around.half_extents)
-    return PartShape(box=best, face_normal=find_face_normal(static, best), corners=corners)
+    static = fit_box(_beside(points_static, best), best.T_world_box[:3, :3])
+    return PartShape(box=best, face_normal=find_face_normal(static, best), corners=around.corners())
 
 
 def _beside(points_static: Array, box: OrientedBox) -> Array:
@@ -179,7 +170,7 @@ def _beside(points_static: Array, box: OrientedBox) -> Array:
 
     Another door of the same object that stands ajar says nothing of this one's face.
     """
-    inside = np.abs(apply(invert(box.T_world_box), points_static)) <= box.half_extents + _BESIDE_M
+    inside = np.abs(box.coordinates(points_static)) <= box.half_extents + _BESIDE_M
     near = points_static[inside.sum(1) >= 2]
     return near if len(near) >= MIN_POINTS else points_static
 
@@ -191,21 +182,13 @@ def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
     found = []
     for R in (R_main, upright.T_world_box[:3, :3]):
         result = minimize(
-            lambda turn, R=R: np.log(_volume(_box_about(points, R @ matrix_from_rotvec(turn)))),
+            lambda turn, R=R: np.log(_volume(fit_box(points, R @ matrix_from_rotvec(turn)))),
             np.zeros(3),
             method="Nelder-Mead",
             options={"initial_simplex": np.vstack([np.zeros(3), 0.2 * np.eye(3)]), "maxfev": 150},
         )
-        found.append(_box_about(points, R @ matrix_from_rotvec(result.x)))
+        found.append(fit_box(points, R @ matrix_from_rotvec(result.x)))
     return min(found, key=_volume)
-
-
-def _box_about(points: Array, R_world_box: Array) -> OrientedBox:
-    low, high = np.percentile(points @ R_world_box, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
-    return OrientedBox(
-        T_world_box=transform(R_world_box, R_world_box @ ((low + high) / 2)),
-        half_extents=np.maximum((high - low) / 2, 1e-4),
-    )
 
 
 def _volume(box: OrientedBox) -> float:

@@ -1,91 +1,15 @@
-"""Boxes around the two parts and their edges."""
+"""Edges of the boxes around the two parts."""
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from aomgen.core.transforms import apply, invert, transform
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.values import Array, freeze
-from aomgen.errors import InputError
 
-# Yaws tried over a quarter turn, half a degree apart: finer than a scanned footprint tells its yaw.
-_YAW_STEPS = 180
-# Points beyond this percentile on either side are strays, [%].
-TAIL_PERCENT = 1.0
-# Fewer points have no box.
-MIN_POINTS = 20
 # Points on each edge between which distances are taken; the score is their mean.
 _EDGE_SAMPLES = 9
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OrientedBox:
-    """An upright box: its third axis is the world's z.
-
-    Attributes:
-        T_world_box: Centre and axes (4, 4).
-        half_extents: (3,), [m].
-    """
-
-    T_world_box: Array
-    half_extents: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_box", self.T_world_box, (4, 4))
-        freeze(self, "half_extents", self.half_extents, (3,))
-
-    @property
-    def diagonal_m(self) -> float:
-        """Length of the space diagonal, [m]."""
-        return float(2 * np.linalg.norm(self.half_extents))
-
-    def edges(self) -> Array:
-        """End points (12, 2, 3) of the twelve edges, world frame, [m]."""
-        ends = []
-        for along in range(3):
-            first, second = (axis for axis in range(3) if axis != along)
-            for sign_first, sign_second in product((-1.0, 1.0), repeat=2):
-                corner = np.zeros(3)
-                corner[first], corner[second] = sign_first, sign_second
-                step = np.eye(3)[along]
-                ends.append([corner - step, corner + step])
-        return apply(self.T_world_box, np.array(ends) * self.half_extents)
-
-
-def find_footprint_yaw(points_world: Array) -> float:
-    """Yaw of the smallest upright rectangle around points (N, 3), [rad], in 0..pi/2.
-
-    Extents are taken between the 1st and 99th percentile, so that stray points do not count.
-    """
-    yaws = np.arange(_YAW_STEPS) * (np.pi / 2 / _YAW_STEPS)
-    areas = []
-    for yaw in yaws:
-        c, s = np.cos(yaw), np.sin(yaw)
-        turned = points_world[:, :2] @ np.array([[c, -s], [s, c]])
-        low, high = np.percentile(turned, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
-        areas.append(np.prod(high - low))
-    return float(yaws[int(np.argmin(areas))])
-
-
-def fit_upright_box(points_world: Array, yaw: float) -> OrientedBox:
-    """Box with the given yaw around points (N, 3), world frame, tails of one percent cut.
-
-    Raises:
-        InputError: Fewer than 20 points.
-    """
-    if not len(points_world) >= MIN_POINTS:
-        raise InputError(
-            "part points", f"{len(points_world)} points, need {MIN_POINTS}", "correct the prompts"
-        )
-    c, s = np.cos(yaw), np.sin(yaw)
-    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    local = points_world @ R
-    low, high = np.percentile(local, [TAIL_PERCENT, 100 - TAIL_PERCENT], axis=0)
-    return OrientedBox(
-        T_world_box=transform(R, R @ ((low + high) / 2)), half_extents=np.maximum((high - low) / 2, 1e-4)
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +62,7 @@ def measure_edge_pairs(
 
 def find_face_normal(static: OrientedBox, moving: OrientedBox) -> Array:
     """Box axis along which the moving part sticks out of the static one most, for its size."""
-    offset = apply(invert(moving.T_world_box), static.T_world_box[:3, 3])
+    offset = moving.coordinates(static.T_world_box[:3, 3])
     depth = np.abs(offset) / (static.half_extents + moving.half_extents)
     axis = int(np.argmax(depth))
     return -np.sign(offset[axis]) * moving.T_world_box[:3, axis]

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aomgen.core.boxes import find_upright_axes, fit_box
 from aomgen.core.joint import JointType
 from aomgen.core.values import Array, freeze
 from aomgen.motion.box_edges import (
     EdgePairTerms,
     find_face_normal,
-    find_footprint_yaw,
     find_pair_center,
-    fit_upright_box,
     measure_edge_pairs,
 )
 from aomgen.paper.mask_keyframes import Variant
@@ -101,8 +100,8 @@ def box_joint(
     heading, which the paper leaves open.
     """
     weights = weights or PairWeights()
-    yaw = find_footprint_yaw(np.concatenate(points))
-    static, moving = (fit_upright_box(part, yaw) for part in points)
+    axes = find_upright_axes(np.concatenate(points))
+    static, moving = (fit_box(part, axes) for part in points)
     costs = pair_costs(
         measure_edge_pairs(static, moving, contact_world, direction_world), joint_type, signs, weights
     )

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from aomgen.alignment.align import Alignment, unit_frame
+from aomgen.alignment.align import unit_frame
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.gravity import up_candidates
 from aomgen.alignment.pose_search import Scan, search_poses, select_distinct
-from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.starting_poses import RobotBox, up_candidates
+from aomgen.core.alignment import Alignment
 from aomgen.core.camera import camera_in_world
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface

@@ -2,12 +2,10 @@
 
 Source: AOMGen, sec. 4.1. The robot needs no segmenter: its masks are drawn from the aligned model. The
 object's parts come from one labelling of all evidence (`evidence`, `labelling`): boxes fitted to prompts
-and masks, the masks themselves, and what the demonstration shows of each Gaussian. Method "saga", the
-paper's, takes affinity features trained from automatic masks instead (see `affinity_parts`).
+and masks, the masks themselves, and what the demonstration shows of each Gaussian.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +14,10 @@ from scipy.spatial import cKDTree
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.part_points import SOLID_OPACITY
-from aomgen.core.progress import Progress, part
-from aomgen.core.recording import Prompt
-from aomgen.core.values import Array, freeze
+from aomgen.core.parts import Cut, Parts, no_cut
+from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError, WrongPromptError
-from aomgen.parts.affinity_parts import AffinityPartsParams, affinity_evidence, find_all_masks
-from aomgen.parts.cutting import Cut, cut_at_faces, no_cut
+from aomgen.parts.cutting import cut_at_faces
 from aomgen.parts.likelihood import (
     LABELS,
     PartEvidence,
@@ -30,91 +26,21 @@ from aomgen.parts.likelihood import (
     prompted_evidence,
     surface_views,
 )
-from aomgen.parts.prompted_images import PromptedImage, PromptFit, segment_prompts
-from aomgen.parts.robot_labels import robot_bodies
+from aomgen.parts.prompted_images import PromptedImage, PromptFit
 from aomgen.parts.scan_views import ScanView, spread
 from aomgen.parts.smoothing import smooth_posterior
-from aomgen.robots.configuration import RobotConfiguration, bodies_in_boxes
-from aomgen.segmentation.interface import Segmenter
 
 STAGE = "parts"
-PartsMethod = Literal["closed_form", "saga"]
+# Of the robot's surface points and of the panel's search: the same draws in every round, so that rounds differ
+# by their evidence alone.
+SEED = 0
 # Views in which the boxes are drawn to label what they show.
 DRAWN_VIEWS = 20
 # Fewest Gaussians of a usable part.
 MIN_GAUSSIANS = 50
-# Boxes explained worse than this (5 % of the box a side) are worth a warning.
-DOUBTED_MISFIT = 0.2
-# Labels that overlap with the prompts' masks less than this (IoU) are worth a warning: on eleven captures
-# they overlapped with the true part by .40 to .83, all others by more.
-DOUBTED_AGREEMENT = 0.6
 # Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
 # captures with right prompts, 0.6 and more with boxes around a neighbor).
 MAX_APART_SHARE = 0.2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PartsParams:
-    """Choices.
-
-    Attributes:
-        method: "closed_form" or "saga".
-        affinity: Effort of "saga".
-        robot: What labels the robot: "links", drawn masks and distance, or "boxes", the paper's way.
-        seed: Of the samples on the robot's surface and of the panel's search.
-    """
-
-    method: PartsMethod = "closed_form"
-    affinity: AffinityPartsParams = field(default_factory=AffinityPartsParams)
-    robot: Literal["links", "boxes"] = "links"
-    seed: int = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Parts:
-    """Labels of N Gaussians: those of the scan, some of them cut.
-
-    Attributes:
-        labels: (N,), see `conventions.PART_LABELS`.
-        confidence: (N,), probability of the label.
-        robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
-        cut: Which Gaussians of the scan were cut, and their pieces.
-        method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or "saga".
-        box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
-        static_agreement, moving_agreement: IoU of the drawn part with its masks in the prompted images, 0..1.
-    """
-
-    labels: NDArray[np.uint8]
-    confidence: NDArray[np.float32]
-    robot_bodies: NDArray[np.int32]
-    cut: Cut
-    method: str
-    box_misfit: float
-    static_agreement: float
-    moving_agreement: float
-
-    def __post_init__(self) -> None:
-        count = len(self.labels)
-        freeze(self, "labels", self.labels, (count,), np.uint8)
-        freeze(self, "confidence", self.confidence, (count,), np.float32)
-        freeze(self, "robot_bodies", self.robot_bodies, (count,), np.int32)
-
-    def warnings(self) -> list[str]:
-        """Sentences about parts that may be wrong."""
-        sentences = []
-        if not self.box_misfit <= DOUBTED_MISFIT:
-            sentences.append(
-                f"the parts found end {100 * self.box_misfit / 4:.0f} % of a box away from the prompts' boxes, "
-                f"want {100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on all four sides"
-            )
-        for name, iou in (("static", self.static_agreement), ("moving", self.moving_agreement)):
-            if not iou >= DOUBTED_AGREEMENT:
-                sentences.append(
-                    f"labels of the {name} part are doubtful: they overlap with its masks by {100 * iou:.0f} %, "
-                    f"want {100 * DOUBTED_AGREEMENT:.0f} %; look at the labels, and add prompts of '{name}' on "
-                    "images that show it from other sides"
-                )
-        return sentences
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,72 +51,43 @@ class PromptedScan:
         gaussians: World frame, cut.
         cut: How they were cut.
         bodies: (N,) robot bodies, -1 where a Gaussian is not of the robot.
-        robot_share: (N,) share of the painted weight inside the robot's masks.
         prompted: Answers to the prompts.
         surfaces: Views in which boxes are drawn.
-        given: Log-likelihoods by method "saga", None for boxes.
-        seed: Of the panel's search.
+        given: Evidence of another method; None for that of boxes.
     """
 
     gaussians: Gaussians
     cut: Cut
     bodies: NDArray[np.int32]
-    robot_share: Array
     prompted: list[PromptedImage]
     surfaces: list[SurfaceView]
     given: PartEvidence | None
-    seed: int
 
 
 def segment_scan(
     gaussians: Gaussians,
     views: list[ScanView],
-    prompts: tuple[Prompt, ...],
-    segmenter: Segmenter,
-    configuration: RobotConfiguration,
-    progress: Progress,
-    params: PartsParams | None = None,
+    bodies: NDArray[np.int32],
+    prompted: list[PromptedImage],
+    given: PartEvidence | None = None,
 ) -> PromptedScan:
-    """Segment the robot and the prompted parts in the scan images.
+    """All that is known of the parts without the demonstration.
 
     Args:
         gaussians: The scan, world frame.
         views: Scan images with drawn robot masks, world frame, held-out ones left out.
-        prompts: Of the capture; boxes of "moving" and "static" are used.
-        segmenter: Turns boxes into masks.
-        configuration: Robot as scanned.
-        progress: Called at each step.
-        params: See `PartsParams`.
-
-    Raises:
-        ReconstructionError: A part has no usable prompt.
+        bodies: (N,) robot bodies, see `label_robot`.
+        prompted: Answers to the prompts, see `segment_prompts`.
+        given: Evidence of the object's parts by another method than boxes.
     """
-    params = params or PartsParams()
-    if params.robot == "boxes":
-        bodies = bodies_in_boxes(np.asarray(gaussians.means, np.float64), configuration)
-        share = (bodies >= 0).astype(np.float64)
-    else:
-        bodies, share = robot_bodies(gaussians, views, configuration, np.random.default_rng(params.seed))
-    progress(0.3, "robot labelled")
-    prompted = segment_prompts(views, prompts, segmenter)
-    progress(0.7, "prompts answered")
-    given, surfaces = None, []
-    if params.method == "saga":
-        scan = find_all_masks(
-            gaussians, views, prompted, segmenter, part(progress, 0.7, 0.85), params.affinity
-        )
-        given = affinity_evidence(gaussians, scan, prompted, part(progress, 0.85, 1.0), params.affinity)
-    else:
-        surfaces = surface_views(gaussians, spread(views, DRAWN_VIEWS))
+    surfaces = [] if given else surface_views(gaussians, spread(views, DRAWN_VIEWS))
     return PromptedScan(
         gaussians=gaussians,
         cut=no_cut(gaussians),
         bodies=bodies,
-        robot_share=share,
         prompted=prompted,
         surfaces=surfaces,
         given=given,
-        seed=params.seed,
     )
 
 
@@ -203,7 +100,7 @@ def part_evidence(scan: PromptedScan, motion_log_odds: Array | None = None) -> P
             moves than if it stands still; None before the demonstration was looked at.
     """
     evidence = scan.given or prompted_evidence(
-        scan.gaussians, scan.prompted, scan.surfaces, np.random.default_rng(scan.seed), motion_log_odds
+        scan.gaussians, scan.prompted, scan.surfaces, np.random.default_rng(SEED), motion_log_odds
     )
     return evidence if motion_log_odds is None else evidence.with_motion(motion_log_odds)
 
@@ -225,8 +122,7 @@ def cut_scan(
     known = panel_evidence(gaussians, evidence.panel, scan.surfaces)
     if motion_log_odds is not None:
         known = known.with_motion(motion_log_odds[origins])
-    bodies, share = scan.bodies[origins], scan.robot_share[origins]
-    return replace(scan, gaussians=gaussians, cut=cut, bodies=bodies, robot_share=share), known
+    return replace(scan, gaussians=gaussians, cut=cut, bodies=scan.bodies[origins]), known
 
 
 def find_parts(scan: PromptedScan, evidence: PartEvidence) -> Parts:
@@ -240,13 +136,12 @@ def find_parts(scan: PromptedScan, evidence: PartEvidence) -> Parts:
     log_likelihoods = evidence.log_likelihoods[~robot]
     colors = np.clip(0.5 + SH_C0 * gaussians.sh[~robot, 0], 0, 1)
     posterior = smooth_posterior(gaussians.means[~robot], colors, log_likelihoods)
-    labels, confidence = np.full(len(robot), ROBOT, np.uint8), scan.robot_share.copy()
-    labels[~robot], confidence[~robot] = LABELS[np.argmax(posterior, 1)], posterior.max(1)
+    labels = np.full(len(robot), ROBOT, np.uint8)
+    labels[~robot] = LABELS[np.argmax(posterior, 1)]
     _check(gaussians, labels)
     fit = PromptFit.of(gaussians, labels, scan.prompted)
     return Parts(
         labels=labels,
-        confidence=confidence.astype(np.float32),
         robot_bodies=np.where(robot, scan.bodies, -1),
         cut=scan.cut,
         method=evidence.method,

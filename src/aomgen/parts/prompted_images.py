@@ -11,16 +11,14 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
-from aomgen.errors import BackendError, ReconstructionError
+from aomgen.errors import ReconstructionError
 from aomgen.parts.panel_views import PromptedView, box_misfit, iou, share_inside
 from aomgen.parts.scan_views import ScanView, render_parts
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import MasksOnDisk
-from aomgen.splatting.rasterizer import render
+from aomgen.splatting.surfaces import seen_points
 
 STAGE = "parts"
-# Accumulated alpha from which a pixel shows a surface.
-SURFACE_ALPHA = 0.5
 # Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
 MAX_MISFIT = 0.1
 # Masks that are farther from their box are joined with what lies under a grid of so many points a side, as
@@ -158,18 +156,5 @@ def _filling(masks: list[Mask], image: PreparedImage, box: Array, robot: Mask) -
 
 
 def surface_seen(gaussians: Gaussians, camera: Camera, robot: NDArray[np.bool_]) -> Array:
-    """World points (H, W, 3) of the surface at each pixel; NaN where there is none, and on the robot.
-
-    Args:
-        gaussians: World frame.
-        camera: World frame.
-        robot: Pixels (H, W) left out.
-    """
-    drawn = render(gaussians, camera, with_ids=True)
-    if drawn.median_depth is None:
-        raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
-    shown = (drawn.alpha > SURFACE_ALPHA) & (drawn.median_depth > 0) & ~robot
-    depth = np.where(shown, drawn.median_depth, np.nan).astype(np.float64)
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], -1)
-    return (rays * depth[..., None]) @ camera.T_world_cam[:3, :3].T + camera.center
+    """World points (H, W, 3) of the surface at each pixel; NaN where there is none, and on the robot (H, W)."""
+    return np.where(robot[..., None], np.nan, seen_points(gaussians, camera))

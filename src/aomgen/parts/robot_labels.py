@@ -21,10 +21,10 @@ MAX_DISTANCE_M = 0.02
 SAMPLES_PER_M2 = 60_000.0
 
 
-def robot_bodies(
+def label_robot(
     gaussians: Gaussians, views: list[ScanView], configuration: RobotConfiguration, rng: np.random.Generator
-) -> tuple[NDArray[np.int32], Array]:
-    """Bodies (N,) of the robot's Gaussians, -1 for others, and the share of their weight inside drawn masks.
+) -> NDArray[np.int32]:
+    """Index into `robot.body_names` (N,) of the body that each Gaussian is of, -1 for none.
 
     Args:
         gaussians: The scan, world frame.
@@ -49,7 +49,7 @@ def robot_bodies(
     behind = (share > 0.85) & (distances < LOOSE_DISTANCE_M)
     # What no view shows lies inside the robot when it is close to its surface.
     robot = (near >= 0) & np.where(seen > 0.05, close | behind, distances < 0.01)
-    return np.where(robot, near, -1).astype(np.int32), share
+    return np.where(robot, near, -1).astype(np.int32)
 
 
 def nearest_links(

@@ -1,12 +1,13 @@
-"""The project file: every choice of a run, spelled out."""
+"""The project file: every choice of a run, spelled out, on disk."""
 
 import json
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
+from aomgen.core.project import Project
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.atomic import write_text
 from aomgen.io.schema import complaint
@@ -30,47 +31,6 @@ alignment_method = {alignment_method}    # "outlines", or "paper": rigid ICP and
 motion_method = {motion_method}    # "aomotion", or "paper": its four estimators as printed, to compare with
 parts_method = {parts_method}    # "closed_form", or "saga" for affinity features (minutes more)
 """
-
-
-# Videos halve the resolution of colors, so their sides are even.
-Side = Annotated[int, Field(ge=64, le=4096, multiple_of=2)]
-
-
-class Project(BaseModel):
-    """Choices of one run; paths are absolute after loading.
-
-    Attributes:
-        capture: Folder of the capture.
-        out: Folder of the results.
-        seed: Seed of everything random from the twin onwards.
-        assets: Assets that replace the object, `category:seed` or a USD path.
-        poses: Verified episodes wanted for each asset.
-        adapt: How asset and motion are brought together; see `replacement.fitting`.
-        image_size: Size of the episodes' images, [px].
-        iterations: Training steps.
-        gaussians: Cap on the number of Gaussians in the scene.
-        segmenter: What makes masks; see `reconstruction.masks.segmenter.choose_segmenter`.
-        alignment_method: How scan and robot are brought together; "paper" is there to compare with.
-        motion_method: How the part's motion is recovered; "paper" is there to compare with.
-        parts_method: How the object's parts are found; see `reconstruction.parts`.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    format: Literal[1] = 1
-    capture: Path
-    out: Path
-    seed: int = Field(default=0, ge=0)
-    assets: tuple[str, ...] = Field(default=(), min_length=0)
-    poses: int = Field(default=6, ge=1, le=10_000)
-    adapt: Literal["trajectory", "object"] = "trajectory"
-    image_size: tuple[Side, Side] = (320, 240)
-    iterations: int = Field(default=1200, ge=10, le=200_000)
-    gaussians: int = Field(default=100_000, ge=1_000, le=3_000_000)
-    segmenter: str = Field(default="auto", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")
-    alignment_method: Literal["outlines", "paper"] = "outlines"
-    motion_method: Literal["aomotion", "paper"] = "aomotion"
-    parts_method: Literal["closed_form", "saga"] = "closed_form"
 
 
 def read_project(path: Path) -> Project:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.core.boxes import MIN_POINTS, QUANTILES, find_upright_axes
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import angle_between, transform
@@ -25,8 +26,6 @@ UP: Final = np.array([0.0, 0.0, 1.0])
 MIN_LEVEL: Final = 0.5
 # A box's side further than this from the opening direction is not the front; below 45 degrees, where the next side is as near, [rad].
 MAX_FRONT_CORRECTION_RAD: Final = np.deg2rad(25.0)
-# Fewer surface points do not say where the sides of an object are.
-MIN_BOX_POINTS: Final = 20
 # Kept free at both ends of a handle's bar, so that the pads stay off its posts, [m].
 BAR_MARGIN_M: Final = 0.03
 
@@ -144,11 +143,11 @@ def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
 def normalised_share(points: ArrayLike, point: ArrayLike, R_world_front: ArrayLike) -> Array:
     """Place of a point in the cube of a part (3,), 0..1, along right, inward and up.
 
-    The cube spans the 1st to the 99th percentile of the points (N, 3), so stray points do not count.
+    The cube lies between `QUANTILES` of the points (N, 3).
     """
     R = np.asarray(R_world_front, np.float64)
     aligned = np.asarray(points, np.float64) @ R
-    low, high = np.percentile(aligned, [1, 99], axis=0)
+    low, high = np.quantile(aligned, QUANTILES, axis=0)
     return (np.asarray(point, np.float64) @ R - low) / np.maximum(high - low, 1e-6)
 
 
@@ -201,7 +200,7 @@ def _upright(joint: Joint) -> bool:
 
 def _standing_out(way: Array, held: Array, points: Array) -> Array:
     """Of the directions along and across a level way (3,), the one in which `held` is outermost."""
-    if len(points) < MIN_BOX_POINTS:
+    if len(points) < MIN_POINTS:
         return way
     across = np.cross(way, UP)
     sides = [way, across, -across, -way]
@@ -211,19 +210,9 @@ def _standing_out(way: Array, held: Array, points: Array) -> Array:
 
 def _nearest_box_side(level: Array, points: Array) -> Array:
     """Normal (3,) of the smallest upright box's side nearest to `level`; `level` when none is near."""
-    if len(points) < MIN_BOX_POINTS:
+    if len(points) < MIN_POINTS:
         return level
-    coarse = _smallest_box_angle(points, np.deg2rad(np.arange(0.0, 90.0, 1.0)))
-    angle = _smallest_box_angle(points, coarse + np.deg2rad(np.arange(-1.0, 1.01, 0.1)))
-    axis, normal = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    axis, normal = find_upright_axes(points)[:2, :2].T
     sides = [s * d for d in (axis, normal) for s in (-1.0, 1.0)]
     side = np.append(max(sides, key=lambda d: float(d @ level[:2])), 0.0)
     return side if angle_between(side, level) <= MAX_FRONT_CORRECTION_RAD else level
-
-
-def _smallest_box_angle(points: Array, angles: Array) -> float:
-    """The angle (of A) at which an upright box about 96 % of the points (N, 3) has the smallest base, [rad]."""
-    axes = np.stack([np.cos(angles), np.sin(angles)], 1)
-    normals = np.stack([-axes[:, 1], axes[:, 0]], 1)
-    spans = [np.ptp(np.percentile(points[:, :2] @ d.T, [2, 98], axis=0), axis=0) for d in (axes, normals)]
-    return float(angles[np.argmin(spans[0] * spans[1])])

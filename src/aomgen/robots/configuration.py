@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.mesh import sample_surface
-from aomgen.core.transforms import apply, invert
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 
-# Gaussians lie some millimetres off the surface that they paint.
-MARGIN_M = 0.005
 # Step of the numeric derivative, [rad]: its error is far below a pixel.
 _TURN_RAD = 1e-4
 
@@ -74,33 +72,3 @@ class RobotConfiguration:
         last = np.array([int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in moved])
         fields = (motions[np.arange(len(last)), last] - np.eye(4)) / _TURN_RAD
         return fields, moved.sum(0)
-
-
-def bodies_in_boxes(points_world: Array, configuration: RobotConfiguration) -> NDArray[np.int32]:
-    """The robot body whose box holds each point.
-
-    Boxes are those of the meshes along the axes of their body. Of several boxes the one counts in
-    whose middle the point lies most.
-
-    Args:
-        points_world: (N, 3), [m].
-        configuration: Robot as scanned.
-
-    Returns:
-        Index into `robot.body_names` (N,), -1 for points in no box.
-
-    Source: AOMGen, sec. 4.2, "Robot". Not checked: whatever else stands in a box is taken as robot.
-    """
-    robot = configuration.robot
-    poses = robot.link_poses(configuration.joints[None], configuration.gripper)[0]
-    owners = np.full(len(points_world), -1, np.int32)
-    depth = np.ones(len(points_world))
-    for body in sorted({mesh.body for mesh in robot.meshes}):
-        vertices = np.concatenate([mesh.vertices_body for mesh in robot.meshes if mesh.body == body])
-        low, high = vertices.min(0) - MARGIN_M, vertices.max(0) + MARGIN_M
-        local = apply(invert(poses[body]), points_world)
-        # 0 in the middle of the box, 1 on its faces.
-        place = np.abs(2 * (local - low) / (high - low) - 1).max(1)
-        nearer = place < depth
-        owners[nearer], depth[nearer] = body, place[nearer]
-    return owners

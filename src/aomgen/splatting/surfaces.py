@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
-from aomgen.errors import BackendError
 from aomgen.splatting.rasterizer import render
 
 # Views are looked at in this width: a pixel is then as wide as depth is uncertain, roughly.
@@ -58,13 +57,22 @@ def view_depths(gaussians: Gaussians, cameras: list[Camera], width: int = WIDTH_
     """
     result = []
     for camera in cameras:
-        share = min(1.0, width / camera.width)
-        small = camera.resized(round(camera.width * share), max(1, round(camera.height * share)))
-        drawn = render(gaussians, small, with_ids=True).median_depth
-        if drawn is None:
-            raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
+        small = camera.narrowed(width)
+        drawn = np.asarray(render(gaussians, small, with_ids=True).median_depth)
         result.append(ViewDepth(camera=small, depth=np.where(drawn > 0, drawn, np.inf).astype(np.float32)))
     return result
+
+
+def seen_points(gaussians: Gaussians, camera: Camera) -> Array:
+    """World points (H, W, 3) of the surface at each pixel, NaN where less than half of the light is stopped.
+
+    The median depth: the mean one is no surface where a few Gaussians shine past an edge from far behind.
+
+    Raises:
+        BackendError: The engine is missing, or refuses the scene or the camera.
+    """
+    depth = np.asarray(render(gaussians, camera, with_ids=True).median_depth, np.float64)
+    return camera.center + camera.directions() * np.where(depth > 0, depth, np.nan)[..., None]
 
 
 def in_free_space(points: Array, views: list[ViewDepth]) -> NDArray[np.bool_]:

@@ -47,7 +47,7 @@ class DemoView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FixedCamera:
+class PlacedCamera:
     """A placed camera.
 
     Attributes:
@@ -63,7 +63,7 @@ class FixedCamera:
 
 def place_fixed_camera(
     work: Workspace, mapped: SparseModel, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
-) -> FixedCamera:
+) -> PlacedCamera:
     """Find a fixed camera and its lens.
 
     A camera with the scan's image size and statement, or with none, may be the one that scanned.
@@ -99,7 +99,7 @@ def place_fixed_camera(
     if len(found) == 2:
         apart = agree(found["first"], found["median"])
         figures |= {"disagreement_deg": apart.angle_deg, "disagreement_share": apart.distance_share}
-    return FixedCamera(camera_recon=camera, lens=lens, figures=figures)
+    return PlacedCamera(camera_recon=camera, lens=lens, figures=figures)
 
 
 def _links(work: Workspace, mapped: SparseModel, group: str, stills: tuple[str, ...]) -> Links:

@@ -19,7 +19,7 @@ from aomgen.core.structure import Figures, Structure
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
 from aomgen.structure.clusters import duplicates
-from aomgen.structure.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
+from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_camera
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import ImageSet, Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better, reject_outliers
@@ -210,7 +210,7 @@ def _gate(count: int, inliers: InlierModel) -> None:
 
 
 def _structure(
-    names: list[str], inliers: InlierModel, placed: dict[str, FixedCamera], figures: Figures
+    names: list[str], inliers: InlierModel, placed: dict[str, PlacedCamera], figures: Figures
 ) -> Structure:
     mapped = inliers.mapped
     undistorted, lens = mapped.lens.straight(), mapped.lens

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from aomgen.assets.archive import save_asset
 from aomgen.conventions import PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.joint_log import JointLog
 from aomgen.core.values import Array
+from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.io.video import encode_video
@@ -46,7 +46,7 @@ def write_recording(folder: Path, recording: Recording, robot: str) -> None:
 
 
 def write_truth(folder: Path, recording: Recording) -> None:
-    """Write truth.json, label images and the asset itself (`asset.npz`).
+    """Write truth.json, label images and the asset itself (`asset.json` and `.npz`).
 
     Raises:
         StorageError: The disk refuses.
@@ -54,7 +54,7 @@ def write_truth(folder: Path, recording: Recording) -> None:
     for name, labels in (("scan", recording.scan_labels), (CAMERA, recording.video.labels)):
         for number, image in enumerate(labels):
             write_bytes(folder / "masks" / name / f"{number:04d}.png", encode_png(image))
-    save_asset(recording.performance.layout.asset, folder / "asset.npz")
+    save_artifact(folder, "asset", recording.performance.layout.asset)
     write_json(folder / "truth.json", _answers(recording))
 
 
@@ -87,7 +87,7 @@ def _answers(recording: Recording) -> dict[str, Any]:
         "contacts": contacts,
         "contacts_rule": "contacts of the hand with the moving part; normal from the hand into the part, force its component [N]",
         "clock_offset_s": recording.video.schedule.clock_offset_s,
-        "object": {"asset": "asset.npz", "T_world_object": layout.T_world_object, "scale": 1.0, "value": performance.style.start},
+        "object": {"asset": "asset.json", "T_world_object": layout.T_world_object, "scale": 1.0, "value": performance.style.start},
         "qpos": demonstration.joints[steps],
         "gripper": demonstration.gripper[steps],
         "Ts_world_moving": Ts_world_moving,

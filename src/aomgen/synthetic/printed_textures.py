@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from aomgen.assets.palette import WOODS
-from aomgen.assets.textures import WORDS, Texture, noise, tint, wood
+from aomgen.assets.procedural.builder import pick
+from aomgen.assets.procedural.textures import COLORS, WORDS, Texture, noise, tint, wood
 
 
 def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Texture:
@@ -112,7 +112,7 @@ def checked(rng: np.random.Generator, size: int = 768) -> Texture:
 
 def planks(rng: np.random.Generator, size: int = 768) -> Texture:
     """A wooden board of another shade than the table's."""
-    return wood(rng, WOODS[rng.integers(len(WOODS))], size)
+    return wood(rng, pick(rng, COLORS["wood"]), size)
 
 
 def tiles(rng: np.random.Generator, size: int = 1024, count: int = 6) -> Texture:

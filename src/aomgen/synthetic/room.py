@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from aomgen.assets.mjcf import add_visual_mesh
-from aomgen.assets.shapes import Material, box, boxes_mesh, panel
-from aomgen.assets.textures import brushed_metal
+from aomgen.assets.procedural.shapes import Material, box, boxes_mesh, panel
+from aomgen.assets.procedural.textures import brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze

@@ -16,7 +16,8 @@ from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.cli.app import main
 from aomgen.cli.run import find_project
-from aomgen.pipeline.project import Project, write_project
+from aomgen.core.project import Project
+from aomgen.pipeline.project import write_project
 from aomgen.pipeline.stages import PROJECT_FILE
 
 

@@ -5,10 +5,11 @@ from itertools import product
 import numpy as np
 import pytest
 
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import angle_between
 from aomgen.errors import InputError
-from aomgen.motion.box_edges import OrientedBox, measure_edge_pairs
+from aomgen.motion.box_edges import measure_edge_pairs
 from aomgen.paper.edge_joint import PairWeights, box_joint, pair_costs
 from aomgen.paper.mask_keyframes import Variant
 

@@ -13,8 +13,9 @@ from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity
 from aomgen.errors import AlignmentError
 from aomgen.paper import icp_alignment as paper_alignment
 from aomgen.paper.icp_alignment import align_as_paper, model_points, robot_points
+from aomgen.paper.link_boxes import bodies_in_boxes
 from aomgen.paper.rigid_icp import rigid_icp, weighted_rigid
-from aomgen.robots.configuration import RobotConfiguration, bodies_in_boxes
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from benchmarks.alignment_methods import methods_table, paper_figures
 

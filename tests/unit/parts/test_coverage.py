@@ -6,10 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, similarity
-from aomgen.errors import MalformedFileError
 from aomgen.parts.coverage import Coverage, coverage_of
 from aomgen.parts.survey import Survey, object_sides, survey, table_sides
-from aomgen.parts.survey_store import load_survey, save_survey
 from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 
@@ -139,26 +137,6 @@ def test_sides_are_named_as_the_robot_sees_them():
     assert middles["the table behind the object"][1] < -1.1
     assert middles["the table right of the object"][0] < -0.2
     assert middles["the table before the object"][2] == pytest.approx(0.0, abs=0.01)
-
-
-def test_a_survey_survives_the_disk(tmp_path, full: Survey):
-    save_survey(tmp_path, full)
-    again = load_survey(tmp_path)
-    assert again.figures() == full.figures()
-    assert np.array_equal(again.points_world, full.points_world)
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 nothing"])
-def test_a_damaged_survey_is_refused(tmp_path, content: bytes):
-    (tmp_path / "coverage.npz").write_bytes(content)
-    with pytest.raises(MalformedFileError, match=r"coverage\.npz"):
-        load_survey(tmp_path)
-
-
-def test_a_survey_with_missing_arrays_is_refused(tmp_path):
-    np.savez(tmp_path / "coverage.npz", names=np.array(["a"]))
-    with pytest.raises(MalformedFileError, match="survey"):
-        load_survey(tmp_path)
 
 
 def test_a_side_seen_in_part_says_so():

@@ -9,23 +9,22 @@ from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.mesh import face_normals_areas, sample_surface
-from aomgen.core.progress import silent
+from aomgen.core.parts import Parts, no_cut
 from aomgen.core.recording import Prompt
 from aomgen.core.transforms import apply
-from aomgen.errors import BackendError, MalformedFileError, ReconstructionError, WrongPromptError
+from aomgen.errors import BackendError, MalformedFileError, WrongPromptError
+from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.images import read_labels, write_image
-from aomgen.parts.cutting import no_cut
 from aomgen.parts.label import (
-    Parts,
     PromptedScan,
     cut_scan,
     find_parts,
     part_evidence,
     segment_scan,
 )
-from aomgen.parts.robot_labels import nearest_links
+from aomgen.parts.prompted_images import segment_prompts
+from aomgen.parts.robot_labels import label_robot, nearest_links
 from aomgen.parts.scan_views import ScanView
-from aomgen.parts.stage import load_parts, save_parts
 from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
@@ -129,6 +128,12 @@ def tight_prompt(part: str, index: int, folder) -> Prompt:
     return Prompt(part=part, image=f"{index}.jpg", points=np.zeros((0, 3)), box=box)
 
 
+def segmented(gaussians, views, prompts, folder, configuration) -> PromptedScan:
+    prompted = segment_prompts(views, prompts, MasksOnDisk(folders={"hand": folder}))
+    bodies = label_robot(gaussians, views, configuration, np.random.default_rng(0))
+    return segment_scan(gaussians, views, bodies, prompted)
+
+
 def labelled(scan: PromptedScan) -> Parts:
     return find_parts(scan, part_evidence(scan))
 
@@ -137,8 +142,7 @@ def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
     gaussians, labels = toy_scene(configuration)
     views = toy_views(gaussians, labels, configuration, tmp_path)
     prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
-    segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    parts = labelled(segment_scan(gaussians, views, prompts, segmenter, configuration, silent))
+    parts = labelled(segmented(gaussians, views, prompts, tmp_path, configuration))
     votes = np.zeros(len(gaussians))
     for view in views:
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
@@ -147,24 +151,18 @@ def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
     for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
-    save_parts(parts, tmp_path)
-    stored = load_parts(tmp_path)
-    assert np.array_equal(stored.labels, parts.labels)
-    assert (stored.method, stored.box_misfit) == (parts.method, parts.box_misfit)
 
 
 def test_cut_parts_are_stored_with_their_pieces(configuration, tmp_path):
     gaussians, labels = toy_scene(configuration)
     views = toy_views(gaussians, labels, configuration, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    scan = segment_scan(
-        gaussians, views, prompts, MasksOnDisk(folders={"hand": tmp_path}), configuration, silent
-    )
+    scan = segmented(gaussians, views, prompts, tmp_path, configuration)
     parts = find_parts(*cut_scan(scan, part_evidence(scan), None))
     assert len(parts.cut.sources) > 0
     assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
-    save_parts(parts, tmp_path)
-    stored = load_parts(tmp_path).cut
+    save_artifact(tmp_path, "parts", parts)
+    stored = load_artifact(tmp_path, "parts", Parts).cut
     assert np.array_equal(stored.sources, parts.cut.sources)
     assert np.array_equal(stored.pieces.means, parts.cut.pieces.means)
 
@@ -173,8 +171,7 @@ def test_boxes_around_the_parts_give_a_panel(configuration, tmp_path):
     gaussians, labels = toy_scene(configuration)
     views = toy_views(gaussians, labels, configuration, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    parts = labelled(segment_scan(gaussians, views, prompts, segmenter, configuration, silent))
+    parts = labelled(segmented(gaussians, views, prompts, tmp_path, configuration))
     assert parts.method == "boxes"
     assert parts.box_misfit < 0.1
     drawn = render(gaussians, views[3].camera, with_ids=True)
@@ -203,9 +200,8 @@ def test_parts_of_different_objects_are_refused(configuration, tmp_path):
     shown = [k for k in range(8) if (read_labels(tmp_path / f"{k}.png") == STATIC).sum() > 500][:2]
     prompts = tuple(tight_prompt("static", k, tmp_path) for k in shown)
     prompts += tuple(tight_prompt("moving", k, tmp_path) for k in (2, 4))
-    segmenter = MasksOnDisk(folders={"hand": tmp_path})
     with pytest.raises(WrongPromptError, match=r"away from the moving part.*another object.*around the body"):
-        labelled(segment_scan(both, views, prompts, segmenter, configuration, silent))
+        labelled(segmented(both, views, prompts, tmp_path, configuration))
 
 
 def nothing_found() -> Parts:
@@ -213,7 +209,7 @@ def nothing_found() -> Parts:
         means=np.zeros((0, 3)), quats=np.zeros((0, 4)), scales=np.zeros((0, 3)), opacities=[], sh=np.zeros((0, 1, 3))
     )  # fmt: skip
     return Parts(
-        labels=np.zeros(0, np.uint8), confidence=np.zeros(0, np.float32), robot_bodies=np.zeros(0, np.int32),
+        labels=np.zeros(0, np.uint8), robot_bodies=np.zeros(0, np.int32),
         cut=no_cut(nothing), method="boxes", box_misfit=0.1, static_agreement=0.9, moving_agreement=0.9,
     )  # fmt: skip
 
@@ -233,20 +229,6 @@ def test_doubtful_labels_are_warned_about():
     assert (
         "labels of the moving part are doubtful: they overlap with its masks by 55 %, want 60 %" in sentence
     )
-
-
-def test_a_part_without_a_prompt_is_refused(configuration, tmp_path):
-    gaussians, labels = toy_scene(configuration)
-    views = toy_views(gaussians, labels, configuration, tmp_path)[:3]
-    segmenter = MasksOnDisk(folders={"hand": tmp_path})
-    with pytest.raises(ReconstructionError, match="no box prompts the moving part"):
-        segment_scan(gaussians, views, (prompt("static", "2.jpg"),), segmenter, configuration, silent)
-
-
-def test_stored_parts_that_are_damaged_are_refused(tmp_path):
-    (tmp_path / "parts.npz").write_bytes(b"PK\x03\x04 nothing")
-    with pytest.raises(MalformedFileError, match=r"parts\.npz"):
-        load_parts(tmp_path)
 
 
 def test_color_cut_finds_a_colored_rectangle():

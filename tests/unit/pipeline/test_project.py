@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from aomgen.core.project import Project
 from aomgen.errors import ConfigError, MissingFileError
-from aomgen.pipeline.project import Project, read_project, write_project
+from aomgen.pipeline.project import read_project, write_project
 from aomgen.pipeline.stages import STAGES
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.assets.archive import load_asset
 from aomgen.assets.make import MAKERS, make_asset
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
@@ -16,6 +15,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
+from aomgen.io.artifact import load_artifact
 from aomgen.io.images import read_labels
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
@@ -167,7 +167,7 @@ def _visible_share(asset: ArticulatedAsset, T: Array, camera: Camera, labels: Ar
 def test_known_points_project_onto_their_masks(capture: Path) -> None:
     known = read_truth(capture)
     data = read_json(capture / "truth" / "truth.json")
-    asset = load_asset(capture / "truth" / "asset.npz")
+    asset = load_artifact(capture / "truth", "asset", ArticulatedAsset)
     fx, fy, cx, cy = data["intrinsics"]["scan"]
 
     def camera(T_world_cam: Array) -> Camera:
@@ -270,7 +270,7 @@ def test_things_beside_a_laptop_are_in_the_way_and_hide_none_of_it(robot: RobotM
 def test_a_capture_of_a_drawer_shows_a_dresser(capture: Path) -> None:
     stated = tomllib.loads((capture / "capture.toml").read_text("utf-8"))
     assert stated["category"] == "drawer"
-    asset = load_asset(capture / "truth" / "asset.npz")
+    asset = load_artifact(capture / "truth", "asset", ArticulatedAsset)
     assert sum(box.name.endswith("handle_bar") for box in asset.static.colliders) >= 1
 
 

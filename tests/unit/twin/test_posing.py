@@ -7,12 +7,12 @@ from aomgen.core.gaussians import gaussians_of
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import angle_between, apply, invert, matrix_from_rotvec, transform
 from aomgen.errors import MalformedFileError, MissingFileError
+from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.binding import object_frame, with_object
 from aomgen.twin.layers import moving_layer, static_layer
 from aomgen.twin.shadow import cast_shadow
-from aomgen.twin.store import load_twin, save_twin
-from aomgen.twin.twin import PART, body_poses, posed, render_state, rig
+from aomgen.twin.twin import PART, Twin, body_poses, posed, render_state, rig
 
 
 def test_the_scanned_state_gives_the_scan_back(toy_scene):
@@ -166,9 +166,9 @@ def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):
     )
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    save_twin(tmp_path / "a", twin)
-    again = load_twin(tmp_path / "a")
-    save_twin(tmp_path / "b", again)
+    save_artifact(tmp_path / "a", "twin", twin)
+    again = load_artifact(tmp_path / "a", "twin", Twin)
+    save_artifact(tmp_path / "b", "twin", again)
     for name in ("twin.json", "twin.npz"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     np.testing.assert_array_equal(again.gaussians.sh, twin.gaussians.sh)
@@ -177,14 +177,14 @@ def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):
 
 def test_damaged_twins_are_refused(toy_scene, tmp_path):
     with pytest.raises(MissingFileError):
-        load_twin(tmp_path)
-    save_twin(tmp_path, toy_scene.twin)
+        load_artifact(tmp_path, "twin", Twin)
+    save_artifact(tmp_path, "twin", toy_scene.twin)
     data = (tmp_path / "twin.npz").read_bytes()
     (tmp_path / "twin.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(MalformedFileError):
-        load_twin(tmp_path)
+        load_artifact(tmp_path, "twin", Twin)
     (tmp_path / "twin.npz").write_bytes(data)
     text = (tmp_path / "twin.json").read_text().replace('"part"', '"lid"').replace('"object",', "")
     (tmp_path / "twin.json").write_text(text)
     with pytest.raises(MalformedFileError):
-        load_twin(tmp_path)
+        load_artifact(tmp_path, "twin", Twin)

@@ -1,0 +1,176 @@
+"""Parts of the object from affinity features: automatic masks, training, one query a part. [paper 4.1]
+
+The prompt's mask in its own view says how large the part is and what its features look like; the similarity
+above which a Gaussian belongs to it is the one that paints the prompt's mask best.
+Source: SAGA (Cen et al., AAAI 2025), sec. 3.4; there the size and the threshold are set by hand.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.progress import Progress, part
+from aomgen.core.values import Array
+from aomgen.errors import ReconstructionError
+from aomgen.paper.affinity_features import (
+    Affinity,
+    AffinityParams,
+    SizedMasks,
+    at_resolution,
+    measure_masks,
+    train_affinity,
+    unit,
+)
+from aomgen.parts.likelihood import PartEvidence
+from aomgen.parts.prompted_images import PromptedImage
+from aomgen.parts.scan_views import ScanView
+from aomgen.splatting.rasterizer import contribution_weights, render
+
+# No feature is surer than this.
+LEAST_VOTE = 0.02
+# Cosine similarity over which a vote turns from the rest to the part: the width of the logistic step.
+SOFTNESS = 0.05
+# Cuts this close to the best IoU count as equally good: outlines in masks are no sharper.
+PLATEAU = 0.97
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QueryAnswer:
+    """How well every Gaussian fits a part.
+
+    Attributes:
+        similarities: (N,) cosine with the part, or with the way from the rest to it, -1..1.
+        threshold: Similarity from which on a Gaussian belongs to the part.
+        iou: Agreement with the prompts' masks of what the Gaussians above it paint there.
+    """
+
+    similarities: NDArray[np.float32]
+    threshold: float
+    iou: float
+
+
+def affinity_evidence(
+    gaussians: Gaussians,
+    views: Sequence[ScanView],
+    found: Mapping[str, NDArray[np.bool_]],
+    prompted: Sequence[PromptedImage],
+    progress: Progress,
+    params: AffinityParams,
+    rng: np.random.Generator,
+) -> PartEvidence:
+    """Train and query: log-likelihoods of the object's parts.
+
+    Args:
+        gaussians: The scene, world frame.
+        views: Of the scan.
+        found: Masks of some of the views by name, see `segment_views`.
+        prompted: Answers to the prompts.
+        progress: Called now and then.
+        params: Effort.
+        rng: Of first features and samples.
+
+    Raises:
+        ReconstructionError: There are no masks, or the prompts show nothing.
+    """
+    chosen = [view for view in views if view.name in found]
+    centers = np.array([view.camera.center for view in chosen])
+    # Masks larger than the ring of cameras show the room, not a thing in it.
+    largest_m = 2 * float(np.linalg.norm(centers.std(axis=0)))
+    sized = []
+    for view in chosen:
+        item = measure_masks(gaussians, view.camera, found[view.name], params.width)
+        kept = item.sizes_m <= largest_m
+        sized.append(SizedMasks(camera=item.camera, masks=item.masks[kept], sizes_m=item.sizes_m[kept]))
+    affinity = train_affinity(gaussians, sized, part(progress, 0.0, 0.95), params, rng)
+    static, moving = ([item for item in prompted if item.part == value] for value in (STATIC, MOVING))
+    whole = answer_query(gaussians, affinity, static, params.width)
+    within = whole.similarities > whole.threshold
+    moves = _vote(answer_query(gaussians, affinity, moving, params.width, within))
+    # A prompt of the static part shows the whole object, the moving part lies on it.
+    stands = _vote(whole) * (1 - moves)
+    progress(1.0, "parts queried")
+    votes = np.stack([1 - moves - stands, stands, moves], axis=1)
+    return PartEvidence(log_likelihoods=np.log(np.maximum(votes, LEAST_VOTE)), method="saga")
+
+
+def answer_query(
+    gaussians: Gaussians,
+    affinity: Affinity,
+    prompted: Sequence[PromptedImage],
+    width: int,
+    within: NDArray[np.bool_] | None = None,
+) -> QueryAnswer:
+    """Similarity of all Gaussians to a prompted part, and where to cut.
+
+    A part of a known thing may be told from the rest of that thing instead: views of the thing's other sides
+    train what belongs to it, but hardly how far they are from the part. What paints the prompt's mask better
+    is taken.
+
+    Args:
+        gaussians: N Gaussians, world frame.
+        affinity: Their features.
+        prompted: The part in one or more views.
+        width: Width at which features are drawn, [px].
+        within: (N,), the Gaussians of a larger thing that this one is a part of; None when it
+            stands alone.
+
+    Raises:
+        ReconstructionError: No prompt shows anything.
+        BackendError: The engine is missing.
+    """
+    shown = [
+        (item, sized)
+        for item in prompted
+        if len((sized := measure_masks(gaussians, item.view.camera, item.best_mask[None], width)).masks)
+    ]
+    if not shown:
+        raise ReconstructionError("affinity", "the prompts show nothing of the scene", "check their boxes")
+    features = affinity.at_size(float(np.median([sized.sizes_m[0] for _, sized in shown])))
+    seen, painted, rest = [], np.zeros(len(gaussians)), np.zeros(len(gaussians))
+    for item, sized in shown:
+        drawn, mask = render(gaussians, sized.camera, features=features), sized.masks[0]
+        other = ~mask & (drawn.alpha > 0.5) & ~at_resolution(item.view.robot, sized.camera)
+        seen.append(unit(unit(np.asarray(drawn.features))[mask].mean(0)))
+        weights = contribution_weights(gaussians, sized.camera, np.stack([mask, other]).astype(np.float32))
+        painted += weights[:, 0]
+        rest += weights[:, 1]
+    directions = [unit(np.mean(seen, axis=0))]
+    if within is not None:
+        painted, rest = painted * within, rest * within
+        inside, outside = (unit(np.asarray(weights @ features, np.float32)) for weights in (painted, rest))
+        directions.append(unit(inside - outside))
+    answers = []
+    for direction in directions:
+        fit = features @ direction
+        similarities = fit if within is None else np.where(within, fit, -1).astype(np.float32)
+        threshold, iou = best_threshold(similarities, painted, rest)
+        answers.append(QueryAnswer(similarities=similarities, threshold=threshold, iou=iou))
+    return max(answers, key=lambda answer: answer.iou)
+
+
+def best_threshold(similarities: NDArray[np.float32], inside: Array, outside: Array) -> tuple[float, float]:
+    """The cut that agrees best with what was seen, and its IoU; values (N,) above it belong to the part.
+
+    Where many cuts agree equally well the middle one is taken, as far from the part as from the rest.
+
+    Args:
+        similarities: (N,).
+        inside: (N,), how much each value paints of the part.
+        outside: (N,), how much it paints of what is not the part.
+    """
+    order = np.argsort(-similarities)
+    hits = np.cumsum(inside[order])
+    ious = hits / np.maximum(inside.sum() + np.cumsum(outside[order]), 1e-9)
+    good = np.flatnonzero(ious >= PLATEAU * ious.max())
+    cut = (similarities[order[good[0]]] + similarities[order[good[-1]]]) / 2
+    return float(cut), float(ious.max())
+
+
+def _vote(answer: QueryAnswer) -> Array:
+    """Probability (N,) of belonging to the part."""
+    margin = (answer.similarities.astype(np.float64) - answer.threshold) / SOFTNESS
+    return 1 / (1 + np.exp(-np.clip(margin, -50, 50)))
