@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.align import align
+from aomgen.alignment.align import AlignmentParams, align
 from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
@@ -43,7 +43,8 @@ def align_scan(results: Results, progress: Progress) -> Alignment:
         points_recon=structure.points_recon,
         errors=camera_errors_of(structure),
     )
-    return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED))
+    params = results.params("alignment", AlignmentParams())
+    return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED), params)
 
 
 def calibrate_cameras(

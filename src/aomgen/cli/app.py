@@ -157,9 +157,23 @@ def run(
         Path, typer.Argument(help="A project file, see `aomgen init`; or the folder of a run.")
     ],
     until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A parameter of a stage, for example motion.joint.nodes=30; repeatable."),
+    ] = None,
 ) -> None:
-    """Bring every stage of a project up to date; what is up to date is kept."""
-    run_project(find_project(project), until=until)
+    """Bring every stage of a project up to date; what is up to date is kept.
+
+    Parameters are the fields of the stages' Params classes (`PARAMETERS` in pipeline/stages.py); a name that
+    does not exist is answered with those that do. They are kept in the run's project.toml.
+    """
+    from aomgen.io.overrides import merge, parse_setting
+
+    found = find_project(project)
+    params = found.params
+    for setting in settings or ():
+        params = merge(params, parse_setting(setting))
+    run_project(type(found).model_validate(found.model_dump() | {"params": params}), until=until)
 
 
 @app.command()

@@ -10,7 +10,7 @@ from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import InputError
-from aomgen.motion.grasp_slip import measure_slip
+from aomgen.motion.ee_path import measure_slip
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, choose_type
 from aomgen.motion.joint_trajectory import (
@@ -151,7 +151,7 @@ def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, o
     moving = (frames >= trajectory.interval[0]) & (frames <= trajectory.interval[1])
     joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
     poses = ee_poses_at(demo, frames)
-    drift = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
+    slips, pivots = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
     return MotionEstimate(
         clock_offset_s=demo.clock.offset_s,
         clock_offset_sd_s=demo.clock.sd_s,
@@ -170,8 +170,8 @@ def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, o
         times_s=frames,
         thetas=thetas,
         theta_sd=_theta_sd(demo, recovery, thetas, frames),
-        slip_m=np.where(moving, drift.slip_m, 0.0),
-        pivot_rad=np.where(moving, drift.pivot_rad, 0.0),
+        slip_m=np.where(moving, np.linalg.norm(slips, axis=1), 0.0),
+        pivot_rad=np.where(moving, np.linalg.norm(pivots, axis=1), 0.0),
         direction=infer_direction(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
         part_odds=odds,
     )
@@ -186,9 +186,7 @@ def _theta_sd(demo: MotionInput, recovery: RecoveredMotion, thetas: Array, frame
     poses = ee_poses_at(demo, np.concatenate([[first], moments]))
     draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
     values = [
-        compute_path_values(
-            replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal
-        ).values
+        compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal)
         for axis, origin, grasp in draws
     ]
     offset = apply(poses[0], estimate.grasp_ee) - joint.origin

@@ -13,9 +13,11 @@ from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
 from aomgen.motion.joint_value import (
+    TouchObservation,
     ValueTrajectory,
     compute_path_values,
     find_motion_tolerance,
+    follow_pushed_part,
     refine_interval,
     select_resting,
     smooth_within,
@@ -24,7 +26,6 @@ from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
-from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
 
 # Step at which joint values are computed, [s]: that of a 100 Hz joint log.
 _DENSE_STEP_S = 0.01
@@ -98,7 +99,7 @@ def prepare_recovery(
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     inside = slice(touch.first, touch.last + 1)
-    joint = params.joint if touch.gripped else replace(params.joint, noise=loosen_prior(params.joint.noise))
+    joint = params.joint if touch.gripped else replace(params.joint, noise=params.joint.noise.loosened())
     shape = measure_shape(demo.points_static, demo.points_moving)
     surface = demo.surface_moving(SURFACE_SD_M)
     moments = _begin(seen, demo, params)
@@ -140,7 +141,7 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
         estimate = found.of(joint_type)
         reference = int(np.argmin(np.abs(times - interval[0])))
         path = compute_path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
-        values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
+        values = smooth_within(path, _DENSE_STEP_S, _SMOOTH_S, leave)
         if not first.gripped:
             points = apply(poses, estimate.grasp_ee[None])
             hand = (points, apply(invert(estimate.joint.motion(values)), points))

@@ -6,7 +6,7 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.values import Array
-from aomgen.motion.grasp_slip import measure_slip
+from aomgen.motion.ee_path import measure_slip
 
 HELD = np.array([0.0, 0.0, 0.01])
 THETAS = np.radians(np.linspace(0, 80, 9))
@@ -39,25 +39,31 @@ def following(joint: Joint, thetas: Array, slips: Array, pivots: Array) -> Array
 @pytest.mark.parametrize("joint", [door(), drawer()])
 def test_a_firm_grasp_neither_slides_nor_turns(joint: Joint) -> None:
     nothing = np.zeros((9, 3))
-    drift = measure_slip(joint, THETAS, following(joint, THETAS, nothing, nothing), HELD, 0)
-    assert drift.slip_m == pytest.approx(np.zeros(9), abs=1e-12)
-    assert drift.pivot_rad == pytest.approx(np.zeros(9), abs=1e-7)
+    found_slips, found_pivots = measure_slip(
+        joint, THETAS, following(joint, THETAS, nothing, nothing), HELD, 0
+    )
+    assert np.linalg.norm(found_slips, axis=1) == pytest.approx(np.zeros(9), abs=1e-12)
+    assert np.linalg.norm(found_pivots, axis=1) == pytest.approx(np.zeros(9), abs=1e-7)
 
 
 @pytest.mark.parametrize("joint", [door(), drawer()])
 def test_a_hand_that_slides_along_the_bar_is_seen_along_the_bar(joint: Joint) -> None:
     slips = np.outer(np.linspace(0, 0.03, 9), [0.0, 0.0, 1.0])
-    drift = measure_slip(joint, THETAS, following(joint, THETAS, slips, np.zeros((9, 3))), HELD, 0)
-    assert drift.slips == pytest.approx(slips, abs=1e-12)
-    assert drift.slip_m == pytest.approx(np.linspace(0, 0.03, 9), abs=1e-12)
-    assert drift.pivot_rad == pytest.approx(np.zeros(9), abs=1e-7)
+    found_slips, found_pivots = measure_slip(
+        joint, THETAS, following(joint, THETAS, slips, np.zeros((9, 3))), HELD, 0
+    )
+    assert found_slips == pytest.approx(slips, abs=1e-12)
+    assert np.linalg.norm(found_slips, axis=1) == pytest.approx(np.linspace(0, 0.03, 9), abs=1e-12)
+    assert np.linalg.norm(found_pivots, axis=1) == pytest.approx(np.zeros(9), abs=1e-7)
 
 
 def test_a_handle_that_turns_in_the_fingers_is_a_pivot_and_no_slip() -> None:
     pivots = np.outer(0.3 * THETAS, [0.0, 0.0, 1.0])
-    drift = measure_slip(door(), THETAS, following(door(), THETAS, np.zeros((9, 3)), pivots), HELD, 0)
-    assert drift.slip_m == pytest.approx(np.zeros(9), abs=1e-12)
-    assert drift.pivots == pytest.approx(pivots, abs=1e-9)
+    found_slips, found_pivots = measure_slip(
+        door(), THETAS, following(door(), THETAS, np.zeros((9, 3)), pivots), HELD, 0
+    )
+    assert np.linalg.norm(found_slips, axis=1) == pytest.approx(np.zeros(9), abs=1e-12)
+    assert found_pivots == pytest.approx(pivots, abs=1e-9)
 
 
 def test_a_hand_that_keeps_its_direction_pivots_by_the_whole_turn_of_the_door() -> None:
@@ -65,16 +71,22 @@ def test_a_hand_that_keeps_its_direction_pivots_by_the_whole_turn_of_the_door() 
     pivots = np.outer(thetas, [0.0, 0.0, 1.0])
     poses = following(door(), thetas, np.zeros((21, 3)), pivots)
     assert poses[:, :3, :3] == pytest.approx(np.repeat(poses[:1, :3, :3], 21, 0), abs=1e-9)
-    drift = measure_slip(door(), thetas, poses, HELD, 0)
-    assert drift.pivot_rad == pytest.approx(thetas, abs=1e-7)
+    _, found_pivots = measure_slip(door(), thetas, poses, HELD, 0)
+    assert np.linalg.norm(found_pivots, axis=1) == pytest.approx(thetas, abs=1e-7)
 
 
 def test_both_are_told_from_the_reference() -> None:
     slips = np.outer(np.linspace(0, 0.04, 9), [0.0, 0.0, 1.0])
     pivots = np.outer(np.radians(np.linspace(0, 240, 9)), [0.0, 0.0, 1.0])
-    drift = measure_slip(door(), THETAS, following(door(), THETAS, slips, pivots), HELD, 4)
-    assert drift.slip_m == pytest.approx(np.abs(np.linspace(-0.02, 0.02, 9)), abs=1e-12)
-    assert drift.pivot_rad == pytest.approx(np.radians(np.abs(np.linspace(-120, 120, 9))), abs=1e-7)
+    found_slips, found_pivots = measure_slip(
+        door(), THETAS, following(door(), THETAS, slips, pivots), HELD, 4
+    )
+    assert np.linalg.norm(found_slips, axis=1) == pytest.approx(
+        np.abs(np.linspace(-0.02, 0.02, 9)), abs=1e-12
+    )
+    assert np.linalg.norm(found_pivots, axis=1) == pytest.approx(
+        np.radians(np.abs(np.linspace(-120, 120, 9))), abs=1e-7
+    )
 
 
 def test_a_turned_and_moved_world_changes_neither() -> None:
@@ -84,5 +96,5 @@ def test_a_turned_and_moved_world_changes_neither() -> None:
     T = transform(matrix_from_rotvec(rng.normal(size=3)), rng.normal(size=3))
     here = measure_slip(door(), THETAS, poses, HELD, 2)
     there = measure_slip(door().moved(T), THETAS, T @ poses, HELD, 2)
-    assert there.slip_m == pytest.approx(here.slip_m, abs=1e-12)
-    assert there.pivot_rad == pytest.approx(here.pivot_rad, abs=1e-9)
+    assert np.linalg.norm(there[0], axis=1) == pytest.approx(np.linalg.norm(here[0], axis=1), abs=1e-12)
+    assert np.linalg.norm(there[1], axis=1) == pytest.approx(np.linalg.norm(here[1], axis=1), abs=1e-9)
