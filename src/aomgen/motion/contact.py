@@ -18,8 +18,7 @@ from aomgen.core.values import Array, freeze
 from aomgen.motion.ee_path import average_poses
 from aomgen.motion.gripper_signals import EMPTY_GRIP
 from aomgen.robots.gripper_surface import hand_surface
-from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_parts import FingerPad
+from aomgen.robots.robot import FingerPad, RobotModel
 
 # Patches are followed this long after the start of the motion, [s].
 WINDOW_S = 0.3

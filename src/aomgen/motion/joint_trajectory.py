@@ -24,7 +24,6 @@ from aomgen.motion.joint_value import (
 )
 from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.observations import VideoObservations
-from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
 
 # Step at which joint values are computed, [s]: that of a 100 Hz joint log.
@@ -95,7 +94,7 @@ def prepare_recovery(
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
     """
-    seen = (interval.start.time_s, interval.end.time_s)
+    seen = (interval.start_s, interval.end_s)
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     inside = slice(touch.first, touch.last + 1)
@@ -119,7 +118,7 @@ def prepare_recovery(
         picture=TouchObservation(
             times_s=frame_times[inside],
             seen=Departures(left=departures.left[inside], ahead=departures.ahead[inside]),
-            sight=Detectability(noise=interval.threshold / 3, pixel_m=0.0),
+            noise=interval.threshold / 3,
         ),
     )
 

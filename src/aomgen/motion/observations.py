@@ -131,7 +131,7 @@ class VideoObservations:
     def signs(self, demo: MotionInput, interval: Interval) -> MotionEvidence:
         """What speaks for and against a motion."""
         times, touch = self.signals.times_s, self.touch
-        last = int(np.searchsorted(times, interval.end.time_s, side="right"))
+        last = int(np.searchsorted(times, interval.end_s, side="right"))
         during = slice(touch.first, min(max(last, touch.first + 3), touch.last) + 1)
         held = self.way.between(float(times[during][0]), float(times[during][-1]))
         return MotionEvidence(
