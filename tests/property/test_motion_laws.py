@@ -32,7 +32,7 @@ from aomgen.motion.contact import WINDOW_S
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointParams
-from aomgen.motion.joint_trajectory import ee_poses_at, find_first_frame, prepare_recovery, recover_motion
+from aomgen.motion.joint_trajectory import find_first_frame, prepare_recovery, recover_motion
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
@@ -266,7 +266,7 @@ def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> Non
     moments = find_first_frame(FRAMES_S, found.trajectory.interval[0]) + np.linspace(
         0, WINDOW_S, QUICK.contact_steps
     )
-    hand = ee_poses_at(demo, moments)
+    hand = demo.ee_poses_at(moments)
     touch = np.mean([patch.point for patch in found.contacts.patches], axis=0)
     assert touch == pytest.approx(apply(hand, found.contacts.grasp_ee).mean(0), abs=1e-4)
 

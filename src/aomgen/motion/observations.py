@@ -163,6 +163,6 @@ class VideoObservations:
 
 def _way(demo: MotionInput, first_s: float, last_s: float) -> GripperPath:
     times = np.arange(first_s, last_s + _WAY_STEP_S / 2, _WAY_STEP_S, dtype=np.float64)
-    points = demo.robot.ee_poses(demo.log.at(times)[0])[:, :3, 3]
+    points = demo.ee_poses_at(times)[:, :3, 3]
     columns = [smooth(column, _WAY_STEP_S, _WAY_SMOOTH_S) for column in points.T]
     return GripperPath(times_s=times, points=np.stack(columns, 1))
