@@ -26,14 +26,13 @@ from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.capture_writer import find_moved_range
-from aomgen.synthetic.conditions import Conditions, draw_conditions
+from aomgen.synthetic.conditions import Conditions, demo_candidates, draw_conditions, scan_cameras
 from aomgen.synthetic.demo_video import RecordedVideo, choose_camera, draw_schedule, render_frames
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from aomgen.synthetic.grasp_selection import list_grasp_types
 from aomgen.synthetic.layout import build_world
 from aomgen.synthetic.scene_renderer import SceneRenderer, expose
 from aomgen.synthetic.style import DemonstrationStyle, draw_style
-from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 from aomgen.synthetic.world import DEFAULT_ROBOT
 from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
@@ -177,7 +176,7 @@ def _recorded(
     walk = scan_cameras(layout, conditions, rng)
     walk = [walk[k] for k in np.linspace(0, len(walk) - 1, SCAN_VIEWS).astype(int)]
     world = build_world(robot, layout, visual=True)
-    with SceneRenderer(robot, world, *conditions.size) as painter:
+    with SceneRenderer(world, conditions.size) as painter:
         camera = choose_camera(painter, demo_candidates(layout, conditions, rng), demonstration, schedule)
         middle = layout.T_world_object[:3, 3]
         surface, images = seen_surface(painter, walk, demonstration.qpos[0], middle, rng)

@@ -24,6 +24,7 @@ from aomgen.assets.procedural.builder import (
     feet,
     hinge,
     lining,
+    make_bar,
     pick,
     slide,
     window_frame,
@@ -96,13 +97,7 @@ def make_oven(rng: np.random.Generator) -> ArticulatedAsset:
     s = draw_sizes(rng, OVEN)
     color, door_color = pick(rng, BODIES), pick(rng, DOORS)
     s.front, s.door_top = -s.depth / 2 - SEAL - s.door, s.height - s.strip - 0.003
-    bar = BarHandle(
-        foot=np.array([0.0, s.front, s.door_top - s.frame / 2]),
-        axis=LEVEL,
-        length=s.bar_share * s.width,
-        thickness=s.bar_thickness,
-        clearance=s.bar_clearance,
-    )
+    bar = make_bar(s, [0.0, s.front, s.door_top - s.frame / 2], LEVEL, s.bar_share * s.width)
     body, door = LinkBuilder("body"), LinkBuilder("door")
     _add_oven_body(body, s, color, rng)
     _add_cavity(body, s, rng)
@@ -254,13 +249,7 @@ def _add_door(door: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.rando
 
 
 def _bar(link: LinkBuilder, s: SimpleNamespace, foot: list[float], axis: np.ndarray) -> BarHandle:
-    bar = BarHandle(
-        foot=np.array(foot),
-        axis=axis,
-        length=s.bar_length,
-        thickness=s.bar_thickness,
-        clearance=s.bar_clearance,
-    )
+    bar = make_bar(s, foot, axis, s.bar_length)
     link.bar(bar, s.metal)
     return bar
 

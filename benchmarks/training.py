@@ -24,8 +24,8 @@ from aomgen.gaussians.train import (
 )
 from aomgen.io.artifact import load_artifact
 from aomgen.io.images import read_image
+from aomgen.splatting.checkpoint import TrainingState
 from aomgen.splatting.metrics import psnr
-from aomgen.splatting.state import TrainingState
 from aomgen.splatting.training import finish_training, learning, scene_extent, start_training
 
 FIRST_STAGE, STRUCTURE_FOLDER = "structure", "01_structure"

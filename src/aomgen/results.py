@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +24,7 @@ from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.core.structure import Structure
 from aomgen.io.artifact import load_artifact
+from aomgen.io.overrides import override
 from aomgen.io.ply import read_gaussians
 from aomgen.io.video import Video, probe_video
 from aomgen.robots.configuration import RobotConfiguration
@@ -32,6 +34,7 @@ from aomgen.twin.twin import Twin, TwinState
 
 # Where stages leave their values: `save_artifact(folder, <name of the stage>, value)`, and these files.
 GAUSSIANS_FILE = "gaussians.ply"
+T = TypeVar("T")
 ASSETS_FOLDER, FITTED, ASSET_USD = "assets", "fitted", "asset.usda"
 
 
@@ -50,6 +53,10 @@ class Results:
     project: Project
     out: Path
     folders: Mapping[str, Path]
+
+    def params(self, stage: str, defaults: T) -> T:
+        """Parameters of a stage: its defaults, and what the project changes of them."""
+        return override(defaults, self.project.params.get(stage, {}), stage)
 
     # The capture.
 

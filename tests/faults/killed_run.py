@@ -19,7 +19,7 @@ from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import GenerationParams
 from aomgen.generalization.ik import IkLimits, ik_solver
-from aomgen.generalization.stage import run_generalization
+from aomgen.generalization.stage import generate_in
 from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
@@ -97,7 +97,7 @@ def drawer() -> tuple[Any, ...]:
 
 def plan(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Real attempts, each kept as it is made."""
-    made = run_generalization(*drawer(), SUPPORT, PARAMS, folder, progress)
+    made = generate_in(folder, *drawer(), SUPPORT, PARAMS, progress)
     return {"verified": len(made.episodes), "rejected": len(made.rejected)}
 
 

@@ -28,8 +28,8 @@ from aomgen.errors import AlignmentError
 # Search reach and robust kernel of each round of rendering, [px]: from the error of the start down to a
 # pixel.
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
-# Steps between two renderings, so that the robust weights converge.
-_STEPS = 5
+# Steps between two renderings at most, and the relative decrease of the cost that ends them: a tenth of a deviation.
+_STEPS, _TOLERANCE = 10, 1e-6
 # Least standard deviation of a clock, [s]: time stamps are rounded to a millisecond.
 _MIN_CLOCK_SD_S = 0.001
 # A drift that shifts the ends of the video by less than this against one another is none: 20 ms at either
@@ -132,7 +132,14 @@ def _solve(
     Leaving out segments shows what the formal ones ignore: errors by shadows, occlusion and log noise are
     correlated over many frames.
     """
-    found = solve(terms, start, retract=bundle.move, dimension=bundle.dimension, max_iterations=_STEPS)
+    found = solve(
+        terms,
+        start,
+        retract=bundle.move,
+        dimension=bundle.dimension,
+        max_iterations=_STEPS,
+        tolerance=_TOLERANCE,
+    )
     variances = np.diag(found.covariance)
     segments = [term.name for term in terms if term.name.startswith(SEGMENT)]
     if len(segments) > 1:

@@ -27,7 +27,6 @@ from aomgen.alignment.silhouette_fit import (
     RenderedRobot,
     RobotDrawing,
     gray_levels,
-    limit_width,
 )
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array, freeze
@@ -89,7 +88,7 @@ class ViewEvidence:
 
 
 def collect_evidence(
-    S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int, width: int = 640
+    S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int
 ) -> list[ViewEvidence]:
     """Collect the evidence of every view that shows enough of the robot.
 
@@ -98,14 +97,12 @@ def collect_evidence(
         views: Images.
         drawing: Renders the robot.
         contour_points: Outline points a view.
-        width: Images wider than this are reduced, [px].
     """
     found = []
     for number, view in enumerate(views):
-        small = limit_width(view, width)
-        drawn = drawing.draw(camera_in_world(S, small.camera_recon), contour_points)
+        drawn = drawing.draw(camera_in_world(S, view.camera_recon), contour_points)
         if drawn is not None:
-            found.append(_evidence(S, number, small, drawn, drawing))
+            found.append(_evidence(S, number, view, drawn, drawing))
     return found
 
 

@@ -173,12 +173,7 @@ def _along(field: NDArray[np.float32], contour: Contour, offsets: NDArray[np.int
 
 def shift_gradient(camera: Camera, contour: Contour) -> Array:
     """Change (C, 3) of the outline along its normals for a motion of its points, [px/m]."""
-    R_cam_world = camera.T_cam_world[:3, :3]
-    p = apply(camera.T_cam_world, contour.points)
-    n = contour.normals
-    along_u = camera.fx * n[:, :1] * np.stack([1 / p[:, 2], np.zeros(len(p)), -p[:, 0] / p[:, 2] ** 2], 1)
-    along_v = camera.fy * n[:, 1:] * np.stack([np.zeros(len(p)), 1 / p[:, 2], -p[:, 1] / p[:, 2] ** 2], 1)
-    return np.asarray((along_u + along_v) @ R_cam_world, np.float64)
+    return np.einsum("cu,cud->cd", contour.normals, camera.projection_slopes(contour.points))
 
 
 def shift_jacobian(camera: Camera, contour: Contour, pivot: Array) -> Array:

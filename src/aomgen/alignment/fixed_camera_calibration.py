@@ -22,6 +22,7 @@ from aomgen.alignment.bundle_terms import (
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.silhouette_fit import limit_width, robot_drawing, spread
 from aomgen.alignment.time_offset import estimate_clock
+from aomgen.core.alignment import Alignment
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.clock import Clock
 from aomgen.core.fixed_camera import FixedCamera
@@ -36,8 +37,6 @@ from aomgen.robots.robot_masks import robot_masks
 
 # Scan views that carry the information of the alignment.
 _VIEWS = 24
-# Every second frame is held out of the refinement and validates it.
-_HOLD_OUT_EVERY = 2
 # Frames that must show the arm, of those chosen.
 _MIN_FRAMES = 8
 # A calibration that shows the robot elsewhere in the image by more than this share of its width is
@@ -69,7 +68,7 @@ class AlignedScan:
     """Initial values of the refinement.
 
     Attributes:
-        S_world_recon: Aligned similarity (4, 4).
+        alignment: With the similarity.
         views: Scan images that may be used.
         points_recon: Sparse points (P, 3) of the structure.
         configuration: Robot during the scan.
@@ -77,30 +76,12 @@ class AlignedScan:
         clock_offset_s: Log time minus video time when it is known.
     """
 
-    S_world_recon: Array
+    alignment: Alignment
     views: list[AlignmentImage]
     points_recon: Array
     configuration: RobotConfiguration
     log: JointLog
     clock_offset_s: float | None
-
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FixedCameraCalibration:
-    """Similarity, fixed cameras and joint zeros after the refinement; `zeros_rad` (J,) add to the log's joints."""
-
-    S_world_recon: Array
-    cameras: dict[str, FixedCamera]
-    zeros_rad: Array
-    zero_sds_rad: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-        freeze(self, "zeros_rad", self.zeros_rad, (None,))
-        freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
 
 
 def calibrate_fixed_cameras(
@@ -108,8 +89,8 @@ def calibrate_fixed_cameras(
     videos: Mapping[str, FixedCameraVideo],
     progress: Progress,
     params: BundleParams | None = None,
-) -> FixedCameraCalibration:
-    """Pose and clock of every fixed camera, and the similarity that fits them.
+) -> Alignment:
+    """The alignment with pose and clock of every fixed camera, joint zeros, and the similarity that fits them.
 
     Args:
         scene: Alignment, scan and robot.
@@ -123,7 +104,7 @@ def calibrate_fixed_cameras(
     A clock that is not determined, or that drifts, is kept as refused with its reason.
     """
     params = params or BundleParams()
-    S = scene.S_world_recon
+    S = scene.alignment.S_world_recon
     clocks: dict[str, Clock | SyncError] = {}
     for index, (name, item) in enumerate(videos.items()):
         if item.T_world_cam is not None:
@@ -158,11 +139,12 @@ def calibrate_fixed_cameras(
         for name, item in videos.items()
     }
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
-    return FixedCameraCalibration(
+    return replace(
+        scene.alignment,
         S_world_recon=found.S_world_recon,
         cameras=cameras,
-        zeros_rad=found.zeros_rad,
-        zero_sds_rad=found.zero_sds_rad,
+        joint_zeros_rad=found.zeros_rad,
+        joint_zero_sds_rad=found.zero_sds_rad,
     )
 
 
@@ -176,7 +158,7 @@ def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncErro
     times = item.video.times_s
     if scene.clock_offset_s is not None:
         return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
-    camera = camera_in_world(scene.S_world_recon, item.camera_recon)
+    camera = camera_in_world(scene.alignment.S_world_recon, item.camera_recon)
     with robot_masks(scene.configuration.robot, camera, scene.log) as masks_at:
         try:
             return estimate_clock(item.video, scene.log.times_s, masks_at)
@@ -200,10 +182,10 @@ def _evidence(
         return replace(unused, rejected=clock.problem)
     if not params.frames:
         return unused
-    chosen = choose_frames(item.video, arm, clock, params.frames * _HOLD_OUT_EVERY // (_HOLD_OUT_EVERY - 1))
-    validating = np.arange(len(chosen)) % _HOLD_OUT_EVERY == _HOLD_OUT_EVERY // 2
+    # Every second frame is held out of the refinement and validates it.
+    chosen = choose_frames(item.video, arm, clock, 2 * params.frames)
     frames, held_out = (
-        read_gray_frames(item.video, chosen[part], params.width) for part in (~validating, validating)
+        read_gray_frames(item.video, part, params.width) for part in (chosen[::2], chosen[1::2])
     )
     shown = len(trace(frames, camera_in_world(S, small), clock, arm, params.points))
     if shown >= _MIN_FRAMES:

@@ -1,14 +1,13 @@
 """The similarity that brings scan and robot together; poses and clocks of the fixed cameras. [paper 4.1]"""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.align import align
+from aomgen.alignment.align import AlignmentParams, align
 from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
@@ -44,7 +43,8 @@ def align_scan(results: Results, progress: Progress) -> Alignment:
         points_recon=structure.points_recon,
         errors=camera_errors_of(structure),
     )
-    return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED))
+    params = results.params("alignment", AlignmentParams())
+    return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED), params)
 
 
 def calibrate_cameras(
@@ -57,7 +57,7 @@ def calibrate_cameras(
     """Calibrate the fixed cameras, refine the similarity with them, and write both."""
     capture, structure = results.pinhole_capture, results.structure
     scan = AlignedScan(
-        S_world_recon=found.S_world_recon,
+        alignment=found,
         views=views_of(structure, results.scan_images, {}),
         points_recon=structure.points_recon,
         configuration=results.configuration_in(capture),
@@ -73,25 +73,16 @@ def calibrate_cameras(
         for camera in capture.cameras
         if camera.name in structure.demo_cameras_recon
     }
-    calibration = calibrate_fixed_cameras(scan, videos, progress, params)
-    result = replace(
-        found,
-        S_world_recon=calibration.S_world_recon,
-        joint_zeros_rad=calibration.zeros_rad,
-        joint_zero_sds_rad=calibration.zero_sds_rad,
-        cameras=calibration.cameras,
-    )
+    result = calibrate_fixed_cameras(scan, videos, progress, params)
     save_artifact(folder, "alignment", result)
     return {
         "support": result.support,
         "runner_up_support": result.runner_up_support,
         "residual_px": result.residual_px,
         "end_effector_sd_mm": 1e3 * result.ee_sd_m,
-        "largest_joint_zero_deg": float(np.degrees(np.abs(calibration.zeros_rad).max())),
-        "fixed_cameras": {name: camera.summary() for name, camera in calibration.cameras.items()},
-        "warnings": [
-            warning for name, item in calibration.cameras.items() for warning in item.warnings(name)
-        ],
+        "largest_joint_zero_deg": float(np.degrees(np.abs(result.joint_zeros_rad).max())),
+        "fixed_cameras": {name: camera.summary() for name, camera in result.cameras.items()},
+        "warnings": [warning for name, item in result.cameras.items() for warning in item.warnings(name)],
     }
 
 

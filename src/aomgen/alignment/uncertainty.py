@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.sparse import bsr_matrix, csr_matrix
 
 from aomgen.alignment.confidence import ViewEvidence
@@ -91,10 +92,7 @@ def camera_covariance(
     solved = bsr_matrix(
         (np.linalg.inv(V), np.arange(len(points)), np.arange(len(points) + 1)), shape=(3 * len(points),) * 2
     )
-    reduced = -csr_matrix(W @ solved @ W.T).toarray()
-    for index in range(len(cameras)):
-        rows = slice(6 * index, 6 * index + 6)
-        reduced[rows, rows] += U[index]
+    reduced = block_diag(*U) - csr_matrix(W @ solved @ W.T).toarray()
     sigma = error_px / _RAYLEIGH
     P = _gauge_projection(np.array([c.center for c in cameras]))
     return sigma**2 * P @ _pseudo_inverse(reduced) @ P.T
@@ -104,17 +102,13 @@ def _jacobians(
     cameras: list[Camera], points: Array, point: NDArray[np.int64], camera: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Change of every observation with its point (M, 2, 3) and its camera's pose (M, 2, 6)."""
-    Rs = np.array([c.T_world_cam[:3, :3].T for c in cameras])[camera]
-    arms = points[point] - np.array([c.center for c in cameras])[camera]
-    x, y, z = np.moveaxis(np.einsum("mij,mj->mi", Rs, arms), 1, 0)
-    fx = np.array([c.fx for c in cameras])[camera]
-    fy = np.array([c.fy for c in cameras])[camera]
-    zero = np.zeros_like(z)
-    J = np.stack(
-        [np.stack([fx / z, zero, -fx * x / z**2], 1), np.stack([zero, fy / z, -fy * y / z**2], 1)], 1
-    )
-    J_point = J @ Rs
-    return J_point, np.concatenate([-J_point, J_point @ skew(arms)], 2)
+    J_point, J_camera = np.empty((len(point), 2, 3)), np.empty((len(point), 2, 6))
+    for index, one in enumerate(cameras):
+        own = camera == index
+        seen = points[point[own]]
+        J_point[own] = one.projection_slopes(seen)
+        J_camera[own] = np.concatenate([-J_point[own], J_point[own] @ skew(seen - one.center)], 2)
+    return J_point, J_camera
 
 
 def _pseudo_inverse(reduced: Array) -> Array:

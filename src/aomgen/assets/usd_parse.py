@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from aomgen.assets.asset_check import outward_normal
-from aomgen.assets.usd_geometry import LinkParts, read_links
+from aomgen.assets.usd_geometry import read_links
 from aomgen.assets.usd_joint import find_joint
 from aomgen.assets.usd_material import check_layers
 from aomgen.assets.usd_write import NAMESPACE
@@ -18,8 +18,6 @@ from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, MalformedFileError
 
-# Used for a link whose file names no mass, [kg/m^3] of its colliders.
-FALLBACK_DENSITY = 400.0
 HANDLE_WORDS = ("handle", "knob", "grip", "pull")
 # The handle's outermost layer, [m], in which its middle and direction are sought.
 LAYER = 0.008
@@ -43,7 +41,7 @@ def parse_usd(path: Path) -> ArticulatedAsset:
     Raises:
         MalformedFileError, UnsafePathError, MissingFileError, AssetError: See `usd_read.read_usd`.
     """
-    from pxr import Tf, Usd, UsdGeom, UsdPhysics
+    from pxr import Tf, Usd, UsdGeom
 
     try:
         stage = Usd.Stage.Open(str(path))
@@ -53,19 +51,17 @@ def parse_usd(path: Path) -> ArticulatedAsset:
         ) from error
     if not stage:
         raise MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")
-    folder = path.resolve().parent
-    check_layers(stage, folder)
+    check_layers(stage, path.resolve().parent)
     unit = float(UsdGeom.GetStageMetersPerUnit(stage))
     up = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else _Z_UP_FROM_Y_UP
     to_metric = up @ np.diag([unit, unit, unit, 1.0])
     joint = find_joint(stage, to_metric, unit, path)
-    static, moving = read_links(stage, joint, to_metric, folder)
-    kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
+    static, moving = read_links(stage, joint, to_metric, path)
     asset = ArticulatedAsset(
         name=_name(stage, path),
         category=str(_root_attribute(stage, "category") or path.stem.split("-")[0]),
-        static=_link(static, kilograms, path),
-        moving=_link(moving, kilograms, path),
+        static=static,
+        moving=moving,
         joint=joint.joint,
         handle_point=np.zeros(3),
         handle_axis=np.array([0.0, 0.0, 1.0]),
@@ -82,15 +78,6 @@ def _root_attribute(stage: Any, name: str) -> Any | None:
     root = stage.GetDefaultPrim()
     attribute = root.GetAttribute(f"{NAMESPACE}:{name}") if root else None
     return attribute.Get() if attribute else None
-
-
-def _link(parts: LinkParts, kilograms: float, path: Path) -> AssetLink:
-    if not parts.meshes or not parts.colliders:
-        raise AssetError(path, f"link {parts.name!r} has no meshes", "check which prims its joint connects")
-    mass = parts.mass * kilograms
-    if not mass > 0:
-        mass = FALLBACK_DENSITY * sum(8 * float(box.half_extents.prod()) for box in parts.colliders)
-    return AssetLink(name=parts.name, meshes=parts.meshes, colliders=parts.colliders, mass=mass)
 
 
 def _with_handle(asset: ArticulatedAsset, stage: Any, to_metric: Array) -> ArticulatedAsset:

@@ -99,7 +99,7 @@ def check(
     from aomgen.capture.capture_check import check_capture
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import category_warnings, check_project, machine_warnings
-    from aomgen.pipeline.project import read_project
+    from aomgen.pipeline.project_file import read_project
 
     if path.suffix == ".toml" and path.name != "capture.toml":
         project = read_project(path)
@@ -138,7 +138,7 @@ def init(
     """Write a project file with every choice spelled out, after checking capture and assets."""
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
-    from aomgen.pipeline.project import write_project
+    from aomgen.pipeline.project_file import write_project
 
     if project.exists():
         raise ConfigError(project, "exists already", "choose another name with --project")
@@ -157,9 +157,23 @@ def run(
         Path, typer.Argument(help="A project file, see `aomgen init`; or the folder of a run.")
     ],
     until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A parameter of a stage, for example motion.joint.nodes=30; repeatable."),
+    ] = None,
 ) -> None:
-    """Bring every stage of a project up to date; what is up to date is kept."""
-    run_project(find_project(project), until=until)
+    """Bring every stage of a project up to date; what is up to date is kept.
+
+    Parameters are the fields of the stages' Params classes (`PARAMETERS` in pipeline/stages.py); a name that
+    does not exist is answered with those that do. They are kept in the run's project.toml.
+    """
+    from aomgen.io.overrides import merge, parse_setting
+
+    found = find_project(project)
+    params = found.params
+    for setting in settings or ():
+        params = merge(params, parse_setting(setting))
+    run_project(type(found).model_validate(found.model_dump() | {"params": params}), until=until)
 
 
 @app.command()

@@ -54,7 +54,7 @@ def find_project(path: Path):
         MissingFileError: There is nothing of both.
         ConfigError: The project file is not valid.
     """
-    from aomgen.pipeline.project import read_project
+    from aomgen.pipeline.project_file import read_project
     from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 
     if not path.exists():

@@ -1,7 +1,7 @@
 """Every choice of a run."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -26,6 +26,7 @@ class Project(BaseModel):
         alignment_method: How scan and robot are brought together; "paper" is there to compare with.
         motion_method: How the part's motion is recovered; "paper" is there to compare with.
         parts_method: How the object's parts are found; see `parts.label`.
+        params: Parameters of stages that are not at their defaults, by stage, nested as its dataclasses are.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -44,3 +45,4 @@ class Project(BaseModel):
     alignment_method: Literal["outlines", "paper"] = "outlines"
     motion_method: Literal["aomotion", "paper"] = "aomotion"
     parts_method: Literal["closed_form", "saga"] = "closed_form"
+    params: dict[str, dict[str, Any]] = Field(default_factory=dict)

@@ -21,7 +21,7 @@ from aomgen.io.episode_folder import commit_episode, episode_folder, list_commit
 from aomgen.io.video import encode_video
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.assumptions import assumptions
+from aomgen.simulation.verify import assumptions
 from aomgen.twin.layers import StaticLayer
 from aomgen.twin.twin import Twin
 

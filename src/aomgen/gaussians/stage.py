@@ -25,7 +25,7 @@ STRIP_WIDTH = 320
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Train as the project says."""
-    project, params = results.project, GaussiansParams()
+    project, params = results.project, results.params("gaussians", GaussiansParams())
     training = replace(params.training, iterations=project.iterations, max_gaussians=project.gaussians)
     params = replace(params, training=training)
     scene = train_in(folder, results.structure, results.scan_images, progress, params)

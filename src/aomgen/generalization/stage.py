@@ -25,12 +25,13 @@ REJECTED_FILE = "rejected.json"
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """New poses of the fitted assets, retargeted, solved for the arm, and verified in physics."""
     scene, project = results.episode_scene, results.project
-    params = GenerationParams(
+    defaults = GenerationParams(
         count=project.poses,
         seed=project.seed,
         plan=PlanParams(fps=results.fps),
         cameras=tuple(scene.cameras.values()),
     )
+    params = results.params("plans", defaults)
     generated = generate_in(
         folder, results.fitted_assets, results.demonstration, results.robot, scene.support, params, progress
     )

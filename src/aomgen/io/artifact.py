@@ -127,7 +127,10 @@ def _unpack_array(kind: Any, data: Any, arrays: Mapping[str, NDArray[Any]]) -> N
 def _unpack_dataclass(kind: Any, data: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     hints = get_type_hints(kind)
     names = [item.name for item in fields(kind)]
-    _require(isinstance(data, dict) and sorted(data) == sorted(names), kind, data)
+    _require(isinstance(data, dict), kind, data)
+    if set(data) != set(names):
+        differing = ", ".join(sorted(set(data) ^ set(names)))
+        raise ValueError(f"{kind.__name__} has other fields: {differing}")
     return kind(**{name: _unpack(hints[name], data[name], arrays) for name in names})
 
 

@@ -17,6 +17,7 @@ from aomgen.io.atomic import write_json
 from aomgen.motion.estimate import estimate_motion, first_motion
 from aomgen.motion.estimates_file import ESTIMATES, REFUSED_MOTION, describe_estimates
 from aomgen.motion.inputs import MotionInput
+from aomgen.motion.params import MotionParams
 from aomgen.motion.part_identification import list_warnings
 from aomgen.motion.part_tracking import compute_log_likelihood_ratio
 from aomgen.results import Results
@@ -30,7 +31,8 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
 
     def estimate(results: Results, progress: Progress, on_curve: OnCurve) -> MotionEstimate:
         demonstration = motion_input(results, results.scene, results.parts.labels)
-        return estimate_motion(demonstration, None, progress, on_curve)
+        params = results.params("motion", MotionParams())
+        return estimate_motion(demonstration, params, progress, on_curve)
 
     return recover_motion(results, folder, progress, estimate)
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.boxes import QUANTILES, upright_box_axes
+from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
@@ -220,7 +220,7 @@ def _starts(crops: list[Crop], T_world_panel: Array, size: float) -> list[tuple[
     square = np.stack([along, [-along[1], along[0]]], 1)
     panels = [edges for masked in (True, False) for edges in _edges(crops, size, masked=masked)]
     starts = []
-    for axes, points in ((square, np.concatenate(shown)), (upright_box_axes(body[:, :2]), body)):
+    for axes, points in ((square, np.concatenate(shown)), (find_upright_axes(body)[:2, :2], body)):
         R = np.eye(3)
         R[:2, :2] = axes
         T_world_body = transform(R, np.median(points, 0))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aomgen.core.boxes import upright_box_axes
+from aomgen.core.boxes import find_upright_axes
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
@@ -55,7 +55,7 @@ def panel_frame(
         normal = normal * [1, 1, 0] / np.linalg.norm(normal[:2])
     elif abs(normal[2]) > np.cos(np.radians(SNAP_DEG)):
         normal = np.array([0.0, 0.0, np.sign(normal[2])])
-        up = np.append(upright_box_axes(near[:, :2])[:, 0], 0.0)
+        up = np.append(find_upright_axes(near)[:2, 0], 0.0)
     up = up - (up @ normal) * normal
     up /= np.linalg.norm(up)
     return transform(np.stack([np.cross(up, normal), up, normal], 1), origin), size

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.boxes import QUANTILES, upright_box_axes
+from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.part_points import SOLID_OPACITY
@@ -210,7 +210,7 @@ def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.rando
 
 def _box(points: Array) -> tuple[Array, Array, Array]:
     """Level axes (2, 2) of the upright box around points, and its corners in them."""
-    R = upright_box_axes(points[:, :2])
+    R = find_upright_axes(points)[:2, :2]
     local = np.column_stack([points[:, :2] @ R, points[:, 2]])
     low, high = np.quantile(local, QUANTILES, axis=0)
     return R, low, high

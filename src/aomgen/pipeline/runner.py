@@ -103,7 +103,9 @@ def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stag
 
 def _wanted(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:
     inputs = {name: digests[name] for name in stage.needs}
-    return stage.version, inputs, {name: _plain(getattr(results.project, name)) for name in stage.settings}
+    parameters = {name: _plain(getattr(results.project, name)) for name in stage.settings}
+    changed = results.project.params.get(stage.name)
+    return stage.version, inputs, parameters | ({"params": changed} if changed else {})
 
 
 def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest | None:

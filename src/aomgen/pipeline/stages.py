@@ -13,10 +13,11 @@ from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
+from aomgen.io.overrides import override
 from aomgen.io.schema import suggest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
-from aomgen.pipeline.project import write_project
+from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.runner import Display, run_stages
 from aomgen.pipeline.stage import Stage, StageFunction
 from aomgen.results import Results
@@ -54,7 +55,7 @@ def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]
 
     project = results.project
     if project.alignment_method == "paper" or project.parts_method == "saga":
-        from aomgen.paper.stages import run_parts as run
+        from aomgen.paper.methods import run_parts as run
     else:
         from aomgen.parts.stage import run
     return run(results, folder, progress, partial(motion_evidence, results))
@@ -103,7 +104,7 @@ STAGES: tuple[Stage, ...] = (
         weight=17,
         function=_by_method(
             "alignment_method",
-            {"outlines": _lazily("alignment.stage"), "paper": _lazily("paper.stages", "run_alignment")},
+            {"outlines": _lazily("alignment.stage"), "paper": _lazily("paper.methods", "run_alignment")},
         ),
     ),
     Stage(
@@ -127,7 +128,7 @@ STAGES: tuple[Stage, ...] = (
         weight=9,
         function=_by_method(
             "motion_method",
-            {"aomotion": _lazily("motion.stage"), "paper": _lazily("paper.stages", "run_motion")},
+            {"aomotion": _lazily("motion.stage"), "paper": _lazily("paper.methods", "run_motion")},
         ),
     ),
     Stage(
@@ -186,6 +187,31 @@ STAGES: tuple[Stage, ...] = (
 )
 
 
+# Parameters of the stages that have some, by stage: module below `aomgen`, and class.
+PARAMETERS = {
+    "structure": ("structure.reconstruct", "StructureParams"),
+    "gaussians": ("gaussians.train", "GaussiansParams"),
+    "alignment": ("alignment.align", "AlignmentParams"),
+    "motion": ("motion.params", "MotionParams"),
+    "replacement": ("replacement.fitting", "FitParams"),
+    "plans": ("generalization.generate", "GenerationParams"),
+}
+
+
+def check_params(project: Project) -> None:
+    """Refuse parameters that no stage has.
+
+    Raises:
+        ConfigError: No such stage or parameter, or a value of another type.
+    """
+    for stage, changes in project.params.items():
+        if stage not in PARAMETERS:
+            raise ConfigError(f"parameters of '{stage}'", "are unknown", suggest(stage, PARAMETERS))
+        module, name = PARAMETERS[stage]
+        kind = getattr(importlib.import_module(f"aomgen.{module}"), name)
+        override(kind(count=1) if stage == "plans" else kind(), changes, stage)
+
+
 def run_pipeline(project: Project, display: Display, *, until: str = "") -> list[str]:
     """Check everything that can be known, then bring every stage up to date; the names of those made anew.
 
@@ -197,6 +223,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
     names = [stage.name for stage in STAGES]
     if until and until not in names:
         raise ConfigError("--until", f"'{until}' is no stage", suggest(until, names))
+    check_params(project)
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}

@@ -66,9 +66,10 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
     contact = recorded_contact(demo, recorded)
     names, residuals = [], []
+    params = results.params("replacement", FitParams())
     for index, spec in enumerate(project.assets):
         progress(0.4 + 0.5 * index / len(project.assets), f"asset {spec}")
-        fitted = fit_asset(open_asset(spec), contact, demo.joint.type, project.adapt, FitParams())
+        fitted = fit_asset(open_asset(spec), contact, demo.joint.type, project.adapt, params)
         if isinstance(fitted, Rejection):
             raise EstimationError(
                 f"asset {spec}", fitted.detail, "choose an asset that opens like the recorded object"

@@ -8,7 +8,7 @@ from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.io.images import write_image
 from aomgen.pipeline.figures import FIGURES, read_figure
-from aomgen.pipeline.project import read_project
+from aomgen.pipeline.project_file import read_project
 from aomgen.pipeline.stage import results_of
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
 from aomgen.report import recording_images

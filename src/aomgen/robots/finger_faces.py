@@ -18,11 +18,10 @@ from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array
 from aomgen.robots.geom_meshes import find_visible_geoms, geom_surface
 from aomgen.robots.gripper import MIN_TRAVEL_M
+from aomgen.robots.gripper_surface import POINTS
 from aomgen.robots.reading import ArmChain, ancestors
 from aomgen.robots.robot import body_poses
 
-# Sample points on a finger; a pad has far more than MIN_FACE_POINTS of them.
-POINTS = 6000
 # A pair of fingers moves at least this share of what the pair that moves most does.
 TRAVEL_SHARE = 0.7
 # What touches when the fingers close lies within this of the first contact: rubber gives way, [m].

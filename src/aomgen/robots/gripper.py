@@ -23,8 +23,6 @@ SETTLE_S = 0.3
 OPEN_LOOP_M = 0.002
 # Fingers that come less than this nearer are no gripper, [m].
 MIN_TRAVEL_M = 0.004
-# The driven joints are held as stiffly as the time step allows: time constant [s], damping ratio.
-HOLD_SOLREF = (0.004, 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +79,8 @@ def settle_fingers(
         spec.delete(actuator)
     for name in (*strokes, *chain.joints):
         hold = spec.add_equality(name=f"hold_{name}", type=mujoco.mjtEq.mjEQ_JOINT, name1=name)
-        hold.solref, hold.objtype = HOLD_SOLREF, mujoco.mjtObj.mjOBJ_JOINT
+        # As stiff as the time step allows.
+        hold.solref, hold.objtype = [0.004, 1.0], mujoco.mjtObj.mjOBJ_JOINT
     model = spec.compile()
     data = mujoco.MjData(model)
     fingers = [model.joint(name).qposadr[0] for name in chain.hand_joints]

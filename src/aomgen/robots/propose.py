@@ -37,8 +37,8 @@ from aomgen.robots.robot import body_poses
 # Sites that makers of arms without gripper put at the end, best first.
 EE_SITES = ("pinch", "ee", "attachment_site")
 REMEDY = "say at which joint values the gripper is open and closed: `aomgen robot propose --help`"
-# A tenth of a millimeter is far below what pads are known to; rotations to the same at 1 m.
-LENGTH_DIGITS, QUAT_DIGITS = 4, 5
+# Digits that a person reads: 10 um, far below what pads are known to; of quaternions 1e-5 rad.
+DIGITS = 5
 
 
 def propose_description(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
@@ -80,8 +80,8 @@ def propose_description(file: Path, root: Path, joints: Sequence[str], hand: Han
             T_body_ee = transform(T_body_ee[:3, :3], _place(model, chain, hand.ee_site))
         end = EndEffectorSection(
             body=model.body(chain.last_body).name,
-            position=_rounded(T_body_ee[:3, 3], LENGTH_DIGITS),
-            quat_wxyz=_rounded(quat_from_matrix(T_body_ee[:3, :3]), QUAT_DIGITS),
+            position=_rounded(T_body_ee[:3, 3]),
+            quat_wxyz=_rounded(quat_from_matrix(T_body_ee[:3, :3])),
         )
     elif hand.open or hand.fingers:
         raise MalformedFileError(file, "has no finger joints, but values of some are given", "check the file")
@@ -138,9 +138,9 @@ def _guess_gripper(hand: _Hand, actuated: Sequence[str], choice: HandChoice) -> 
     left, right = (
         PadSection(
             body=model.body(body).name,
-            center=_rounded(T[:3, 3], LENGTH_DIGITS),
-            quat_wxyz=_rounded(quat_from_matrix(T[:3, :3]), QUAT_DIGITS),
-            half_extents=_rounded(half, LENGTH_DIGITS),
+            center=_rounded(T[:3, 3]),
+            quat_wxyz=_rounded(quat_from_matrix(T[:3, :3])),
+            half_extents=_rounded(half),
         )
         for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True)
     )
@@ -274,5 +274,5 @@ def _place(model: mujoco.MjModel, chain: ArmChain, site: str) -> Array:
     return apply(T_last_body, model.site_pos[model.site(site).id])
 
 
-def _rounded(values: Array, digits: int) -> tuple[float, ...]:
-    return tuple(float(value) for value in np.round(values, digits) + 0.0)
+def _rounded(values: Array) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.round(values, DIGITS) + 0.0)

@@ -36,7 +36,9 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         demo=_demo_views(capture, results.recorded_videos),
         prompts=capture.prompts,
     )
-    found = reconstruct_structure(photographs, StructureParams(), part(progress, 0.0, 0.97))
+    found = reconstruct_structure(
+        photographs, results.params("structure", StructureParams()), part(progress, 0.0, 0.97)
+    )
     pinhole = _pinhole_scan(found, capture, images, folder, part(progress, 0.97, 1.0))
     save_artifact(folder, "structure", replace(found, pinhole=pinhole))
     return {

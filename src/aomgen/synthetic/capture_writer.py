@@ -1,5 +1,6 @@
 """Synthetic recordings as capture folders, with `truth/` (see CAPTURE_FORMAT)."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.io.video import encode_video
-from aomgen.synthetic.capture_content import Recording
+from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.demo_video import RecordedVideo
+from aomgen.synthetic.demonstration_search import Performance
 from aomgen.synthetic.style import MOVED
 
 CAMERA = "front"
@@ -24,6 +27,25 @@ CAMERA = "front"
 PROMPT_IMAGES = 2
 VERBS = {"opening": "open", "closing": "close"}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """Everything a synthetic capture holds.
+
+    Attributes:
+        scan_cameras, scan_images, scan_labels: One entry a still; images (H, W, 3), labels (H, W).
+        video: Of the fixed camera, with the joint log.
+    """
+
+    name: str
+    category: str
+    performance: Performance
+    scan_cameras: list[Camera]
+    scan_images: list[NDArray[np.uint8]]
+    scan_labels: list[NDArray[np.uint8]]
+    video: RecordedVideo
+    conditions: Conditions
 
 
 def write_recording(folder: Path, recording: Recording, robot: str) -> None:

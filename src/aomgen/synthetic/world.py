@@ -16,16 +16,14 @@ from aomgen.robots.description import robot_references
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import copy_robot_files
-from aomgen.synthetic.capture_content import Recording
-from aomgen.synthetic.capture_writer import write_recording, write_truth
-from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.capture_writer import Recording, write_recording, write_truth
+from aomgen.synthetic.conditions import Conditions, demo_candidates, scan_cameras
 from aomgen.synthetic.demo_video import RecordedVideo, choose_camera, draw_schedule, render_frames
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from aomgen.synthetic.grasp_selection import list_grasp_types
 from aomgen.synthetic.layout import build_world
 from aomgen.synthetic.scene_renderer import SceneRenderer, expose
 from aomgen.synthetic.style import DemonstrationStyle, GraspType, draw_style
-from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 
 DEFAULT_ROBOT = "ur5e_2f85"
 # A robot file may name meshes in folders beside its own, as packages do.
@@ -131,9 +129,8 @@ def record(
     """Record a performance: stills of the scene at rest, a video, a joint log with its own clock."""
     demonstration, layout = performance.demonstration, performance.layout
     schedule = draw_schedule(robot, performance, conditions, rng)
-    world = build_world(robot, layout, visual=True)
     cameras = scan_cameras(layout, conditions, rng)
-    with SceneRenderer(robot, world, *conditions.size) as painter:
+    with SceneRenderer(build_world(robot, layout, visual=True), conditions.size) as painter:
         demo_camera = choose_camera(
             painter, demo_candidates(layout, conditions, rng), demonstration, schedule
         )

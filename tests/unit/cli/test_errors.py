@@ -17,7 +17,7 @@ from aomgen.assets.usd_write import write_usd
 from aomgen.cli.app import main
 from aomgen.cli.run import find_project
 from aomgen.core.project import Project
-from aomgen.pipeline.project import write_project
+from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.stages import PROJECT_FILE
 
 

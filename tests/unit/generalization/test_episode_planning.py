@@ -17,7 +17,7 @@ from aomgen.generalization.generate import GenerationParams, generate_episodes
 from aomgen.generalization.grasps import Grasp, HandConventions, grasps, orientations
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
-from aomgen.generalization.stage import load_generalization, run_generalization
+from aomgen.generalization.stage import generate_in, load_generalization
 from aomgen.generalization.variations import PoseRanges, in_view, variations, worth_trying
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
@@ -158,7 +158,7 @@ def test_generation_is_reproducible_and_survives_its_folder(
     robot: RobotModel, demo: Demonstration, fitted: FittedAsset, tmp_path
 ) -> None:
     params = GenerationParams(count=2, seed=5, ranges=PoseRanges(x_m=(-0.02, 0.05), yaw_deg=(-15, 15)))
-    made = run_generalization([fitted], demo, robot, SUPPORT, params, tmp_path, lambda share, text: None)
+    made = generate_in(tmp_path, [fitted], demo, robot, SUPPORT, params, lambda share, text: None)
     assert len(made.episodes) == 2
     loaded = load_generalization(tmp_path, [fitted])
     for a, b in zip(made.episodes, loaded, strict=True):

@@ -121,7 +121,7 @@ def test_foreign_and_repeated_images_are_listed_and_unused(photographs, tmp_path
     again = tmp_path / "again.jpg"
     write_image(again, read_image(images["05.png"]))
     images["again.jpg"] = again
-    structure = _run(images, tmp_path / "out", demo={"front": view})
+    structure = _run(images, demo={"front": view})
     assert set(structure.dropped) == {"foreign0.png", "foreign1.png", "again.jpg"}
     assert "shows the same as" in structure.dropped["again.jpg"]
     assert "too few matches" in structure.dropped["foreign0.png"]
@@ -204,10 +204,10 @@ def test_more_images_win_then_less_error_and_never_one_beyond_the_limit():
     assert is_better(_inlier_model(2, 0.5), _inlier_model(10, float("nan")), 1.5)
 
 
-def test_too_few_images_are_refused(photographs, tmp_path):
+def test_too_few_images_are_refused(photographs):
     images, *_ = photographs
     with pytest.raises(ReconstructionError, match="at least 8"):
-        _run(dict(list(images.items())[:5]), tmp_path)
+        _run(dict(list(images.items())[:5]))
 
 
 def test_images_of_nothing_are_refused(tmp_path):

@@ -22,10 +22,9 @@ from aomgen.io.video import read_video
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.capture_writer import find_moved_range, make_prompt
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demonstration_search import Performance, find_demonstration
+from aomgen.synthetic.demonstration_search import Performance, find_demonstration, simulate
 from aomgen.synthetic.grasp_selection import draw_usual_style
 from aomgen.synthetic.layout import build_world, draw_layout
-from aomgen.synthetic.simulated_demonstration import simulate
 from aomgen.synthetic.style import draw_style
 from aomgen.synthetic.tabletop_objects import SIZES
 from aomgen.synthetic.world import make_capture
@@ -84,7 +83,7 @@ def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performan
     for name in no_handle:
         world.model.geom(name).contype = 0
         world.model.geom(name).conaffinity = 0
-    shown = simulate(robot, world, open_hand)
+    shown = simulate(world, open_hand)
     start, goal = performance.script.theta_start, performance.script.theta_goal
     assert abs(shown.theta[-1] - start) < 0.05 * goal
 

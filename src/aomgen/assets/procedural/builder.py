@@ -54,7 +54,7 @@ def draw_sizes(rng: np.random.Generator, table: Mapping[str, Span]) -> SimpleNam
 
 def pick(rng: np.random.Generator, options: Sequence[Item]) -> Item:
     """One of several, each as likely."""
-    return options[rng.integers(len(options))]
+    return options[int(rng.integers(len(options)))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,14 +105,29 @@ class BarHandle:
         return -1.0 * offset, offset
 
 
+def make_bar(s: SimpleNamespace, foot: ArrayLike, axis: Array, length: float) -> BarHandle:
+    """A bar as thick and as far off as the drawn sizes say."""
+    return BarHandle(
+        foot=np.asarray(foot, np.float64),
+        axis=axis,
+        length=length,
+        thickness=s.bar_thickness,
+        clearance=s.bar_clearance,
+    )
+
+
 class LinkBuilder:
     """A link under construction; what is added first comes first."""
 
     def __init__(self, name: str, *, mirrored: bool = False) -> None:
         """Where `mirrored`, boxes are given for one side and built for the other (x -> -x)."""
-        self._name, self._mirrored = name, mirrored
+        self._name, self.mirrored = name, mirrored
         self.meshes: list[Mesh] = []
         self.colliders: list[BoxCollider] = []
+
+    def across(self, x: float) -> float:
+        """The x of a point that is given for one side, [m]."""
+        return -x if self.mirrored else x
 
     def boxes(
         self, name: str, rows: Mapping[str, AlignedBox], surface: Material, *, symmetric: bool = False
@@ -158,7 +173,7 @@ class LinkBuilder:
         )
 
     def _sided(self, row: AlignedBox) -> AlignedBox:
-        return row.mirrored() if self._mirrored else row
+        return row.mirrored() if self.mirrored else row
 
 
 def carcass(w: float, depth: Span, height: Span, board: float) -> dict[str, AlignedBox]:
@@ -230,13 +245,13 @@ def assemble(
     category: str, static: AssetLink, moving: AssetLink, joint: Joint, held: BarHandle | Array
 ) -> ArticulatedAsset:
     """The asset, still without a name; it is held at a bar, or at a point (3,) of a level rim."""
-    bar = held if isinstance(held, BarHandle) else None
+    point, axis = (held.middle, held.axis) if isinstance(held, BarHandle) else (held, LEVEL)
     return ArticulatedAsset(
         name="",
         category=category,
         static=static,
         moving=moving,
         joint=joint,
-        handle_point=held if bar is None else bar.middle,
-        handle_axis=LEVEL if bar is None else bar.axis,
+        handle_point=point,
+        handle_axis=axis,
     )

@@ -18,13 +18,13 @@ from aomgen.assets.procedural.builder import (
     carcass,
     draw_sizes,
     feet,
+    make_bar,
     pick,
     slide,
 )
 from aomgen.assets.procedural.shapes import AlignedBox, Material, box, merge_meshes, rod
 from aomgen.assets.procedural.textures import COLORS
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.values import Array
 
 # Free space between a body and what slides in it, [m].
 GAP = 0.003
@@ -115,7 +115,7 @@ def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
     inner = w - s.board - GAP
     ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
     metal = _metal(rng)
-    bar = _bar(s, np.array([0.0, face.lower[1], (low + top) / 2]), LEVEL, s.bar_length)
+    bar = make_bar(s, np.array([0.0, face.lower[1], (low + top) / 2]), LEVEL, s.bar_length)
     drawer = LinkBuilder("drawer")
     drawer.boxes("front", {"front": face}, front)
     depth = (start, y1 - s.board - 0.01)
@@ -179,7 +179,7 @@ def _dresser_front(s: SimpleNamespace, cell: tuple[int, int]) -> AlignedBox:
 
 def _dresser_bar(s: SimpleNamespace, face: AlignedBox) -> BarHandle:
     middle = (np.array(face.lower) + face.upper) / 2
-    return _bar(s, np.array([middle[0], face.lower[1], middle[2]]), LEVEL, s.bar_length)
+    return make_bar(s, np.array([middle[0], face.lower[1], middle[2]]), LEVEL, s.bar_length)
 
 
 def _dresser_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
@@ -193,17 +193,16 @@ def _dresser_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Mat
 def make_cabinet(rng: np.random.Generator) -> ArticulatedAsset:
     """A fixed panel and, before an open shelf, one that slides sideways."""
     s = draw_sizes(rng, SIZES["cabinet"])
-    s.right = s.side < 0.5
+    body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("cabinet", "door"))
     w, front = s.width / 2, -s.depth / 2
     wood, paint = _wood(rng, COLORS["wood"], 0.55), pick(rng, COLORS["paint"])
     z = (s.feet + s.rail + GAP, s.height - s.rail - GAP)
     slab = box(-s.width / 2 + GAP, s.overlap, front - GAP - s.door, front - GAP, *z)
-    middle = np.array([_sided(s, -s.width / 2 + 0.055), slab.lower[1], (z[0] + z[1]) / 2])
-    bar = _bar(s, middle, UPRIGHT, s.bar_share * (z[1] - z[0]))
-    body, door = LinkBuilder("cabinet", mirrored=s.right), LinkBuilder("door", mirrored=s.right)
+    middle = np.array([body.across(-s.width / 2 + 0.055), slab.lower[1], (z[0] + z[1]) / 2])
+    bar = make_bar(s, middle, UPRIGHT, s.bar_share * (z[1] - z[0]))
     _add_cabinet_body(body, s, wood, paint, rng)
     _add_sliding_panel(door, s, slab, paint, bar, rng)
-    joint = slide([_sided(s, 1.0), 0.0, 0.0], bar, w - s.overlap - GAP)
+    joint = slide([body.across(1.0), 0.0, 0.0], bar, w - s.overlap - GAP)
     return assemble("cabinet", body.link(s.body_mass), door.link(s.part_mass), joint, bar)
 
 
@@ -225,7 +224,7 @@ def _add_cabinet_body(
     body.boxes("boards", boards, wood, symmetric=True)
     body.boxes("fixed_panel", {"fixed_panel": panel}, _paint(rng, paint))
     body.boxes("feet", feet(w, (y0, y1), z0, inset=0.05, half=0.02), FELT, symmetric=True)
-    left, right = sorted((_sided(s, 0.05), _sided(s, w - board - 0.02)))
+    left, right = sorted((body.across(0.05), body.across(w - board - 0.02)))
     body.print("label", "top", (x, y, z1), (0.10, 0.0625), plate)
     body.print("label_side", "right", (w, -0.03, z0 + 0.06), (0.08, 0.05), plate)
     body.print("fixed_print", "front", (left, y0, z0 + 0.06), (right - left, 0.7 * (right - left)), art)
@@ -236,7 +235,7 @@ def _add_cans(body: LinkBuilder, s: SimpleNamespace, levels: Span, rng: np.rando
     """Jars and cans on the floor and on the shelf behind the sliding panel."""
     for level, z in enumerate(levels):
         for place in range(3):
-            x = _sided(s, -s.width / 2 + 0.07 + 0.075 * place + rng.uniform(-0.008, 0.008))
+            x = body.across(-s.width / 2 + 0.07 + 0.075 * place + rng.uniform(-0.008, 0.008))
             y, height = rng.uniform(-0.03, 0.04), rng.uniform(0.06, 0.09)
             print_srgb = textures.stickers(rng, rng.uniform(0.15, 0.85, 3), 256, 128, 4)
             paper = Material(texture_srgb=print_srgb, tile_m=height)
@@ -259,7 +258,7 @@ def _add_sliding_panel(
     (x0, _, z0), (x1, _, z1) = slab.lower, slab.upper
     size = min(0.5 * (x1 - x0), 0.6 * (z1 - z0))
     # The print stands on the half of the panel without the handle.
-    left = -x1 + 0.015 if s.right else x1 - 0.015 - size
+    left = -x1 + 0.015 if door.mirrored else x1 - 0.015 - size
     corner = (left, slab.lower[1], (z0 + z1 - size) / 2)
     door.print("print", "front", corner, (size, size), Material(texture_srgb=art, roughness=0.6))
     door.bar(bar, metal)
@@ -283,12 +282,6 @@ def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, Alig
     }
 
 
-def _bar(s: SimpleNamespace, foot: Array, axis: Array, length: float) -> BarHandle:
-    return BarHandle(
-        foot=foot, axis=axis, length=length, thickness=s.bar_thickness, clearance=s.bar_clearance
-    )
-
-
 def _wood(rng: np.random.Generator, colors: tuple[Color, ...], roughness: float) -> Material:
     return Material(texture_srgb=textures.wood(rng, pick(rng, colors)), roughness=roughness)
 
@@ -300,7 +293,3 @@ def _paint(rng: np.random.Generator, color: Color) -> Material:
 def _metal(rng: np.random.Generator) -> Material:
     brushed = textures.brushed_metal(rng, pick(rng, COLORS["metal"]), 256)
     return Material(texture_srgb=brushed, metallic=0.8, roughness=0.3)
-
-
-def _sided(s: SimpleNamespace, x: float) -> float:
-    return -x if s.right else x

@@ -15,6 +15,7 @@ from aomgen.assets.procedural.builder import (
     assemble,
     draw_sizes,
     hinge,
+    make_bar,
     pick,
 )
 from aomgen.assets.procedural.shapes import PRINT_GAP, AlignedBox, Material, box, merge_meshes, panel, rod
@@ -77,13 +78,7 @@ def make_toolbox(rng: np.random.Generator) -> ArticulatedAsset:
     s = draw_sizes(rng, SIZES["toolbox"])
     body_color, lid_color = pick(rng, COLORS["toolbox"]), pick(rng, COLORS["lid"])
     s.low = s.seam + SEAL
-    bar = BarHandle(
-        foot=np.array([0.0, -s.depth / 2, s.low + s.lid / 2]),
-        axis=LEVEL,
-        length=s.bar_length,
-        thickness=s.bar_thickness,
-        clearance=s.bar_clearance,
-    )
+    bar = make_bar(s, [0.0, -s.depth / 2, s.low + s.lid / 2], LEVEL, s.bar_length)
     body, lid = LinkBuilder("body"), LinkBuilder("lid")
     _add_toolbox_body(body, s, body_color, lid_color, rng)
     _add_tools(body, s, rng)

@@ -16,6 +16,7 @@ from aomgen.assets.procedural.builder import (
     feet,
     hinge,
     lining,
+    make_bar,
     pick,
     window_frame,
 )
@@ -59,31 +60,20 @@ def make_microwave(rng: np.random.Generator) -> ArticulatedAsset:
     """One microwave; every size, color and print comes from `rng`."""
     s = draw_sizes(rng, SIZES)
     body_color, door_color = pick(rng, COLORS["body"]), pick(rng, COLORS["door"])
-    s.right, s.door_width = s.side < 0.5, s.width * s.door_share
+    s.door_width = s.width * s.door_share
+    body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("body", "door"))
     # The back and the front of the door, asset frame y.
     s.seam = -s.depth / 2 - SEAL
     s.front = s.seam - s.door
-    bar = BarHandle(
-        foot=np.array(
-            [_sided(s, -s.width / 2 + s.door_width - s.frame / 2), s.front, (s.feet + s.height) / 2]
-        ),
-        axis=UPRIGHT,
-        length=s.bar_share * (s.height - s.feet),
-        thickness=s.bar_thickness,
-        clearance=s.bar_clearance,
-    )
-    body, door = LinkBuilder("body", mirrored=s.right), LinkBuilder("door", mirrored=s.right)
+    foot = [body.across(-s.width / 2 + s.door_width - s.frame / 2), s.front, (s.feet + s.height) / 2]
+    bar = make_bar(s, foot, UPRIGHT, s.bar_share * (s.height - s.feet))
     _add_body(body, s, body_color, rng)
     _add_cavity(body, s, rng)
     _add_prints(body, s, body_color, door_color, rng)
     _add_door(door, s, door_color, bar, rng)
-    origin = [_sided(s, -s.width / 2), s.seam, s.height / 2]
-    joint = hinge([0.0, 0.0, 1.0 if s.right else -1.0], origin, s.opening)
+    origin = [body.across(-s.width / 2), s.seam, s.height / 2]
+    joint = hinge([0.0, 0.0, 1.0 if body.mirrored else -1.0], origin, s.opening)
     return assemble("microwave", body.link(s.body_mass), door.link(s.door_mass), joint, bar)
-
-
-def _sided(s: SimpleNamespace, x: float) -> float:
-    return -x if s.right else x
 
 
 def _column(s: SimpleNamespace) -> float:
@@ -114,7 +104,7 @@ def _add_cavity(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator)
     hollow = lining((left, column), (-s.depth / 2, s.depth / 2 - s.wall), (z0, s.height - s.wall))
     enamel = textures.speckled(rng, (0.70, 0.70, 0.68), 256)
     body.shell("cavity", hollow, Material(texture_srgb=enamel, roughness=0.5))
-    centre = np.array([_sided(s, (left + column) / 2), 0.0, z0 + 0.004])
+    centre = np.array([body.across((left + column) / 2), 0.0, z0 + 0.004])
     radius = 0.42 * min(column + s.width / 2 - s.wall, s.depth - s.wall)
     plate = Material(texture_srgb=textures.plastic(rng, (0.55, 0.62, 0.62)), roughness=0.2)
     body.meshes.append(rod("turntable", centre, centre + np.array([0, 0, 0.008]), radius, plate, 28))
@@ -126,7 +116,7 @@ def _add_prints(
     """Keypad on the fascia, rating plate on the top, vents on both sides."""
     w, z0, z1, edge, column = s.width / 2, s.feet, s.height, 0.004, _column(s)
     keypad = Material(texture_srgb=textures.keypad(rng, panel_color), roughness=0.35)
-    left = min(_sided(s, column), _sided(s, w)) + edge
+    left = min(body.across(column), body.across(w)) + edge
     size = (w - column - 2 * edge, z1 - z0 - 2 * edge)
     body.print("keypad", "front", (left, s.front, z0 + edge), size, keypad)
     x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.0)
@@ -147,7 +137,7 @@ def _add_door(
     glass = Material(texture_srgb=textures.window(rng), roughness=0.1)
     name = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.35)
     door.shell("frame", window_frame(x, y, z, s.frame), grain)
-    left = min(_sided(s, x[0] + s.frame), _sided(s, x[1] - s.frame))
+    left = min(door.across(x[0] + s.frame), door.across(x[1] - s.frame))
     size, low, inset = x[1] - x[0] - 2 * s.frame, z[0] + s.frame, 0.25 * s.door
     up = (0, 0, z[1] - z[0] - 2 * s.frame)
     door.meshes.append(panel("window", (left, s.front + inset, low), (size, 0, 0), up, glass))

@@ -156,7 +156,7 @@ def keyboard(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     ground = tint(color_srgb, 0.03 * noise(rng, width, 0.8) + 0.02 * noise(rng, width, 18))
     image = Image.fromarray(ground[:height])
     draw = ImageDraw.Draw(image)
-    bright = np.mean(color_srgb) > 0.4
+    bright = np.asarray(color_srgb).mean() > 0.4
     key, ink = ((32, 32, 36), (225, 225, 225)) if bright else ((205, 205, 205), (25, 25, 30))
     left, top = 0.05 * width, 0.07 * height
     pitch = 0.9 * width / 13.5
@@ -180,7 +180,7 @@ def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     width, height = 192, 448
     image = Image.new("RGB", (width, height), _painted(np.round(255 * np.asarray(color_srgb)), 1))
     draw = ImageDraw.Draw(image)
-    ink = (235, 235, 230) if np.mean(color_srgb) < 0.5 else (30, 30, 34)
+    ink = (235, 235, 230) if np.asarray(color_srgb).mean() < 0.5 else (30, 30, 34)
     margin, top = int(0.12 * width), int(0.06 * height)
     draw.rectangle((margin, top, width - margin, top + int(0.13 * height)), fill=(8, 12, 10))
     clock = f"{rng.integers(1, 24)}:{rng.integers(0, 60):02d}"
@@ -244,7 +244,7 @@ def vents(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
 def nameplate(rng: np.random.Generator, color_srgb: ArrayLike, height: int = 56) -> Texture:
     """Brand name in light or dark letters on the surface's color."""
     image = Image.new("RGB", (256, height), _painted(color_srgb))
-    ink = (225, 225, 225) if np.mean(color_srgb) < 0.5 else (35, 35, 40)
+    ink = (225, 225, 225) if np.asarray(color_srgb).mean() < 0.5 else (35, 35, 40)
     text = str(rng.choice(WORDS)).upper()
     font = ImageFont.load_default(36)
     ImageDraw.Draw(image).text((128, height / 2), text, fill=ink, font=font, anchor="mm")

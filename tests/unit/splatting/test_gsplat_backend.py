@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from aomgen.splatting.pixel_lists import median_depth_and_max_id
+from aomgen.splatting.gsplat_backend import median_depth_and_max_id
 
 
 def test_random_lists_are_read_like_loops() -> None:

@@ -16,8 +16,9 @@ from aomgen.core.transforms import (
     umeyama,
 )
 from aomgen.splatting import native
-from aomgen.splatting.poses import PoseIncrements, gauge_motions
+from aomgen.splatting.optimizer import RATES
 from aomgen.splatting.training import TrainingParams, learning, scene_extent, start_training, train
+from aomgen.splatting.training_views import PoseIncrements, gauge_motions
 from small_scene import checkered, photograph, ring, start
 
 
@@ -51,8 +52,7 @@ PARAMS = TrainingParams(
     downsampling=((0.0, 1),),
     refine_poses=True,
     refine_from=0.0,
-    rate_poses=4e-3,
-    rate_color=0.03,
+    rates={**RATES, "poses": 4e-3, "color": 0.03},
 )
 
 
@@ -75,7 +75,7 @@ def test_without_refinement_poses_stay() -> None:
     state = start_training(scene, cameras, params, np.random.default_rng(0))
     for _ in learning(state, cameras, photograph(scene, cameras), params, 1.0):
         pass
-    assert not state.poses.twists.any()
+    assert not state.poses.values.any()
     assert state.poses.corrected(1, cameras[1]) is cameras[1]
 
 
@@ -85,7 +85,7 @@ def test_refinement_waits_for_its_share() -> None:
     state = start_training(scene, cameras, params, np.random.default_rng(0))
     moved = []
     for _ in learning(state, cameras, photograph(scene, cameras), params, 1.0):
-        moved.append(bool(state.poses.twists.any()))
+        moved.append(bool(state.poses.values.any()))
     assert moved == [False] * 10 + [True] * 10
 
 
@@ -127,8 +127,8 @@ def test_a_step_leaves_no_gauge_motion() -> None:
     poses = PoseIncrements.neutral(cameras, np.zeros(3), 1.5, enabled=True)
     for index in (0, 3, 1):
         poses.step(index, torch.tensor([1.0, -2, 3, 0.5, 0, 1]), 1e-3, native.Context())
-    assert poses.twists.abs().max() > 1e-4
-    assert (poses.gauge.T @ poses.twists.view(-1)).abs().max() < 1e-8
+    assert poses.values.abs().max() > 1e-4
+    assert (poses.gauge.T @ poses.values.view(-1)).abs().max() < 1e-8
     assert poses.steps.tolist() == [1, 1, 0, 1, 0]
 
 

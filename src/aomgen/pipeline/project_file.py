@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from aomgen.core.project import Project
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.atomic import write_text
+from aomgen.io.overrides import flatten
 from aomgen.io.schema import complaint
 
 TEMPLATE = """\
@@ -75,7 +76,11 @@ def write_project(path: Path, project: Project) -> None:
     values["assets"] = [
         _below(base, Path(item)) if Path(item).is_absolute() else item for item in project.assets
     ]
-    write_text(path, TEMPLATE.format(**{name: _toml(value) for name, value in values.items()}))
+    params = flatten(values.pop("params"))
+    text = TEMPLATE.format(**{name: _toml(value) for name, value in values.items()})
+    if params:
+        text += "\n[params]\n" + "".join(f"{name} = {_toml(value)}\n" for name, value in params.items())
+    write_text(path, text)
 
 
 def _below(base: Path, path: Path) -> str:

@@ -6,8 +6,8 @@ import pytest
 
 from aomgen.core.project import Project
 from aomgen.errors import ConfigError, MissingFileError
-from aomgen.pipeline.project import read_project, write_project
-from aomgen.pipeline.stages import STAGES
+from aomgen.pipeline.project_file import read_project, write_project
+from aomgen.pipeline.stages import STAGES, check_params
 
 
 def test_round_trip(tmp_path):
@@ -94,3 +94,18 @@ def test_stages_come_after_what_they_need():
         known.add(stage.name)
     assert len({stage.folder for stage in STAGES}) == len(STAGES)
     assert Path(STAGES[5].folder).name == "06_twin"
+
+
+def test_parameters_of_stages_come_back_and_unknown_ones_are_refused(tmp_path: Path) -> None:
+    params = {"motion": {"joint": {"nodes": 30}, "width": 200}}
+    project = Project(capture=tmp_path, out=tmp_path / "out", params=params)
+    write_project(tmp_path / "project.toml", project)
+    assert "motion.joint.nodes = 30" in (tmp_path / "project.toml").read_text()
+    assert read_project(tmp_path / "project.toml").params == params
+    check_params(project)
+    for wrong, message in (
+        ({"motio": {}}, "did you mean 'motion'"),
+        ({"motion": {"wide": 1}}, "did you mean 'width'"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            check_params(project.model_copy(update={"params": wrong}))

@@ -1,12 +1,18 @@
-"""Groups of images at a wrong place are found, whatever holds them there; repeated images too."""
+"""Misregistered images are found from two-view matches alone: single ones, groups, and repeated images."""
 
 import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.structure.clusters import Views, duplicates, wrong_groups
-from aomgen.structure.misregistration import Pair, check_registration
+from aomgen.structure.outlier_rejection import (
+    Views,
+    check_registration,
+    duplicates,
+    epipolar_errors_px,
+    wrong_groups,
+)
+from aomgen.structure.sparse_model import Pair
 
 COUNT = 24
 
@@ -155,3 +161,60 @@ def test_of_three_equal_images_one_stays():
     ]
     assert duplicates(pairs, set()) == {"b": "a", "c": "a"}
     assert set(duplicates(pairs, {"c"})) == {"a", "b"}
+
+
+def _arc(seed: int) -> tuple[np.ndarray, dict[str, Camera], np.random.Generator]:
+    """Half of the ring."""
+    points, cameras, rng = _world(seed)
+    return points, dict(list(cameras.items())[:12]), rng
+
+
+def _neighbours(points, cameras, rng, reach: int = 4) -> list[Pair]:
+    names = list(cameras)
+    return [
+        _pair(a, b, cameras, points, rng) for i, a in enumerate(names) for b in names[i + 1 : i + 1 + reach]
+    ]
+
+
+def test_epipolar_error_is_zero_at_the_true_poses_and_grows_with_a_wrong_one():
+    points, cameras, _ = _arc(0)
+    a, b = cameras["00.png"], cameras["02.png"]
+    pair = Pair(a="a", b="b", pixels_a=a.project(points)[0], pixels_b=b.project(points)[0])
+    assert epipolar_errors_px(pair, a.T_world_cam, b.T_world_cam, a.K).max() < 1e-6
+    moved = b.T_world_cam @ transform(np.eye(3), [0, 0.3, 0])
+    assert np.median(epipolar_errors_px(pair, a.T_world_cam, moved, a.K)) > 10
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_two_images_a_metre_off_are_found_and_no_other(seed):
+    points, cameras, rng = _arc(seed)
+    pairs = _neighbours(points, cameras, rng)
+    poses = {name: camera.T_world_cam for name, camera in cameras.items()}
+    wrong = set(rng.choice(list(poses), 2, replace=False))
+    for name in wrong:
+        step = rng.normal(size=3)
+        poses[name] = transform(np.eye(3), step / np.linalg.norm(step)) @ poses[name]
+    verdicts = check_registration(poses, next(iter(cameras.values())).K, pairs)
+    assert {name for name, verdict in verdicts.items() if not verdict.accepted} == wrong
+    assert all("misregistered" in verdicts[name].reason for name in wrong)
+
+
+def test_false_pairs_from_repeated_prints_do_not_outvote_true_neighbours():
+    points, cameras, rng = _arc(4)
+    pairs = _neighbours(points, cameras, rng, reach=2)
+    names = list(cameras)
+    for other in names[4:]:  # thirty matches between unrelated places, many times
+        junk = rng.uniform([0, 0], [640, 480], (2, 30, 2))
+        pairs.append(Pair(a=names[0], b=other, pixels_a=junk[0], pixels_b=junk[1]))
+    poses = {name: camera.T_world_cam for name, camera in cameras.items()}
+    verdicts = check_registration(poses, cameras[names[0]].K, pairs)
+    assert all(verdict.accepted for verdict in verdicts.values())
+
+
+def test_an_image_without_matches_is_not_accepted():
+    points, cameras, rng = _arc(5)
+    pairs = [pair for pair in _neighbours(points, cameras, rng) if "03.png" not in (pair.a, pair.b)]
+    poses = {name: camera.T_world_cam for name, camera in cameras.items()}
+    verdicts = check_registration(poses, cameras["00.png"].K, pairs)
+    assert not verdicts["03.png"].accepted
+    assert "no other image" in verdicts["03.png"].reason
