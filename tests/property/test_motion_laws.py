@@ -200,8 +200,7 @@ def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
         T_world_base = T @ transform(matrix_from_quat(quat), pos)
         return T_world_base[:3, 3], quat_from_matrix(T_world_base[:3, :3])
 
-    def build(visual: bool) -> mujoco.MjSpec:
-        spec = robot.spec(visual=visual)
+    def placed(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         for body in spec.worldbody.bodies:
             body.pos, body.quat = moved(body.pos, body.quat)
         return spec
@@ -210,7 +209,7 @@ def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
     for k in range(1, model.nbody):
         if model.body_parentid[k] == 0:
             model.body_pos[k], model.body_quat[k] = moved(model.body_pos[k].copy(), model.body_quat[k].copy())
-    return replace(robot, _model=model, _build=build)
+    return replace(robot, _model=model, _full=placed(robot.spec()), _bare=placed(robot.spec(visual=False)))
 
 
 def elsewhere(demo: MotionInput, T: Array) -> MotionInput:
