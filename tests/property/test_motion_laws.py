@@ -32,7 +32,7 @@ from aomgen.motion.contact import WINDOW_S
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointParams
-from aomgen.motion.joint_trajectory import ee_poses_at, find_first_frame, prepare_recovery, recover_motion
+from aomgen.motion.joint_trajectory import find_first_frame, prepare_recovery, recover_motion
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
@@ -200,8 +200,7 @@ def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
         T_world_base = T @ transform(matrix_from_quat(quat), pos)
         return T_world_base[:3, 3], quat_from_matrix(T_world_base[:3, :3])
 
-    def build(visual: bool) -> mujoco.MjSpec:
-        spec = robot.spec(visual=visual)
+    def placed(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         for body in spec.worldbody.bodies:
             body.pos, body.quat = moved(body.pos, body.quat)
         return spec
@@ -210,7 +209,7 @@ def moved_robot(robot: RobotModel, T: Array) -> RobotModel:
     for k in range(1, model.nbody):
         if model.body_parentid[k] == 0:
             model.body_pos[k], model.body_quat[k] = moved(model.body_pos[k].copy(), model.body_quat[k].copy())
-    return replace(robot, _model=model, _build=build)
+    return replace(robot, _model=model, _full=placed(robot.spec()), _bare=placed(robot.spec(visual=False)))
 
 
 def elsewhere(demo: MotionInput, T: Array) -> MotionInput:
@@ -266,7 +265,7 @@ def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> Non
     moments = find_first_frame(FRAMES_S, found.trajectory.interval[0]) + np.linspace(
         0, WINDOW_S, QUICK.contact_steps
     )
-    hand = ee_poses_at(demo, moments)
+    hand = demo.ee_poses_at(moments)
     touch = np.mean([patch.point for patch in found.contacts.patches], axis=0)
     assert touch == pytest.approx(apply(hand, found.contacts.grasp_ee).mean(0), abs=1e-4)
 

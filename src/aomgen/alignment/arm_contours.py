@@ -150,9 +150,13 @@ def trace(
 
 
 def trace_scan(
-    views: list[AlignmentImage], drawing: RobotDrawing, S_world_recon: Array, zeros_rad: Array
+    views: list[AlignmentImage],
+    grays: list[NDArray[np.float32]],
+    drawing: RobotDrawing,
+    S_world_recon: Array,
+    zeros_rad: Array,
 ) -> list[ArmContour]:
-    """Contours of the robot as scanned, with joint zeros, in the views that show enough of it."""
+    """Contours of the robot as scanned, with joint zeros, in the views (with gray levels) that show enough of it."""
     configuration = replace(drawing.configuration, joints=drawing.configuration.joints + zeros_rad)
     contours = []
     for index, view in enumerate(views):
@@ -162,7 +166,7 @@ def trace_scan(
             contours.append(
                 ArmContour(
                     index=index,
-                    gray=gray_levels(view.image_srgb),
+                    gray=grays[index],
                     contour=drawn.contour,
                     turns=configuration.turns(drawn.contour.points, drawn.bodies),
                     velocities=np.zeros_like(drawn.contour.points),

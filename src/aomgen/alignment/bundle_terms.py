@@ -14,7 +14,7 @@ import numpy as np
 
 from aomgen.alignment.arm_contours import ArmContour, GrayFrames, LoggedRobot, trace, trace_scan
 from aomgen.alignment.contours import AlignmentImage, Contour, edge_sds, edge_shifts, shift_jacobian
-from aomgen.alignment.silhouette_fit import RobotDrawing, move_similarity
+from aomgen.alignment.silhouette_fit import RobotDrawing, gray_levels, move_similarity
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm
@@ -137,6 +137,7 @@ class Bundle:
 
     def __init__(self, problem: BundleProblem) -> None:
         self.problem, self.pivot = problem, problem.drawing.pivot
+        self.grays = [gray_levels(view.image_srgb) for view in problem.views]
         self.zeros = slice(7, 7 + len(problem.arm.zeros_rad))
         self.scan_bias = self.zeros.stop
         self.first = {name: self.scan_bias + 1 + _COLUMNS * k for k, name in enumerate(problem.cameras)}
@@ -180,7 +181,7 @@ class Bundle:
     def contours(self, x: BundleSolution, reach: int, kernel: Kernel) -> list[ResidualTerm[BundleSolution]]:
         """Contours rendered now: of the scan, and of each segment of each video."""
         problem, S = self.problem, x.S_world_recon
-        scan = trace_scan(problem.views, problem.drawing, S, x.zeros_rad)
+        scan = trace_scan(problem.views, self.grays, problem.drawing, S, x.zeros_rad)
         if scan:
             terms = self._edges(None, x, [scan], reach, kernel)
         else:

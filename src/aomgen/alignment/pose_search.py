@@ -13,7 +13,7 @@ import numpy as np
 from aomgen.alignment.color_score import color_score
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.silhouette_fit import far_apart, limit_width
-from aomgen.alignment.starting_poses import RobotBox, find_starting_poses, up_candidates
+from aomgen.alignment.starting_poses import PoseCandidates, RobotBox, find_starting_poses, up_candidates
 from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
@@ -106,23 +106,6 @@ class Scan:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseCandidates:
-    """Candidate poses of the robot, best first: `S_world_recon` (H, 4, 4) and their color scores (H,)."""
-
-    Ss_world_recon: Array
-    scores: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
-        freeze(self, "scores", self.scores, (len(self.Ss_world_recon),))
-
-    def at_least(self, share: float) -> "PoseCandidates":
-        """Those whose score is this share of the best one's."""
-        good = self.scores >= share * self.scores.max()
-        return PoseCandidates(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
-
-
 def search_poses(
     scan: Scan,
     configuration: RobotConfiguration,
@@ -142,7 +125,7 @@ def search_poses(
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
     places = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
-    Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + MAX_MISFIT]
+    Ss = places.Ss_world_recon[places.scores >= places.scores.max() - MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
     first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], configuration, rng)

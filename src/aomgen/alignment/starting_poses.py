@@ -40,21 +40,20 @@ class RobotBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StartingPoses:
-    """H similarities and how well their boxes fit.
-
-    Attributes:
-        Ss_world_recon: (H, 4, 4).
-        misfits: (H,), root mean square gap between box sides and the robot's extent, as a share of
-            the box's size.
-    """
+class PoseCandidates:
+    """Candidate poses of the robot: `S_world_recon` (H, 4, 4) and their scores (H,), larger is better."""
 
     Ss_world_recon: Array
-    misfits: Array
+    scores: Array
 
     def __post_init__(self) -> None:
         freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
-        freeze(self, "misfits", self.misfits, (len(self.Ss_world_recon),))
+        freeze(self, "scores", self.scores, (len(self.Ss_world_recon),))
+
+    def at_least(self, share: float) -> "PoseCandidates":
+        """Those whose score is this share of the best one's."""
+        good = self.scores >= share * self.scores.max()
+        return PoseCandidates(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
 
 
 def find_starting_poses(
@@ -64,7 +63,7 @@ def find_starting_poses(
     points_recon: Array,
     rng: np.random.Generator,
     count: int,
-) -> StartingPoses:
+) -> PoseCandidates:
     """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
     Every guess but the first few has its own boxes, perturbed by the error of boxes drawn by hand.
@@ -76,6 +75,10 @@ def find_starting_poses(
         points_recon: Sparse points (P, 3); those seen in a box tell likely depths.
         rng: Makes the guesses.
         count: How many.
+
+    Returns:
+        Poses; their scores are minus the root mean square gap between box sides and the robot's extent, as a
+        share of the box's size.
 
     Source: own; the box sides are what a projected convex hull must touch.
     """
@@ -112,7 +115,7 @@ def find_starting_poses(
         similarity(1 / s, R, middle - R @ p / s)
         for s, R, p in zip(scales_recon, Rs_world_recon, places, strict=True)
     ]
-    return StartingPoses(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
+    return PoseCandidates(Ss_world_recon=np.array(Ss), scores=-np.sqrt(np.mean(gaps**2, axis=1)))
 
 
 def up_candidates(

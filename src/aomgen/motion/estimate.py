@@ -15,7 +15,6 @@ from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, choose_type
 from aomgen.motion.joint_trajectory import (
     RecoveredMotion,
-    ee_poses_at,
     find_first_frame,
     prepare_recovery,
     recover_motion,
@@ -150,7 +149,7 @@ def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, o
     thetas = sample_at_frames(frames, trajectory, find_motion_tolerance(estimate.joint.type))
     moving = (frames >= trajectory.interval[0]) & (frames <= trajectory.interval[1])
     joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
-    poses = ee_poses_at(demo, frames)
+    poses = demo.ee_poses_at(frames)
     slips, pivots = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
     return MotionEstimate(
         clock_offset_s=demo.clock.offset_s,
@@ -183,7 +182,7 @@ def _theta_sd(demo: MotionInput, recovery: RecoveredMotion, thetas: Array, frame
     joint = estimate.joint
     first, last = trajectory.interval
     moments = np.clip(frames, first, last)
-    poses = ee_poses_at(demo, np.concatenate([[first], moments]))
+    poses = demo.ee_poses_at(np.concatenate([[first], moments]))
     draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
     values = [
         compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal)

@@ -16,8 +16,7 @@ def smooth(values: Array, step_s: float, window_s: float) -> Array:
 
 def remove_glitches(values: Array) -> Array:
     """Series (T,) in which single samples that stand out are replaced: the median of three."""
-    padded = np.pad(values, 1, mode="edge")
-    return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
+    return np.asarray(ndimage.median_filter(values, 3, mode="nearest"))
 
 
 def dilate(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
@@ -42,13 +41,4 @@ def fill_holes(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def keep_touching(mask: NDArray[np.bool_], seed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Connected regions of a mask (H, W), diagonals included, that meet the seed (H, W)."""
-    labels = np.zeros(mask.shape, np.int32)
-    ndimage.label(mask, np.ones((3, 3)), output=labels)
-    wanted = np.unique(labels[seed])
-    return np.isin(labels, wanted[wanted > 0])
-
-
-def find_runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Index arrays of the stretches in which flags (T,) hold."""
-    where = np.flatnonzero(flags)
-    return np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if len(where) else []
+    return np.asarray(ndimage.binary_propagation(seed & mask, np.ones((3, 3)), mask), bool)

@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from aomgen.core.joint_log import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
-from aomgen.motion.filters import find_runs
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
@@ -75,7 +74,7 @@ def read_gripper_signals(
     Ts_world_ee = robot.ee_poses(joints)
     if robot.pads:
         bodies = robot.link_poses(joints, gripper)
-        posed = np.stack([apply(bodies[:, None, pad.body], sample_pad_face(pad)[0]) for pad in robot.pads], 1)
+        posed = np.stack([apply(bodies[:, None, pad.body], _sample_face(pad)) for pad in robot.pads], 1)
     else:
         posed = Ts_world_ee[:, None, None, :3, 3]
     distances = cKDTree(points_moving).query(posed.reshape(-1, 3))[0].reshape(len(times_s), -1).min(1)
@@ -88,30 +87,11 @@ def read_gripper_signals(
     )
 
 
-def sample_pad_face(pad: FingerPad) -> tuple[Array, Array]:
-    """Grid points (G, 3) on the pad's inner face and its outward normal (3,), both in the body frame."""
-    grid = _face_grid(2, 1.0)
-    return apply(pad.T_body_pad, grid * pad.half_extents), pad.normal_body
-
-
-def sample_pad_box(pad: FingerPad) -> tuple[Array, Array]:
-    """Grid points (6 G, 3) on all faces of the pad's box and their outward normals, body frame."""
-    points, normals = [], []
-    for axis in range(3):
-        for side in (-1.0, 1.0):
-            grid = _face_grid(axis, side)
-            points.append(apply(pad.T_body_pad, grid * pad.half_extents))
-            normals.append(np.broadcast_to(side * pad.T_body_pad[:3, axis], grid.shape))
-    return np.concatenate(points), np.concatenate(normals)
-
-
-def _face_grid(axis: int, side: float) -> Array:
-    """Even points (G, 3) on one face of the cube from -1 to 1."""
+def _sample_face(pad: FingerPad) -> Array:
+    """Even points (G, 3) on the pad's inner face, body frame, [m]."""
     steps = np.linspace(-1, 1, _PAD_GRID)
-    across = [k for k in range(3) if k != axis]
-    grid = np.full((_PAD_GRID**2, 3), side)
-    grid[:, across[0]], grid[:, across[1]] = (mesh.ravel() for mesh in np.meshgrid(steps, steps))
-    return grid
+    grid = np.stack(np.meshgrid(steps, steps, [1.0]), -1).reshape(-1, 3)
+    return apply(pad.T_body_pad, grid * pad.half_extents)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +120,8 @@ def find_touch(signals: GripperSignals) -> TouchInterval:
     grip = signals.gripper
     stroke = float(grip.max() - grip.min())
     if stroke >= _MIN_STROKE:
-        closed = find_runs(grip > (grip.max() + grip.min()) / 2)
+        closed = np.flatnonzero(grip > (grip.max() + grip.min()) / 2)
+        closed = np.split(closed, np.flatnonzero(np.diff(closed) > 1) + 1)
         holding = [run for run in closed if np.median(grip[run]) < EMPTY_GRIP]
         grasps = [_plateau(run, grip, 0.1 * stroke) for run in holding]
         near_ones = [

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
@@ -40,6 +40,10 @@ class MotionInput:
 
     def __post_init__(self) -> None:
         freeze(self, "labels", self.labels, (len(self.scene),), np.uint8)
+
+    def ee_poses_at(self, times_s: ArrayLike) -> Array:
+        """End-effector poses (T, 4, 4), world frame, at video times (T,)."""
+        return np.asarray(self.robot.ee_poses(self.log.at(times_s)[0]), np.float64)
 
     @property
     def points_moving(self) -> Array:

@@ -24,7 +24,6 @@ from aomgen.motion.joint_value import (
 )
 from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.observations import VideoObservations
-from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
 
 # Step at which joint values are computed, [s]: that of a 100 Hz joint log.
@@ -95,7 +94,7 @@ def prepare_recovery(
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
     """
-    seen = (interval.start.time_s, interval.end.time_s)
+    seen = (interval.start_s, interval.end_s)
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     inside = slice(touch.first, touch.last + 1)
@@ -119,7 +118,7 @@ def prepare_recovery(
         picture=TouchObservation(
             times_s=frame_times[inside],
             seen=Departures(left=departures.left[inside], ahead=departures.ahead[inside]),
-            sight=Detectability(noise=interval.threshold / 3, pixel_m=0.0),
+            noise=interval.threshold / 3,
         ),
     )
 
@@ -134,7 +133,7 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
     """
     demo, shape, seen = first.demo, first.shape, first.seen
     times = _dense(first.touch_s)
-    poses = ee_poses_at(demo, times)
+    poses = demo.ee_poses_at(times)
     leave = find_motion_tolerance(joint_type)
 
     def along(found: JointCandidates, interval: tuple[float, float]) -> ValueTrajectory:
@@ -182,7 +181,7 @@ def _explained(
 ) -> tuple[Contacts, JointCandidates]:
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
     contacts = _contacts(demo, shape, surface, begin)
-    held = ee_poses_at(demo, _dense(interval))
+    held = demo.ee_poses_at(_dense(interval))
     # Fingers that do not stand against each other push, and hold in no direction.
     normals = [patch.normal for patch in contacts.patches]
     pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
@@ -215,8 +214,3 @@ def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:
 def _dense(interval: tuple[float, float]) -> Array:
     count = max(2, round((interval[1] - interval[0]) / _DENSE_STEP_S) + 1)
     return np.linspace(interval[0], interval[1], count, dtype=np.float64)
-
-
-def ee_poses_at(demo: MotionInput, times_s: Array) -> Array:
-    """End-effector poses (T, 4, 4), world frame, at times (T,)."""
-    return np.asarray(demo.robot.ee_poses(demo.log.at(times_s)[0]), np.float64)

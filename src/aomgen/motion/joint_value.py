@@ -16,7 +16,7 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.motion.filters import smooth
 from aomgen.motion.keyframes import Departures
-from aomgen.motion.onset import STILL_M, Detectability, GripperPath, detect_offset, detect_onset
+from aomgen.motion.onset import STILL_M, GripperPath, detect_offset, detect_onset
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7
@@ -175,12 +175,12 @@ class TouchObservation:
     Attributes:
         times_s: Times of the frames of the touch (T,), [s].
         seen: The part's departures in them.
-        sight: What the picture can tell.
+        noise: Standard deviation of a still part's departure.
     """
 
     times_s: Array
     seen: Departures
-    sight: Detectability
+    noise: float
 
     def __post_init__(self) -> None:
         freeze(self, "times_s", self.times_s, (len(self.seen.left),))
@@ -211,9 +211,9 @@ def follow_pushed_part(
     along = np.zeros((len(values), 3))
     along[:, 0] = farthest * (STILL_M / leave)
     way = GripperPath(times_s=times_s, points=along)
-    start = detect_onset(way, picture.times_s, picture.seen.left, picture.sight, held=False)
-    end = detect_offset(way, picture.times_s, picture.seen.ahead, picture.sight, held=False)
-    interval = (min(start.time_s, end.time_s), max(start.time_s, end.time_s))
+    start_s = detect_onset(way, picture.times_s, picture.seen.left, picture.noise, 0.0, held=False)
+    end_s = detect_offset(way, picture.times_s, picture.seen.ahead, picture.noise, 0.0, held=False)
+    interval = (min(start_s, end_s), max(start_s, end_s))
     first, last = np.interp(interval, times_s, farthest)
     return ValueTrajectory(
         times_s=times_s, values=farthest, interval=interval, levels=(first - leave, last + leave)

@@ -16,7 +16,7 @@ from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array
 from aomgen.motion.filters import close_gaps, dilate, fill_holes, keep_touching, remove_glitches, smooth
 from aomgen.motion.gripper_signals import TouchInterval
-from aomgen.motion.onset import Detectability, GripperPath, UncertainTime, detect_offset, detect_onset
+from aomgen.motion.onset import GripperPath, detect_offset, detect_onset
 
 # Color differences (8 bit): those that surely are no change (noise, compression), and those that surely are one.
 LOW_CHANGE, HIGH_CHANGE = 14.0, 40.0
@@ -53,13 +53,13 @@ class Interval:
     """Start and end of the motion with the curve they were read from.
 
     Attributes:
-        start, end: First and last moment of the motion.
+        start_s, end_s: First and last moment of the motion.
         smoothed: Score after smoothing (T,).
         threshold: Score that stillness hardly ever reaches.
     """
 
-    start: UncertainTime
-    end: UncertainTime
+    start_s: float
+    end_s: float
     smoothed: Array
     threshold: float
 
@@ -97,8 +97,7 @@ def measure_departures(
     inside = slice(touch.first, touch.last + 1)
     frames = frames_srgb[inside]
     hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot[inside]])
-    before, before_seen = _reference(frames[:reference_frames], hidden[:reference_frames])
-    after, after_seen = _reference(frames[-reference_frames:], hidden[-reference_frames:])
+    (before, before_seen), (after, after_seen) = _picture_ends(frames, hidden, reference_frames)
     moved = before_seen & after_seen & (_change(before, after) > 0.5)
     footprint = keep_touching(close_gaps(moved, 1) | region, region)
     left, ahead = np.zeros(len(frames_srgb)), np.zeros(len(frames_srgb))
@@ -114,15 +113,9 @@ def measure_change(
     reference_frames: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """How surely pixels changed over the touch (H, W), 0..1, and where both ends show no robot (H, W)."""
-    ends = (
-        slice(touch.first, touch.first + reference_frames),
-        slice(max(touch.first, touch.last + 1 - reference_frames), touch.last + 1),
-    )
-    pictures = []
-    for end in ends:
-        hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot[end]])
-        pictures.append(_reference(frames_srgb[end], hidden))
-    (before, before_seen), (after, after_seen) = pictures
+    inside = slice(touch.first, touch.last + 1)
+    hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot[inside]])
+    (before, before_seen), (after, after_seen) = _picture_ends(frames_srgb[inside], hidden, reference_frames)
     return _change(before, after), before_seen & after_seen
 
 
@@ -149,20 +142,18 @@ def find_interval(
     step = float(np.median(np.diff(times_s)))
     inside = slice(touch.first, touch.last + 1)
     times = times_s[inside]
-    sights = [
-        Detectability(noise=max(LEAST_NOISE, _noise(values[inside], step)), pixel_m=pixel_m)
-        for values in (seen.left, seen.ahead)
-    ]
+    left, ahead = seen.left[inside], seen.ahead[inside]
+    noises = [max(LEAST_NOISE, _measure_noise(values, step)) for values in (left, ahead)]
     held = way.between(float(times[0]), float(times[-1]))
-    start = detect_onset(held, times, seen.left[inside], sights[0], held=touch.gripped)
-    end = detect_offset(held, times, seen.ahead[inside], sights[1], held=touch.gripped)
-    smoothed = smooth(remove_glitches(seen.scores), step, SMOOTH_S)
     return Interval(
-        start=start, end=end, smoothed=smoothed, threshold=3.0 * max(sight.noise for sight in sights)
+        start_s=detect_onset(held, times, left, noises[0], pixel_m, held=touch.gripped),
+        end_s=detect_offset(held, times, ahead, noises[1], pixel_m, held=touch.gripped),
+        smoothed=smooth(remove_glitches(seen.scores), step, SMOOTH_S),
+        threshold=3.0 * max(noises),
     )
 
 
-def _noise(values: Array, step_s: float) -> float:
+def _measure_noise(values: Array, step_s: float) -> float:
     """Robust standard deviation of a series (T,) about its smooth course."""
     rough = values - smooth(values, step_s, SMOOTH_S)
     return robust_sd(rough - np.median(rough))
@@ -173,14 +164,17 @@ def count_reference_frames(times_s: Array) -> int:
     return max(3, round(REFERENCE_S / float(np.median(np.diff(times_s)))))
 
 
-def _reference(
-    frames: NDArray[np.uint8], robot: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Median picture (H, W, 3) of the frames without robot, and where there is one (H, W)."""
-    bare = np.where(robot[..., None], np.nan, frames.astype(np.float32))
-    seen = np.asarray(~robot.all(0))
-    bare[:, ~seen] = 0
-    return np.nanmedian(bare, axis=0).astype(np.float32), seen
+def _picture_ends(
+    frames: NDArray[np.uint8], robot: NDArray[np.bool_], count: int
+) -> list[tuple[NDArray[np.float32], NDArray[np.bool_]]]:
+    """Median pictures (H, W, 3) of the first and the last frames without robot, and where there is one (H, W)."""
+    pictures = []
+    for end in (slice(count), slice(-count, None)):
+        bare = np.where(robot[end][..., None], np.nan, frames[end].astype(np.float32))
+        seen = np.asarray(~robot[end].all(0))
+        bare[:, ~seen] = 0
+        pictures.append((np.nanmedian(bare, axis=0).astype(np.float32), seen))
+    return pictures
 
 
 def _change(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.float32]:

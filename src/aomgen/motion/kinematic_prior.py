@@ -84,7 +84,7 @@ def make_kinematic_prior(
     """
     prior = KinematicPrior(
         joint=estimate.joint,
-        held_world=apply(demo.robot.ee_poses(demo.log.at([estimate.start_s])[0]), estimate.grasp_ee)[0],
+        held_world=apply(demo.ee_poses_at([estimate.start_s]), estimate.grasp_ee)[0],
         covariance=_LEAST_VARIANCE * np.eye(4 if estimate.joint.type == "revolute" else 2),
         interval=(estimate.start_s, estimate.end_s),
         times_s=estimate.times_s,

@@ -131,7 +131,7 @@ class VideoObservations:
     def signs(self, demo: MotionInput, interval: Interval) -> MotionEvidence:
         """What speaks for and against a motion."""
         times, touch = self.signals.times_s, self.touch
-        last = int(np.searchsorted(times, interval.end.time_s, side="right"))
+        last = int(np.searchsorted(times, interval.end_s, side="right"))
         during = slice(touch.first, min(max(last, touch.first + 3), touch.last) + 1)
         held = self.way.between(float(times[during][0]), float(times[during][-1]))
         return MotionEvidence(
@@ -163,6 +163,6 @@ class VideoObservations:
 
 def _way(demo: MotionInput, first_s: float, last_s: float) -> GripperPath:
     times = np.arange(first_s, last_s + _WAY_STEP_S / 2, _WAY_STEP_S, dtype=np.float64)
-    points = demo.robot.ee_poses(demo.log.at(times)[0])[:, :3, 3]
+    points = demo.ee_poses_at(times)[:, :3, 3]
     columns = [smooth(column, _WAY_STEP_S, _WAY_SMOOTH_S) for column in points.T]
     return GripperPath(times_s=times, points=np.stack(columns, 1))

@@ -26,14 +26,6 @@ _JITTER_M = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UncertainTime:
-    """A time with its standard deviation, [s]."""
-
-    time_s: float
-    sd_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class GripperPath:
     """The hand over dense times.
 
@@ -70,23 +62,10 @@ class GripperPath:
         return gone
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Detectability:
-    """What the picture can tell.
-
-    Attributes:
-        noise: Standard deviation of a still part's departure.
-        pixel_m: Size of a pixel at the part; a shorter way does not show, [m].
-    """
-
-    noise: float
-    pixel_m: float
-
-
 def detect_onset(
-    way: GripperPath, times_s: Array, departures: Array, sight: Detectability, *, held: bool
-) -> UncertainTime:
-    """When the part leaves its first place.
+    way: GripperPath, times_s: Array, departures: Array, noise: float, pixel_m: float, *, held: bool
+) -> float:
+    """When the part leaves its first place, [s].
 
     The departure is taken to be `k max(0, u - u0)^p` with u the hand's travel (its way, if not held): 0 while the hand comes or
     slides, then growing with it. k is fitted, p is summed over, u0 has a posterior. Less than a pixel
@@ -96,11 +75,12 @@ def detect_onset(
         way: The hand during the touch.
         times_s: Times of the frames (T,), within the way's.
         departures: Share (T,) of the part's picture that does not show its first place.
-        sight: What the picture can tell.
+        noise: Standard deviation of a still part's departure.
+        pixel_m: Size of a pixel at the part; a shorter way does not show, [m].
         held: Fingers hold the part, so that it follows at once or nearly so.
     """
     if len(way.times_s) < 2 or len(times_s) < 2:
-        return UncertainTime(time_s=float(times_s[0]), sd_s=float(np.inf))
+        return float(times_s[0])
     clean = remove_glitches(departures)
     clean = clean - float(np.median(clean[:2]))
     middle = int(np.argmax(clean >= _EARLY * clean.max()))
@@ -109,30 +89,26 @@ def detect_onset(
     travel = way.travel if held else way.length
     along = np.interp(times_s[early], way.times_s, travel)
     offsets = np.linspace(0.0, float(along[-1]), _CANDIDATES)
-    slack = np.maximum(0.0, offsets - sight.pixel_m)
+    slack = np.maximum(0.0, offsets - pixel_m)
     ramps = np.maximum(0.0, along - offsets[:, None]) / max(float(along[-1]), 1e-9)
     curves = np.stack([ramps**power for power in _POWERS])
-    weights = 1.0 / (sight.noise**2 + (_MISFIT * clean[early]) ** 2)
+    weights = 1.0 / (noise**2 + (_MISFIT * clean[early]) ** 2)
     slopes = (curves * weights) @ clean[early] / np.maximum((curves**2 * weights).sum(-1), 1e-12)
     misfit = (weights * (clean[early] - np.maximum(slopes, 0.0)[..., None] * curves) ** 2).sum(-1)
     doubt = misfit / 2 + (slack / _SLACK_M if held else 0.0)
     odds = np.exp(-(doubt - doubt.min())).sum(0)
     odds /= odds.sum()
     passed = np.searchsorted(travel, slack + STILL_M, side="right").clip(max=len(travel) - 1)
-    moments = way.times_s[passed]
-    mean = float(odds @ moments)
-    spread = float(odds @ (moments - mean) ** 2)
-    return UncertainTime(time_s=mean, sd_s=float(np.sqrt(spread + np.median(np.diff(way.times_s)) ** 2)))
+    return float(odds @ way.times_s[passed])
 
 
 def detect_offset(
-    way: GripperPath, times_s: Array, ahead: Array, sight: Detectability, *, held: bool
-) -> UncertainTime:
-    """When the part reaches its last place: `detect_onset` of the video shown backwards.
+    way: GripperPath, times_s: Array, ahead: Array, noise: float, pixel_m: float, *, held: bool
+) -> float:
+    """When the part reaches its last place, [s]: `detect_onset` of the video shown backwards.
 
     Args:
         ahead: Share (T,) of the part's picture that does not show its last place.
-        way, times_s, sight, held: As in `detect_onset`.
+        way, times_s, noise, pixel_m, held: As in `detect_onset`.
     """
-    moment = detect_onset(way.reversed(), -times_s[::-1], ahead[::-1], sight, held=held)
-    return UncertainTime(time_s=-moment.time_s, sd_s=moment.sd_s)
+    return -detect_onset(way.reversed(), -times_s[::-1], ahead[::-1], noise, pixel_m, held=held)

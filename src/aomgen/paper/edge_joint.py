@@ -173,8 +173,8 @@ def find_pair_center(
     Source: AOMGen, sec. 4.2, "Articulated Object Modeling", with a share of the edge's length as epsilon.
     """
     near = 0.15 * float(np.linalg.norm(edge_moving[1] - edge_moving[0]))
-    close_moving = points_moving[_line_distances_many(points_moving, edge_moving) < near]
-    close_static = points_static[_line_distances_many(points_static, edge_static) < near]
+    close_moving = points_moving[_line_distances(points_moving, edge_moving[None]) < near]
+    close_static = points_static[_line_distances(points_static, edge_static[None]) < near]
     if not (len(close_moving) and len(close_static)):
         return np.concatenate([edge_static, edge_moving]).mean(0)
     distances, partners = cKDTree(close_static).query(close_moving)
@@ -192,13 +192,8 @@ def _samples(edges: Array) -> Array:
     return edges[:, :1] * (1 - shares) + edges[:, 1:] * shares
 
 
-def _line_distances(point: Array, edges: Array) -> Array:
-    offsets = point - edges[:, 0]
+def _line_distances(points: Array, edges: Array) -> Array:
+    """Distances (N,) of points (3,) or (N, 3) from the lines of edges (N, 2, 3) or (1, 2, 3), [m]."""
+    offsets = points - edges[:, 0]
     units = _units(edges)
     return np.linalg.norm(offsets - (offsets * units).sum(1, keepdims=True) * units, axis=1)
-
-
-def _line_distances_many(points: Array, edge: Array) -> Array:
-    unit = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
-    offsets = points - edge[0]
-    return np.linalg.norm(offsets - np.outer(offsets @ unit, unit), axis=1)

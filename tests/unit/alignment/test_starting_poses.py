@@ -7,8 +7,8 @@ import pytest
 
 from aomgen.alignment.color_score import color_score, divergence
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import PoseCandidates, Scan, SearchParams, search_poses, select_distinct
-from aomgen.alignment.starting_poses import RobotBox, find_starting_poses
+from aomgen.alignment.pose_search import Scan, SearchParams, search_poses, select_distinct
+from aomgen.alignment.starting_poses import PoseCandidates, RobotBox, find_starting_poses
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array
@@ -71,7 +71,7 @@ def test_a_box_cut_by_the_border_holds_what_the_picture_shows(configuration: Rob
         boxes.append(RobotBox(camera_recon=camera, box_px=np.concatenate([shown.min(0), shown.max(0)])))
         assert pixels[:, 1].min() < -10
     found = places(configuration, boxes)
-    good = found.misfits <= np.quantile(found.misfits, 0.25)
+    good = found.scores >= np.quantile(found.scores, 0.75)
     assert off_m(found.Ss_world_recon[good], configuration).min() < 0.05
 
 
@@ -92,14 +92,14 @@ def places(configuration: RobotConfiguration, boxes: list[RobotBox], count: int 
 def test_two_boxes_leave_one_place_for_a_heading(configuration):
     found = places(configuration, [box_on(configuration, recon_camera(a)) for a in (0.0, 1.3)])
     # Every fourth guess keeps the boxes as they were drawn.
-    best = int(np.argmin(np.where(np.arange(400) % 4 == 0, found.misfits, 9)))
+    best = int(np.argmax(np.where(np.arange(400) % 4 == 0, found.scores, -9)))
     assert off_m(found.Ss_world_recon[[best]], configuration)[0] < 0.03
-    assert found.misfits[best] < 0.01
+    assert found.scores[best] > -0.01
 
 
 def test_one_box_leaves_the_depth_open(configuration):
     found = places(configuration, [box_on(configuration, recon_camera(0.0))])
-    good = found.Ss_world_recon[found.misfits < 0.03]
+    good = found.Ss_world_recon[found.scores > -0.03]
     scales = np.cbrt(np.linalg.det(good[:, :3, :3]))
     assert len(good) > 60
     assert np.percentile(scales, 90) > 1.5 * np.percentile(scales, 10)
@@ -118,7 +118,7 @@ def test_a_side_on_the_border_lets_the_robot_reach_farther(configuration):
     found = places(
         configuration, [RobotBox(camera_recon=cut, box_px=sides), box_on(configuration, recon_camera(1.3))]
     )
-    assert off_m(found.Ss_world_recon[found.misfits < 0.05], configuration).min() < 0.06
+    assert off_m(found.Ss_world_recon[found.scores > -0.05], configuration).min() < 0.06
 
 
 def test_colors_single_out_where_the_robot_stands(configuration, views):

@@ -18,7 +18,6 @@ from aomgen.motion.joint_value import (
     smooth_within,
 )
 from aomgen.motion.keyframes import Departures
-from aomgen.motion.onset import Detectability
 
 HINGE = np.array([0.6, 0.2, 0.0])
 NORMAL = np.array([-1.0, 0, 0])
@@ -187,9 +186,7 @@ def push_course(
     along, aside = (np.zeros((len(TIMES), 3)) for _ in range(2))
     along[:, 0] = values
     aside[:, 2] = 0.0 if aside_m is None else aside_m
-    picture = TouchObservation(
-        times_s=FRAMES, seen=Departures(left=left, ahead=ahead), sight=Detectability(noise=0.004, pixel_m=0.0)
-    )
+    picture = TouchObservation(times_s=FRAMES, seen=Departures(left=left, ahead=ahead), noise=0.004)
     return follow_pushed_part(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, picture)
 
 

@@ -57,8 +57,8 @@ def found(frames: Film, hand: GripperPath, touch: TouchInterval = WHOLE) -> Inte
 def test_start_and_end_are_found_for_short_and_long_motions(start: float, end: float) -> None:
     interval = found(film(moves(start, end)), way(start, end))
     pixel_s = (end - start) / 18
-    assert interval.start.time_s == pytest.approx(start, abs=0.1 + pixel_s / 2)
-    assert interval.end.time_s == pytest.approx(end, abs=0.1 + pixel_s / 2)
+    assert interval.start_s == pytest.approx(start, abs=0.1 + pixel_s / 2)
+    assert interval.end_s == pytest.approx(end, abs=0.1 + pixel_s / 2)
 
 
 def test_a_part_that_only_grows_is_seen() -> None:
@@ -66,8 +66,8 @@ def test_a_part_that_only_grows_is_seen() -> None:
     seen = measure_departures(*film(np.full(COUNT, 22.0), growth=growth), WHOLE, 3)
     assert seen.scores[45] > 0.1
     interval = find_interval(TIMES, seen, way(3.0, 6.0), WHOLE, PIXEL_M)
-    assert interval.start.time_s == pytest.approx(3.0, abs=0.2)
-    assert interval.end.time_s == pytest.approx(6.0, abs=0.2)
+    assert interval.start_s == pytest.approx(3.0, abs=0.2)
+    assert interval.end_s == pytest.approx(6.0, abs=0.2)
 
 
 def test_the_film_backwards_gives_the_curves_exchanged() -> None:
@@ -88,8 +88,8 @@ def test_the_film_backwards_gives_the_interval_backwards() -> None:
     )
     forwards = found((frames, robot, region), hand)
     backwards = found((frames[::-1], robot[::-1], region), back)
-    assert last - backwards.end.time_s == pytest.approx(forwards.start.time_s, abs=0.02)
-    assert last - backwards.start.time_s == pytest.approx(forwards.end.time_s, abs=0.02)
+    assert last - backwards.end_s == pytest.approx(forwards.start_s, abs=0.02)
+    assert last - backwards.start_s == pytest.approx(forwards.end_s, abs=0.02)
 
 
 def test_a_pause_in_the_middle_belongs_to_the_motion() -> None:
@@ -99,8 +99,8 @@ def test_a_pause_in_the_middle_belongs_to_the_motion() -> None:
     interval = found(
         film(22 + 18 * np.interp(TIMES, times, place)), GripperPath(times_s=DENSE, points=points)
     )
-    assert interval.start.time_s == pytest.approx(3.0, abs=0.1)
-    assert interval.end.time_s == pytest.approx(6.5, abs=0.1)
+    assert interval.start_s == pytest.approx(3.0, abs=0.1)
+    assert interval.end_s == pytest.approx(6.5, abs=0.1)
 
 
 def test_single_bad_frames_do_not_move_the_interval() -> None:
@@ -109,14 +109,14 @@ def test_single_bad_frames_do_not_move_the_interval() -> None:
     bad[20, 15:45, 20:50] = 255
     bad[75] = frames[10]
     interval = found((bad, robot, region), way(4.0, 6.0))
-    assert interval.start.time_s == pytest.approx(4.0, abs=0.1)
-    assert interval.end.time_s == pytest.approx(6.0, abs=0.1)
+    assert interval.start_s == pytest.approx(4.0, abs=0.1)
+    assert interval.end_s == pytest.approx(6.0, abs=0.1)
 
 
 def test_a_hand_that_slides_before_the_part_follows_does_not_start_the_motion() -> None:
     """The hand goes from 2 to 6 s, the part only from 4 s on."""
     interval = found(film(moves(4.0, 6.0)), way(2.0, 6.0, 0.4))
-    assert interval.start.time_s == pytest.approx(4.0, abs=0.3)
+    assert interval.start_s == pytest.approx(4.0, abs=0.3)
 
 
 def test_the_moving_arm_alone_changes_nothing() -> None:
