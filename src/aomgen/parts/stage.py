@@ -16,7 +16,7 @@ from aomgen.io.atomic import write_bytes
 from aomgen.io.images import read_image
 from aomgen.parts.cutting import Cut
 from aomgen.parts.label import Parts
-from aomgen.parts.scan_views import ScanView
+from aomgen.parts.prompted_images import ScanView
 from aomgen.robots.configuration import RobotPosture
 from aomgen.robots.silhouette import SilhouetteRenderer
 

@@ -37,11 +37,11 @@ from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
 from aomgen.paper.link_boxes import bodies_in_boxes
 from aomgen.paper.motion_estimate import run_paper_motion
 from aomgen.paper.true_part_masks import part_masks
+from aomgen.parts.coverage import run_survey
 from aomgen.parts.label import SEED, Parts, segment_scan
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.robot_labels import label_robot
 from aomgen.parts.stage import load_parts, save_parts, scan_views
-from aomgen.parts.survey_store import run_survey
 from aomgen.pipeline.estimates import REFUSED_MOTION, estimates_of
 from aomgen.pipeline.moving_parts import find_moving_parts
 from aomgen.pipeline.posed_videos import pose_demo_video, pose_scan_images, refine_appearance

@@ -14,7 +14,7 @@ from aomgen.core.recording import Capture
 from aomgen.io.images import read_image, resize
 from aomgen.io.video import Video, probe_video, read_frames
 from aomgen.motion.stage import load_motion
-from aomgen.parts.survey_store import load_survey
+from aomgen.parts.coverage import load_survey
 from aomgen.pipeline.rendering import draw_twin, open_twin
 from aomgen.pipeline.stage import Run
 from aomgen.pipeline.twin_stages import demo_camera_world, scan_cameras_world
