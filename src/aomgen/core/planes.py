@@ -52,10 +52,13 @@ def find_plane(
     """
     corners = points[rng.integers(len(points), size=(TRIALS, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(lengths, 1e-12)[:, None]
     offsets = (normals * corners[:, 0]).sum(1)
     voters = points[rng.permutation(len(points))[:VOTERS]]
     votes = (np.abs(voters @ normals.T - offsets) < tolerance).sum(0)
+    # A triple that holds a point twice is no plane.
+    votes[lengths < 1e-12] = 0
     if direction is not None:
         votes[np.abs(normals @ direction) < MIN_COSINE] = 0
     best = int(np.argmax(votes))

@@ -24,7 +24,7 @@ STAGE = "parts"
 # Pixels of a prompted view that a coarse and a fine search look at.
 COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
 # Steps of the search, as shares of the panel's diagonal: down to a few millimetres on a door.
-STEPS = 0.2 * 0.5 ** np.arange(7)
+STEPS = np.geomspace(0.2, 0.2 / 64, 7)
 # So many of them are taken on few pixels, and so many of the best answers are refined.
 COARSE, REFINED = 4, 2
 # The loss has to fall by this much: a tenth of a pixel of a box 200 px wide.
