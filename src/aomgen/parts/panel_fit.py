@@ -24,7 +24,7 @@ STAGE = "parts"
 # Pixels of a prompted view that a coarse and a fine search look at.
 COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
 # Steps of the search, as shares of the panel's diagonal: down to a few millimetres on a door.
-STEPS = np.geomspace(0.2, 0.2 / 64, 7)
+STEPS = tuple(0.2 * 0.5**k for k in range(7))
 # So many of them are taken on few pixels, and so many of the best answers are refined.
 COARSE, REFINED = 4, 2
 # The loss has to fall by this much: a tenth of a pixel of a box 200 px wide.
@@ -104,7 +104,7 @@ class Shapes:
         both = [alone[edge] + alone[face] for edge, face in pairs]
         return np.array([sign * trial for trial in (*alone, *both) for sign in (1.0, -1.0)])
 
-    def descend(self, shape: Array, terms: Sequence[Term], steps: Array) -> tuple[Array, float]:
+    def descend(self, shape: Array, terms: Sequence[Term], steps: Sequence[float]) -> tuple[Array, float]:
         """The best shape that steps lead to, each a share of the panel's diagonal, and its loss.
 
         Source: pattern search (Hooke and Jeeves, 1961): the loss counts pixels and has no gradient.
