@@ -13,25 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.alignment.align import Alignment, align
+from aomgen.alignment.align import align
 from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.stage import boxes_of, camera_errors_of, views_of
-from aomgen.capture.capture_check import read_demo_videos
-from aomgen.capture.read import read_capture
+from aomgen.core.alignment import Alignment
 from aomgen.core.progress import silent
-from aomgen.core.recording import Capture
-from aomgen.core.structure import Structure
+from aomgen.core.project import Project
 from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.errors import AlignmentError
-from aomgen.pipeline.project import Project, read_project
-from aomgen.pipeline.twin_stages import posture_of
-from aomgen.structure.stage import load_structure
+from aomgen.pipeline.project_file import read_project
+from aomgen.pipeline.stage import results_of
+from aomgen.pipeline.stages import STAGES
+from aomgen.results import Results
 from benchmarks.accuracy import robust_similarity
 from benchmarks.alignment_cases import UNSOLVABLE, Case, Scene, make_case, resimilated, without_robot
 from benchmarks.truth import read_truth
 
 TOLERANCE_M = 0.006
-STRUCTURE_FOLDER = "01_structure"
 PROJECT_FILE = "project.toml"
 # Six starts of ten have an answer.
 SOLVABLE_SHARE = 0.6
@@ -154,17 +152,17 @@ def _align(scene: Scene) -> Alignment:
         points_recon=scene.points_recon,
         errors=scene.errors,
     )
-    return align(scan, scene.posture, silent, np.random.default_rng(0))
+    return align(scan, scene.configuration, silent, np.random.default_rng(0))
 
 
 def _error_m(S_world_recon: np.ndarray, scene: Scene) -> float:
-    ee = scene.posture.ee_world
+    ee = scene.configuration.ee_world
     return float(np.linalg.norm(apply(S_world_recon @ np.linalg.inv(scene.S_world_recon), ee) - ee))
 
 
 def _frame_spread_mm(scene: Scene, rng: np.random.Generator) -> float:
     """How far the answers for one scene in differently scaled and turned frames lie apart."""
-    points = scene.posture.points_world(100)
+    points = scene.configuration.points_world(100)
     placed = []
     for scale in (0.05, 20.0):
         turned = resimilated(scene, scale, matrix_from_rotvec(rng.normal(0, 1.5, 3)), rng)
@@ -188,29 +186,28 @@ def _row(outcome: Outcome) -> dict[str, Any]:
 
 def _scene_of(path: Path, run_project: Callable[..., None]) -> Scene:
     if (path / PROJECT_FILE).is_file():
-        capture = read_capture(read_project(path / PROJECT_FILE).capture)
-        return load_scene(capture, load_structure(path / STRUCTURE_FOLDER))
-    capture = read_capture(path)
+        return load_scene(results_of(read_project(path / PROJECT_FILE), STAGES))
     with tempfile.TemporaryDirectory() as scratch:
-        out = Path(scratch) / "run"
-        run_project(Project(capture=path.resolve(), out=out), until="structure")
-        return load_scene(capture, load_structure(out / STRUCTURE_FOLDER))
+        project = Project(capture=path.resolve(), out=Path(scratch) / "run")
+        run_project(project, until="structure")
+        return load_scene(results_of(project, STAGES))
 
 
-def load_scene(capture: Capture, structure: Structure) -> Scene:
-    """A capture with truth, ready to be disturbed."""
+def load_scene(results: Results) -> Scene:
+    """A capture with truth, ready to be disturbed, from a run that is finished up to its structure."""
+    capture, structure = results.pinhole_capture, results.structure
     truth = read_truth(capture.folder)
     names = sorted(name for name in structure.cameras_recon if name in truth.scan)
     recon = np.array([structure.cameras_recon[name].center for name in names])
     S_world_recon, _ = robust_similarity(recon, np.array([truth.scan[name][:3, 3] for name in names]))
-    first = {name: video.frames_srgb[0] for name, video in read_demo_videos(capture).items()}
+    first = {name: video.frames_srgb[0] for name, video in results.videos.items()}
     return Scene(
         name=capture.name,
-        views=views_of(structure, {path.name: path for path in capture.scan_images}, first),
+        views=views_of(structure, results.scan_images, first),
         robot_boxes=boxes_of(structure, capture.prompts, ("robot",)),
         other_boxes=boxes_of(structure, capture.prompts, ("static", "moving")),
         points_recon=structure.points_recon,
-        posture=posture_of(capture),
+        configuration=results.configuration_in(capture),
         S_world_recon=S_world_recon,
         errors=camera_errors_of(structure),
     )

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
 
-from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.silhouette import SilhouetteRenderer
 from benchmarks.alignment_solvable import is_solvable
 
@@ -31,7 +31,7 @@ class Scene:
         views: Images the alignment may look at.
         robot_boxes, other_boxes: Prompted boxes on the robot, and on the object's parts.
         points_recon: Sparse points (P, 3).
-        posture: The robot during the scan.
+        configuration: The robot during the scan.
         S_world_recon: The true similarity (4, 4).
         errors: How far the structure believes its cameras to be off.
     """
@@ -41,7 +41,7 @@ class Scene:
     robot_boxes: list[RobotBox]
     other_boxes: list[RobotBox]
     points_recon: Array
-    posture: RobotPosture
+    configuration: RobotConfiguration
     S_world_recon: Array
     errors: CameraErrors | None = None
 
@@ -139,7 +139,9 @@ def _solvable(scene: Scene, rng: np.random.Generator) -> tuple[Scene, list[str]]
             if rng.random() < 0.5:
                 disturbed = disturb(disturbed, rng)
                 done.append(name)
-        if is_solvable(disturbed.views, disturbed.robot_boxes, disturbed.posture, disturbed.S_world_recon):
+        if is_solvable(
+            disturbed.views, disturbed.robot_boxes, disturbed.configuration, disturbed.S_world_recon
+        ):
             return disturbed, done
 
 
@@ -149,12 +151,12 @@ def _wrong_joints(scene: Scene, rng: np.random.Generator) -> tuple[Scene, str]:
     The first joint is left alone: turning it turns the arm against its round base only, which is
     a turn of the world.
     """
-    joints = scene.posture.joints.copy()
+    joints = scene.configuration.joints.copy()
     chosen = rng.choice(np.arange(1, len(joints)), int(rng.integers(1, 4)), replace=False)
     offsets_deg = rng.uniform(10, 40, len(chosen)) * rng.choice([-1, 1], len(chosen))
     joints[chosen] += np.radians(offsets_deg)
     said = " ".join(f"q{j}{angle:+.0f}" for j, angle in sorted(zip(chosen, offsets_deg, strict=True)))
-    return replace(scene, posture=replace(scene.posture, joints=joints)), said
+    return replace(scene, configuration=replace(scene.configuration, joints=joints)), said
 
 
 def _disturb_boxes(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -241,13 +243,13 @@ _DISTURBANCES = {
 def _renderer(scene: Scene) -> SilhouetteRenderer:
     width = max(view.camera_recon.width for view in scene.views)
     height = max(view.camera_recon.height for view in scene.views)
-    return SilhouetteRenderer(scene.posture.robot, max_width=width, max_height=height)
+    return SilhouetteRenderer(scene.configuration.robot, max_width=width, max_height=height)
 
 
 def _robot_mask(scene: Scene, view: AlignmentImage, renderer: SilhouetteRenderer) -> NDArray[np.bool_]:
     """Pixels (H, W) of the robot at its true place, with a rim."""
     camera = camera_in_world(scene.S_world_recon, view.camera_recon)
-    bodies, _ = renderer.draw(camera, scene.posture.joints, scene.posture.gripper)
+    bodies, _ = renderer.draw(camera, scene.configuration.joints, scene.configuration.gripper)
     return binary_dilation(bodies >= 0, iterations=max(3, round(0.012 * camera.width)))
 
 

@@ -1,24 +1,15 @@
-"""The paper's rigid ICP and link boxes beside our outlines, on a finished run."""
+"""Stages of a finished run made anew by other methods: the paper's rigid ICP and link boxes, affinity features."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from aomgen.core.camera import camera_in_world
-from aomgen.core.recording import Capture
-from aomgen.gaussians.stage import load_gaussians
-from aomgen.motion.stage import load_motion
-from aomgen.paper.link_boxes import bodies_in_boxes
-from aomgen.parts.label import find_parts, part_evidence, segment_scan
-from aomgen.parts.prompted_images import segment_prompts
-from aomgen.parts.stage import scan_views
-from aomgen.pipeline.aligning import align_by_paper
-from aomgen.pipeline.stages import STAGES
-from aomgen.pipeline.twin_stages import posture_of, scanned_twin
-from aomgen.segmentation.segmenter import choose_segmenter
-from aomgen.structure.stage import load_structure
+from aomgen.appearance.stage import bind_scan
+from aomgen.core.progress import silent
+from aomgen.paper.methods import run_alignment, run_parts
+from aomgen.parts.moving_parts import MotionEvidence
+from aomgen.results import Results
 from aomgen.twin.twin import Twin
 from benchmarks.table import as_table
 
@@ -27,55 +18,36 @@ PREFIX = "paper."
 GROUPS = ("alignment.", "cameras.median", "demo_camera.", "parts.", "images.replay")
 
 
-def paper_twin(out: Path, capture: Capture, estimates: dict[str, Any]) -> tuple[Twin, dict[str, Any], float]:
-    """The twin that a finished run would have with the paper's alignment and link boxes.
-
-    Args:
-        out: Folder of the run, finished up to its twin.
-        capture: What the run works on, see `working_capture`.
-        estimates: Of the run.
-
-    Returns:
-        The twin; the estimates with similarity and cameras of the paper's alignment, clock and
-        motion left as they are; and the seconds that the alignment took.
+def with_paper_alignment(results: Results, folder: Path) -> tuple[Results, float]:
+    """A run with the paper's alignment in a folder of its own, and the seconds that it took.
 
     Raises:
-        AlignmentError, ReconstructionError: The method has no answer.
+        AlignmentError: The method has no answer.
     """
-    folders = {stage.name: out / stage.folder for stage in STAGES}
-    structure, posture = load_structure(folders["structure"]), posture_of(capture)
-    images = {path.name: path for path in capture.scan_images}
-    gaussians_recon = load_gaussians(folders["gaussians"]).gaussians_recon
+    folder.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
-    S_world_recon = align_by_paper(capture, structure, gaussians_recon).S_world_recon
+    run_alignment(results, folder, silent)
     seconds = time.monotonic() - started
-    world = gaussians_recon.transformed(S_world_recon)
-    views = scan_views(structure, S_world_recon, images, posture)
-    segmenter = choose_segmenter(capture.mask_folders)
-    prompted = segment_prompts(views, capture.prompts, segmenter)
-    scan = segment_scan(world, views, bodies_in_boxes(world.means, posture), prompted)
-    parts = find_parts(scan, part_evidence(scan))
-    joint = load_motion(folders["motion"]).joint
-    return (
-        scanned_twin(world, parts, joint, posture),
-        _with_alignment(estimates, structure.cameras_recon, structure.demo_cameras_recon, S_world_recon),
-        seconds,
-    )
+    project = results.project.model_copy(update={"alignment_method": "paper"})
+    return replace(results, project=project, folders={**results.folders, "alignment": folder}), seconds
 
 
-def _with_alignment(
-    estimates: dict[str, Any], cameras_recon: dict, demo_cameras_recon: dict, S_world_recon: np.ndarray
-) -> dict[str, Any]:
-    def poses(cameras: dict) -> dict[str, Any]:
-        placed = {name: camera_in_world(S_world_recon, camera) for name, camera in cameras.items()}
-        return {name: camera.T_world_cam.tolist() for name, camera in placed.items()}
+def with_parts(results: Results, folder: Path, evidence: MotionEvidence) -> tuple[Results, float]:
+    """A run with parts found anew in a folder of their own, and the seconds that they took.
 
-    nothing = dict.fromkeys(estimates["scan"])
-    return estimates | {
-        "S_world_recon": S_world_recon.tolist(),
-        "scan": nothing | poses(cameras_recon),
-        "demo_cameras": poses(demo_cameras_recon),
-    }
+    Raises:
+        ReconstructionError: The method has no answer.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    started = time.monotonic()
+    run_parts(results, folder, silent, evidence)
+    seconds = time.monotonic() - started
+    return replace(results, folders={**results.folders, "parts": folder}), seconds
+
+
+def bound_twin(results: Results) -> Twin:
+    """The scan of a run bound to its bodies, nothing refined."""
+    return bind_scan(results.scene, results.parts, results.motion.joint, results.configuration)
 
 
 def paper_figures(scored: dict[str, Any], seconds: float) -> dict[str, Any]:

@@ -6,13 +6,16 @@ from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 MIN_VIEWS, MIN_ANGLE_DEG = 6, 30.0
 
 
 def is_solvable(
-    views: list[AlignmentImage], boxes: list[RobotBox], posture: RobotPosture, S_world_recon: Array
+    views: list[AlignmentImage],
+    boxes: list[RobotBox],
+    configuration: RobotConfiguration,
+    S_world_recon: Array,
 ) -> bool:
     """Whether images and prompts determine the answer, whatever the method.
 
@@ -22,7 +25,7 @@ def is_solvable(
     Cameras may be off by what an end effector within tolerance allows. Not checked: what stands
     before the robot.
     """
-    points = posture.points_world(300)
+    points = configuration.points_world(300)
     directions, overlaps = [], []
     for view in views:
         camera = camera_in_world(S_world_recon, view.camera_recon)

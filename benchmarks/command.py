@@ -2,36 +2,33 @@
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.capture.capture_check import read_demo_videos
-from aomgen.capture.read import read_capture
+from aomgen.appearance.stage import select_training_frames
 from aomgen.core.camera import Camera
-from aomgen.core.recording import Capture
+from aomgen.core.project import Project
 from aomgen.io.jsonfile import read_json
-from aomgen.io.video import Video
-from aomgen.pipeline.posed_videos import select_training_frames
-from aomgen.pipeline.project import Project
-from aomgen.pipeline.rendering import draw_twin, open_twin
+from aomgen.motion.estimates_file import ESTIMATES, describe_estimates
+from aomgen.motion.stage import motion_evidence
+from aomgen.pipeline.rendering import draw_twin
 from aomgen.pipeline.runner import TIMINGS
-from aomgen.pipeline.working import with_joint_zeros, working_capture
-from aomgen.robots.robot import choose_robot
-from aomgen.structure.stage import load_structure
+from aomgen.pipeline.stage import results_of
+from aomgen.pipeline.stages import STAGES
+from aomgen.results import Results
 from aomgen.twin.twin import Twin, TwinState
 from benchmarks.accuracy import score_estimates
-from benchmarks.alignment_methods import paper_figures, paper_twin
+from benchmarks.alignment_methods import bound_twin, paper_figures, with_paper_alignment, with_parts
 from benchmarks.images import TrueMasks, pooled_ious, score_replay, score_scan
 from benchmarks.motion_methods import paper_motion_figures
-from benchmarks.saga import saga_twin
 from benchmarks.truth import Truth, read_truth
 
 LAST_STAGE = "twin"
-STRUCTURE_FOLDER = "01_structure"
-ALIGNMENT_FOLDER = "03_alignment"
 
 
 def run_accuracy(
@@ -55,35 +52,23 @@ def run_accuracy(
     truth = read_truth(capture_folder)
     with tempfile.TemporaryDirectory() as scratch:
         out = (out or Path(scratch) / "run").resolve()
-        run_project(Project(capture=capture_folder.resolve(), out=out), until=LAST_STAGE)
-        recorded = working_capture(read_capture(capture_folder), out / STRUCTURE_FOLDER)
-        capture = with_joint_zeros(recorded, out / ALIGNMENT_FOLDER)
-        estimates = read_json(out / "estimates.json")
-        name = capture.cameras[0].name
-        video = read_demo_videos(capture)[name]
-        robot = choose_robot(capture.robot)
-        figures = score_estimates(estimates, truth, robot, video.times_s, name)
-        twin, _ = open_twin(out)
-        figures.update(_score_pictures(capture, estimates, out, video, truth, twin))
+        project = Project(capture=capture_folder.resolve(), out=out)
+        run_project(project, until=LAST_STAGE)
+        results = results_of(project, STAGES)
+        estimates = read_json(out / ESTIMATES)
+        figures = _score(results, estimates, truth, results.twin)
         if saga:
-            figures.update(_beside_saga(capture, estimates, out, video, truth, figures))
+            figures.update(_beside_saga(results, estimates, truth, figures))
         if paper:
-            other, moved, seconds = paper_twin(out, capture, estimates)
-            scored = score_estimates(moved, truth, robot, video.times_s, name)
-            scored |= _score_pictures(capture, moved, out, video, truth, other)
-            figures.update(paper_figures(scored, seconds))
-            structure = load_structure(out / STRUCTURE_FOLDER)
-            masks = TrueMasks(folder=truth.folder / "masks" / name, lens=structure.demo_lenses.get(name))
-            figures.update(paper_motion_figures(out, capture_folder.resolve(), truth, masks))
+            figures.update(_beside_paper(results, truth))
         figures["seconds"] = read_json(out / TIMINGS)
     return dict(sorted(figures.items()))
 
 
-def _score_pictures(
-    capture: Capture, estimates: dict[str, Any], out: Path, video: Video, truth: Truth, twin: Twin
-) -> dict[str, Any]:
-    name, (_, robot) = capture.cameras[0].name, open_twin(out)
-    structure = load_structure(out / STRUCTURE_FOLDER)
+def _score(results: Results, estimates: dict[str, Any], truth: Truth, twin: Twin) -> dict[str, Any]:
+    name, robot = results.demo_camera, results.robot
+    video, structure, capture = results.videos[name], results.structure, results.capture
+    figures = score_estimates(estimates, truth, robot, video.times_s, name)
     cameras = {
         image: structure.cameras_recon[image].moved(T)
         for image, T in estimates["scan"].items()
@@ -95,7 +80,7 @@ def _score_pictures(
 
     masks = truth.folder / "masks"
     scan_masks = TrueMasks(folder=masks / "scan", lens=structure.scan_lens)
-    figures, scan_ious = score_scan(capture, cameras, twin.scan_state, scan_masks, render)
+    scanned, scan_ious = score_scan(capture, cameras, twin.scan_state, scan_masks, render)
     camera = structure.demo_cameras_recon[name].moved(estimates["demo_cameras"][name])
     joints, gripper = capture.joint_log.at(video.times_s + estimates["clock_offset_s"])
     theta = estimates["theta"] or {"times_s": [0.0], "values": [0.0]}
@@ -106,25 +91,33 @@ def _score_pictures(
         for q, g, value in zip(joints, gripper, thetas, strict=True)
     ]
     demo_masks = TrueMasks(folder=masks / name, lens=structure.demo_lenses.get(name))
-    fitted = select_training_frames(capture, len(video.times_s)).tolist()
+    fitted = select_training_frames(len(results.scan_images), len(video.times_s)).tolist()
     replay, demo_ious = score_replay(video, camera, states, demo_masks, render, fitted)
-    return figures | replay | pooled_ious(scan_ious, demo_ious)
+    return figures | scanned | replay | pooled_ious(scan_ious, demo_ious)
+
+
+def _beside_paper(results: Results, truth: Truth) -> dict[str, Any]:
+    """Figures of the paper's alignment, link boxes and motion, under names of their own."""
+    aligned, seconds = with_paper_alignment(results, results.out / "paper" / "alignment")
+    labelled, _ = with_parts(aligned, results.out / "paper" / "parts", lambda scene, labels: None)
+    moved = describe_estimates(labelled, results.motion, [])
+    scored = paper_figures(_score(labelled, moved, truth, bound_twin(labelled)), seconds)
+    lens = results.structure.demo_lenses.get(results.demo_camera)
+    masks = TrueMasks(folder=truth.folder / "masks" / results.demo_camera, lens=lens)
+    return scored | paper_motion_figures(results, truth, masks)
 
 
 def _beside_saga(
-    capture: Capture,
-    estimates: dict[str, Any],
-    out: Path,
-    video: Video,
-    truth: Truth,
-    figures: dict[str, Any],
+    results: Results, estimates: dict[str, Any], truth: Truth, figures: dict[str, Any]
 ) -> dict[str, Any]:
     """IoUs of a twin whose parts were found with affinity features, beside those of the run."""
-    twin, seconds = saga_twin(out, capture)
-    scored = _score_pictures(capture, estimates, out, video, truth, twin)
+    project = results.project.model_copy(update={"parts_method": "saga"})
+    asked = replace(results, project=project)
+    labelled, seconds = with_parts(asked, results.out / "saga", partial(motion_evidence, asked))
+    scored = _score(labelled, estimates, truth, bound_twin(labelled))
     ious = [name for name in scored if name.startswith("parts.")]
     return (
         {name.replace("parts.", "parts.saga."): scored[name] for name in ious}
         | {name.replace("parts.", "parts.closed_form."): figures[name] for name in ious}
-        | {f"parts.saga.seconds_{step}": value for step, value in seconds.items()}
+        | {"parts.saga.seconds": round(seconds, 1)}
     )

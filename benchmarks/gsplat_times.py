@@ -16,8 +16,8 @@ from torch import Tensor
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
+from aomgen.splatting.compute import make_rasterizer
 from aomgen.splatting.differentiable import GaussianTensors, Rasterizer, RasterOptions
-from aomgen.splatting.rasterizers import make_rasterizer
 from benchmarks.scenes import table_camera, table_top
 
 OPTIONS = RasterOptions(sh_degree=3)

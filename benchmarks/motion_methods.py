@@ -1,20 +1,17 @@
 """The paper's motion recovery beside ours, on a finished run."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from aomgen.core.joint import JointType
 from aomgen.errors import EstimationError
+from aomgen.motion.estimates_file import NO_MOTION, motion_estimates
 from aomgen.motion.inputs import MotionInput
+from aomgen.motion.stage import motion_input
 from aomgen.paper.mask_keyframes import PartMasks
 from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
-from aomgen.pipeline.estimates import NO_MOTION, motion_estimates
-from aomgen.pipeline.project import Project
-from aomgen.pipeline.stage import Run
-from aomgen.pipeline.stages import STAGES
-from aomgen.pipeline.twin_stages import labelled_scan, motion_input
+from aomgen.results import Results
 from benchmarks.accuracy import score_motion
 from benchmarks.images import TrueMasks
 from benchmarks.segmented import segmented
@@ -52,21 +49,18 @@ def paper_estimates(
     return answers
 
 
-def paper_motion_figures(out: Path, capture: Path, truth: Truth, masks: TrueMasks) -> dict[str, Any]:
+def paper_motion_figures(results: Results, truth: Truth, masks: TrueMasks) -> dict[str, Any]:
     """Figures of the paper's motion recovery on a finished run, under names of their own.
 
     The paper takes masks and the type of the joint as given: masks are the true ones with a segmenter's
     errors, the type is the true one.
 
     Args:
-        out: Folder of the run, finished up to its motion.
-        capture: Folder of the capture.
+        results: Of a run that is finished up to its motion.
         truth: Of the capture.
         masks: True masks of the first camera's video.
     """
-    run = Run.of(Project(capture=capture, out=out), out, STAGES)
-    scene, parts = labelled_scan(run.folders)
-    demonstration = motion_input(run, scene, parts.labels)
+    demonstration = motion_input(results, results.scene, results.parts.labels)
     times_s = demonstration.video.times_s
     labels = np.stack([masks.read(f"{k:04d}") for k in range(len(times_s))])
     given = segmented(labels, np.random.default_rng(0))

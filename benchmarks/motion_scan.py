@@ -13,8 +13,10 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.progress import silent
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
+from aomgen.robots.model_renderer import FAR_M
+from aomgen.splatting.optimizer import RATES
 from aomgen.splatting.training import TrainingParams, train
-from aomgen.synthetic.scene_renderer import FAR_M, SceneRenderer
+from aomgen.synthetic.scene_renderer import SceneRenderer
 from benchmarks.motion_upstream import SolidStatistics, Upstream
 
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:
@@ -210,13 +212,9 @@ def learned(
         iterations=LESSONS,
         downsampling=((0.0, 2), (0.8, 1)),
         max_gaussians=len(gaussians),
-        grow_window=(2.0, 2.0),
-        clear_at=(),
+        grow_every=2 * LESSONS,
         min_opacity=0.0,
-        rate_means=3e-5,
-        rate_log_scales=2e-2,
-        rate_logit_opacities=5e-2,
-        rate_color=3e-2,
+        rates={**RATES, "means": 3e-5, "log_scales": 2e-2, "logit_opacities": 5e-2, "color": 3e-2},
         exposure=False,
     )
     return train(gaussians, cameras, images, params, silent, rng)

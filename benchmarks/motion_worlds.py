@@ -11,9 +11,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.assets.make import make_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import ConfigError
@@ -22,20 +22,21 @@ from aomgen.io.atomic import staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import MotionInput as MotionInput
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.synthetic.capture_writer import find_moved_range
-from aomgen.synthetic.conditions import Conditions, draw_conditions
+from aomgen.synthetic.conditions import Conditions, demo_candidates, draw_conditions, scan_cameras
 from aomgen.synthetic.demo_video import RecordedVideo, choose_camera, draw_schedule, render_frames
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from aomgen.synthetic.grasp_selection import list_grasp_types
 from aomgen.synthetic.layout import build_world
 from aomgen.synthetic.scene_renderer import SceneRenderer, expose
 from aomgen.synthetic.style import DemonstrationStyle, draw_style
-from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 from aomgen.synthetic.world import DEFAULT_ROBOT
 from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
+from benchmarks.other_objects import make_object
 from benchmarks.truth import Truth, read_truth
 
 Kind = Literal["open", "closing", "hook", "push", "nothing", "touch", "locked", "cut", "short"]
@@ -77,7 +78,7 @@ def motion_world(category: str, seed: int, folder: Path, kind: Kind = "open") ->
     """Load a world, made first when it is not there.
 
     Args:
-        category: One that `assets.make.make_asset` knows.
+        category: One that `other_objects.make_object` knows.
         seed: Chooses everything else.
         folder: Where worlds are kept; this one in "<category>-<seed>", or "<category>-<seed>-<kind>".
         kind: What is demonstrated.
@@ -132,6 +133,7 @@ def load_motion_world(place: Path) -> MotionWorld:
     content, arrays = read_json(place / _WORLD), read_npz(place / _ARRAYS)
     fx, fy, cx, cy, width, height = content["intrinsics"]
     robot = load_robot(DEFAULT_ROBOT)
+    clock = Clock(offset_s=content["clock_offset_s"], sd_s=content["clock_sd_s"])
     return MotionWorld(
         name=place.name,
         demonstration=MotionInput(
@@ -145,12 +147,11 @@ def load_motion_world(place: Path) -> MotionWorld:
                 joints=arrays["joints"],
                 gripper=arrays["gripper"],
                 joint_names=robot.joint_names,
-            ),
+            ).shifted(clock.offset_s),
             robot=robot,
             scene=Gaussians(**{name: arrays[name] for name in _GAUSSIANS}),
             labels=arrays["labels"],
-            clock_offset_s=content["clock_offset_s"],
-            clock_sd_s=content["clock_sd_s"],
+            clock=clock,
         ),
         truth=read_truth(place),
     )  # fmt: skip
@@ -175,7 +176,7 @@ def _recorded(
     walk = scan_cameras(layout, conditions, rng)
     walk = [walk[k] for k in np.linspace(0, len(walk) - 1, SCAN_VIEWS).astype(int)]
     world = build_world(robot, layout, visual=True)
-    with SceneRenderer(robot, world, *conditions.size) as painter:
+    with SceneRenderer(world, conditions.size) as painter:
         camera = choose_camera(painter, demo_candidates(layout, conditions, rng), demonstration, schedule)
         middle = layout.T_world_object[:3, 3]
         surface, images = seen_surface(painter, walk, demonstration.qpos[0], middle, rng)
@@ -197,7 +198,7 @@ def performed(
     Raises:
         ConfigError: None of MAX_MANNERS can.
     """
-    asset = make_asset(category, seed)
+    asset = make_object(category, seed)
     for _ in range(MAX_MANNERS - 1):
         try:
             return find_demonstration(robot, asset, rng, draw_kind_style(kind, asset, rng))

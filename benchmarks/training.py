@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera
 from aomgen.core.progress import silent
+from aomgen.core.project import Project
+from aomgen.core.structure import Structure
 from aomgen.gaussians.train import (
     GaussiansParams,
     TrainingViews,
@@ -20,12 +22,11 @@ from aomgen.gaussians.train import (
     select_training_views,
     without_floaters,
 )
+from aomgen.io.artifact import load_artifact
 from aomgen.io.images import read_image
-from aomgen.pipeline.project import Project
+from aomgen.splatting.checkpoint import TrainingState
 from aomgen.splatting.metrics import psnr
-from aomgen.splatting.state import TrainingState
 from aomgen.splatting.training import finish_training, learning, scene_extent, start_training
-from aomgen.structure.stage import load_structure
 
 FIRST_STAGE, STRUCTURE_FOLDER = "structure", "01_structure"
 LIMIT_SECONDS = 120.0
@@ -76,7 +77,7 @@ def run_training(
         out = (out or Path(scratch) / "run").resolve()
         project = Project(capture=capture_folder.resolve(), out=out)
         run_project(project, until=FIRST_STAGE)
-        structure = load_structure(out / STRUCTURE_FOLDER)
+        structure = load_artifact(out / STRUCTURE_FOLDER, "structure", Structure)
     images = {path.name: read_image(path) for path in read_capture(capture_folder).scan_images}
     default = GaussiansParams()
     params = replace(

@@ -24,7 +24,8 @@ from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import GenerationParams, generate_episodes
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 
 FPS = 10

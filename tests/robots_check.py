@@ -1,10 +1,12 @@
 """Two more real arms from public packages: Franka Panda and xArm7, as their makers' MJCF has them.
 
-Run as `python tests/robots_check.py FOLDER`, where FOLDER holds the wheels of gymnasium-robotics
-and gym-xarm; `make robots-test` fetches them. With a second argument, a synthetic capture recorded
-with the Panda is written there, for `aomgen bench accuracy`.
+Each is loaded as guessed and as its description in `examples/robots` says. Run as
+`python tests/robots_check.py FOLDER`, where FOLDER holds the wheels of gymnasium-robotics and gym-xarm;
+`make robots-test` fetches them. With a second argument, a synthetic capture recorded with the Panda is
+written there, for `aomgen bench accuracy`.
 """
 
+import shutil
 import sys
 import zipfile
 from pathlib import Path
@@ -13,7 +15,9 @@ import mujoco
 import numpy as np
 
 from aomgen.core.transforms import apply, invert
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.description import FILE_NAME
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.world import make_capture
 
 PANDA = """<mujoco model="panda">
@@ -21,6 +25,7 @@ PANDA = """<mujoco model="panda">
   <worldbody><include file="franka_assets/chain.xml"/></worldbody>
   <include file="franka_assets/actuator.xml"/>
 </mujoco>"""
+DESCRIPTIONS = Path(__file__).parents[1] / "examples" / "robots"
 # Arm joints, and how far the pads open according to the makers' data sheets, [m].
 EXPECTED = {"panda": (7, 0.08), "xarm7": (7, 0.084)}
 
@@ -70,9 +75,13 @@ def hold(robot: RobotModel, joints: np.ndarray) -> None:
 def main() -> None:
     files = unpacked(Path(sys.argv[1]))
     for name, path in files.items():
+        described = path.parent / FILE_NAME
+        described.unlink(missing_ok=True)
+        check(name, load_robot(path))
+        shutil.copy(DESCRIPTIONS / f"{name}.toml", described)
         check(name, load_robot(path))
     if len(sys.argv) > 2:
-        make_capture(Path(sys.argv[2]), "microwave", 1, robot=files["panda"])
+        make_capture(Path(sys.argv[2]), category="microwave", seed=1, robot_file=files["panda"])
     sys.stdout.write(f"{', '.join(files)}: arm, fingers, pads and servos as their makers have them\n")
 
 

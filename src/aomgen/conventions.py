@@ -38,3 +38,8 @@ def srgb_from_linear(linear: NDArray[np.floating]) -> NDArray[np.floating]:
     """sRGB values of linear radiance, both 0..1. Source: IEC 61966-2-1."""
     clipped = np.maximum(linear, 0)
     return np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * clipped ** (1 / 2.4) - 0.055)
+
+
+def luma_from_srgb(srgb: NDArray) -> NDArray[np.float32]:
+    """Luma 0..1 of sRGB values (..., 3) in 0..255. Source: Rec. 601."""
+    return np.asarray(srgb, np.float32) @ np.array([0.299, 0.587, 0.114], np.float32) / np.float32(255)

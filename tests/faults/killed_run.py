@@ -14,18 +14,19 @@ import numpy as np
 
 from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress
+from aomgen.core.project import Project
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import GenerationParams
 from aomgen.generalization.ik import IkLimits, ik_solver
-from aomgen.generalization.stage import run_generalization
+from aomgen.generalization.stage import generate_in
 from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
-from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages
-from aomgen.pipeline.stage import Run, Stage
-from aomgen.robots.robot import load_robot
+from aomgen.pipeline.stage import Stage
+from aomgen.results import Results
+from aomgen.robots.loading import load_robot
 
 sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 from drawer_episode import corner_camera, drawer_episode
@@ -72,7 +73,7 @@ def episode(index: int) -> Episode:
     return drawer_episode(index, joints, thetas, cameras, {"passed": True}, {"bolted": True})
 
 
-def commit_all(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+def commit_all(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Commit every episode that is not there."""
     for index in range(EPISODES):
         if not episode_folder(folder, index).exists():
@@ -82,9 +83,9 @@ def commit_all(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
     return {"episodes": EPISODES}
 
 
-def build(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+def build(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Build the dataset."""
-    return {"episodes": write_lerobot_v3(list_committed(run.folders["episodes"]), folder).episodes}
+    return {"episodes": write_lerobot_v3(list_committed(results.folders["episodes"]), folder).episodes}
 
 
 @cache
@@ -94,9 +95,9 @@ def drawer() -> tuple[Any, ...]:
     return [fitted], opening(ik_solver(robot), fitted), robot
 
 
-def plan(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
+def plan(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Real attempts, each kept as it is made."""
-    made = run_generalization(*drawer(), SUPPORT, PARAMS, folder, progress)
+    made = generate_in(folder, *drawer(), SUPPORT, PARAMS, progress)
     return {"verified": len(made.episodes), "rejected": len(made.rejected)}
 
 

@@ -6,13 +6,13 @@ import numpy as np
 
 from aomgen.conventions import BACKGROUND, MOVING
 from aomgen.core.camera import Camera, look_at
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array
 from aomgen.io.video import Video
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.kinematic_prior import KinematicPrior
-from aomgen.motion.photometric_residuals import shift_joint
+from aomgen.motion.kinematic_prior import KinematicPrior, shift_joint
 from aomgen.splatting.rasterizer import render
 
 HINGE = Joint(type="revolute", axis=np.array([0, 0, 1.0]), origin=np.zeros(3), lower=0.0, upper=1.0)
@@ -108,7 +108,6 @@ def world(
         robot=None,  # type: ignore[arg-type]
         scene=concatenate([wall, panel]),
         labels=np.repeat(np.array([BACKGROUND, MOVING], np.uint8), [len(wall), len(panel)]),
-        clock_offset_s=0.0,
-        clock_sd_s=0.0,
+        clock=Clock(offset_s=0.0),
     )
     return World(demo=demo, hidden=hidden, joint=joint, thetas=thetas)

@@ -15,7 +15,7 @@ import torch
 import tensor_reference as reference
 from aomgen.core.camera import Camera, look_at
 from aomgen.errors import BackendError
-from aomgen.splatting import torch_kernels
+from aomgen.splatting.compute import make_rasterizer, torch_image_loss
 from aomgen.splatting.differentiable import (
     CpuRasterizer,
     GaussianTensors,
@@ -24,8 +24,7 @@ from aomgen.splatting.differentiable import (
     TensorRendering,
 )
 from aomgen.splatting.gsplat_backend import GsplatRasterizer
-from aomgen.splatting.gsplat_loading import check_version, load_gsplat
-from aomgen.splatting.rasterizers import make_rasterizer
+from aomgen.splatting.gsplat_inputs import check_version, load_gsplat
 
 NAMES = ("means", "quats", "log_scales", "logit_opacities", "sh", "features")
 IMAGES = ("rgb", "depth", "alpha", "features")
@@ -347,7 +346,7 @@ def test_engine_and_gsplat_learn_the_same(contract: Contract) -> None:
     for one in (engine, contract):
         leaves = one.leaves(gaussians)
         drawn = one.draw(leaves, camera, OPTIONS)
-        torch_kernels.image_loss(drawn.rgb, target.to(one.device)).backward()
+        torch_image_loss(drawn.rgb, target.to(one.device)).backward()
         gradients = {name: getattr(leaves, name).grad.cpu().flatten() for name in NAMES[:5]}
         results.append((drawn.rgb.detach().cpu().clamp_max(1), gradients))
     (engine_rgb, engine_gradients), (rgb, gradients) = results

@@ -10,8 +10,8 @@ import splatting_reference as reference
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.splatting import native
+from aomgen.splatting.compute import image_loss
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
-from aomgen.splatting.loss import image_loss
 from aomgen.splatting.rasterizer import contribution_weights, render
 
 BACKGROUND = (0.2, 0.4, 0.6)

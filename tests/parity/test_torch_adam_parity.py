@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from aomgen.splatting import native
-from aomgen.splatting.torch_kernels import adam_step
+from aomgen.splatting.compute import torch_adam_step
 
 
 @pytest.mark.parametrize("shape", [(17,), (17, 3), (9, 4, 3)])
@@ -20,7 +20,7 @@ def test_torch_and_native_steps_agree(shape: tuple[int, ...]) -> None:
     for step in range(1, 6):
         gradient = torch.tensor(rng.normal(size=shape), dtype=torch.float32)
         gradient[0] = 0  # a Gaussian that no image has seen yet stays where it is
-        adam_step(ours[0], gradient, ours[1], ours[2], rates, step)
+        torch_adam_step(ours[0], gradient, ours[1], ours[2], rates, step)
         addresses = (want[0], gradient, want[1], want[2], rates)
         first, second, third, fourth, fifth = (tensor.data_ptr() for tensor in addresses)
         context.adam_step((len(start), columns), (first, second, third, fourth, fifth), step)
@@ -33,4 +33,4 @@ def test_torch_and_native_steps_agree(shape: tuple[int, ...]) -> None:
 def test_steps_count_from_one() -> None:
     with pytest.raises(ValueError, match="step 0"):
         zeros = torch.zeros(2, 3)
-        adam_step(zeros, zeros, zeros, zeros, torch.zeros(3), 0)
+        torch_adam_step(zeros, zeros, zeros, zeros, torch.zeros(3), 0)

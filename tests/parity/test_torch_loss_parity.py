@@ -7,8 +7,7 @@ import pytest
 import torch
 
 import splatting_reference as reference
-from aomgen.splatting import loss as native_loss
-from aomgen.splatting import torch_kernels
+from aomgen.splatting.compute import image_loss, torch_image_loss
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -37,9 +36,9 @@ def test_torch_and_native_loss_agree(size: tuple[int, int], smooth: bool, dssim_
     rendered, target = images(size, smooth)
     gains = torch.tensor([0.9, 1.0, 1.2])
     results = []
-    for module in (torch_kernels, native_loss):
+    for loss in (torch_image_loss, image_loss):
         x, g = rendered.clone().requires_grad_(), gains.clone().requires_grad_()
-        value = module.image_loss(x, target, gains=g, dssim_weight=dssim_weight)
+        value = loss(x, target, gains=g, dssim_weight=dssim_weight)
         (3 * value).backward()
         results.append((value.item(), x.grad.numpy(), g.grad.numpy()))
     have, want = results
@@ -52,7 +51,7 @@ def test_torch_loss_matches_float64() -> None:
     rendered, target = (image.double() for image in images((29, 45), smooth=False))
     gains = torch.tensor([0.9, 1.0, 1.2], dtype=torch.float64)
     pairs = [(rendered.clone().requires_grad_(), gains.clone().requires_grad_()) for _ in range(2)]
-    have = torch_kernels.image_loss(pairs[0][0], target, gains=pairs[0][1], dssim_weight=0.2)
+    have = torch_image_loss(pairs[0][0], target, gains=pairs[0][1], dssim_weight=0.2)
     want = reference.image_loss(pairs[1][0], target, pairs[1][1], 0.2)
     have.backward()
     want.backward()
@@ -63,4 +62,4 @@ def test_torch_loss_matches_float64() -> None:
 
 def test_shapes_must_agree() -> None:
     with pytest.raises(ValueError, match=r"\(3, 4, 5\) and \(3, 5, 4\)"):
-        torch_kernels.image_loss(torch.zeros(3, 4, 5), torch.zeros(3, 5, 4))
+        torch_image_loss(torch.zeros(3, 4, 5), torch.zeros(3, 5, 4))

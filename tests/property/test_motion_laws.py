@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.joint_log import JointLog
@@ -36,7 +37,8 @@ from aomgen.motion.observations import VideoObservations
 from aomgen.motion.params import MotionParams
 from aomgen.motion.photometric import PhotometricParams
 from aomgen.motion.photometric_residuals import Band
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_masks import robot_masks
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import RenderSession
@@ -55,9 +57,7 @@ QUICK = MotionParams(
     width=120,
     joint=JointParams(nodes=8),
     contact_steps=2,
-    photometric=PhotometricParams(
-        knots=3, max_pixels=4000, bands=(Band(blur_px=1.0, wide_px=4.0, margin_px=2),), rounds=2
-    ),
+    photometric=PhotometricParams(knots=3, max_pixels=4000, bands=(Band(blur_px=1.0, wide_px=4.0),)),
 )
 HINGE = Joint(
     type="revolute",
@@ -184,8 +184,7 @@ def world(kind: str) -> MotionInput:
         robot=robot,
         scene=gaussians,
         labels=labels,
-        clock_offset_s=0.0,
-        clock_sd_s=0.005,
+        clock=Clock(offset_s=0.0, sd_s=0.005),
     )
 
 
@@ -267,7 +266,7 @@ def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> Non
     moments = find_first_frame(FRAMES_S, found.trajectory.interval[0]) + np.linspace(
         0, WINDOW_S, QUICK.contact_steps
     )
-    hand = ee_poses_at(demo, moments + demo.clock_offset_s)
+    hand = ee_poses_at(demo, moments)
     touch = np.mean([patch.point for patch in found.contacts.patches], axis=0)
     assert touch == pytest.approx(apply(hand, found.contacts.grasp_ee).mean(0), abs=1e-4)
 

@@ -17,11 +17,14 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.light import Light, hemisphere_light, shaded_srgb
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, surfels_of
 from aomgen.twin.binding import bind
 from aomgen.twin.twin import Twin, TwinState
+from benchmarks.other_objects import make_object
 from broken_captures import write_small
+from small_robot import urdf_text
 
 TABLE_SRGB = np.array([0.6, 0.45, 0.3])
 
@@ -81,7 +84,7 @@ def robot_gaussians(robot: RobotModel, Ts: np.ndarray, light: Light, rng) -> tup
 @pytest.fixture(scope="session")
 def made() -> Callable[[str, int], ArticulatedAsset]:
     """Makes the asset of a category and seed, once; everything in it is frozen."""
-    return cache(make_asset)
+    return cache(make_object)
 
 
 @pytest.fixture(scope="session")
@@ -137,3 +140,15 @@ def small_capture(sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
 def small_copy(small_capture: Path, tmp_path: Path) -> Path:
     """A copy of the small capture that a test may damage."""
     return Path(shutil.copytree(small_capture, tmp_path / "capture"))
+
+
+@pytest.fixture
+def write_urdf(tmp_path: Path) -> Callable[..., Path]:
+    """Writes the small robot, changed as the arguments of `urdf_text` say."""
+
+    def write(**changes: object) -> Path:
+        path = tmp_path / "robot.urdf"
+        path.write_text(urdf_text(**changes))  # pyright: ignore[reportArgumentType]
+        return path
+
+    return write

@@ -10,8 +10,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from aomgen.alignment.camera_uncertainty import CameraErrors
-from aomgen.alignment.confidence import Confirmation, ViewEvidence, collect_evidence, confirmation
+from aomgen.alignment.confidence import (
+    Confirmation,
+    ViewEvidence,
+    WristRotation,
+    collect_evidence,
+    confirmation,
+    find_wrist_rotation,
+)
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.pose_search import Scan, SearchParams, search_poses
 from aomgen.alignment.silhouette_fit import (
@@ -24,16 +30,17 @@ from aomgen.alignment.silhouette_fit import (
     spread,
 )
 from aomgen.alignment.uncertainty import (
+    CameraErrors,
     covariance_from_cameras,
     joint_offsets,
     similarity_covariance,
 )
-from aomgen.alignment.wrist_check import WristRotation, find_wrist_rotation
+from aomgen.core.alignment import Alignment
 from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 STAGE = "alignment"
 # Least support beyond chance of the whole robot, 0..1; contours beside the robot reach 0 by definition.
@@ -54,6 +61,8 @@ MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
 JOINT_SDS = 4.0
 # An offset counts when it moves the contour by more than the error of an image edge, [px].
 MIN_JOINT_MOVE_PX = 0.5
+# Images wider than this are reduced, [px]: the sparse structure's own accuracy needs no more.
+WIDTH = 640
 # Largest standard deviation of the end effector, [m]: with more, a grasp on a handle is not determined.
 MAX_SD_M = 0.01
 
@@ -66,53 +75,18 @@ class AlignmentParams:
         search: Effort of the search for hypotheses.
         guesses: Factors of its guesses, tried in turn until a hypothesis is confirmed.
         views: Scan images used, spread over the walk.
-        width: Images wider than this are reduced, [px].
         contour_points: Outline points a view.
     """
 
     search: SearchParams = field(default_factory=SearchParams)
     views: int = 24
-    width: int = 640
     contour_points: int = 400
     guesses: tuple[int, ...] = (1, 3)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alignment:
-    """The similarity and its confidence.
-
-    Attributes:
-        S_world_recon: Similarity (4, 4), metres per recon unit included.
-        support: Share of outline points, over all views, that the images confirm within 2 px.
-        chance: The same for the outlines moved aside.
-        runner_up_support: The same for the best different hypothesis, 0 when there was none.
-        residual_px: Median distance of confirmed outline points from image edges.
-        residual_px_of_view: The same for each view that shows enough robot.
-        ee_sd_m: Standard deviation of the end effector.
-        joint_zeros_rad: What to add to each joint of the log (J,), see `calibrate_fixed_cameras`; 0 where
-            nothing speaks for it, empty before that was looked at.
-        joint_zero_sds_rad: Standard deviations.
-    """
-
-    S_world_recon: Array
-    support: float
-    chance: float
-    runner_up_support: float
-    residual_px: float
-    residual_px_of_view: dict[str, float]
-    ee_sd_m: float
-    joint_zeros_rad: Array = field(default_factory=lambda: np.zeros(0))
-    joint_zero_sds_rad: Array = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-        freeze(self, "joint_zeros_rad", self.joint_zeros_rad, (None,))
-        freeze(self, "joint_zero_sds_rad", self.joint_zero_sds_rad, (len(self.joint_zeros_rad),))
-
-
 def align(
     scan: Scan,
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     progress: Progress,
     rng: np.random.Generator,
     params: AlignmentParams | None = None,
@@ -120,8 +94,8 @@ def align(
     """Find `S_world_recon` from the robot's contours in the scan images.
 
     Args:
-        scan: Images that show the robot in `posture`, with at least one prompted box.
-        posture: Robot and its joint values during the scan.
+        scan: Images that show the robot in `configuration`, with at least one prompted box.
+        configuration: Robot and its joint values during the scan.
         progress: Called after each hypothesis.
         rng: Random choices of the search.
         params: See `AlignmentParams`.
@@ -141,26 +115,38 @@ def align(
     cameras = [view.camera_recon for view in scan.views]
     S_unit_recon = unit_frame([camera.center for camera in cameras], cameras[0].T_world_cam)
     scan = scan.seen_from(S_unit_recon)
-    scan = replace(scan, views=[limit_width(view, params.width) for view in scan.views])
+    scan = replace(scan, views=[limit_width(view, WIDTH) for view in scan.views])
     width = max(view.camera_recon.width for view in scan.views)
     height = max(view.camera_recon.height for view in scan.views)
-    with robot_drawing(posture, width, height) as drawing:
+    with robot_drawing(configuration, width, height) as drawing:
         S, runner_up = _likeliest(scan, drawing, part(progress, 0.0, 0.6), rng, params)
         chosen = spread(scan.views, S, drawing, params.views)
         S = refine(S, chosen, drawing, FINE, params.contour_points)
         progress(0.9, "refined on all views")
         evidence = collect_evidence(S, chosen, drawing, params.contour_points)
         confirmed = confirmation(evidence)
-        _refuse_unconfirmed(confirmed, runner_up, posture)
+        _refuse_unconfirmed(confirmed, runner_up, configuration)
         hand = find_wrist_rotation(S, chosen[::2], drawing, params.contour_points, evidence)
-        _refuse_turned_hand(hand, posture)
-    _refuse_wrong_joints(evidence, posture)
-    result = replace(
-        _summary(S @ S_unit_recon, evidence, confirmed),
+        _refuse_turned_hand(hand, configuration)
+    _refuse_wrong_joints(evidence, configuration)
+    residuals = {view.name: np.abs(view.edge_px[view.confirmed]) for view in evidence}
+    result = Alignment(
+        S_world_recon=S @ S_unit_recon,
+        support=confirmed.support,
+        chance=confirmed.chance,
         runner_up_support=runner_up,
+        residual_px=float(np.median(np.concatenate([*residuals.values()]))),
+        residual_px_of_view={
+            name: float(np.median(own)) for name, own in residuals.items() if len(own) >= 10
+        },
         ee_sd_m=_ee_sd_m(evidence, scan.errors and scan.errors.seen_from(S)),
     )
-    _refuse_vague(result)
+    if not result.ee_sd_m <= MAX_SD_M:
+        raise AlignmentError(
+            STAGE,
+            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * MAX_SD_M:.0f} mm",
+            "scan the robot from more sides",
+        )
     progress(1.0, f"support {result.support:.2f}, end effector +-{1000 * result.ee_sd_m:.1f} mm")
     return result
 
@@ -176,7 +162,7 @@ def _likeliest(
     best: list[tuple[Confirmation, Array]] = []
     for number, factor in enumerate(params.guesses):
         effort = replace(params.search, guesses=factor * params.search.guesses)
-        found = search_poses(scan, drawing.posture, rng, effort).at_least(FINALIST_SHARE)
+        found = search_poses(scan, drawing.configuration, rng, effort).at_least(FINALIST_SHARE)
         now = part(progress, number / len(params.guesses), (number + 1) / len(params.guesses))
         now(0.5, "looked for likely places")
         ranked = _refine_starts(found.Ss_world_recon, scan.views, drawing, part(now, 0.5, 1.0))
@@ -188,7 +174,7 @@ def _likeliest(
     first, S = best[0]
     if not first.lift >= MIN_LIFT / 2:
         raise _unconfirmed(first)
-    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.posture) > DISTINCT_M]
+    others = [other.support for other, T in best[1:] if _distance(S, T, drawing.configuration) > DISTINCT_M]
     return S, max(others, default=0.0)
 
 
@@ -228,24 +214,6 @@ def _refine_starts(
     return sorted(ranked, key=lambda item: -item[0].support)
 
 
-def _summary(S: Array, evidence: list[ViewEvidence], found: Confirmation) -> Alignment:
-    of_view = {
-        view.name: float(np.median(np.abs(view.edge_px[view.confirmed])))
-        for view in evidence
-        if view.confirmed.sum() >= 10
-    }
-    pooled = np.concatenate([view.edge_px[view.confirmed] for view in evidence])
-    return Alignment(
-        S_world_recon=S,
-        support=found.support,
-        chance=found.chance,
-        runner_up_support=0.0,
-        residual_px=float(np.median(np.abs(pooled))),
-        residual_px_of_view=of_view,
-        ee_sd_m=0.0,
-    )
-
-
 def _unconfirmed(found: Confirmation) -> AlignmentError:
     return AlignmentError(
         STAGE,
@@ -255,7 +223,7 @@ def _unconfirmed(found: Confirmation) -> AlignmentError:
     )
 
 
-def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPosture) -> None:
+def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: RobotConfiguration) -> None:
     if not found.lift >= MIN_LIFT:
         raise _unconfirmed(found)
     if not found.support - runner_up >= MIN_MARGIN:
@@ -267,7 +235,7 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPos
     # The base may stand behind things or on a mount, and says nothing about the joints.
     for segment, lift in sorted(found.lift_of_segment.items()):
         if segment > 0 and not lift >= MIN_SEGMENT_LIFT:
-            joint = posture.robot.joint_names[segment - 1]
+            joint = configuration.robot.joint_names[segment - 1]
             raise AlignmentError(
                 STAGE,
                 f"the robot is not seen where the log puts it, from {joint} on (the images confirm "
@@ -276,43 +244,34 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, posture: RobotPos
             )
 
 
-def _refuse_wrong_joints(evidence: list[ViewEvidence], posture: RobotPosture) -> None:
+def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfiguration) -> None:
     found = joint_offsets(evidence)
     sizes = np.abs(found.offsets_rad)
     wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > JOINT_SDS * found.sds_rad)
     wrong &= found.moves_px > MIN_JOINT_MOVE_PX
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))
-        offset_deg, sd_deg = np.degrees(found.offsets_rad[worst]), np.degrees(found.sds_rad[worst])
-        raise AlignmentError(
-            STAGE,
-            f"{posture.robot.joint_names[worst]} looks {offset_deg:+.0f} deg off in the images "
-            f"(+-{sd_deg:.1f}, limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f})",
-            "check scan_state: the joint values must be those during the scan",
-        )
+        sd_deg, limit_deg = np.degrees(found.sds_rad[worst]), np.degrees(MAX_JOINT_OFFSET_RAD)
+        said = f"+-{sd_deg:.1f}, limit {limit_deg:.0f}"
+        raise _joint_off(configuration.robot.joint_names[worst], found.offsets_rad[worst], said)
 
 
-def _refuse_turned_hand(found: WristRotation, posture: RobotPosture) -> None:
+def _refuse_turned_hand(found: WristRotation, configuration: RobotConfiguration) -> None:
     if found.clear:
-        raise AlignmentError(
-            STAGE,
-            f"{posture.robot.joint_names[-1]} looks {np.degrees(found.turn_rad):+.0f} deg off in the images "
-            f"(they confirm {found.gain:.0%} more of the hand there)",
-            "check scan_state: the joint values must be those during the scan",
-        )
+        said = f"they confirm {found.gain:.0%} more of the gripper there"
+        raise _joint_off(configuration.robot.joint_names[-1], found.turn_rad, said)
 
 
-def _refuse_vague(result: Alignment) -> None:
-    if not result.ee_sd_m <= MAX_SD_M:
-        raise AlignmentError(
-            STAGE,
-            f"the end effector is known to {1000 * result.ee_sd_m:.1f} mm, want {1000 * MAX_SD_M:.0f} mm",
-            "scan the robot from more sides",
-        )
+def _joint_off(name: str, offset_rad: float, said: str) -> AlignmentError:
+    return AlignmentError(
+        STAGE,
+        f"{name} looks {np.degrees(offset_rad):+.0f} deg off in the images ({said})",
+        "check scan_state: the joint values must be those during the scan",
+    )
 
 
-def _distance(S_a: Array, S_b: Array, posture: RobotPosture) -> float:
+def _distance(S_a: Array, S_b: Array, configuration: RobotConfiguration) -> float:
     """Mean distance [m] between the robot placed by one similarity and by another."""
-    points = posture.points_world(200)
+    points = configuration.points_world(200)
     moved = apply(S_a @ np.linalg.inv(S_b), points)
     return float(np.linalg.norm(moved - points, axis=1).mean())

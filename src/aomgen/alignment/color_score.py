@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans, vq
 
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 # Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40
@@ -81,13 +82,16 @@ class ColorScore:
 
 
 def color_score(
-    views: list[AlignmentImage], posture: RobotPosture, rng: np.random.Generator, points: int = 1200
+    views: list[AlignmentImage],
+    configuration: RobotConfiguration,
+    rng: np.random.Generator,
+    points: int = 1200,
 ) -> ColorScore:
     """Prepare small images for quick looks.
 
     Args:
         views: Images, some 80 px wide: an arm's link is then a few pixels thick.
-        posture: The robot during the scan.
+        configuration: The robot during the scan.
         rng: Chooses points and colors.
         points: On the robot's surface; enough that neighbours are a pixel apart.
     """
@@ -96,8 +100,8 @@ def color_score(
     one_hot = np.eye(COLORS, dtype=np.float32)
     return ColorScore(
         views=views,
-        labels=[one_hot[_nearest(part, palette)] for part in pixels],
-        points_world=posture.surface_world(points, rng),
+        labels=[one_hot[vq(part, palette)[0]] for part in pixels],
+        points_world=configuration.surface_world(points, rng),
     )
 
 
@@ -122,20 +126,9 @@ def _relative_bits(p: Array, mean: Array) -> Array:
 
 
 def _palette(pixels: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """The images' most typical colors (COLORS, 3), by k-means on some of the pixels."""
+    """The images' most typical colors (COLORS or fewer, 3), from some of the pixels."""
     sample = pixels[rng.permutation(len(pixels))[:6000]]
-    centers = sample[rng.permutation(len(sample))[:COLORS]]
-    for _ in range(10):
-        member = _nearest(sample, centers)
-        counts = np.bincount(member, minlength=COLORS)
-        sums = np.stack([np.bincount(member, column, COLORS) for column in sample.T], 1)
-        centers = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], centers)
-        centers = centers.astype(np.float32)
-    return centers
-
-
-def _nearest(pixels: NDArray[np.float32], palette: NDArray[np.float32]) -> NDArray[np.int64]:
-    return np.argmin((palette**2).sum(1) - 2 * pixels @ palette.T, axis=1)
+    return kmeans(sample, sample[:COLORS])[0]
 
 
 def _dilate(masks: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:

@@ -1,7 +1,9 @@
 """Confirmation of rendered contours by image edges and colors, and the shifts that would fit better.
 
 A share of confirmed points means little by itself: clutter confirms contours that lie anywhere. So
-each contour is also moved aside in its own image; what is confirmed there estimates chance.
+each contour is also moved aside in its own image; what is confirmed there estimates chance. The rotation of the
+last joint hardly moves the contour of anything but the gripper, which then leaves the search reach, and part of
+whose contour is confirmed by chance; so other rotations are rendered, too.
 """
 
 from dataclasses import dataclass, replace
@@ -12,19 +14,19 @@ from numpy.typing import NDArray
 from aomgen.alignment.contours import (
     AlignmentImage,
     Contour,
+    border_kernel,
     color_ratio,
+    edge_sds,
     edge_shifts,
     region_shifts,
     shift_gradient,
     shift_jacobian,
 )
 from aomgen.alignment.silhouette_fit import (
+    EDGE_KERNEL,
     RenderedRobot,
     RobotDrawing,
-    edge_weights,
     gray_levels,
-    limit_width,
-    region_weights,
 )
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array, freeze
@@ -35,6 +37,13 @@ REACH_PX, BORDER_REACH_PX = 8, 16
 # Outlines are moved aside by this share of the image's width: far beyond the reach, near enough
 # to cross the same surroundings.
 ASIDE = 0.06
+# Beyond the reach of edges, and close enough together that one of them is near any turn. A parallel
+# gripper looks alike after half a turn.
+TURNS_DEG = (-60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0)
+# Neighbors on an outline are confirmed together: ten count as one.
+CORRELATED = 10
+# Standard deviations by which a rotated wrist must fit better, so that chance does not report one.
+CLEAR_SDS = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +88,7 @@ class ViewEvidence:
 
 
 def collect_evidence(
-    S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int, width: int = 640
+    S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int
 ) -> list[ViewEvidence]:
     """Collect the evidence of every view that shows enough of the robot.
 
@@ -88,14 +97,12 @@ def collect_evidence(
         views: Images.
         drawing: Renders the robot.
         contour_points: Outline points a view.
-        width: Images wider than this are reduced, [px].
     """
     found = []
     for number, view in enumerate(views):
-        small = limit_width(view, width)
-        drawn = drawing.draw(camera_in_world(S, small.camera_recon), contour_points)
+        drawn = drawing.draw(camera_in_world(S, view.camera_recon), contour_points)
         if drawn is not None:
-            found.append(_evidence(S, number, small, drawn, drawing))
+            found.append(_evidence(S, number, view, drawn, drawing))
     return found
 
 
@@ -107,28 +114,23 @@ def _evidence(
     contour = drawn.contour
     edges, strength = edge_shifts(contour, gray, REACH_PX)
     ratio = color_ratio(view.image_srgb, drawn.mask, 2 * BORDER_REACH_PX)
-    borders, variances = region_shifts(contour, ratio, BORDER_REACH_PX)
+    borders, border_sds = region_shifts(contour, ratio, BORDER_REACH_PX)
     aside = _move_aside(drawn, number, camera.width)
     size = np.array([camera.width, camera.height])
     inside = np.all((aside.contour.pixels > 3) & (aside.contour.pixels < size - 3), axis=1)
     gradient = shift_gradient(camera, contour)
-    segments = drawing.segments[drawn.bodies]
-    turned = [
-        np.einsum("cd,cd->c", gradient, contour.points @ motion[:3, :3].T + motion[:3, 3])
-        * (segments > joint)
-        for joint, motion in enumerate(drawing.joint_motions)
-    ]
+    turns = drawing.configuration.turns(contour.points, drawn.bodies)
     return ViewEvidence(
         name=view.name,
-        segments=segments,
+        segments=drawing.configuration.segments()[drawn.bodies],
         confirmed=_find_confirmed(contour, drawn.mask, view, gray),
         by_chance=_find_confirmed(aside.contour, aside.mask, view, gray)[inside],
         edge_px=edges,
-        edge_weights=edge_weights(edges, strength),
+        edge_weights=EDGE_KERNEL.weights(edges) / edge_sds(strength) ** 2,
         border_px=borders,
-        border_weights=region_weights(borders, variances, BORDER_REACH_PX),
-        jacobian=shift_jacobian(camera, contour, drawing.posture.ee_world),
-        joint_jacobian=np.stack(turned, 1),
+        border_weights=border_kernel(BORDER_REACH_PX).weights(borders) / border_sds**2,
+        jacobian=shift_jacobian(camera, contour, drawing.configuration.ee_world),
+        joint_jacobian=np.einsum("cd,cjd->cj", gradient, turns),
         camera_jacobian=np.asarray(
             np.concatenate([gradient, np.cross(contour.points - camera.center, gradient)], axis=1), np.float64
         ),
@@ -193,3 +195,66 @@ def confirmation(evidence: list[ViewEvidence], min_points: int = 100) -> Confirm
         if np.sum(segments == segment) >= min_points
     }
     return Confirmation(support=float(confirmed.mean()), chance=chance, lift_of_segment=lifts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WristRotation:
+    """Rotation of the last joint that the images confirm best, among those rendered.
+
+    Attributes:
+        turn_rad: Against the log; 0 when the log's is best.
+        gain: How much larger the share of confirmed outline is there than as logged.
+        gain_sd: Standard deviation of that.
+    """
+
+    turn_rad: float
+    gain: float
+    gain_sd: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether the images contradict the log."""
+        return self.gain > CLEAR_SDS * self.gain_sd
+
+
+def find_wrist_rotation(
+    S: Array,
+    views: list[AlignmentImage],
+    drawing: RobotDrawing,
+    contour_points: int,
+    logged: list[ViewEvidence],
+) -> WristRotation:
+    """Render the gripper at several rotations of the last joint and compare how far images confirm it.
+
+    Args:
+        S: `S_world_recon`.
+        views: Images.
+        drawing: Draws the robot as logged.
+        contour_points: Outline points a view.
+        logged: What the images say of the robot as logged; of these views and perhaps more.
+
+    Not checked: the last joint turns (one that slides finds no better turn).
+    """
+    hand = len(drawing.configuration.joints)
+
+    names = {view.name for view in views}
+
+    def confirmed(evidence: list[ViewEvidence]) -> tuple[float, int]:
+        seen = [view.confirmed[view.segments == hand] for view in evidence if view.name in names]
+        points = np.concatenate(seen) if seen else np.zeros(0, np.bool_)
+        return (float(points.mean()), len(points)) if len(points) else (0.0, 0)
+
+    def turned(turn_deg: float) -> RobotDrawing:
+        joints = drawing.configuration.joints.copy()
+        joints[-1] += np.radians(turn_deg)
+        return replace(drawing, configuration=replace(drawing.configuration, joints=joints))
+
+    own, count = confirmed(logged)
+    shares = [confirmed(collect_evidence(S, views, turned(turn), contour_points))[0] for turn in TURNS_DEG]
+    best = int(np.argmax(shares))
+    if count == 0 or shares[best] <= own:
+        return WristRotation(turn_rad=0.0, gain=0.0, gain_sd=0.0)
+    variance = (own * (1 - own) + shares[best] * (1 - shares[best])) * CORRELATED / count
+    return WristRotation(
+        turn_rad=float(np.radians(TURNS_DEG[best])), gain=shares[best] - own, gain_sd=float(np.sqrt(variance))
+    )

@@ -13,11 +13,16 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 from aomgen.core.camera import Camera
-from aomgen.core.transforms import apply, invert
+from aomgen.core.least_squares import Kernel
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 
 # Color histogram bins a channel: 256 gray levels shifted right by 4 bits.
 BINS = 16
+# Gray-level step, 0..1, of an edge that counts fully.
+CLEAR_EDGE = 0.05
+# Variance of the border between two colors that no sharpness takes away, [px^2].
+BORDER_VARIANCE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,10 +56,9 @@ class Contour:
     points: Array
     share: float
 
-    def seen_by(self, camera: Camera) -> "Contour":
-        """The same points of the robot after the camera moved a little; normals are kept."""
-        centers, _ = camera.project(self.points)
-        return replace(self, pixels=centers + 0.5 * self.normals)
+    def moved(self, points: Array, camera: Camera) -> "Contour":
+        """The contour after robot or camera moved a little: its points are there now; normals are kept."""
+        return replace(self, points=points, pixels=camera.project(points)[0] + 0.5 * self.normals)
 
 
 def outline(camera: Camera, mask: NDArray[np.bool_], depth: NDArray[np.float32], limit: int) -> Contour:
@@ -119,7 +123,7 @@ def _histogram(bins: NDArray[np.int32]) -> Array:
 
 
 def region_shifts(contour: Contour, ratio: NDArray[np.float32], reach: int) -> tuple[Array, Array]:
-    """Signed shifts (C,) outwards and their variances (C,), [px], from color on either side."""
+    """Signed shifts (C,) outwards and their standard deviations (C,), [px], from color on either side."""
     offsets = np.arange(-reach, reach + 1)
     lines = _along(ratio, contour, offsets)
     # Score of the outline lying between samples k-1 and k: inside before, outside after.
@@ -130,7 +134,12 @@ def region_shifts(contour: Contour, ratio: NDArray[np.float32], reach: int) -> t
     weights /= weights.sum(1, keepdims=True)
     steps = np.arange(-reach, reach + 2) - 0.5
     means = weights @ steps
-    return means, weights @ steps**2 - means**2
+    return means, np.sqrt(weights @ steps**2 - means**2 + BORDER_VARIANCE)
+
+
+def border_kernel(reach: int) -> Kernel:
+    """Of shifts to color borders: at half of the search reach they lose half of their weight."""
+    return Kernel(scale=0.5 * reach, power=1.0)
 
 
 def edge_shifts(contour: Contour, gray: NDArray[np.float32], reach: int) -> tuple[Array, Array]:
@@ -151,6 +160,11 @@ def edge_shifts(contour: Contour, gray: NDArray[np.float32], reach: int) -> tupl
     return (offsets[2:-2][best] + fraction.clip(-0.5, 0.5)).astype(np.float64), middle.astype(np.float64)
 
 
+def edge_sds(strength: Array) -> Array:
+    """Standard deviations (C,) of shifts to edges of a strength, [px]: that of a clear edge is 1."""
+    return 1 / np.sqrt(np.clip(strength / CLEAR_EDGE, 1e-9, 1.0))
+
+
 def _along(field: NDArray[np.float32], contour: Contour, offsets: NDArray[np.int64]) -> Array:
     places = contour.pixels[:, None] + offsets[None, :, None] * contour.normals[:, None]
     rows_columns = [places[..., 1] - 0.5, places[..., 0] - 0.5]
@@ -159,12 +173,7 @@ def _along(field: NDArray[np.float32], contour: Contour, offsets: NDArray[np.int
 
 def shift_gradient(camera: Camera, contour: Contour) -> Array:
     """Change (C, 3) of the outline along its normals for a motion of its points, [px/m]."""
-    R_cam_world = invert(camera.T_world_cam)[:3, :3]
-    p = apply(camera.T_cam_world, contour.points)
-    n = contour.normals
-    along_u = camera.fx * n[:, :1] * np.stack([1 / p[:, 2], np.zeros(len(p)), -p[:, 0] / p[:, 2] ** 2], 1)
-    along_v = camera.fy * n[:, 1:] * np.stack([np.zeros(len(p)), 1 / p[:, 2], -p[:, 1] / p[:, 2] ** 2], 1)
-    return np.asarray((along_u + along_v) @ R_cam_world, np.float64)
+    return np.einsum("cu,cud->cd", contour.normals, camera.projection_slopes(contour.points))
 
 
 def shift_jacobian(camera: Camera, contour: Contour, pivot: Array) -> Array:

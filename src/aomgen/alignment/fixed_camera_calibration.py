@@ -10,38 +10,38 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aomgen.alignment.bundle_adjustment import BundleSolution, drifts
-from aomgen.alignment.bundle_equations import BundleParams, BundleProblem, CameraEvidence
-from aomgen.alignment.calibrated_cameras import CalibratedCamera
-from aomgen.alignment.calibration_check import deviation, refuse_gross
-from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.held_out_frames import HeldOutSplit, estimate_joint_zeros, reject_unconfirmed
-from aomgen.alignment.scan_information import ScanViews
-from aomgen.alignment.silhouette_fit import gray_levels, limit_width, robot_drawing, spread
-from aomgen.alignment.silhouette_residuals import (
-    LoggedRobot,
-    choose_frames,
-    empty_frames,
-    read_gray_frames,
-    trace,
+from aomgen.alignment.arm_contours import NO_FRAMES, LoggedRobot, choose_frames, read_gray_frames, trace
+from aomgen.alignment.bundle_adjustment import adjust_validated, drifts
+from aomgen.alignment.bundle_terms import (
+    BundleParams,
+    BundleProblem,
+    BundleSolution,
+    CameraEvidence,
+    pose_difference,
 )
+from aomgen.alignment.contours import AlignmentImage
+from aomgen.alignment.silhouette_fit import limit_width, robot_drawing, spread
 from aomgen.alignment.time_offset import estimate_clock
+from aomgen.core.alignment import Alignment
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.clock import Clock
+from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress
+from aomgen.core.transforms import invert
 from aomgen.core.values import Array, freeze
-from aomgen.errors import SyncError
+from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot_masks import robot_masks
 
 # Scan views that carry the information of the alignment.
 _VIEWS = 24
-# Every second frame is held out of the refinement and validates it.
-_HOLD_OUT_EVERY = 2
 # Frames that must show the arm, of those chosen.
 _MIN_FRAMES = 8
+# A calibration that shows the robot elsewhere in the image by more than this share of its width is
+# not inaccurate but wrong: hand-eye calibrations are good to millimetres, alignments likewise.
+_GROSS_SHARE = 0.04
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,38 +68,20 @@ class AlignedScan:
     """Initial values of the refinement.
 
     Attributes:
-        S_world_recon: Aligned similarity (4, 4).
+        alignment: With the similarity.
         views: Scan images that may be used.
         points_recon: Sparse points (P, 3) of the structure.
-        posture: Robot during the scan.
+        configuration: Robot during the scan.
         log: Joint log of the demonstration.
         clock_offset_s: Log time minus video time when it is known.
     """
 
-    S_world_recon: Array
+    alignment: Alignment
     views: list[AlignmentImage]
     points_recon: Array
-    posture: RobotPosture
+    configuration: RobotConfiguration
     log: JointLog
     clock_offset_s: float | None
-
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FixedCameraCalibration:
-    """Similarity, fixed cameras and joint zeros after the refinement; `zeros_rad` (J,) add to the log's joints."""
-
-    S_world_recon: Array
-    cameras: dict[str, CalibratedCamera]
-    zeros_rad: Array
-    zero_sds_rad: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-        freeze(self, "zeros_rad", self.zeros_rad, (None,))
-        freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
 
 
 def calibrate_fixed_cameras(
@@ -107,8 +89,8 @@ def calibrate_fixed_cameras(
     videos: Mapping[str, FixedCameraVideo],
     progress: Progress,
     params: BundleParams | None = None,
-) -> FixedCameraCalibration:
-    """Pose and clock of every fixed camera, and the similarity that fits them.
+) -> Alignment:
+    """The alignment with pose and clock of every fixed camera, joint zeros, and the similarity that fits them.
 
     Args:
         scene: Alignment, scan and robot.
@@ -122,49 +104,47 @@ def calibrate_fixed_cameras(
     A clock that is not determined, or that drifts, is kept as refused with its reason.
     """
     params = params or BundleParams()
-    S = scene.S_world_recon
-    for name, item in videos.items():
-        if item.T_world_cam is not None:
-            placed = camera_in_world(S, item.camera_recon)
-            refuse_gross(name, item.T_world_cam, placed, scene.posture.points_world(300))
+    S = scene.alignment.S_world_recon
     clocks: dict[str, Clock | SyncError] = {}
     for index, (name, item) in enumerate(videos.items()):
+        if item.T_world_cam is not None:
+            placed = camera_in_world(S, item.camera_recon)
+            refuse_gross(name, item.T_world_cam, placed, scene.configuration.points_world(300))
+        progress(0.5 * index / len(videos), f"looking for the clock of camera '{name}'")
         clocks[name] = _first_clock(scene, item)
-        progress(0.5 * (index + 1) / len(videos), f"clock of camera '{name}'")
     views = [limit_width(view, params.width) for view in scene.views]
-    pictures = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
-    width, height = (max(getattr(c, side) for c in pictures) for side in ("width", "height"))
-    with robot_drawing(scene.posture, width, height) as drawing:
-        # Without frames cameras and scan stay where they are.
-        shown = spread(views, S, drawing, _VIEWS) if params.frames else []
-        zeros_rad = np.zeros(len(scene.posture.joints))
+    sizes = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
+    width, height = max(camera.width for camera in sizes), max(camera.height for camera in sizes)
+    with robot_drawing(scene.configuration, width, height) as drawing:
         arm = LoggedRobot(
-            robot=scene.posture.robot, log=scene.log, renderer=drawing.fine, zeros_rad=zeros_rad
+            robot=scene.configuration.robot,
+            log=scene.log,
+            renderer=drawing.fine,
+            zeros_rad=np.zeros(len(scene.configuration.joints)),
         )
-        splits = {name: _split_frames(S, item, clocks[name], arm, params) for name, item in videos.items()}
         problem = BundleProblem(
             S_world_recon=S,
-            scan=ScanViews(
-                views=shown, grays=[gray_levels(view.image_srgb) for view in shown], drawing=drawing
-            ),
+            # Without frames cameras and scan stay where they are.
+            views=spread(views, S, drawing, _VIEWS) if params.frames else [],
+            drawing=drawing,
             points_recon=scene.points_recon,
             arm=arm,
-            cameras={name: _in_problem(videos[name], split, params) for name, split in splits.items()},
+            cameras={name: _evidence(S, item, clocks[name], arm, params) for name, item in videos.items()},
             params=params,
         )
         progress(0.6, "refining cameras and clocks")
-        problem, refinement, splits = reject_unconfirmed(problem, splits)
-        progress(0.8, "estimating joint zeros")
-        refinement = estimate_joint_zeros(problem, splits, refinement)
+        problem, found = adjust_validated(problem)
     cameras = {
-        name: _calibrated_camera(name, item, splits[name], refinement) for name, item in videos.items()
+        name: _fixed_camera(name, item, problem.cameras[name], clocks[name], found)
+        for name, item in videos.items()
     }
     progress(1.0, "; ".join(f"camera '{name}': {item.note}" for name, item in cameras.items()))
-    return FixedCameraCalibration(
-        S_world_recon=refinement.S_world_recon,
+    return replace(
+        scene.alignment,
+        S_world_recon=found.S_world_recon,
         cameras=cameras,
-        zeros_rad=refinement.zeros_rad,
-        zero_sds_rad=refinement.zero_sds_rad,
+        joint_zeros_rad=found.zeros_rad,
+        joint_zero_sds_rad=found.zero_sds_rad,
     )
 
 
@@ -178,83 +158,83 @@ def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncErro
     times = item.video.times_s
     if scene.clock_offset_s is not None:
         return Clock(offset_s=scene.clock_offset_s, middle_s=float(times[0] + times[-1]) / 2)
-    camera = camera_in_world(scene.S_world_recon, item.camera_recon)
-    with robot_masks(scene.posture.robot, camera, scene.log) as masks_at:
+    camera = camera_in_world(scene.alignment.S_world_recon, item.camera_recon)
+    with robot_masks(scene.configuration.robot, camera, scene.log) as masks_at:
         try:
             return estimate_clock(item.video, scene.log.times_s, masks_at)
         except SyncError as error:
             return error
 
 
-def _split_frames(
+def _evidence(
     S: Array, item: FixedCameraVideo, clock: Clock | SyncError, arm: LoggedRobot, params: BundleParams
-) -> HeldOutSplit:
-    """Frames to fit and frames to validate, if enough of them show the arm."""
-    empty, calibrated = empty_frames(), item.T_world_cam is not None
+) -> CameraEvidence:
+    """A camera with frames to fit and frames to validate, if enough of them show the arm."""
+    small = _small(item, params)
+    unused = CameraEvidence(
+        camera_recon=small,
+        frames=NO_FRAMES,
+        held_out=NO_FRAMES,
+        clock=Clock(offset_s=0.0),
+        T_world_cam=item.T_world_cam,
+    )
     if isinstance(clock, SyncError):
-        return HeldOutSplit(
-            frames=empty, held_out=empty, clock=clock, reason=clock.problem, calibrated=calibrated
-        )
+        return replace(unused, rejected=clock.problem)
     if not params.frames:
-        return HeldOutSplit(frames=empty, held_out=empty, clock=clock, reason="", calibrated=calibrated)
-    chosen = choose_frames(item.video, arm, clock, params.frames * _HOLD_OUT_EVERY // (_HOLD_OUT_EVERY - 1))
-    validating = np.arange(len(chosen)) % _HOLD_OUT_EVERY == _HOLD_OUT_EVERY // 2
+        return unused
+    # Every second frame is held out of the refinement and validates it.
+    chosen = choose_frames(item.video, arm, clock, 2 * params.frames)
     frames, held_out = (
-        read_gray_frames(item.video, chosen[part], params.width) for part in (~validating, validating)
+        read_gray_frames(item.video, part, params.width) for part in (chosen[::2], chosen[1::2])
     )
-    camera = camera_in_world(S, _small(item, params))
-    shown = len(trace(frames, camera, clock, arm, params.points))
+    shown = len(trace(frames, camera_in_world(S, small), clock, arm, params.points))
     if shown >= _MIN_FRAMES:
-        return HeldOutSplit(frames=frames, held_out=held_out, clock=clock, reason="", calibrated=calibrated)
+        return replace(unused, frames=frames, held_out=held_out, clock=clock)
     reason = f"{shown} of {len(frames.times_s)} frames show the arm, want {_MIN_FRAMES}"
-    return HeldOutSplit(frames=empty, held_out=empty, clock=clock, reason=reason, calibrated=calibrated)
+    return replace(unused, rejected=reason)
 
 
-def _in_problem(item: FixedCameraVideo, split: HeldOutSplit, params: BundleParams) -> CameraEvidence:
-    return CameraEvidence(
-        camera_recon=_small(item, params),
-        frames=split.frames,
-        clock=split.clock
-        if isinstance(split.clock, Clock) and len(split.frames.times_s)
-        else Clock(offset_s=0.0),
-        T_world_cam=item.T_world_cam if split.calibrated else None,
-    )
-
-
-def _calibrated_camera(
-    name: str, item: FixedCameraVideo, split: HeldOutSplit, refinement: BundleSolution
-) -> CalibratedCamera:
-    state = refinement.cameras[name]
-    used = bool(len(split.frames.times_s))
-    start = camera_in_world(refinement.S_world_recon, item.camera_recon)
-    known = used or split.calibrated
-    camera = item.camera_recon.moved(state.camera.T_world_cam) if known else start
-    moved = deviation(start.T_world_cam, camera)
-    figures = {"moved_mm": 1e3 * moved.distance_m, "moved_deg": float(np.degrees(moved.angle_rad))}
+def _fixed_camera(
+    name: str,
+    item: FixedCameraVideo,
+    evidence: CameraEvidence,
+    clock: Clock | SyncError,
+    found: BundleSolution,
+) -> FixedCamera:
+    used, calibrated = bool(len(evidence.frames.times_s)), evidence.T_world_cam is not None
+    state = found.cameras[name]
+    camera = start = camera_in_world(found.S_world_recon, item.camera_recon)
+    if used or calibrated:
+        camera = item.camera_recon.moved(state.camera.T_world_cam)
+    moved_mm, moved_deg = _apart(camera, start.T_world_cam)
+    figures = {"moved_mm": moved_mm, "moved_deg": moved_deg}
     note = "refined on the moving arm" if used else "as the scan placed it"
-    note += f": {split.reason}" if split.reason else ""
+    note += f": {evidence.rejected}" if evidence.rejected else ""
     if item.T_world_cam is not None:
-        apart = deviation(item.T_world_cam, camera)
-        figures |= {"calibration_mm": 1e3 * apart.distance_m}
-        figures |= {"calibration_deg": float(np.degrees(apart.angle_rad))}
-        verdict = "agrees" if split.calibrated else "contradicts the evidence and is not used"
-        note += f"; its calibration {verdict} ({apart})"
-    clock = state.clock if used else split.clock
+        apart_mm, apart_deg = _apart(camera, item.T_world_cam)
+        figures |= {"calibration_mm": apart_mm, "calibration_deg": apart_deg}
+        verdict = "agrees" if calibrated else "contradicts the evidence and is not used"
+        note += f"; its calibration {verdict} ({apart_mm:.1f} mm, {apart_deg:.2f} deg)"
+    clock = state.clock if used else clock
     refusal: tuple[str, ...] = ()
     if isinstance(clock, SyncError):
         refusal = (clock.where, clock.problem, clock.remedy)
     elif drifts(clock, float(item.video.times_s[-1] - item.video.times_s[0])):
         refusal = _drift_refusal(name, clock, item.video)
-    else:
-        clock = replace(clock, rate=0.0)
-    return CalibratedCamera(
+    return FixedCamera(
         camera=camera,
-        clock=clock if isinstance(clock, Clock) and not refusal else None,
+        clock=replace(clock, rate=0.0) if isinstance(clock, Clock) and not refusal else None,
         refusal=refusal,
         note=note,
-        trusted=not split.reason and split.calibrated == (item.T_world_cam is not None),
+        trusted=not evidence.rejected and calibrated == (item.T_world_cam is not None),
         figures=figures,
     )
+
+
+def _apart(camera: Camera, T_world_cam: Array) -> tuple[float, float]:
+    """Distance [mm] and angle [deg] between a camera and a pose."""
+    turn, move = np.split(pose_difference(camera, T_world_cam), 2)
+    return 1e3 * float(np.linalg.norm(move)), float(np.degrees(np.linalg.norm(turn)))
 
 
 def _drift_refusal(name: str, clock: Clock, video: Video) -> tuple[str, ...]:
@@ -264,4 +244,45 @@ def _drift_refusal(name: str, clock: Clock, video: Video) -> tuple[str, ...]:
         f"the joint log counts {1 + clock.rate:.4f} s (+-{clock.rate_sd:.4f}) while the video counts 1 s, "
         f"{abs(clock.rate) * length:.2f} s over the demonstration",
         f"export the video with its true frame times, or multiply time_s of the log by {1 / (1 + clock.rate):.4f}",
+    )
+
+
+def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Array) -> None:
+    """Refuse a calibration that shows the robot where the scan's camera does not.
+
+    Args:
+        name: Of the camera.
+        T_world_cam: From capture.toml (4, 4).
+        camera: As scan and alignment place it, world frame.
+        robot_world: Points on the robot (N, 3), [m].
+
+    Raises:
+        AlignmentError: With both poses' distance, and the usual mistake that would explain it.
+    """
+
+    def shift_share(T: Array) -> float:
+        """Median shift of the robot in the image, as share of its width; infinite when it is behind."""
+        there, depths = camera.moved(T).project(robot_world)
+        shifts = np.linalg.norm(there - camera.project(robot_world)[0], axis=1)
+        return float(np.median(shifts)) / camera.width if np.median(depths) > 0 else float("inf")
+
+    share = shift_share(T_world_cam)
+    if share <= _GROSS_SHARE:
+        return
+    mistakes = {
+        "it looks like T_cam_world; write its inverse": invert(T_world_cam),
+        "it looks like the robot's other base frame; correct robot.base_frame": np.diag([-1.0, -1, 1, 1])
+        @ T_world_cam,
+        "it looks like OpenGL axes; turn them to x right, y down, z forward": T_world_cam
+        @ np.diag([1.0, -1, -1, 1]),
+    }
+    # A known mistake explains a calibration when it takes three quarters of the shift away.
+    explained = [remedy for remedy, T in mistakes.items() if shift_share(T) <= 0.25 * min(share, 1.0)]
+    apart_mm, apart_deg = _apart(camera, T_world_cam)
+    raise AlignmentError(
+        f"demo camera '{name}'",
+        f"T_world_cam in capture.toml is {apart_mm:.1f} mm, {apart_deg:.2f} deg from where scan and robot "
+        f"place the camera, and shows the robot elsewhere by {share:.0%} of the picture's width "
+        f"(limit {_GROSS_SHARE:.0%})",
+        [*explained, "calibrate again, or leave T_world_cam out"][0],
     )

@@ -10,16 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.color_score import color_score
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.gravity import up_candidates
-from aomgen.alignment.silhouette_fit import limit_width
-from aomgen.alignment.starting_poses import RobotBox, find_starting_poses
+from aomgen.alignment.silhouette_fit import far_apart, limit_width
+from aomgen.alignment.starting_poses import PoseCandidates, RobotBox, find_starting_poses, up_candidates
+from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,67 +106,42 @@ class Scan:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseCandidates:
-    """Candidate poses of the robot, best first: `S_world_recon` (H, 4, 4) and their color scores (H,)."""
-
-    Ss_world_recon: Array
-    scores: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
-        freeze(self, "scores", self.scores, (len(self.Ss_world_recon),))
-
-    def at_least(self, share: float) -> "PoseCandidates":
-        """Those whose score is this share of the best one's."""
-        good = self.scores >= share * self.scores.max()
-        return PoseCandidates(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
-
-
 def search_poses(
-    scan: Scan, posture: RobotPosture, rng: np.random.Generator, params: SearchParams | None = None
+    scan: Scan,
+    configuration: RobotConfiguration,
+    rng: np.random.Generator,
+    params: SearchParams | None = None,
 ) -> PoseCandidates:
     """Find likely poses of the robot, best first and far from one another.
 
     Args:
         scan: Images with cameras, one prompted box or more.
-        posture: The robot during the scan.
+        configuration: The robot during the scan.
         rng: Makes guesses and children.
         params: Effort.
     """
     params = params or SearchParams()
-    vertices = posture.points_world()
+    vertices = configuration.points_world()
     probe = vertices[rng.choice(len(vertices), 16, replace=False)]
     ups = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)
     places = find_starting_poses(scan.boxes, vertices, ups, scan.points_recon, rng, params.guesses)
-    Ss = places.Ss_world_recon[places.misfits <= places.misfits.min() + MAX_MISFIT]
+    Ss = places.Ss_world_recon[places.scores >= places.scores.max() - MAX_MISFIT]
     Ss_recon_world = np.asarray(np.linalg.inv(Ss[:200]), np.float64)
     chosen = _views_on(scan.views, apply(Ss_recon_world, probe.mean(0)), params.views)
-    first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], posture, rng)
-    score = color_score([limit_width(view, params.width) for view in chosen], posture, rng)
-    parents = select_distinct(
-        PoseCandidates(Ss_world_recon=Ss, scores=first(Ss)), probe, *_kept(GENERATIONS[0])
-    )
-    parents = replace(parents, scores=score(parents.Ss_world_recon))
-    looked_at = [parents]
+    first = color_score([limit_width(view, FIRST_WIDTH) for view in chosen], configuration, rng)
+    score = color_score([limit_width(view, params.width) for view in chosen], configuration, rng)
+    begin = GENERATIONS[0]
+    found = PoseCandidates(Ss_world_recon=Ss, scores=first(Ss))
+    found = select_distinct(found, probe, begin.apart, begin.parents)
+    found = replace(found, scores=score(found.Ss_world_recon))
     for generation in GENERATIONS:
-        parents = select_distinct(_join(looked_at), probe, *_kept(generation))
+        parents = select_distinct(found, probe, generation.apart, generation.parents)
         children = _near(parents.Ss_world_recon, probe, generation, rng)
-        looked_at.append(PoseCandidates(Ss_world_recon=children, scores=score(children)))
-    found = _join(looked_at)
+        found = PoseCandidates(
+            Ss_world_recon=np.concatenate([found.Ss_world_recon, children]),
+            scores=np.concatenate([found.scores, score(children)]),
+        )
     return select_distinct(found, probe, params.apart, KEPT)
-
-
-def _kept(generation: Generation) -> tuple[float, int]:
-    return generation.apart, generation.parents
-
-
-def _join(parts: list[PoseCandidates]) -> PoseCandidates:
-    """Join the candidates of several searches."""
-    return PoseCandidates(
-        Ss_world_recon=np.concatenate([part.Ss_world_recon for part in parts]),
-        scores=np.concatenate([part.scores for part in parts]),
-    )
 
 
 def select_distinct(found: PoseCandidates, points_world: Array, apart: float, count: int) -> PoseCandidates:
@@ -205,14 +179,9 @@ def _views_on(views: list[AlignmentImage], centers: Array, count: int) -> list[A
         camera = view.camera_recon
         pixels, z = camera.project(centers)
         shown.append(np.mean((z > 0) & np.all((pixels > 0) & (pixels < [camera.width, camera.height]), 1)))
-    usable = np.flatnonzero(np.array(shown) >= 0.7 * max(shown))
-    sides = np.array([views[i].camera_recon.center for i in usable]) - np.median(centers, axis=0)
-    sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-    chosen, distances = [0], np.linalg.norm(sides - sides[0], axis=1)
-    while len(chosen) < min(count, len(usable)):
-        chosen.append(int(np.argmax(distances)))
-        distances = np.minimum(distances, np.linalg.norm(sides - sides[chosen[-1]], axis=1))
-    return [views[usable[i]] for i in chosen]
+    usable = [view for view, share in zip(views, shown, strict=True) if share >= 0.7 * max(shown)]
+    chosen = far_apart([view.camera_recon.center for view in usable], np.median(centers, axis=0), count)
+    return [usable[i] for i in chosen]
 
 
 def _transform_points(Ss: Array, points: Array) -> Array:

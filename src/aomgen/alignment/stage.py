@@ -1,65 +1,89 @@
-"""Loading and saving of the alignment stage."""
+"""The similarity that brings scan and robot together; poses and clocks of the fixed cameras. [paper 4.1]"""
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.align import Alignment, AlignmentParams, align
-from aomgen.alignment.camera_uncertainty import CameraErrors, camera_covariance
+from aomgen.alignment.align import AlignmentParams, align
+from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.contours import AlignmentImage
+from aomgen.alignment.fixed_camera_calibration import AlignedScan, FixedCameraVideo, calibrate_fixed_cameras
 from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.uncertainty import CameraErrors, camera_covariance
+from aomgen.core.alignment import Alignment
 from aomgen.core.held_out import held_out
-from aomgen.core.progress import Progress
+from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
 from aomgen.core.structure import Structure
-from aomgen.errors import MalformedFileError
-from aomgen.io.atomic import write_json
+from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
-from aomgen.io.jsonfile import read_json
-from aomgen.robots.configuration import RobotPosture
+from aomgen.results import Results
 
-ALIGNMENT_FILE = "alignment.json"
+# Seed of the plane search, fixed so that a run can be repeated.
+SEED = 0
 
 
-def run_alignment(
-    structure: Structure,
-    images: Mapping[str, Path],
-    demo_first_srgb: Mapping[str, NDArray[np.uint8]],
-    prompts: tuple[Prompt, ...],
-    posture: RobotPosture,
-    folder: Path,
-    progress: Progress,
-    params: AlignmentParams | None = None,
-    seed: int = 0,
-) -> Alignment:
-    """Align (see `align`) and write `alignment.json`.
+def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Align the scan with the robot, then calibrate the fixed cameras."""
+    found = align_scan(results, part(progress, 0.0, 0.6))
+    return calibrate_cameras(results, found, folder, part(progress, 0.6, 1.0))
 
-    Args:
-        structure: Cameras and sparse points, recon frame.
-        images: Scan images by file name; held-out ones are not looked at.
-        demo_first_srgb: First frame (H, W, 3) of each fixed camera's video, robot as in the scan.
-        prompts: Of the capture; those of the robot that carry a box are used.
-        posture: Robot and its joint values during the scan.
-        folder: Receives the result.
-        progress: Called at each step.
-        params: Effort and limits.
-        seed: Of the plane search.
 
-    Raises:
-        AlignmentError: See `align`.
-    """
+def align_scan(results: Results, progress: Progress) -> Alignment:
+    """The similarity from the robot's contours; held-out images are not looked at."""
+    capture, structure = results.pinhole_capture, results.structure
+    first_srgb = {name: video.frames_srgb[0] for name, video in results.videos.items()}
     scan = Scan(
-        views=views_of(structure, images, demo_first_srgb),
-        boxes=boxes_of(structure, prompts, ("robot",)),
+        views=views_of(structure, results.scan_images, first_srgb),
+        boxes=boxes_of(structure, capture.prompts, ("robot",)),
         points_recon=structure.points_recon,
         errors=camera_errors_of(structure),
     )
-    result = align(scan, posture, progress, np.random.default_rng(seed), params)
-    save_alignment(result, folder)
-    return result
+    params = results.params("alignment", AlignmentParams())
+    return align(scan, results.configuration_in(capture), progress, np.random.default_rng(SEED), params)
+
+
+def calibrate_cameras(
+    results: Results,
+    found: Alignment,
+    folder: Path,
+    progress: Progress,
+    params: BundleParams | None = None,
+) -> dict[str, Any]:
+    """Calibrate the fixed cameras, refine the similarity with them, and write both."""
+    capture, structure = results.pinhole_capture, results.structure
+    scan = AlignedScan(
+        alignment=found,
+        views=views_of(structure, results.scan_images, {}),
+        points_recon=structure.points_recon,
+        configuration=results.configuration_in(capture),
+        log=capture.joint_log,
+        clock_offset_s=capture.clock_offset_s,
+    )
+    videos = {
+        camera.name: FixedCameraVideo(
+            video=results.videos[camera.name],
+            camera_recon=structure.demo_cameras_recon[camera.name],
+            T_world_cam=camera.T_world_cam,
+        )
+        for camera in capture.cameras
+        if camera.name in structure.demo_cameras_recon
+    }
+    result = calibrate_fixed_cameras(scan, videos, progress, params)
+    save_artifact(folder, "alignment", result)
+    return {
+        "support": result.support,
+        "runner_up_support": result.runner_up_support,
+        "residual_px": result.residual_px,
+        "end_effector_sd_mm": 1e3 * result.ee_sd_m,
+        "largest_joint_zero_deg": float(np.degrees(np.abs(result.joint_zeros_rad).max())),
+        "fixed_cameras": {name: camera.summary() for name, camera in result.cameras.items()},
+        "warnings": [warning for name, item in result.cameras.items() for warning in item.warnings(name)],
+    }
 
 
 def camera_errors_of(structure: Structure) -> CameraErrors:
@@ -99,38 +123,3 @@ def boxes_of(structure: Structure, prompts: tuple[Prompt, ...], parts: tuple[str
         for prompt in prompts
         if prompt.part in parts and len(prompt.box) == 4 and prompt.image in structure.cameras_recon
     ]
-
-
-def save_alignment(result: Alignment, folder: Path) -> None:
-    """Write an alignment into a folder."""
-    write_json(
-        folder / ALIGNMENT_FILE,
-        {
-            "format": 1,
-            "S_world_recon": result.S_world_recon,
-            "support": result.support,
-            "chance": result.chance,
-            "runner_up_support": result.runner_up_support,
-            "residual_px": result.residual_px,
-            "residual_px_of_view": result.residual_px_of_view,
-            "ee_sd_m": result.ee_sd_m,
-            "joint_zeros_rad": result.joint_zeros_rad,
-            "joint_zero_sds_rad": result.joint_zero_sds_rad,
-        },
-    )
-
-
-def load_alignment(folder: Path) -> Alignment:
-    """Read what `save_alignment` wrote.
-
-    Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
-    """
-    path = folder / ALIGNMENT_FILE
-    stored = read_json(path)
-    try:
-        return Alignment(**{name: value for name, value in stored.items() if name != "format"})
-    except (ValueError, TypeError, AttributeError) as error:
-        raise MalformedFileError(
-            path, f"does not hold an alignment ({error})", "run the stage again"
-        ) from error

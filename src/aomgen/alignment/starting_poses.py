@@ -1,4 +1,4 @@
-"""Starting poses of the robot from its prompted boxes: many guesses, each fitted to the boxes.
+"""Starting poses of the robot from gravity and its prompted boxes: many guesses, each fitted to the boxes.
 
 Two whole boxes determine the pose for a given heading; one box leaves the depth open, and a box that
 the image border cuts leaves more. What boxes leave open keeps the value that was guessed.
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.planes import find_plane
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze
 
@@ -40,21 +41,20 @@ class RobotBox:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StartingPoses:
-    """H similarities and how well their boxes fit.
-
-    Attributes:
-        Ss_world_recon: (H, 4, 4).
-        misfits: (H,), root mean square gap between box sides and the robot's extent, as a share of
-            the box's size.
-    """
+class PoseCandidates:
+    """Candidate poses of the robot: `S_world_recon` (H, 4, 4) and their scores (H,), larger is better."""
 
     Ss_world_recon: Array
-    misfits: Array
+    scores: Array
 
     def __post_init__(self) -> None:
         freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
-        freeze(self, "misfits", self.misfits, (len(self.Ss_world_recon),))
+        freeze(self, "scores", self.scores, (len(self.Ss_world_recon),))
+
+    def at_least(self, share: float) -> "PoseCandidates":
+        """Those whose score is this share of the best one's."""
+        good = self.scores >= share * self.scores.max()
+        return PoseCandidates(Ss_world_recon=self.Ss_world_recon[good], scores=self.scores[good])
 
 
 def find_starting_poses(
@@ -64,7 +64,7 @@ def find_starting_poses(
     points_recon: Array,
     rng: np.random.Generator,
     count: int,
-) -> StartingPoses:
+) -> PoseCandidates:
     """Guess heading, depth and size, then move and scale each guess until it fills the boxes.
 
     Every guess but the first few has its own boxes, perturbed by the error of boxes drawn by hand.
@@ -76,6 +76,10 @@ def find_starting_poses(
         points_recon: Sparse points (P, 3); those seen in a box tell likely depths.
         rng: Makes the guesses.
         count: How many.
+
+    Returns:
+        Poses; their scores are minus the root mean square gap between box sides and the robot's extent, as a
+        share of the box's size.
 
     Source: own; the box sides are what a projected convex hull must touch.
     """
@@ -112,7 +116,40 @@ def find_starting_poses(
         similarity(1 / s, R, middle - R @ p / s)
         for s, R, p in zip(scales_recon, Rs_world_recon, places, strict=True)
     ]
-    return StartingPoses(Ss_world_recon=np.array(Ss), misfits=np.sqrt(np.mean(gaps**2, axis=1)))
+    return PoseCandidates(Ss_world_recon=np.array(Ss), scores=-np.sqrt(np.mean(gaps**2, axis=1)))
+
+
+def up_candidates(
+    cameras_recon: list[Camera], points_recon: Array, rng: np.random.Generator, count: int = 2
+) -> list[Array]:
+    """Likely up directions (3,) in the recon frame, best first.
+
+    People hold cameras upright, so up lies near the mean of the cameras' own; the large planes of
+    the scene (table, floor) sharpen it. Planes tilted more than 30 degrees from it are walls.
+
+    Args:
+        cameras_recon: Scan cameras.
+        points_recon: Sparse or dense points (P, 3).
+        rng: Chooses the triples of the plane search.
+        count: How many plane normals to return before the plain mean.
+    """
+    mean_up = -np.mean([camera.T_world_cam[:3, 1] for camera in cameras_recon], 0)
+    mean_up /= np.linalg.norm(mean_up)
+    ups: list[Array] = []
+    left = np.asarray(points_recon, np.float64)
+    extent = np.median(np.linalg.norm(left - np.median(left, 0), axis=1)) if len(left) else 1.0
+    for _ in range(count):
+        if len(left) < 50:
+            break
+        plane, members = find_plane(left, 0.01 * extent, rng, mean_up)
+        normal = plane.normal * np.sign(plane.normal @ mean_up)
+        near = np.abs(plane.heights(left)) < 0.02 * extent
+        if not members.any() or near.sum() < 0.03 * len(points_recon):
+            break
+        if all(normal @ up < np.cos(np.radians(2.0)) for up in ups):
+            ups.append(normal)
+        left = left[~near]
+    return [*ups, mean_up]
 
 
 def _outline_points(points: Array, rng: np.random.Generator, count: int = 150) -> Array:

@@ -8,49 +8,111 @@ of a frame. Only changes count, so a small error of the camera pose hardly moves
 left of it is absorbed by a common shift of the silhouettes. `bundle_adjustment` continues from here.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.alignment.time_offset_frames import (
-    FINE_STEPS,
-    LAGS,
-    MAX_RATE,
-    MAX_RIVAL,
-    MIN_CHANGE,
-    MIN_GAIN_SD,
-    MIN_OVERLAP,
-    RIVAL_DISTANCE_S,
-    SHIFTS_PX,
-    ClockFrames,
-    ClockParams,
-    change_gains,
-)
 from aomgen.core.clock import Clock
+from aomgen.core.least_squares import jackknife_covariance
 from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array
 from aomgen.errors import SyncError
+from aomgen.io.images import resize
 from aomgen.io.video import Video
 from aomgen.robots.robot_masks import MasksAt
 
+# Distances between compared frames, in coarse steps: fast, usual and slow motion of an arm.
+LAGS = (1, 3, 8)
+# Share of the video that the log has to cover: the greater part must vote.
+MIN_OVERLAP = 0.5
+# Image width for the comparison, [px]: a link is some pixels wide.
+WIDTH = 160
+# Coarse step; frames are taken this far apart, [s].
+STEP_S = 0.1
+# Fine steps in one coarse step, 25 ms each: less than a frame, a parabola does the rest.
+FINE_STEPS = 4
+# Frame pairs used for the fine search.
+FINE_PAIRS = 14
+# Silhouette shifts tried along x and y in the fine search, [px]: the error of an unrefined camera pose.
+SHIFTS_PX = (-4, -2, 0, 2, 4)
+# Probability of a change where silhouettes differ; below 1, as robot and background may look alike.
+CHANGE_LIKELIHOOD = 0.6
+# Largest score of another offset, as share of the best one: with more, the offset is ambiguous.
+MAX_RIVAL = 0.85
+# Offsets farther than this from the best are rivals, [s]: beyond the width of its own peak.
+RIVAL_DISTANCE_S = 0.5
+# Largest clock drift among the hypotheses, in seconds a second: above a 25 fps video that is labelled as 24
+# fps (0.04).
+MAX_RATE = 0.06
+# Least share of the image by which the silhouette has to change at once, above compression noise.
+MIN_CHANGE = 0.003
+# Least height of the best score over the others, in standard deviations of these.
+MIN_GAIN_SD = 2.0
 # Segments of time left out in turn for the standard deviation (jackknife).
 _BLOCKS = 5
 # Smallest standard deviation believed, [s]: a few milliseconds are within the jitter of video time stamps.
 _MIN_SD_S = 0.002
 
 
-def estimate_clock(
-    video: Video, log_times_s: Array, masks_at: MasksAt, params: ClockParams | None = None
-) -> Clock:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockFrames:
+    """Small frames at nearly equal steps, and the noise between two of them."""
+
+    times_s: Array
+    step_s: float
+    images: NDArray[np.float32]
+    noise: float
+
+    @staticmethod
+    def of(video: Video) -> "ClockFrames":
+        stride = max(1, round(STEP_S * video.fps))
+        height, width = video.frames_srgb.shape[1:3]
+        size = (WIDTH, max(1, round(WIDTH * height / width)))
+        images = np.stack([resize(frame, *size) for frame in video.frames_srgb[::stride]]).astype(np.float32)
+        if not len(images) > max(LAGS):
+            raise SyncError("video", f"has only {len(images)} frames to compare", "record the whole motion")
+        times = video.times_s[::stride]
+        noise = robust_sd(np.diff(images, axis=0))
+        step = float((times[-1] - times[0]) / (len(times) - 1))
+        return ClockFrames(times_s=times, step_s=step, images=images, noise=max(noise, 0.5))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.images.shape[2], self.images.shape[1]
+
+    @property
+    def middle_s(self) -> float:
+        return float(self.times_s[0] + self.times_s[-1]) / 2
+
+    def change(self, first: int, second: int) -> NDArray[np.float32]:
+        """How surely each pixel changed (P,), 0..1; a common brightness change does not count."""
+        difference = self.images[second] - self.images[first]
+        difference = difference - np.median(difference, axis=(0, 1))
+        strength = np.abs(difference).max(-1).ravel()
+        low = 4 * self.noise + 4
+        return np.clip((strength - low) / (2 * low), 0, 1)
+
+
+def change_gains(changes: NDArray[np.float32]) -> tuple[NDArray, NDArray]:
+    """Log-likelihood gains (K, P) of "the silhouettes differ here" and of "no robot at either moment"."""
+    usual = float(np.clip(changes.mean(), 1e-3, 0.5 * CHANGE_LIKELIHOOD))
+    still = usual / 2
+
+    def gain(probability: float) -> NDArray[np.float32]:
+        return changes * np.log(probability / usual) + (1 - changes) * np.log((1 - probability) / (1 - usual))
+
+    return gain(CHANGE_LIKELIHOOD), gain(still)
+
+
+def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock:
     """Find the offset, and roughly the drift, from the arm's own motion.
 
     Args:
         video: The demonstration.
         log_times_s: Times of the joint log (T,), its own clock, [s].
         masks_at: Draws the robot at log times.
-        params: How to search.
 
     Returns:
         The clock; its drift is known to half a step between the drifts tried.
@@ -61,14 +123,13 @@ def estimate_clock(
 
     Not checked: a drift that changes during the demonstration.
     """
-    params = params or ClockParams()
-    frames = ClockFrames.of(video, params)
+    frames = ClockFrames.of(video)
     tables = _coarse_tables(frames, log_times_s, masks_at)
     rates, candidates, scores = _coarse_scores(frames, tables, log_times_s)
     none, best = len(rates) // 2, int(np.argmax(scores.max(1)))
     _refuse_ambiguous(candidates, scores[best])
     found = [
-        _fine(frames, _guess(frames, rates, candidates, scores, row), log_times_s, masks_at, params)
+        _fine(frames, _guess(frames, rates, candidates, scores, row), log_times_s, masks_at)
         for row in sorted({none, best})
     ]
     return max(found, key=lambda item: item[1])[0]
@@ -153,7 +214,7 @@ def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
     base = float(np.median(scores))
     spread = robust_sd(scores - base)
     gain = float(scores[best]) - base
-    if not gain > MIN_GAIN_SD * max(spread, 1e-9) * 0.5:
+    if not gain > MIN_GAIN_SD * max(spread, 1e-9):
         raise SyncError(
             "clock offset",
             f"no offset stands out (best {gain:.0f} over a spread of {spread:.0f})",
@@ -171,33 +232,19 @@ def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
         )
 
 
-def _fine(
-    frames: ClockFrames, guess: Clock, log_times_s: Array, masks_at: MasksAt, params: ClockParams
-) -> tuple[Clock, float]:
+def _fine(frames: ClockFrames, guess: Clock, log_times_s: Array, masks_at: MasksAt) -> tuple[Clock, float]:
     """The clock with its offset between grid points, and its score, from pairs spread over the motion."""
-    pairs = _telling_pairs(frames, guess, log_times_s, params)
+    pairs = _telling_pairs(frames, guess, log_times_s)
     weights = change_gains(np.stack([frames.change(*pair) for pair in pairs]))
-    step = frames.step_s / FINE_STEPS
-    columns: dict[int, Array] = {}
-    low, high = -2, 2
-    while True:
-        for index in range(low, high + 1):
-            if index not in columns:
-                clock = replace(guess, offset_s=guess.offset_s + index * step)
-                columns[index] = _fine_scores(frames, pairs, weights, clock, masks_at)
-        offsets = guess.offset_s + np.arange(low, high + 1) * step
-        table = np.stack([columns[index] for index in range(low, high + 1)], 1)
-        top = low + int(np.argmax(table.sum(0).max(1)))
-        # The silhouettes' shift may draw the optimum away from the coarse guess: follow it.
-        if low < top < high or high - low >= 2 * FINE_STEPS:
-            break
-        low, high = min(low, top - 1), max(high, top + 1)
+    offsets = guess.offset_s + np.arange(-FINE_STEPS, FINE_STEPS + 1) * frames.step_s / FINE_STEPS
+    clocks = [replace(guess, offset_s=float(offset)) for offset in offsets]
+    table = np.stack([_fine_scores(frames, pairs, weights, clock, masks_at) for clock in clocks], 1)
     best = _peak(offsets, table.sum(0))
     blocks = np.array_split(np.arange(len(pairs)), min(_BLOCKS, len(pairs)))
     left_out = np.array([_peak(offsets, np.delete(table, block, 0).sum(0)) for block in blocks])
     # Jackknife over segments of time, in which a wrong camera pose acts alike.
-    sd = np.sqrt((len(blocks) - 1) / len(blocks) * np.sum((left_out - left_out.mean()) ** 2))
-    return replace(guess, offset_s=best, sd_s=float(max(sd, _MIN_SD_S))), float(table.sum(0).max())
+    sd = float(np.sqrt(jackknife_covariance(left_out[:, None])[0, 0]))
+    return replace(guess, offset_s=best, sd_s=max(sd, _MIN_SD_S)), float(table.sum(0).max())
 
 
 def _fine_scores(
@@ -221,9 +268,8 @@ def _fine_scores(
     return np.stack(scores, 1)
 
 
-def _telling_pairs(
-    frames: ClockFrames, clock: Clock, log_times_s: Array, params: ClockParams
-) -> list[tuple[int, int]]:
+def _telling_pairs(frames: ClockFrames, clock: Clock, log_times_s: Array) -> list[tuple[int, int]]:
+    """Frames to compare, spread evenly over the motion."""
     lag = LAGS[len(LAGS) // 2]
     moments = clock.log_times(frames.times_s)
     covered = [
@@ -238,7 +284,7 @@ def _telling_pairs(
         )
     # Evenly over the energy, not the strongest: strokes in different directions tell time from shift.
     energy = np.cumsum([frames.change(k, k + lag).sum() + 1e-6 for k in covered])
-    marks = (np.arange(params.fine_pairs) + 0.5) / params.fine_pairs * energy[-1]
+    marks = (np.arange(FINE_PAIRS) + 0.5) / FINE_PAIRS * energy[-1]
     chosen = np.unique(np.searchsorted(energy, marks))
     return [(covered[i], covered[i] + lag) for i in chosen]
 

@@ -1,22 +1,138 @@
-"""Covariance of an alignment and of the joint values it assumes.
+"""Covariance of an alignment, of the joint values it assumes, and of the camera poses it rests on.
 
 Errors of neighbouring contour points are correlated, and so are those of neighbouring views. The
 number of points therefore carries no information: groups of neighbouring views are left out in turn (jackknife).
+Errors of neighbouring cameras are correlated, since they see the same points; an alignment that rests
+on many views averages little of them away. Source: Triggs et al., "Bundle adjustment - a modern
+synthesis", 2000, sec. 6 (reduced camera system) and 9 (gauge).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.sparse import bsr_matrix, csr_matrix
 
-from aomgen.alignment.camera_uncertainty import CameraErrors
 from aomgen.alignment.confidence import ViewEvidence
+from aomgen.alignment.silhouette_fit import EDGE_KERNEL
+from aomgen.core.camera import Camera
+from aomgen.core.least_squares import ResidualTerm, add, jackknife_covariance, solve
+from aomgen.core.transforms import similarity_parts, skew
 from aomgen.core.values import Array, freeze
 
 # Groups of views left out in turn (jackknife): each must still determine all joints.
 GROUPS = 8
 # Arms report their joints to a fraction of a degree; offsets beyond this are not expected at all.
 JOINT_PRIOR_RAD = np.radians(20.0)
+
+# The mean length of a plane normal error over its deviation along one axis.
+_RAYLEIGH = float(np.sqrt(np.pi / 2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraErrors:
+    """Joint covariance of camera poses.
+
+    Attributes:
+        names: Of N cameras.
+        covariance: (6 N, 6 N), of each camera's centre, then its rotation vector [rad], in the axes
+            and units of a frame.
+    """
+
+    names: tuple[str, ...]
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "covariance", self.covariance, (6 * len(self.names),) * 2)
+
+    def seen_from(self, S_other_frame: Array) -> "CameraErrors":
+        """The same errors in the axes and units of another frame."""
+        scale, R, _ = similarity_parts(S_other_frame)
+        one = np.zeros((6, 6))
+        one[:3, :3], one[3:, 3:] = scale * R, R
+        count = len(self.names)
+        blocks = self.covariance.reshape(count, 6, count, 6)
+        turned = np.einsum("ik,akbl,jl->aibj", one, blocks, one, optimize=True)
+        return CameraErrors(names=self.names, covariance=turned.reshape(self.covariance.shape))
+
+
+def camera_covariance(
+    cameras: list[Camera], points: Array, observations: NDArray[np.int32], error_px: float
+) -> Array:
+    """Covariance (6 N, 6 N) of the poses of N cameras: centre, then rotation vector, for each.
+
+    Errors are counted after the similarity that fits the camera centres best: a
+    structure has no position, direction and size of its own.
+
+    Args:
+        cameras: In any frame; lengths of the result are in its unit.
+        points: (P, 3), same frame.
+        observations: (M, 2) rows of (point, camera).
+        error_px: Mean reprojection error.
+
+    Not checked: intrinsics are taken as exact, and every point errs for itself.
+    """
+    point, camera = observations[:, 0].astype(np.int64), observations[:, 1].astype(np.int64)
+    J_point, J_camera = _jacobians(cameras, points, point, camera)
+    # Sightings of one point are of one patch, whose corner a detector misses in the same way: all
+    # of them together say as much as one.
+    share = 1 / np.sqrt(np.bincount(point, minlength=len(points))[point])[:, None, None]
+    J_point, J_camera = share * J_point, share * J_camera
+    U = np.zeros((len(cameras), 6, 6))
+    np.add.at(U, camera, np.einsum("mki,mkj->mij", J_camera, J_camera))
+    V = np.zeros((len(points), 3, 3))
+    np.add.at(V, point, np.einsum("mki,mkj->mij", J_point, J_point))
+    V += 1e-9 * np.trace(V, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
+    order = np.lexsort((point, camera))
+    starts = np.searchsorted(camera[order], np.arange(len(cameras) + 1))
+    blocks = np.einsum("mki,mkj->mij", J_camera, J_point)[order]
+    W = bsr_matrix((blocks, point[order], starts), shape=(6 * len(cameras), 3 * len(points)))
+    solved = bsr_matrix(
+        (np.linalg.inv(V), np.arange(len(points)), np.arange(len(points) + 1)), shape=(3 * len(points),) * 2
+    )
+    reduced = block_diag(*U) - csr_matrix(W @ solved @ W.T).toarray()
+    sigma = error_px / _RAYLEIGH
+    P = _gauge_projection(np.array([c.center for c in cameras]))
+    return sigma**2 * P @ _pseudo_inverse(reduced) @ P.T
+
+
+def _jacobians(
+    cameras: list[Camera], points: Array, point: NDArray[np.int64], camera: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Change of every observation with its point (M, 2, 3) and its camera's pose (M, 2, 6)."""
+    J_point, J_camera = np.empty((len(point), 2, 3)), np.empty((len(point), 2, 6))
+    for index, one in enumerate(cameras):
+        own = camera == index
+        seen = points[point[own]]
+        J_point[own] = one.projection_slopes(seen)
+        J_camera[own] = np.concatenate([-J_point[own], J_point[own] @ skew(seen - one.center)], 2)
+    return J_point, J_camera
+
+
+def _pseudo_inverse(reduced: Array) -> Array:
+    """Inverse on everything but the seven directions that no image fixes."""
+    scaling = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-12))
+    values, vectors = np.linalg.eigh(reduced * scaling[:, None] * scaling)
+    kept = vectors[:, 7:]
+    inverse = kept / np.maximum(values[7:], 1e-12 * values[-1]) @ kept.T
+    return inverse * scaling[:, None] * scaling
+
+
+def _gauge_projection(centers: Array) -> Array:
+    """Takes from pose errors (6 N,) the similarity that explains their centres best."""
+    count = len(centers)
+    arms = centers - centers.mean(0)
+    motions = np.zeros((count, 6, 7))
+    motions[:, :3, :3] = np.eye(3)
+    motions[:, :3, 3:6] = -skew(arms)
+    motions[:, :3, 6] = arms
+    motions[:, 3:, 3:6] = np.eye(3)
+    G = motions.reshape(6 * count, 7)
+    seen = motions.copy()
+    seen[:, 3:] = 0
+    return np.eye(6 * count) - G @ np.linalg.pinv(seen.reshape(6 * count, 7))
 
 
 def similarity_covariance(evidence: list[ViewEvidence]) -> Array:
@@ -112,8 +228,7 @@ def _jackknife(
             for group in range(groups)
         ]
     )
-    apart = left_out - left_out.mean(0)
-    return (groups - 1) / groups * apart.T @ apart
+    return jackknife_covariance(left_out)
 
 
 def _similarity_step(evidence: list[ViewEvidence]) -> Array:
@@ -121,12 +236,11 @@ def _similarity_step(evidence: list[ViewEvidence]) -> Array:
     J = np.concatenate([view.jacobian for view in evidence])
     shifts = np.concatenate([view.edge_px for view in evidence])
     weights = np.concatenate([view.edge_weights for view in evidence])
-    plain = weights * (1 + shifts**2) ** 2
-    step = np.zeros(7)
-    for _ in range(10):
-        fading = plain / (1 + (shifts - J @ step) ** 2) ** 2
-        step = _solve(J, fading, shifts)
-    return step
+    sds = np.sqrt(EDGE_KERNEL.weights(shifts) / np.maximum(weights, 1e-12))
+    edges: ResidualTerm[Array] = ResidualTerm(
+        name="edges", residual=lambda x: J @ x - shifts, sd=sds, kernel=EDGE_KERNEL, jacobian=lambda x: J
+    )
+    return solve([edges], np.zeros(7), retract=add, dimension=7, max_iterations=10).state
 
 
 def _joint_step(evidence: list[ViewEvidence]) -> Array:

@@ -23,6 +23,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.visibility import sphere_directions
 from aomgen.twin.directional_shadow import (
+    HEIGHTS,
     MOVES,
     STANDS,
     DirectionalLight,
@@ -32,7 +33,6 @@ from aomgen.twin.directional_shadow import (
     silhouette,
     surface_share,
 )
-from aomgen.twin.shadow import HEIGHTS
 from aomgen.twin.twin import Twin, posed, shadow_roles
 
 # Images that are compared; a half of them to find the lamp, the other to judge it.

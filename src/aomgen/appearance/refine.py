@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from aomgen.appearance.surfel_observations import PosedImages, pixel_size
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.refining import RefinementView, RefiningParams, refine_gaussians
+from aomgen.splatting.refining import RefinementView, refine_gaussians
 from aomgen.twin.directional_shadow import compute_shadow_factors, draw_lit
 from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
 from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
@@ -62,8 +62,8 @@ def refine_twin(
         for view in views
         for index, state in enumerate(view.states)
     ]
-    params = RefiningParams(rate_means=STEP_PX * pixel_size(robot, twin, views))
-    gaussians, difference = refine_gaussians(twin.gaussians, twin.bodies, training_views, params, rng)
+    rate_means = STEP_PX * pixel_size(robot, twin, views)
+    gaussians, difference = refine_gaussians(twin.gaussians, twin.bodies, training_views, rate_means, rng)
     relit = None if twin.relit is None else _add_corrections(twin.relit, nearest, difference)
     return replace(twin, gaussians=gaussians, relit=relit)
 

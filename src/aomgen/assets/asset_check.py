@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from aomgen.assets.overlap import boxes_overlap, distance_to_boxes
+from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
 from aomgen.core.values import Array
 from aomgen.errors import AssetError
@@ -86,13 +88,22 @@ def held_at_rim(asset: ArticulatedAsset) -> bool:
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if bar is None or not body:
         return False
-    return bool(boxes_overlap(bar.T_asset_box, bar.half_extents, *stack_boxes(body), margin=TOUCH).any())
+    model, data, names = _simulate_touch(asset)
+    bar_geom, *others = (model.geom(f"{names.moving_body}_{box.name}").id for box in (bar, *body))
+    return any(mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < TOUCH for other in others)
 
 
 def stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
     """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
     poses = np.array([box.T_asset_box for box in colliders]).reshape(-1, 4, 4)
     return poses, np.array([box.half_extents for box in colliders]).reshape(-1, 3)
+
+
+def distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
+    """Distances (P, B) of points (P, 3) to oriented boxes (poses (B, 4, 4), half extents (B, 3)), 0 inside, [m]."""
+    relative = np.asarray(points, np.float64)[:, None, :] - Ts[None, :, :3, 3]
+    local = np.einsum("bji,pbj->pbi", Ts[:, :3, :3], relative)
+    return np.linalg.norm(np.maximum(np.abs(local) - half_extents, 0.0), axis=-1)
 
 
 def _check_sizes(asset: ArticulatedAsset) -> list[str]:
@@ -140,6 +151,8 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
             problems.append(f"link {link.name!r} has no meshes")
         if not link.colliders:
             problems.append(f"link {link.name!r} has no colliders")
+        if not all((box.half_extents > 0).all() for box in link.colliders):
+            problems.append(f"link {link.name!r} has a collider without thickness")
         names = [box.name for box in link.colliders]
         if len(set(names)) != len(names):
             problems.append(f"link {link.name!r} repeats a collider name")
@@ -148,17 +161,33 @@ def _check_links(asset: ArticulatedAsset) -> list[str]:
 
 def _check_range(asset: ArticulatedAsset) -> list[str]:
     """Pairs of static and moving colliders that overlap somewhere along the joint."""
-    thetas = np.linspace(0.0, asset.joint.upper, RANGE_SAMPLES)
-    poses_a, half_a = stack_boxes(asset.static.colliders)
-    poses_b, half_b = stack_boxes(asset.moving.colliders)
-    moved = asset.joint.motion(thetas)[:, None, None] @ poses_b[None, None]
-    hits = boxes_overlap(poses_a[None, :, None], half_a[None, :, None], moved, half_b, margin=-TOUCH)
-    problems = []
-    for i, j in np.argwhere(hits.any(0)):
-        theta = thetas[np.argmax(hits[:, i, j])]
-        names = f"{asset.static.colliders[i].name!r} and {asset.moving.colliders[j].name!r}"
-        problems.append(f"colliders {names} overlap at joint value {theta:.3g}")
-    return problems
+    model, data, names = _simulate_touch(asset)
+    # Geoms are numbered body by body.
+    boxes = [box.name for link in (asset.static, asset.moving) for box in link.colliders]
+    found: dict[tuple[str, str], float] = {}
+    for theta in np.linspace(0.0, asset.joint.upper, RANGE_SAMPLES):
+        data.joint(names.joint).qpos[0] = theta
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        for contact in data.contact:
+            if contact.dist < -TOUCH:
+                a, b = sorted(contact.geom.tolist())
+                found.setdefault((boxes[a], boxes[b]), theta)
+    return [
+        f"colliders {a!r} and {b!r} overlap at joint value {theta:.3g}" for (a, b), theta in found.items()
+    ]
+
+
+def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjData, AssetNames]:
+    """The closed asset alone; unlike in simulation its links do not ignore each other."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    names = add_asset(spec, asset, np.eye(4), damping=0.0, frictionloss=0.0)
+    spec.delete(spec.excludes[0])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data, names
 
 
 def _check_handle(asset: ArticulatedAsset) -> list[str]:

@@ -1,6 +1,7 @@
 """Meshes and colliders of a USD stage, sorted into static and moving link."""
 
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.assets.box_cover import box_cover
+from aomgen.assets.procedural.shapes import Material
 from aomgen.assets.usd_joint import UsdJoint
-from aomgen.assets.usd_material import Look, material_look, plain_look
-from aomgen.core.asset import BoxCollider
+from aomgen.assets.usd_material import plain_material, read_material
+from aomgen.core.asset import AssetLink, BoxCollider
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, transform
 from aomgen.core.values import Array
@@ -18,51 +20,45 @@ from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
 
 # Far above any asset that renders well; more would fill the memory.
 MAX_FACES = 3_000_000
+# Used for a link whose file names no mass, [kg/m^3] of its colliders.
+FALLBACK_DENSITY = 400.0
 # Texture coordinates (F, 3, 2) of a mesh without any.
 NO_UVS = np.zeros((0, 3, 2))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkParts:
-    """What belongs to one link, metric, Z up; mass in the stage's unit, 0 when not given."""
-
-    name: str
-    meshes: tuple[Mesh, ...]
-    colliders: tuple[BoxCollider, ...]
-    mass: float
 
 
 @dataclass(slots=True)
 class _Collected:
     """Parts of one link while the stage is walked."""
 
-    name: str = ""
+    name: str
     meshes: list[Mesh] = field(default_factory=list)
     boxes: list[BoxCollider] = field(default_factory=list)
     collision_meshes: list[Mesh] = field(default_factory=list)
     mass: float = 0.0
+    named: bool = False
 
 
-def read_links(stage: Any, joint: UsdJoint, to_metric: Array, folder: Path) -> tuple[LinkParts, LinkParts]:
-    """Static and moving link.
+def read_links(stage: Any, joint: UsdJoint, to_metric: Array, path: Path) -> tuple[AssetLink, AssetLink]:
+    """Static and moving link of the stage in a file, metric, Z up.
 
     Boxes (UsdGeom.Cube with CollisionAPI) are taken as they are; where a link has none, its
     collision meshes (or else its visible ones) are covered by boxes, see `box_cover`.
 
     Raises:
+        AssetError: A link without meshes.
         MalformedFileError: Indices out of range, counts that do not fit, values not finite.
         LimitExceededError: More than MAX_FACES faces.
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
-    links = {False: _Collected(), True: _Collected()}
+    links = {False: _Collected(name="static"), True: _Collected(name="moving")}
     cache = UsdGeom.XformCache()
     count = 0
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
         owner = _owner(prim, joint.all_bodies)
         link = links[owner in joint.moving_bodies]
-        if str(prim.GetPath()) in joint.all_bodies and not link.name:
-            link.name = str(prim.GetDisplayName() or prim.GetName())
+        if str(prim.GetPath()) in joint.all_bodies and not link.named:
+            link.name, link.named = str(prim.GetDisplayName() or prim.GetName()), True
         if prim.HasAPI(UsdPhysics.MassAPI):
             link.mass += max(0.0, float(UsdPhysics.MassAPI(prim).GetMassAttr().Get() or 0.0))
         if not (prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdGeom.Cube)):
@@ -75,7 +71,7 @@ def read_links(stage: Any, joint: UsdJoint, to_metric: Array, folder: Path) -> t
         seen = _visible(prim)
         if not prim.IsA(UsdGeom.Mesh) or not (seen or collides):
             continue
-        meshes = _meshes(prim, place, name, folder)
+        meshes = _meshes(prim, place, name, path.resolve().parent)
         count += sum(len(mesh.faces) for mesh in meshes)
         if not count <= MAX_FACES:
             raise LimitExceededError(
@@ -83,22 +79,24 @@ def read_links(stage: Any, joint: UsdJoint, to_metric: Array, folder: Path) -> t
             )
         link.meshes += meshes if seen else []
         link.collision_meshes += meshes if collides else []
-    return _finished(links[False], "static"), _finished(links[True], "moving")
+    kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
+    static, moving = (_finish(link, kilograms, path) for link in (links[False], links[True]))
+    return static, moving
 
 
-def _finished(link: _Collected, fallback_name: str) -> LinkParts:
-    boxes = link.boxes or box_cover(link.collision_meshes or link.meshes)
-    names: dict[str, int] = {}
-    unique = []
-    for item in boxes:
-        names[item.name] = names.get(item.name, 0) + 1
+def _finish(link: _Collected, kilograms: float, path: Path) -> AssetLink:
+    boxes: list[BoxCollider] = []
+    names = Counter[str]()
+    for item in link.boxes or box_cover(link.collision_meshes or link.meshes):
+        names[item.name] += 1
         suffix = f"_{names[item.name]}" if names[item.name] > 1 else ""
-        unique.append(
-            BoxCollider(name=item.name + suffix, T_asset_box=item.T_asset_box, half_extents=item.half_extents)
-        )
-    return LinkParts(
-        name=link.name or fallback_name, meshes=tuple(link.meshes), colliders=tuple(unique), mass=link.mass
-    )
+        boxes.append(replace(item, name=item.name + suffix))
+    if not link.meshes or not boxes:
+        raise AssetError(path, f"link {link.name!r} has no meshes", "check which prims its joint connects")
+    mass = link.mass * kilograms
+    if not mass > 0:
+        mass = FALLBACK_DENSITY * sum(8 * float(box.half_extents.prod()) for box in boxes)
+    return AssetLink(name=link.name, meshes=tuple(link.meshes), colliders=tuple(boxes), mass=mass)
 
 
 def _owner(prim: Any, bodies: frozenset[str]) -> str:
@@ -149,12 +147,13 @@ def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
         corners = corners[:, ::-1]
     uvs = _corner_uvs(prim, corners, indices, len(points))
     vertices = apply(place, points)
-    base = _base_look(prim)
+    base = _base_material(prim)
     meshes = []
     for suffix, bound, chosen in _pieces(prim, owners):
         material, _ = UsdShade.MaterialBindingAPI(bound).ComputeBoundMaterial()
-        look = material_look(material, folder, base) if material else base
-        textured = look.texture_srgb.size > 0 and len(uvs) > 0
+        surface = read_material(material, folder, base) if material else base
+        texture = surface.texture_srgb
+        textured = texture.size > 0 and len(uvs) > 0
         used, faces = np.unique(indices[corners[chosen]], return_inverse=True)
         meshes.append(
             Mesh(
@@ -162,10 +161,10 @@ def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
                 vertices=vertices[used],
                 faces=faces.reshape(-1, 3),
                 uvs=uvs[chosen] if textured else NO_UVS,
-                texture_srgb=look.texture_srgb if textured else np.zeros((0, 0, 3), np.uint8),
-                color_srgb=look.color_srgb,
-                roughness=look.roughness,
-                metallic=look.metallic,
+                texture_srgb=texture if textured else np.zeros((0, 0, 3), np.uint8),
+                color_srgb=np.asarray(texture.mean((0, 1)) / 255 if texture.size else surface.color_srgb),
+                roughness=surface.roughness,
+                metallic=surface.metallic,
             )
         )
     return meshes
@@ -212,9 +211,11 @@ def _corner_uvs(prim: Any, corners: NDArray[np.int64], indices: NDArray[np.int64
     return NO_UVS
 
 
-def _base_look(prim: Any) -> Look:
-    """Look from displayColor, which holds where no material is bound."""
+def _base_material(prim: Any) -> Material:
+    """From displayColor, which holds where no material is bound."""
     from pxr import UsdGeom
 
     colors = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
-    return plain_look(np.mean(np.array(colors), 0) if colors is not None and len(colors) else (0.5, 0.5, 0.5))
+    return plain_material(
+        np.mean(np.array(colors), 0) if colors is not None and len(colors) else (0.5, 0.5, 0.5)
+    )

@@ -1,7 +1,6 @@
 """What a USD material looks like: base color, texture, roughness, metallic."""
 
 import io
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from aomgen.assets.procedural.shapes import Material
 from aomgen.conventions import srgb_from_linear
-from aomgen.core.values import Array
 from aomgen.errors import (
     AssetError,
     LimitExceededError,
@@ -34,24 +33,15 @@ _ROUGHNESS_INPUTS = ("roughness", "reflection_roughness_constant")
 _METALLIC_INPUTS = ("metallic", "metallic_constant")
 
 
-@dataclass(frozen=True, slots=True)
-class Look:
-    """Texture (H, W, 3) uint8 (empty without), base color (3,) sRGB, roughness, metallic."""
-
-    texture_srgb: NDArray[np.uint8]
-    color_srgb: Array
-    roughness: float
-    metallic: float
+def plain_material(color_linear: Any) -> Material:
+    """One linear color (3,)."""
+    color = np.clip(srgb_from_linear(np.asarray(color_linear, np.float64)[:3]), 0.0, 1.0)
+    r, g, b = color.astype(np.float64).tolist()
+    return Material(color_srgb=(r, g, b))
 
 
-def plain_look(color_linear: Any) -> Look:
-    """A look of one linear color (3,)."""
-    color = np.clip(srgb_from_linear(np.asarray(color_linear, np.float64)[:3]), 0.0, 1.0).astype(np.float64)
-    return Look(NO_TEXTURE, color, 0.6, 0.0)
-
-
-def material_look(material: Any, folder: Path, fallback: Look) -> Look:
-    """Look of a bound UsdShade.Material; what it does not say is taken from `fallback`.
+def read_material(material: Any, folder: Path, fallback: Material) -> Material:
+    """A bound UsdShade.Material; what it does not say is taken from `fallback`.
 
     Args:
         material: Valid material, UsdPreviewSurface or MDL.
@@ -63,17 +53,13 @@ def material_look(material: Any, folder: Path, fallback: Look) -> Look:
     shader = _surface(material)
     if shader is None:
         return fallback
-    texture = _texture(shader, folder)
     color = _value(shader, _COLOR_INPUTS)
-    base = fallback.color_srgb if color is None else plain_look(color).color_srgb
-    if texture.size:
-        base = texture.mean((0, 1)) / 255.0
     roughness, metallic = _value(shader, _ROUGHNESS_INPUTS), _value(shader, _METALLIC_INPUTS)
-    return Look(
-        texture,
-        base,
-        fallback.roughness if roughness is None else float(roughness),
-        fallback.metallic if metallic is None else float(metallic),
+    return Material(
+        texture_srgb=_texture(shader, folder),
+        color_srgb=fallback.color_srgb if color is None else plain_material(color).color_srgb,
+        roughness=fallback.roughness if roughness is None else float(roughness),
+        metallic=fallback.metallic if metallic is None else float(metallic),
     )
 
 

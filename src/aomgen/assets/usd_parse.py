@@ -6,18 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.assets.canonical import canonical_transform, guess_handle
-from aomgen.assets.usd_geometry import LinkParts, read_links
+from aomgen.assets.asset_check import outward_normal
+from aomgen.assets.usd_geometry import read_links
 from aomgen.assets.usd_joint import find_joint
 from aomgen.assets.usd_material import check_layers
 from aomgen.assets.usd_write import NAMESPACE
 from aomgen.core.asset import ArticulatedAsset, AssetLink
-from aomgen.core.transforms import apply
+from aomgen.core.joint import Joint
+from aomgen.core.mesh import sample_surface
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, MalformedFileError
 
-# Used for a link whose file names no mass, [kg/m^3] of its colliders.
-FALLBACK_DENSITY = 400.0
+HANDLE_WORDS = ("handle", "knob", "grip", "pull")
+# The handle's outermost layer, [m], in which its middle and direction are sought.
+LAYER = 0.008
+# A revolute part's handle lies in the outer share of its reach.
+OUTER_SHARE = 0.5
+# Surface points that the handle is searched in: many on each handle of usual size.
+SAMPLES = 20_000
 # Rotation that turns a Y-up stage into Z up.
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
@@ -29,12 +36,12 @@ def parse_usd(path: Path) -> ArticulatedAsset:
     world), with everything fixed to it; the rest is static. As the file stands is joint value
     0; the axis is turned so that the larger limit is positive. The result is moved so that its
     front looks towards -y, it stands on z = 0 and is centred in x; a file that is so already
-    is not touched. Without `aomgen:handle_point` the handle is guessed (`canonical.guess_handle`).
+    is not touched. Without `aomgen:handle_point` the handle is guessed (`guess_handle`).
 
     Raises:
         MalformedFileError, UnsafePathError, MissingFileError, AssetError: See `usd_read.read_usd`.
     """
-    from pxr import Tf, Usd, UsdGeom, UsdPhysics
+    from pxr import Tf, Usd, UsdGeom
 
     try:
         stage = Usd.Stage.Open(str(path))
@@ -44,19 +51,17 @@ def parse_usd(path: Path) -> ArticulatedAsset:
         ) from error
     if not stage:
         raise MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")
-    folder = path.resolve().parent
-    check_layers(stage, folder)
+    check_layers(stage, path.resolve().parent)
     unit = float(UsdGeom.GetStageMetersPerUnit(stage))
     up = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else _Z_UP_FROM_Y_UP
     to_metric = up @ np.diag([unit, unit, unit, 1.0])
     joint = find_joint(stage, to_metric, unit, path)
-    static, moving = read_links(stage, joint, to_metric, folder)
-    kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
+    static, moving = read_links(stage, joint, to_metric, path)
     asset = ArticulatedAsset(
         name=_name(stage, path),
         category=str(_root_attribute(stage, "category") or path.stem.split("-")[0]),
-        static=_link(static, kilograms, path),
-        moving=_link(moving, kilograms, path),
+        static=static,
+        moving=moving,
         joint=joint.joint,
         handle_point=np.zeros(3),
         handle_axis=np.array([0.0, 0.0, 1.0]),
@@ -75,22 +80,13 @@ def _root_attribute(stage: Any, name: str) -> Any | None:
     return attribute.Get() if attribute else None
 
 
-def _link(parts: LinkParts, kilograms: float, path: Path) -> AssetLink:
-    if not parts.meshes or not parts.colliders:
-        raise AssetError(path, f"link {parts.name!r} has no meshes", "check which prims its joint connects")
-    mass = parts.mass * kilograms
-    if not mass > 0:
-        mass = FALLBACK_DENSITY * sum(8 * float(box.half_extents.prod()) for box in parts.colliders)
-    return AssetLink(name=parts.name, meshes=parts.meshes, colliders=parts.colliders, mass=mass)
-
-
 def _with_handle(asset: ArticulatedAsset, stage: Any, to_metric: Array) -> ArticulatedAsset:
     from pxr import UsdGeom
 
     point, axis = _root_attribute(stage, "handle_point"), _root_attribute(stage, "handle_axis")
     if point is None or axis is None:
-        guessed = guess_handle(asset.moving, asset.joint)
-        return replace(asset, handle_point=guessed.point, handle_axis=guessed.axis)
+        guessed, direction = guess_handle(asset.moving, asset.joint)
+        return replace(asset, handle_point=guessed, handle_axis=direction)
     matrix = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetDefaultPrim())).T
     place = to_metric @ matrix
     direction = place[:3, :3] @ np.array(axis, np.float64)
@@ -104,3 +100,73 @@ def _with_handle(asset: ArticulatedAsset, stage: Any, to_metric: Array) -> Artic
 def _placed(asset: ArticulatedAsset) -> ArticulatedAsset:
     T = canonical_transform(asset)
     return asset if np.allclose(T, np.eye(4), atol=1e-6) else asset.transformed(T)
+
+
+def opening_direction(link: AssetLink, joint: Joint) -> Array:
+    """Unit direction (3,) in which the middle of the moving link starts to move.
+
+    Raises:
+        AssetError: A revolute part whose middle lies on its axis.
+    """
+    if joint.type == "prismatic":
+        return joint.axis
+    points = np.concatenate([mesh.vertices for mesh in link.meshes])
+    middle = (points.min(0) + points.max(0)) / 2
+    direction = np.cross(joint.axis, middle - joint.origin)
+    length = float(np.linalg.norm(direction))
+    if not length > 1e-4:
+        raise AssetError(link.name, "lies symmetrically around its joint axis", "name its handle in the file")
+    return direction / length
+
+
+def guess_handle(link: AssetLink, joint: Joint) -> tuple[Array, Array]:
+    """Guess the middle of a moving link's handle bar (3,), [m], and its unit direction (3,).
+
+    Meshes named like a handle are taken where there are some; otherwise the part of the link
+    that protrudes most in the opening direction, for a revolute part within the outer half of
+    its reach (a handle is opposite the hinge). The direction is the longer one of that region.
+    """
+    named = [m for m in link.meshes if any(word in m.name.lower() for word in HANDLE_WORDS)]
+    rng = np.random.default_rng(0)
+    meshes = named or link.meshes
+    share = max(1, SAMPLES // len(meshes))
+    points = np.concatenate([sample_surface(mesh.vertices, mesh.faces, share, rng)[0] for mesh in meshes])
+    outward = opening_direction(link, joint)
+    if joint.type == "revolute" and not named:
+        arms = points - joint.origin
+        reach = np.linalg.norm(arms - np.outer(arms @ joint.axis, joint.axis), axis=1)
+        points = points[reach >= OUTER_SHARE * reach.max()]
+    heights = points @ outward
+    bar = points[heights >= heights.max() - LAYER]
+    across = np.linalg.svd(outward[None])[2][1:]
+    flat = (bar - bar.mean(0)) @ across.T
+    direction = np.linalg.svd(flat, full_matrices=False)[2][0] @ across
+    side = np.cross(outward, direction)
+    point = sum(
+        (0.5 * ((bar @ axis).min() + (bar @ axis).max()) * axis for axis in (direction, side)), np.zeros(3)
+    )
+    return point + (heights.max() - LAYER / 2) * outward, direction
+
+
+def canonical_transform(asset: ArticulatedAsset) -> Array:
+    """Rigid transform (4, 4) to the asset frame: front towards -y, on z = 0, centred in x and y.
+
+    The front is turned by whole quarter turns, as files are drawn along their axes; a part that
+    opens upwards (a lid) keeps its heading. Where the file names its handle, the face that
+    carries it is the front. An asset that stands so already gives the identity.
+    """
+    named = asset.handle_bar is not None
+    outward = outward_normal(asset) if named else opening_direction(asset.moving, asset.joint)
+    turns = 0
+    if np.hypot(outward[0], outward[1]) > 0.5:
+        angle = np.arctan2(-1.0, 0.0) - np.arctan2(outward[1], outward[0])
+        turns = int(np.round(angle / (np.pi / 2))) % 4
+    R = np.round(matrix_from_rotvec([0.0, 0.0, turns * np.pi / 2]))
+    points = np.concatenate([mesh.vertices for mesh in asset.static.meshes]) @ R.T
+    middle = (points.min(0) + points.max(0)) / 2
+    everything = np.concatenate([m.vertices for link in (asset.static, asset.moving) for m in link.meshes])
+    offset = np.array([-middle[0], 0.0, -everything[:, 2].min()])
+    if turns or abs(middle[1]) > 0.25:
+        offset[1] = -middle[1]
+    offset[np.abs(offset) < 2e-3] = 0.0
+    return transform(R, offset)

@@ -1,7 +1,12 @@
-"""Reading articulated USD assets safely: a child process parses, this one only takes arrays."""
+"""Reading articulated USD assets safely: a child process parses, this one only takes arrays.
+
+The child is `python -m aomgen.assets.usd_read FILE FOLDER`: it writes the asset into FOLDER; an error of ours
+becomes a JSON line on standard error and exit code REFUSED, anything else is a crash that the parent reports.
+"""
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -9,15 +14,19 @@ from pathlib import Path
 
 import aomgen
 from aomgen import errors
-from aomgen.assets.archive import load_asset
-from aomgen.assets.usd_child import REFUSED
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.io.artifact import load_artifact, save_artifact
 
 # Largest USD file read, [bytes]: far above usual assets.
 MAX_BYTES = 512 << 20
 # Usual assets take a few seconds, [s]; a parser that hangs is stopped.
 TIMEOUT_S = 120.0
+# Address space of the child, [bytes]: the largest asset that is read needs a part of it.
+MAX_MEMORY_BYTES = 8 << 30
+# Exit code of an asset that is refused with a message; 1 and 2 are the interpreter's own.
+REFUSED = 3
+ARTIFACT = "asset"
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -46,15 +55,14 @@ def read_usd(path: Path, *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
     if not path.stat().st_size <= MAX_BYTES:
         raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
     with tempfile.TemporaryDirectory(prefix="aomgen-usd-") as folder:
-        result = Path(folder) / "asset.npz"
-        _run_child(path.resolve(), result, timeout_s)
-        return load_asset(result)
+        _run_child(path.resolve(), folder, timeout_s)
+        return load_artifact(Path(folder), ARTIFACT, ArticulatedAsset)
 
 
-def _run_child(path: Path, result: Path, timeout_s: float) -> None:
+def _run_child(path: Path, folder: str, timeout_s: float) -> None:
     package_parent = str(Path(aomgen.__file__).resolve().parent.parent)
     search = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH", "")]))
-    command = [sys.executable, "-m", "aomgen.assets.usd_child", str(path), str(result)]
+    command = [sys.executable, "-m", "aomgen.assets.usd_read", str(path), folder]
     try:
         done = subprocess.run(
             command,
@@ -69,7 +77,7 @@ def _run_child(path: Path, result: Path, timeout_s: float) -> None:
         ) from error
     if done.returncode == REFUSED:
         raise _error_of(done.stderr, path)
-    if done.returncode != 0 or not result.is_file():
+    if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1][:300]
         raise MalformedFileError(
             path,
@@ -86,3 +94,22 @@ def _error_of(message: str, path: Path) -> AomgenError:
         return kind(values["where"], values["problem"], values["remedy"])
     except (ValueError, IndexError, KeyError, AttributeError):
         return MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")
+
+
+def parse_as_child(arguments: list[str]) -> int:
+    """Parse `arguments[0]` into `arguments[1]`; returns the exit code."""
+    from aomgen.assets.usd_parse import parse_usd
+
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        save_artifact(Path(arguments[1]), ARTIFACT, parse_usd(Path(arguments[0])))
+    except AomgenError as error:
+        answer = {"error": type(error).__name__, "where": error.where, "problem": error.problem}
+        sys.stderr.write(json.dumps({**answer, "remedy": error.remedy}) + "\n")
+        return REFUSED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(parse_as_child(sys.argv[1:]))

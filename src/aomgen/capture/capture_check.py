@@ -19,7 +19,9 @@ from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
 from aomgen.io.images import resize
 from aomgen.io.resampling import undistorter
 from aomgen.io.video import Video, decode_frames, probe_video, read_video
-from aomgen.robots.robot import RobotModel, choose_robot
+from aomgen.robots.description import FILE_NAME, find_description
+from aomgen.robots.loading import choose_robot
+from aomgen.robots.robot import RobotModel
 
 # A demonstration shorter than this shows no motion that could be fitted.
 MIN_FRAMES = 20
@@ -94,8 +96,26 @@ def check_capture(capture: Capture) -> CheckedCapture:
         scan_count=count,
         videos_s=lengths,
         frames={name: len(video.times_s) for name, video in videos.items()},
-        warnings=(*doubts, *check_masks(capture), *prompt_warnings(capture.prompts), *warnings),
+        warnings=(
+            *doubts,
+            *guessed_robot(capture),
+            *check_masks(capture),
+            *prompt_warnings(capture.prompts),
+            *warnings,
+        ),
     )
+
+
+def guessed_robot(capture: Capture) -> list[str]:
+    """A warning where no robot.toml says what the parts of the capture's robot are for."""
+    file = capture.robot.model_file
+    if file is None or find_description(file) is not None:
+        return []
+    joints = " ".join(f"--joint {name}" for name in capture.robot.joints)
+    return [
+        f"{file}: has no {FILE_NAME} beside it, so its gripper and end effector are guessed; "
+        f"write the guess down with `aomgen robot propose {file} {joints}` and check it"
+    ]
 
 
 def check_robot(capture: Capture) -> RobotModel:

@@ -1,16 +1,12 @@
 """The schema of `capture.toml`, format 1."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
-from aomgen.io.schema import complaint
+from aomgen.io.schema import read_toml
 
-# Largest capture.toml read, [bytes]; a usual one has a few kB.
-MAX_BYTES = 1 << 20
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
 
 
@@ -80,19 +76,6 @@ def read_manifest(path: Path) -> CaptureManifest:
     """Parse and validate one capture.toml.
 
     Raises:
-        MissingFileError, LimitExceededError: No such file, or larger than 1 MiB.
-        MalformedFileError: Not TOML, an unknown key (the nearest known one is named), a wrong
-            type or a missing key.
+        InputError: As `read_toml`.
     """
-    if not path.is_file():
-        raise MissingFileError(path, "is missing", "a capture folder holds a capture.toml; see the README")
-    if not path.stat().st_size <= MAX_BYTES:
-        raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
-    try:
-        data = tomllib.loads(path.read_text("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise MalformedFileError(path, f"is not valid TOML ({error})", "correct that line") from error
-    try:
-        return CaptureManifest.model_validate(data)
-    except ValidationError as error:
-        raise MalformedFileError(path, *complaint(error, CaptureManifest)) from error
+    return read_toml(path, CaptureManifest, "a capture folder holds a capture.toml; see the README")

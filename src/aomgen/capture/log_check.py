@@ -102,7 +102,7 @@ def _rest_warnings(log: JointLog, path: Path) -> list[str]:
         return []
     return [
         f"{path}: the arm moves by {travel:.2f} rad in the first {REST_S} s: start the log while it rests in the "
-        "scan's posture, or give robot.scan_state"
+        "scan's configuration, or give robot.scan_state"
     ]
 
 

@@ -28,8 +28,8 @@ from aomgen.errors import (
     UnitsError,
 )
 from aomgen.io.paths import resolve_inside
-from aomgen.io.robot_xml import read_robot_xml
 from aomgen.io.video import probe_video
+from aomgen.robots.description import robot_references
 
 # Two seconds of video; a walk around the scene takes ten times as long.
 MIN_SCAN_FRAMES = 60
@@ -182,7 +182,7 @@ def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -
         model=robot.model,
         model_file=model_file,
         root=folder,
-        references=read_robot_xml(model_file, folder).references if model_file else (),
+        references=robot_references(model_file, folder) if model_file else (),
         base_frame=robot.base_frame,
         joints=tuple(robot.joints),
         hand=HandChoice(

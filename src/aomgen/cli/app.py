@@ -10,6 +10,7 @@ import typer
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
 from aomgen.cli.ending import report_bug, stop_at_signals
+from aomgen.cli.robot_draft import robot_app
 from aomgen.cli.run import find_project, run_project
 from aomgen.errors import AomgenError, ConfigError, InputError
 
@@ -23,6 +24,7 @@ app = typer.Typer(
 assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
 app.add_typer(assets_app, name="assets")
 app.add_typer(bench_app, name="bench")
+app.add_typer(robot_app, name="robot")
 
 SAMPLE = "microwave-a"
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
@@ -70,7 +72,7 @@ def demo(
 
     Stop it whenever you like; the same command continues where it was.
     """
-    from aomgen.pipeline.project import Project
+    from aomgen.core.project import Project
 
     sample = Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE
     project = Project(
@@ -88,7 +90,7 @@ def check(
     path: Annotated[Path, typer.Argument(help="A capture folder, a project.toml or a USD asset.")],
 ) -> None:
     """Validate a capture, a project or an asset, with reasons; changes nothing."""
-    from aomgen.pipeline.asset_choice import asset_file, open_asset
+    from aomgen.assets.choice import asset_file, open_asset
 
     if asset_file(str(path)) is not None:
         joint = open_asset(str(path)).joint
@@ -97,7 +99,7 @@ def check(
     from aomgen.capture.capture_check import check_capture
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import category_warnings, check_project, machine_warnings
-    from aomgen.pipeline.project import read_project
+    from aomgen.pipeline.project_file import read_project
 
     if path.suffix == ".toml" and path.name != "capture.toml":
         project = read_project(path)
@@ -136,7 +138,7 @@ def init(
     """Write a project file with every choice spelled out, after checking capture and assets."""
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import check_project, machine_warnings, new_project
-    from aomgen.pipeline.project import write_project
+    from aomgen.pipeline.project_file import write_project
 
     if project.exists():
         raise ConfigError(project, "exists already", "choose another name with --project")
@@ -155,9 +157,23 @@ def run(
         Path, typer.Argument(help="A project file, see `aomgen init`; or the folder of a run.")
     ],
     until: Annotated[str, typer.Option(help="Stop after this stage; `aomgen status` lists them.")] = "",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A parameter of a stage, for example motion.joint.nodes=30; repeatable."),
+    ] = None,
 ) -> None:
-    """Bring every stage of a project up to date; what is up to date is kept."""
-    run_project(find_project(project), until=until)
+    """Bring every stage of a project up to date; what is up to date is kept.
+
+    Parameters are the fields of the stages' Params classes (`PARAMETERS` in pipeline/stages.py); a name that
+    does not exist is answered with those that do. They are kept in the run's project.toml.
+    """
+    from aomgen.io.overrides import merge, parse_setting
+
+    found = find_project(project)
+    params = found.params
+    for setting in settings or ():
+        params = merge(params, parse_setting(setting))
+    run_project(type(found).model_validate(found.model_dump() | {"params": params}), until=until)
 
 
 @app.command()

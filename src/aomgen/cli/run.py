@@ -17,7 +17,7 @@ def run_project(project, *, until: str = ""):
         AomgenError: Whatever a stage refuses.
     """
     from aomgen.cli.display import display
-    from aomgen.pipeline.estimates import forget_refusal
+    from aomgen.motion.estimates_file import forget_refusal
     from aomgen.pipeline.run_record import RunRecord, save_record
     from aomgen.pipeline.stages import REPORT_FILE, run_pipeline
 
@@ -54,7 +54,7 @@ def find_project(path: Path):
         MissingFileError: There is nothing of both.
         ConfigError: The project file is not valid.
     """
-    from aomgen.pipeline.project import read_project
+    from aomgen.pipeline.project_file import read_project
     from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 
     if not path.exists():

@@ -78,6 +78,14 @@ class Camera:
         )
         return pixels, depths
 
+    def projection_slopes(self, points_world: ArrayLike) -> Array:
+        """Change (N, 2, 3) of the pixels of points (N, 3) before the camera with a motion of these, [px/m]."""
+        x, y, z = np.moveaxis(apply(self.T_cam_world, points_world), -1, 0)
+        zero = np.zeros_like(z)
+        along_u = self.fx * np.stack([1 / z, zero, -x / z**2], -1)
+        along_v = self.fy * np.stack([zero, 1 / z, -y / z**2], -1)
+        return np.stack([along_u, along_v], -2) @ self.T_cam_world[:3, :3]
+
     def directions(self) -> Array:
         """Viewing rays (height, width, 3), world frame, scaled to depth 1 (not unit length)."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
+from aomgen.core.light import Light
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 
@@ -73,6 +75,28 @@ class SupportPlane:
     def __post_init__(self) -> None:
         freeze(self, "low_xy", self.low_xy, (2,))
         freeze(self, "high_xy", self.high_xy, (2,))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeScene:
+    """What all episodes of a run share.
+
+    Attributes:
+        support: The table that objects are put on.
+        T_world_plane: Its surface (4, 4), on which shadows fall.
+        light: What new objects are lit by.
+        light_source: Where the light comes from, in words.
+        cameras: Of the episodes' images, world frame, by name.
+    """
+
+    support: SupportPlane
+    T_world_plane: Array
+    light: Light
+    light_source: str
+    cameras: dict[str, Camera]
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_world_plane", self.T_world_plane, (4, 4))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

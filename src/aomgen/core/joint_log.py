@@ -1,6 +1,6 @@
 """The robot's joint log as a function of time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,10 @@ class JointLog:
         times = np.asarray(times_s, np.float64)
         columns = [np.interp(times, self.times_s, column) for column in self.joints.T]
         return np.stack(columns, -1), np.interp(times, self.times_s, self.gripper)
+
+    def shifted(self, offset_s: float) -> "JointLog":
+        """The same log on a clock that this one is ahead of by an offset, [s]."""
+        return replace(self, times_s=self.times_s - offset_s)
 
     def covers(self, times_s: ArrayLike) -> NDArray[np.bool_]:
         """Which of the times lie inside the log."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 
 # Newton steps from the distorted ray; the fifth changes nothing below 1e-9 on any usable lens.
@@ -91,6 +92,19 @@ class Lens:
             cy=self.cy,
             width=self.width,
             height=self.height,
+        )
+
+    def pinhole_camera(self, T_world_cam: ArrayLike) -> Camera:
+        """The camera of the straightened images at a pose (4, 4)."""
+        straight = self.straight()
+        return Camera(
+            fx=straight.fx,
+            fy=straight.fy,
+            cx=straight.cx,
+            cy=straight.cy,
+            width=straight.width,
+            height=straight.height,
+            T_world_cam=np.asarray(T_world_cam, np.float64),
         )
 
     def straightened(self, pixels: ArrayLike) -> Array:

@@ -7,9 +7,25 @@ from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens
+from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze
 
 Figures = dict[str, object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PinholeScan:
+    """What stands in for a scan that is a video, or that a lens distorts; files below the stage's folder.
+
+    Attributes:
+        images: Undistorted images.
+        masks: Folders of undistorted label images, by name; None = the recorded ones.
+        prompts: What a person clicked, in pixels of these images.
+    """
+
+    images: tuple[str, ...]
+    masks: dict[str, str] | None
+    prompts: tuple[Prompt, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,6 +38,7 @@ class Structure:
         scan_lens: Optics of the scan images when they are distorted: `cameras_recon` and
             everything else here belong to the straightened images. None = pinhole images.
         demo_lenses: The same for the fixed cameras that are distorted.
+        pinhole: The scan that all this belongs to; None = the recorded one.
         dropped: Scan images that are not in the model, with the reason.
         points_recon: Points (P, 3).
         colors_srgb: Colors (P, 3) uint8.
@@ -39,6 +56,7 @@ class Structure:
     reprojection_error_px: float
     scan_lens: Lens | None = None
     demo_lenses: dict[str, Lens] = field(default_factory=dict)
+    pinhole: PinholeScan | None = None
     figures: Figures = field(default_factory=dict)
 
     def __post_init__(self) -> None:

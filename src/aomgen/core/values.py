@@ -8,6 +8,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+def require_indices(indices: NDArray[np.integer], count: int) -> None:
+    """Refuse indices outside 0..count - 1.
+
+    Raises:
+        ValueError: One is.
+    """
+    if len(indices) and not (indices.min() >= 0 and indices.max() < count):
+        raise ValueError(f"an index is outside 0..{count - 1}")
+
+
 def freeze(value: Any, name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = np.float64) -> None:
     """Store `array` on a frozen dataclass as a read-only, C-contiguous array.
 

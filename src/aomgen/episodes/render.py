@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
-from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
@@ -173,8 +172,8 @@ def _shades(
     if twin.relit is None or not surfaces:
         return {}
     light = surfaces[0].light
-    points = {
-        name: twin.gaussians.means[twin.relit.indices[twin.bodies[twin.relit.indices] == twin.body(name)]]
+    solid = {
+        name: twin.gaussians.select(twin.relit.indices[twin.bodies[twin.relit.indices] == twin.body(name)])
         for name in (OBJECT, PART)
     }
     T_object = trajectory.T_world_object
@@ -182,13 +181,17 @@ def _shades(
         name: layer.camera.center + layer.camera.directions() * np.minimum(layer.depth, 100.0)[..., None]
         for name, layer in layers.items()
     }
-    shades: dict[str, list[NDArray[np.float32]]] = {name: [] for name in layers}
-    for T_part in T_object @ twin.joint.motion(_knots(trajectory.thetas)):
-        solid = np.concatenate([apply(T_object, points[OBJECT]), apply(T_part, points[PART])])
-        shadow = cast_shadow(solid, T_world_plane, light)
-        for name, seen in places.items():
-            shades[name].append(shadow.at(seen, layers[name].camera.center))
-    return {name: np.stack(images) for name, images in shades.items()}
+    Ts_part = T_object @ twin.joint.motion(_knots(trajectory.thetas))
+    shadows = cast_shadow(
+        solid[OBJECT].transformed(T_object),
+        [solid[PART].transformed(T) for T in Ts_part],
+        T_world_plane,
+        light,
+    )
+    return {
+        name: np.stack([shadow.at(seen, layers[name].camera.center) for shadow in shadows])
+        for name, seen in places.items()
+    }
 
 
 def _between(images: NDArray[np.float32], knots: Array, theta: float) -> NDArray[np.float32]:

@@ -1,11 +1,11 @@
-"""Render verified episodes and commit them, each as one folder."""
+"""Verified episodes rendered and committed, each as one folder. [paper 5.2]"""
 
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,16 +15,39 @@ from aomgen.core.plan import VerifiedEpisode
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
 from aomgen.episodes.render import Trajectory, render_frames, static_layers
+from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import remove_staging
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
+from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.assumptions import assumptions
+from aomgen.simulation.verify import assumptions
 from aomgen.twin.layers import StaticLayer
 from aomgen.twin.twin import Twin
 
 # Episodes rendered at a time, each on one thread; usual machines have more cores.
 WORKERS: Final = 2
+
+
+def run(
+    results: Results, folder: Path, progress: Progress, verified: Sequence[VerifiedEpisode]
+) -> dict[str, Any]:
+    """Every verified plan drawn from all cameras and committed."""
+    names = [fitted.asset.name for fitted in results.fitted_assets]
+    homes = {name: results.asset_folder(index) for index, name in enumerate(names)}
+    folders = run_episodes(
+        verified,
+        {name: load_artifact(home, "twin", Twin) for name, home in homes.items()},
+        {name: home / ASSET_USD for name, home in homes.items()},
+        results.robot,
+        results.episode_scene.cameras,
+        folder,
+        instruction=results.recorded.instruction,
+        joint_zeros_rad=results.alignment.joint_zeros_rad,
+        T_world_plane=results.episode_scene.T_world_plane,
+        progress=progress,
+    )
+    return {"episodes": len(folders), "cameras": ", ".join(results.episode_scene.cameras)}
 
 
 def run_episodes(

@@ -1,31 +1,44 @@
-"""Loading and saving of the Gaussians stage."""
+"""Trained Gaussians of the scene, judged by held-out images. [paper 4.1]"""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.core.structure import Structure
 from aomgen.gaussians.train import GaussiansParams, HeldOut, TrainedScene, train_scene
 from aomgen.io.atomic import write_json
 from aomgen.io.images import read_image, resize, write_image
-from aomgen.io.jsonfile import read_json
-from aomgen.io.ply import read_gaussians, write_gaussians
+from aomgen.io.ply import write_gaussians
+from aomgen.results import GAUSSIANS_FILE, Results
 from aomgen.splatting.checkpoint import Checkpoint
 
-GAUSSIANS_FILE = "gaussians.ply"
 METRICS_FILE = "metrics.json"
 STRIP_FILE = "heldout.png"
 CHECKPOINT_FILE = "training.checkpoint"
+# Width of an image in the strip, [px].
+STRIP_WIDTH = 320
 
 
-def run_gaussians(
-    structure: Structure,
-    images: dict[str, Path],
-    folder: Path,
-    progress: Progress,
-    params: GaussiansParams | None = None,
+def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Train as the project says."""
+    project, params = results.project, results.params("gaussians", GaussiansParams())
+    training = replace(params.training, iterations=project.iterations, max_gaussians=project.gaussians)
+    params = replace(params, training=training)
+    scene = train_in(folder, results.structure, results.scan_images, progress, params)
+    views = list(scene.heldout.values())
+    return {
+        "gaussians": len(scene.gaussians_recon),
+        "heldout_psnr": float(np.mean([view.psnr_db for view in views])) if views else 0.0,
+        "heldout_ssim": float(np.mean([view.ssim for view in views])) if views else 0.0,
+    }
+
+
+def train_in(
+    folder: Path, structure: Structure, images: dict[str, Path], progress: Progress, params: GaussiansParams
 ) -> TrainedScene:
     """Train (see `train_scene`) and write `gaussians.ply`, `metrics.json` and `heldout.png`.
 
@@ -33,44 +46,21 @@ def run_gaussians(
     """
     images_srgb = {name: read_image(path) for name, path in sorted(images.items())}
     checkpoint = Checkpoint(path=folder / CHECKPOINT_FILE)
-    scene = train_scene(structure, images_srgb, params or GaussiansParams(), progress, checkpoint=checkpoint)
+    scene = train_scene(structure, images_srgb, params, progress, checkpoint=checkpoint)
     write_gaussians(folder / GAUSSIANS_FILE, scene.gaussians_recon)
     write_json(folder / METRICS_FILE, scene.figures)
     if scene.heldout:
         write_image(folder / STRIP_FILE, _strip(scene.heldout, images_srgb))
     checkpoint.path.unlink()
-    progress(1.0, "Gaussians written")
     return scene
 
 
-def load_gaussians(folder: Path) -> TrainedScene:
-    """Read what `run_gaussians` wrote; rendered held-out images are not kept.
-
-    Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
-    """
-    figures = read_json(folder / METRICS_FILE)
-    nothing = np.zeros((0, 0, 3), np.uint8)
-    return TrainedScene(
-        gaussians_recon=_load(folder),
-        heldout={
-            name: HeldOut(psnr_db=view["psnr"], ssim=view["ssim"], rendered_srgb=nothing)
-            for name, view in figures.get("heldout", {}).items()
-        },
-        figures=figures,
-    )
-
-
-def _load(folder: Path) -> Gaussians:
-    return read_gaussians(folder / GAUSSIANS_FILE)
-
-
-def _strip(heldout: dict[str, HeldOut], images_srgb: dict[str, np.ndarray]) -> np.ndarray:
+def _strip(heldout: dict[str, HeldOut], images_srgb: dict[str, NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """Photograph above rendering, side by side over the held-out images."""
     columns = []
     for name, view in heldout.items():
         height, width = view.rendered_srgb.shape[:2]
-        small = (round(320 * width / max(width, 1)), round(320 * height / max(width, 1)))
+        small = (STRIP_WIDTH, round(STRIP_WIDTH * height / width))
         columns.append(
             np.concatenate([resize(images_srgb[name], *small), resize(view.rendered_srgb, *small)], axis=0)
         )

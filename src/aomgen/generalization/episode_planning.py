@@ -10,7 +10,7 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
 from aomgen.generalization.arm import FreeWay, solve_around, solve_contact
-from aomgen.generalization.grasps import Grasp, HandConventions, grasps, hand_of
+from aomgen.generalization.grasps import Grasp, grasps
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed
 from aomgen.generalization.retarget import CONTACT, HandMotion, Style, retarget, timing
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
@@ -73,14 +73,13 @@ def plan_episode(
     placed = scene.placed(T_world_object)
     close = int(np.searchsorted(demo.times_s - demo.times_s[0], timing(demo).start))
     R_front_ee = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[min(close, len(demo.times_s) - 1), :3, :3]
-    hand = hand_of(scene.robot)
-    depth = float(demo.grasp_ee @ hand.approach)
+    depth = float(demo.grasp_ee[2])
     best: Rejection | None = None
     tried = 0
     # The contact segment decides most grasps; its Rejection ends a grasp's other ways.
-    for grasp in grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio, hand):
+    for grasp in grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio):
         tried += 1
-        task = _Task(fitted, demo, variation, T_world_object, placed, solver, hand, params)
+        task = _Task(fitted, demo, variation, T_world_object, placed, solver, params)
         result = _plan_with(task, grasp)
         if isinstance(result, EpisodePlan):
             return result
@@ -102,7 +101,6 @@ class _Task(NamedTuple):
     T_world_object: Array
     placed: Scene
     solver: IkSolver
-    hand: HandConventions
     params: PlanParams
 
 
@@ -161,7 +159,6 @@ def _solved(task: _Task, grasp: Grasp, ways: _Ways) -> tuple[HandMotion, IkPath 
             task.fitted,
             task.T_world_object,
             grasp,
-            task.hand,
             params.fps,
             approach=ways.approach,
             retreat=ways.retreat,

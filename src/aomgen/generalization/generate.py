@@ -17,7 +17,7 @@ from aomgen.generalization.variations import PoseRanges, in_view, longest_reach,
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import table_overlap_m
 from aomgen.simulation.scene import Scene, build_scene
-from aomgen.simulation.verify import PassRule, verify_plan
+from aomgen.simulation.verify import verify_plan
 
 # Kept between the recorded arm and a table that it would have hit, [m].
 TABLE_CLEARANCE_M = 0.005
@@ -37,7 +37,6 @@ class GenerationParams:
         seed: Of the sequences of variations; asset k uses seed + k.
         ranges: Of the poses.
         plan: How an episode is planned.
-        rule: When it counts.
         bolted: The object is fixed to its support; False lets it stand by friction.
         cameras: Cameras that must show the action, world frame.
         attempts_per_episode: Variations tried for each wanted episode before giving up.
@@ -47,7 +46,6 @@ class GenerationParams:
     seed: int = 0
     ranges: PoseRanges = field(default_factory=PoseRanges)
     plan: PlanParams = field(default_factory=PlanParams)
-    rule: PassRule = field(default_factory=PassRule)
     bolted: bool = True
     cameras: tuple[Camera, ...] = ()
     attempts_per_episode: int = 5
@@ -173,7 +171,7 @@ class _Attempts:
     def make(self, variation: Variation) -> Outcome:
         scene, params = self._scene(), self._params
         plan = plan_episode(self._fitted, self._demo, variation, scene, self._solver, params.plan)
-        return verify_plan(plan, scene, rule=params.rule) if isinstance(plan, EpisodePlan) else plan
+        return verify_plan(plan, scene) if isinstance(plan, EpisodePlan) else plan
 
 
 def _scene(

@@ -1,4 +1,8 @@
-"""How a hand may hold the new handle: the demonstrated way first, then ways near it."""
+"""How a hand may hold the new handle: the demonstrated way first, then ways near it.
+
+In the end effector frame of every robot z points out of the palm and the fingers close along y, so that a held
+bar lies along x.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,35 +12,6 @@ import numpy as np
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.core.values import Array, freeze
-from aomgen.robots.robot import RobotModel
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandConventions:
-    """Directions of a parallel gripper in the end effector frame.
-
-    Attributes:
-        approach: Points out of the palm (3,).
-        closing: The fingers move along it (3,).
-    """
-
-    approach: Array
-    closing: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "approach", self.approach, (3,))
-        freeze(self, "closing", self.closing, (3,))
-
-    @property
-    def bar(self) -> Array:
-        """A held bar lies along it (3,)."""
-        return np.asarray(np.cross(self.closing, self.approach), np.float64)
-
-
-def hand_of(robot: RobotModel) -> HandConventions:
-    """The directions of a robot's gripper."""
-    return HandConventions(approach=robot.approach_ee, closing=robot.closing_ee)
-
 
 # Rotations of the gripper about the handle that are tried, the smallest first, [deg].
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
@@ -72,7 +47,7 @@ class Grasp:
 
 
 def orientations(
-    R_front_ee: Array, handle_axis: Array, hand: HandConventions, tilts_deg: tuple[float, ...]
+    R_front_ee: Array, handle_axis: Array, tilts_deg: tuple[float, ...]
 ) -> Iterator[tuple[str, Array]]:
     """Hand orientations whose fingers close across the handle, nearest to the demonstrated first.
 
@@ -80,7 +55,6 @@ def orientations(
         R_front_ee: Demonstrated hand in the recorded object's upright front frame (3, 3); the
             asset's own frame is of the same kind.
         handle_axis: Along the new handle's bar (3,), asset frame.
-        hand: Directions of the gripper.
         tilts_deg: Turns about the bar to try in this order.
 
     Yields:
@@ -88,19 +62,19 @@ def orientations(
         square to the bar, each with every tilt; last the hand turned half round, which swaps
         the fingers.
     """
-    bar = R_front_ee @ hand.bar
+    bar = R_front_ee[:, 0]
     near = handle_axis if bar @ handle_axis >= 0 else -handle_axis
     level = _least_turn(bar, near) @ R_front_ee
-    bases = [("", _across(R_front_ee, near, hand))]
-    if abs((R_front_ee @ hand.approach) @ near) > MAX_ALONG_BAR:
+    bases = [("", _across(R_front_ee, near))]
+    if abs(R_front_ee[:, 2] @ near) > MAX_ALONG_BAR:
         bases = []
-    if not bases or angle_between(bases[0][1] @ hand.approach, level @ hand.approach) > MIN_LEVELLED_RAD:
+    if not bases or angle_between(bases[0][1][:, 2], level[:, 2]) > MIN_LEVELLED_RAD:
         bases.append(("level ", level))
     for label, base in bases:
         for tilt in tilts_deg:
             yield f"{label}tilt {tilt:+.0f}", matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ base
     first = bases[0][1]
-    yield "turned", matrix_from_rotvec(np.pi * (first @ hand.approach)) @ first
+    yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
 
 
 def grasps(
@@ -108,7 +82,6 @@ def grasps(
     R_front_ee: Array,
     demonstrated_depth: float,
     turn_ratio: float,
-    hand: HandConventions,
 ) -> Iterator[Grasp]:
     """Grasps to try, in order of likeness to the demonstrated one.
 
@@ -118,25 +91,24 @@ def grasps(
         demonstrated_depth: How far beyond the end effector point the recorded handle lay, along
             the approach, [m].
         turn_ratio: Demonstrated turn of the hand over turn of the part.
-        hand: Directions of the gripper.
     """
     depth = float(np.clip(demonstrated_depth, *DEPTHS_M))
     revolute = fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
-    for name, R in orientations(R_front_ee, fitted.asset.handle_axis, hand, TILTS_DEG):
+    for name, R in orientations(R_front_ee, fitted.asset.handle_axis, TILTS_DEG):
         for share in ratios:
             yield Grasp(
                 name=f"{name}, turn {share:.2f}",
                 R_object_ee=R,
-                held_ee=depth * hand.approach,
+                held_ee=np.array([0.0, 0.0, depth]),
                 turn_ratio=share,
             )
 
 
-def _across(R: Array, bar: Array, hand: HandConventions) -> Array:
+def _across(R: Array, bar: Array) -> Array:
     """The hand rolled about its approach by at most 90 degrees until its fingers close across the bar."""
-    approach, closing = R @ hand.approach, R @ hand.closing
+    approach, closing = R[:, 2], R[:, 1]
     side = np.cross(approach, closing)
     angle = np.arctan2(-(closing @ bar), side @ bar)
     angle = (angle + np.pi / 2) % np.pi - np.pi / 2

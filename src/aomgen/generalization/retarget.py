@@ -28,7 +28,7 @@ from aomgen.core.transforms import (
     transform,
 )
 from aomgen.core.values import Array, freeze
-from aomgen.generalization.grasps import Grasp, HandConventions
+from aomgen.generalization.grasps import Grasp
 
 APPROACH, CONTACT, RETREAT = range(len(PHASES))
 # How the hand moves beside the handle: as demonstrated, or straight along its approach direction.
@@ -139,7 +139,6 @@ def retarget(
     fitted: FittedAsset,
     T_world_object: Array,
     grasp: Grasp,
-    hand: HandConventions,
     fps: float,
     *,
     approach: Style = "demonstrated",
@@ -156,7 +155,6 @@ def retarget(
         fitted: The object, with its planned motion.
         T_world_object: Its pose (4, 4).
         grasp: How it is held.
-        hand: Directions of the gripper.
         fps: Samples a second of the result.
         approach, retreat: How the hand moves beside the handle.
         slow_down: Stretches approach and contact further, at least 1.
@@ -164,7 +162,7 @@ def retarget(
     Not checked: reach, collisions.
     """
     moments = timing(demo)
-    path = _HandPath(demo, fitted, T_world_object, grasp, hand, moments, (approach, retreat))
+    path = _HandPath(demo, fitted, T_world_object, grasp, moments, (approach, retreat))
     marks = moments.marks
     stretch = np.maximum(path.stretches(), 1.0)
     stretch[:3] *= slow_down
@@ -193,12 +191,11 @@ class _HandPath:
         fitted: FittedAsset,
         T_world_object: Array,
         grasp: Grasp,
-        hand: HandConventions,
         moments: Timing,
         styles: tuple[Style, Style],
     ) -> None:
         self.styles = styles
-        self.demo, self.fitted, self.grasp, self.hand, self.moments = demo, fitted, grasp, hand, moments
+        self.demo, self.fitted, self.grasp, self.moments = demo, fitted, grasp, moments
         self.T_world_object = T_world_object
         self.times = demo.times_s - demo.times_s[0]
         self._positions = Akima1DInterpolator(self.times, demo.Ts_world_ee[:, :3, 3])
@@ -273,7 +270,7 @@ class _HandPath:
         """Poses near the handle: the demonstrated ones moved with it, or straight along the approach."""
         if style == "demonstrated":
             return T_hold @ invert(T_demo_hold) @ old
-        return transform(T_hold[:3, :3], T_hold[:3, 3] - way[:, None] * (T_hold[:3, :3] @ self.hand.approach))
+        return transform(T_hold[:3, :3], T_hold[:3, 3] - way[:, None] * T_hold[:3, 2])
 
     def _way(self, times: Array) -> Array:
         return np.interp(times, self.times, self._ways)

@@ -1,8 +1,9 @@
-"""Generate verified episodes and keep them: attempts one by one, then what came of them."""
+"""New poses, retargeted, solved for the arm, and verified in physics; attempts are kept one by one. [paper 4.3]"""
 
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset, VerifiedEpisode
@@ -10,22 +11,45 @@ from aomgen.core.progress import Progress
 from aomgen.core.verdict import Rejection
 from aomgen.errors import MalformedFileError
 from aomgen.generalization.attempts import AttemptStore, read_attempt, record_of
+from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import Generated, GenerationParams, generate_episodes
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
+from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 
 INDEX_FILE = "episodes.json"
 REJECTED_FILE = "rejected.json"
 
 
-def run_generalization(
+def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """New poses of the fitted assets, retargeted, solved for the arm, and verified in physics."""
+    scene, project = results.episode_scene, results.project
+    defaults = GenerationParams(
+        count=project.poses,
+        seed=project.seed,
+        plan=PlanParams(fps=results.fps),
+        cameras=tuple(scene.cameras.values()),
+    )
+    params = results.params("plans", defaults)
+    generated = generate_in(
+        folder, results.fitted_assets, results.demonstration, results.robot, scene.support, params, progress
+    )
+    margins = [episode.verdict.margin for episode in generated.episodes]
+    return {
+        "verified": len(margins),
+        "rejected": len(generated.rejected),
+        "smallest_margin": float(min(margins, default=0.0)),
+    }
+
+
+def generate_in(
+    folder: Path,
     assets: Sequence[FittedAsset],
     demo: Demonstration,
     robot: RobotModel,
     support: SupportPlane,
     params: GenerationParams,
-    folder: Path,
     progress: Progress,
 ) -> Generated:
     """Generate episodes (see `generate_episodes`) and write them into `folder`.

@@ -1,13 +1,47 @@
-"""What a schema has against a file, in the words of whoever wrote the file."""
+"""TOML files held to a schema; what is wrong is said in the words of whoever wrote the file."""
 
 import difflib
+import tomllib
 from collections.abc import Iterable
-from typing import Any, get_args
+from pathlib import Path
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
+
+Schema = TypeVar("Schema", bound=BaseModel)
+# Largest TOML file read, [bytes]; a usual one has a few kB.
+MAX_BYTES = 1 << 20
 # A wrong value may be a whole table; so many letters of it are shown.
 MAX_SHOWN = 60
+
+
+def read_toml(path: Path, model: type[Schema], absent: str) -> Schema:
+    """Parse and validate one file.
+
+    Args:
+        path: TOML.
+        model: Schema of the whole file.
+        absent: What to do when it is missing.
+
+    Raises:
+        MissingFileError, LimitExceededError: No such file, or larger than 1 MiB.
+        MalformedFileError: Not TOML, an unknown key (the nearest known one is named), a wrong
+            type or a missing key.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", absent)
+    if not path.stat().st_size <= MAX_BYTES:
+        raise LimitExceededError(path, f"is larger than {MAX_BYTES} bytes")
+    try:
+        data = tomllib.loads(path.read_text("utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise MalformedFileError(path, f"is not valid TOML ({error})", "correct that line") from error
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise MalformedFileError(path, *complaint(error, model)) from error
 
 
 def complaint(error: ValidationError, model: type[BaseModel]) -> tuple[str, str]:

@@ -13,7 +13,6 @@ from scipy.optimize import minimize
 from aomgen.core.boxes import MIN_POINTS, OrientedBox, find_upright_axes, fit_box
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.core.values import Array, freeze
-from aomgen.motion.box_edges import find_face_normal
 from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
@@ -35,7 +34,7 @@ class AxisHint:
 
     Attributes:
         axis: Unit direction (3,), either sign.
-        axis_sd_rad: Its standard deviation each way, [rad].
+        axis_sd_rad: Its standard deviation each way, infinite for any direction, [rad].
         at: A point (3,) near the line, [m].
         across: Directions (M, 3) in which the line's place is known; M is 0 or 2.
         across_sds_m: Their standard deviations (M,), [m].
@@ -72,10 +71,21 @@ class AxisHint:
 
     @property
     def log_density(self) -> float:
-        """Normalization of the residuals, with the odds."""
-        direction = -np.log(4 * np.pi * self.axis_sd_rad**2)
+        """Normalization of the residuals, with the odds; a deviation of a radian and more is any direction."""
+        direction = -np.log(4 * np.pi * min(self.axis_sd_rad, 1.0) ** 2)
         place = -np.log(np.sqrt(2 * np.pi) * self.across_sds_m).sum()
         return float(np.log(self.probability) + direction + place)
+
+
+# The shape says nothing.
+ANYWHERE = AxisHint(
+    axis=np.array([0.0, 0.0, 1.0]),
+    axis_sd_rad=np.inf,
+    at=np.zeros(3),
+    across=np.zeros((0, 3)),
+    across_sds_m=np.zeros(0),
+    probability=NEITHER,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +173,14 @@ def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
             best = box
     static = fit_box(_beside(points_static, best), best.T_world_box[:3, :3])
     return PartShape(box=best, face_normal=find_face_normal(static, best), corners=around.corners())
+
+
+def find_face_normal(static: OrientedBox, moving: OrientedBox) -> Array:
+    """Box axis along which the moving part sticks out of the static one most, for its size."""
+    offset = moving.coordinates(static.T_world_box[:3, 3])
+    depth = np.abs(offset) / (static.half_extents + moving.half_extents)
+    axis = int(np.argmax(depth))
+    return -np.sign(offset[axis]) * moving.T_world_box[:3, axis]
 
 
 def _beside(points_static: Array, box: OrientedBox) -> Array:

@@ -1,14 +1,14 @@
 """Where the hand touches the part when the motion begins: one patch a finger.
 
-A part that is between the fingers is held: the patches lie on the pads, where their faces come nearest
-to each other over the part. Any other touch pushes: it lies where the hand's surface is near the part
-and faces the way the part goes. Fingers that closed on something that the scan hardly saw hold it
-anywhere on their pads.
+A finger touches where the distance of its surface to the part is smallest in the direction in which it presses. Pads
+press towards each other on what is between them; any other hand presses the way that the part goes. Distances are known
+to the error of reconstructed surfaces only, so a patch is the mean over the places that may be nearest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.core.joint_log import JointLog
@@ -16,39 +16,29 @@ from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
 from aomgen.motion.ee_path import average_poses
-from aomgen.motion.grip_contact import Patch, assume_pad_patches, find_grip_patches
 from aomgen.motion.gripper_signals import EMPTY_GRIP
-from aomgen.motion.push_contact import MIN_WAY_M, find_push_patches
 from aomgen.robots.gripper_surface import hand_surface
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import FingerPad, RobotModel
 
 # Patches are followed this long after the start of the motion, [s].
 WINDOW_S = 0.3
-# Distance of the points that stand for the part's surface, [m]: as well as surfaces are reconstructed.
-SPACING_M = 0.002
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PartPath:
-    """The part during the first moments of a touch.
-
-    Attributes:
-        times_log_s: Moments (K,), log clock, [s].
-        Ts_world_part: Transforms (K, 4, 4) that carry the part from its scanned place to where it is then.
-    """
-
-    times_log_s: Array
-    Ts_world_part: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "times_log_s", self.times_log_s, (None,))
-        freeze(self, "Ts_world_part", self.Ts_world_part, (len(self.times_log_s), 4, 4))
-
-    @staticmethod
-    def carried(robot: RobotModel, log: JointLog, resting_log_s: float, times_log_s: Array) -> "PartPath":
-        """The part as if the hand held it firmly at times (K,) since a time at which it rested."""
-        Ts_world_ee = robot.ee_poses(log.at(np.append(resting_log_s, times_log_s))[0])
-        return PartPath(times_log_s=times_log_s, Ts_world_part=Ts_world_ee[1:] @ invert(Ts_world_ee[0]))
+# Distance of the points that stand for the part's surface, and error of reconstructed surfaces of thin things, [m].
+SURFACE_SD_M = 0.002
+# Points along either side of a pad's face: pads are some 2 cm long, so corners are met to a quarter of a millimeter.
+_PAD_GRID = 81
+# What is held may be turned against a pad by this much more than known, [rad]: about its length by the fit of the
+# object's box, along it by what the pads give way until they lie on it, and on the face by the few points seen of it.
+_TURNS = np.random.default_rng(0).normal(size=(100, 3)) * np.radians([1.0, 0.3, 5.0])
+# What is touched may seem to stand inside the hand by as much as finger and alignment are off, [m].
+_INSIDE_M = 0.01
+# Points beyond these percentiles are strays.
+_STRAYS = (5, 95)
+# Less travel than this has no direction, [m].
+_MIN_TRAVEL_M = 5e-4
+# A surface whose normal is further from the pushing direction than this hardly pushes, cosine.
+_MIN_FACING = 0.2
+# A finger whose share of the push is smaller than this does not touch.
+_MIN_SHARE = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,87 +48,220 @@ class Contacts:
     Attributes:
         patches: One a finger; one named "hand" for a robot without known pads.
         grasp_ee: Middle of the patches (3,), end-effector frame, [m].
-        grasp_sd_m: Its standard deviation in each direction, [m].
     """
 
     patches: tuple[ContactPatch, ...]
     grasp_ee: Array
-    grasp_sd_m: float
 
     def __post_init__(self) -> None:
         freeze(self, "grasp_ee", self.grasp_ee, (3,))
 
 
+def carry_part(robot: RobotModel, log: JointLog, resting_s: float, times_s: Array) -> Array:
+    """Transforms (K, 4, 4) of the part since a time at which it rested, if the hand held it firmly at times (K,)."""
+    Ts_world_ee = robot.ee_poses(log.at(np.append(resting_s, times_s))[0])
+    return Ts_world_ee[1:] @ invert(Ts_world_ee[0])
+
+
 def find_contacts(
-    robot: RobotModel, log: JointLog, points_moving: Array, axes_world: Array, path: PartPath
+    robot: RobotModel, log: JointLog, part: tuple[Array, Array], times_s: Array, Ts_world_part: Array
 ) -> Contacts:
     """Patches of all fingers that touch, over the first moments of the motion.
 
-    The part is put where the hand has it: averaged over the path's moments, its place is known better
-    than at any one of them, and no patch is sought where the part was a moment ago.
+    The part is put where the hand has it: averaged over the moments, its place is known better than at any one of
+    them, and no patch is sought where the part was a moment ago.
 
     Args:
         robot: Kinematics, pads and meshes.
-        log: The joint log.
-        points_moving: Dense points of the part at its scanned place (N, 3), world frame, [m].
-        axes_world: Unit axes (3, 3) in rows of the box around the part as scanned.
-        path: Where the part is at these moments.
+        log: The joint log, on the clock of `times_s`.
+        part: Dense points of the part as scanned (N, 3), and the unit axes (3, 3) in rows of its box; world frame, [m].
+        times_s: Moments (K,).
+        Ts_world_part: Where the part has gone since the scan at these (K, 4, 4).
 
     Source: AOMGen, sec. 4.2, "Contact Point Detection", with patches in place of one nearest pair.
     Not checked: that anything touches at all; `gap_m` tells.
     """
-    joints, gripper = log.at(path.times_log_s)
+    joints, gripper = log.at(times_s)
     Ts_world_ee = robot.ee_poses(joints)
-    T_ee_part = average_poses(invert(Ts_world_ee) @ path.Ts_world_part)
-    points_ee = apply(T_ee_part, points_moving)
+    T_ee_part = average_poses(invert(Ts_world_ee) @ Ts_world_part)
+    points_ee, axes_ee = apply(T_ee_part, part[0]), part[1] @ T_ee_part[:3, :3].T
     middle = len(gripper) // 2
     Ts_ee_body = invert(Ts_world_ee[middle]) @ robot.link_poses(joints, gripper)[middle]
-    axes_ee = axes_world @ T_ee_part[:3, :3].T
-    open_hand = float(np.median(gripper)) < EMPTY_GRIP
-    patches = find_grip_patches(robot.pads, Ts_ee_body, points_ee, axes_ee) if open_hand else ()
+    may_hold = len(robot.pads) >= 2 and float(np.median(gripper)) < EMPTY_GRIP
+    faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in robot.pads[:2]] if may_hold else []
+    patches = _find_held(faces, points_ee, axes_ee) if faces else []
     if not patches and robot.hand_bodies:
-        points, normals = (surface := hand_surface(robot)).posed(Ts_ee_body)
-        patches = find_push_patches(
-            (points, normals, surface.fingers), points_ee, _way_ee(Ts_world_ee, path.Ts_world_part)
-        )
+        way = _find_direction(Ts_world_ee, Ts_world_part, points_ee)
+        patches = _find_pushed(robot, Ts_ee_body, points_ee, way)
     if not patches:
-        closed_on_it = open_hand and len(robot.pads) >= 2
-        patches = (
-            assume_pad_patches(robot.pads, Ts_ee_body, points_ee) if closed_on_it else (_nearest(points_ee),)
-        )
-    sd_m = float(np.sqrt(np.mean([patch.covariance.trace() / 3 for patch in patches])))
+        # Fingers that closed on something that the scan hardly saw hold it anywhere on their pads.
+        patches = [face.patch(points_ee, face.grid, np.zeros(2)) for face in faces] or [_nearest(points_ee)]
     return Contacts(
-        patches=tuple(_carried(patch, Ts_world_ee) for patch in patches),
+        patches=tuple(_carry(patch, Ts_world_ee) for patch in patches),
         grasp_ee=np.mean([patch.point for patch in patches], axis=0),
-        grasp_sd_m=sd_m,
     )
 
 
-def _way_ee(Ts_world_ee: Array, Ts_world_part: Array) -> Array:
-    """Way (3,) of the part at the hand over the path, of the hand if the part rests; end-effector frame, [m]."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Face:
+    """The inner face of a pad.
+
+    Attributes:
+        finger: Its name.
+        T_ee_face: Middle of the face, z towards the other pad (4, 4).
+        grid: Even points on it (G, 2), [m].
+    """
+
+    finger: str
+    T_ee_face: Array
+    grid: Array
+
+    @staticmethod
+    def of(pad: FingerPad, T_ee_body: Array) -> "_Face":
+        T_ee_face = T_ee_body @ pad.T_body_pad
+        T_ee_face[:3, 3] = apply(T_ee_body, pad.face_body)
+        steps = np.linspace(-1, 1, _PAD_GRID)
+        grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) * pad.half_extents[:2]
+        return _Face(finger=pad.finger, T_ee_face=T_ee_face, grid=grid)
+
+    def slope(self, normal_ee: Array) -> Array:
+        """How fast (2,) a plane of some normal (3,) comes nearer along this face, [m/m]."""
+        local = normal_ee @ self.T_ee_face[:3, :3]
+        return local[:2] / local[2]
+
+    def openings(self, flat: Array, other: "_Face") -> Array:
+        """Distances (...) to the other face from points (..., 2) of this one, [m]."""
+        T_face_other = invert(self.T_ee_face) @ other.T_ee_face
+        normal = T_face_other[:3, 2]
+        return np.asarray((normal @ T_face_other[:3, 3] - flat @ normal[:2]) / normal[2])
+
+    def patch(self, points_ee: Array, flat: Array, touched: Array) -> ContactPatch:
+        """A patch at a point (2,) of this face that may be any of (N, 2), on a part of points (M, 3)."""
+        placed = apply(self.T_ee_face, np.pad(np.vstack([touched, flat]), ((0, 0), (0, 1))))
+        return ContactPatch(
+            finger=self.finger,
+            point=placed[0],
+            normal=self.T_ee_face[:3, 2],
+            spread_m=float(np.sqrt(((flat - touched) ** 2).sum(1).mean() + 3 * SURFACE_SD_M**2)),
+            gap_m=float(cKDTree(points_ee).query(placed)[0].min()),
+        )
+
+
+def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[ContactPatch]:
+    """One patch on each face of a gripper that holds the part; none if the part is not between them.
+
+    What is held is a piece with straight sides: a bar, a rim, a knob. Its faces are turned as the object's box is,
+    and of a plane that is turned against a pad, a corner is nearest.
+    """
+    closing = faces[0].T_ee_face[:3, 2] - faces[1].T_ee_face[:3, 2]
+    axis = axes_ee[np.argmax(np.abs(axes_ee @ closing))]
+    margin = 2 * SURFACE_SD_M
+    patches = []
+    for face, other in zip(faces, faces[::-1], strict=True):
+        local = apply(invert(face.T_ee_face), points_ee)
+        inside = (local[:, 2] > -margin) & (local[:, 2] < face.openings(local[:, :2], other) + margin)
+        between = local[inside & np.all(np.abs(local[:, :2]) < face.grid.max() + margin, axis=1)]
+        if not len(between):
+            return []
+        opening = float(face.openings(np.zeros(2), other))
+        along, across, covered = _lay_strip(between[:, :2], face.grid, opening)
+        thickness = float(np.ptp(np.percentile(between[:, 2], _STRAYS)))
+        closest = face.openings(face.grid[covered[0]], other).min(initial=np.inf)
+        if not 0 < closest <= thickness + 2 * _INSIDE_M:
+            return []
+        rolls = across @ face.slope(axis) + _TURNS[:, 0]
+        leans = along @ face.slope(closing) + _TURNS[:, 1]
+        nearness = (rolls[:, None] * across + leans[:, None] * along) @ face.grid.T
+        nearest = np.argmax(np.where(covered, nearness, -np.inf), axis=1)[covered.any(1)]
+        patches.append(face.patch(points_ee, face.grid[covered[0]], face.grid[nearest].mean(0)))
+    return patches
+
+
+def _lay_strip(seen: Array, grid: Array, least_m: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """The straight piece of which points (N, 2) were seen before a face of points (G, 2), at least so wide.
+
+    Returns:
+        Units along and across it (K, 2), and the points that it covers (K, G), for each of `_TURNS`.
+    """
+    center = seen.mean(0)
+    way = np.linalg.eigh((seen - center).T @ (seen - center))[1][:, 1]
+    low, high = np.percentile((seen - center) @ [-way[1], way[0]], _STRAYS)
+    middle = center + (low + high) / 2 * np.array([-way[1], way[0]])
+    angles = np.arctan2(way[1], way[0]) + _TURNS[:, 2]
+    along = np.stack([np.cos(angles), np.sin(angles)], 1)
+    across = along[:, ::-1] * [-1, 1]
+    half = max(float(high - low), least_m, 2 * SURFACE_SD_M) / 2
+    return along, across, np.abs(across @ (grid - middle).T) <= half
+
+
+def _find_pushed(robot: RobotModel, Ts_ee_body: Array, points_ee: Array, way: Array) -> list[ContactPatch]:
+    """One patch on each finger that pushes the part in a direction (3,), by what faces it and is nearest.
+
+    Not checked: parts that bend within the width of the hand. Where hand and part are parallel, either end
+    of the patch may carry the force.
+    """
+    surface = hand_surface(robot)
+    points, normals = surface.posed(Ts_ee_body)
+    facing = np.clip(normals @ way, 0, 1)
+    pushing = facing > _MIN_FACING
+    points, facing, fingers = points[pushing], facing[pushing], surface.fingers[pushing]
+    across = np.linalg.svd(way[None])[2][1:]
+    beside = cKDTree(points_ee @ across.T).query_ball_point(points @ across.T, SURFACE_SD_M)
+    ahead = points_ee @ way
+    rooms = [ahead[near] - start for near, start in zip(beside, points @ way, strict=True)]
+    room = np.array([row[row > -_INSIDE_M].min(initial=np.inf) for row in rooms])
+    if not np.isfinite(room).any():
+        return []
+    weights = facing * np.exp(-0.5 * ((room - room.min()) / SURFACE_SD_M) ** 2)
+    weights /= weights.sum()
+    patches = []
+    for finger in np.unique(fingers[weights > 0]):
+        share = np.where(fingers == finger, weights, 0)
+        if share.sum() >= _MIN_SHARE:
+            share /= share.sum()
+            normal = share @ normals[pushing]
+            point, gap = share @ points, float(np.abs(room[share > 0]).min())
+            spread = share @ ((points - point) ** 2).sum(1) + 3 * SURFACE_SD_M**2 + gap**2
+            patches.append(
+                ContactPatch(
+                    finger=str(finger),
+                    point=point,
+                    normal=normal / np.linalg.norm(normal),
+                    spread_m=float(np.sqrt(spread)),
+                    gap_m=gap,
+                )
+            )
+    return patches
+
+
+def _find_direction(Ts_world_ee: Array, Ts_world_part: Array, points_ee: Array) -> Array:
+    """Unit direction (3,) in which the part goes at the hand, or the hand, or from it to the part; end-effector frame."""
     T_world_ee = Ts_world_ee[len(Ts_world_ee) // 2]
     touched = apply(invert(Ts_world_part[len(Ts_world_part) // 2]), T_world_ee[:3, 3])
-    first, last = apply(Ts_world_part[[0, -1]], touched)
-    if not np.linalg.norm(last - first) > MIN_WAY_M:
-        first, last = Ts_world_ee[[0, -1], :3, 3]
-    return T_world_ee[:3, :3].T @ (last - first)
+    ways = [
+        np.diff(apply(Ts_world_part[[0, -1]], touched), axis=0)[0],
+        np.diff(Ts_world_ee[[0, -1], :3, 3], axis=0)[0],
+    ]
+    for way in ways:
+        if np.linalg.norm(way) > _MIN_TRAVEL_M:
+            return T_world_ee[:3, :3].T @ way / np.linalg.norm(way)
+    nearest = points_ee[np.argmin(np.linalg.norm(points_ee, axis=1))]
+    return nearest / np.linalg.norm(nearest)
 
 
-def _carried(patch: Patch, Ts_world_ee: Array) -> ContactPatch:
-    """The patch in the world, averaged over the moments in which the hand carries it."""
+def _carry(patch: ContactPatch, Ts_world_ee: Array) -> ContactPatch:
+    """A patch of the end-effector frame in the world, averaged over the moments in which the hand carries it."""
     normal = (Ts_world_ee[:, :3, :3] @ patch.normal).mean(0)
-    return ContactPatch(
-        finger=patch.finger,
-        point=apply(Ts_world_ee, patch.point).mean(0),
-        normal=normal / np.linalg.norm(normal),
-        spread_m=patch.spread_m,
-        gap_m=patch.gap_m,
+    return replace(
+        patch, point=apply(Ts_world_ee, patch.point).mean(0), normal=normal / np.linalg.norm(normal)
     )
 
 
-def _nearest(points_ee: Array) -> Patch:
-    """The part's point nearest to the end effector, for a robot whose hand is not known."""
+def _nearest(points_ee: Array) -> ContactPatch:
+    """The part's point nearest to the end effector, for a robot whose hand is not known; end-effector frame."""
     gap, index = cKDTree(points_ee).query(np.zeros(3))
     point = points_ee[index]
     normal = point / gap if gap > 1e-6 else np.array([0.0, 0.0, 1.0])
-    return Patch(finger="hand", point=point, normal=normal, covariance=np.eye(3) * gap**2, gap_m=float(gap))
+    return ContactPatch(
+        finger="hand", point=point, normal=normal, spread_m=float(np.sqrt(3) * gap), gap_m=float(gap)
+    )

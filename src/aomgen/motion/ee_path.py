@@ -1,10 +1,12 @@
-"""The hand's path while it holds the part, thinned to nodes at equal travel."""
+"""The hand's path while it holds the part: thinned to nodes at equal travel, and as seen from the part."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from aomgen.core.transforms import apply, rotvec_from_matrix
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import apply, invert, rotvec_from_matrix, transform
 from aomgen.core.values import Array, freeze
 from aomgen.motion import filters
 
@@ -36,43 +38,36 @@ class EePath:
     Attributes:
         Ts_world_ee: (K, 4, 4).
         hold: How it holds the part.
-        length_m: Length of the grasped point's path, [m].
+        points_world: The held point (K, 3), [m].
+        turns_world: Rotation vectors (K, 3) of the hand since the first node, [rad].
     """
 
     Ts_world_ee: Array
     hold: GraspGuess
-    length_m: float
+    points_world: Array
+    turns_world: Array
 
     def __post_init__(self) -> None:
         freeze(self, "Ts_world_ee", self.Ts_world_ee, (None, 4, 4))
+        for name in ("points_world", "turns_world"):
+            freeze(self, name, getattr(self, name), (len(self.Ts_world_ee), 3))
 
-    @property
-    def points_world(self) -> Array:
-        """The grasped point (K, 3), [m]."""
-        return apply(self.Ts_world_ee, self.hold.point_ee)
+    @staticmethod
+    def of(Ts_world_ee: Array, hold: GraspGuess) -> "EePath":
+        """The path of poses (K, 4, 4)."""
+        rotations = Ts_world_ee[:, :3, :3]
+        return EePath(
+            Ts_world_ee=Ts_world_ee,
+            hold=hold,
+            points_world=apply(Ts_world_ee, hold.point_ee),
+            turns_world=unwrap_rotations(rotations @ rotations[0].T),
+        )
 
     @property
     def closing_world(self) -> Array:
         """Direction (3,) in which the fingers press at the first node; zeros where they do not."""
         closing = self.hold.closing_ee
         return np.zeros(3) if closing is None else self.Ts_world_ee[0, :3, :3] @ closing
-
-    @property
-    def turns_world(self) -> Array:
-        """Rotation vectors (K, 3) of the hand since the first node, world frame, [rad]."""
-        rotations = self.Ts_world_ee[:, :3, :3]
-        return unwrap_rotations(rotations @ rotations[0].T)
-
-
-def unwrap_rotations(rotations: Array) -> Array:
-    """Rotation vectors (K, 3) of rotations (K, 3, 3) that continue each other past half a turn."""
-    turns = rotvec_from_matrix(rotations)
-    for k in range(1, len(turns)):
-        angle = float(np.linalg.norm(turns[k]))
-        if angle > 1e-9:
-            unit = turns[k] / angle
-            turns[k] += unit * 2 * np.pi * np.round(((turns[k - 1] - turns[k]) @ unit) / (2 * np.pi))
-    return turns
 
 
 def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int, smooth: int) -> EePath:
@@ -89,16 +84,45 @@ def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int, smooth: int) 
     points = apply(Ts_world_ee, hold.point_ee)
     # A polynomial keeps the first and the last samples, in which a quick hand already goes far.
     smoothed = np.stack([filters.smooth(column, 1.0, smooth) for column in points.T], 1)
-    steps = np.linalg.norm(np.diff(smoothed, axis=0), axis=1)
-    travel = np.concatenate([[0.0], np.cumsum(steps)])
+    travel = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smoothed, axis=0), axis=1)))
     bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
-    poses = [average_poses(Ts_world_ee[bins == k]) for k in np.unique(bins)]
-    return EePath(Ts_world_ee=np.stack(poses), hold=hold, length_m=float(travel[-1]))
+    return EePath.of(np.stack([average_poses(Ts_world_ee[bins == k]) for k in np.unique(bins)]), hold)
 
 
 def average_poses(Ts: Array) -> Array:
     """The mean (4, 4) of poses (K, 4, 4) that are close to each other."""
-    mean = Ts.mean(0)
-    U, _, Vt = np.linalg.svd(mean[:3, :3])
-    mean[:3, :3] = U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    return mean
+    return transform(Rotation.from_matrix(Ts[:, :3, :3]).mean().as_matrix(), Ts[:, :3, 3].mean(0))
+
+
+def unwrap_rotations(rotations: Array) -> Array:
+    """Rotation vectors (K, 3) of rotations (K, 3, 3) that continue each other past half a turn."""
+    turns = rotvec_from_matrix(rotations)
+    for k in range(1, len(turns)):
+        angle = float(np.linalg.norm(turns[k]))
+        if angle > 1e-9:
+            unit = turns[k] / angle
+            turns[k] += unit * 2 * np.pi * np.round(((turns[k - 1] - turns[k]) @ unit) / (2 * np.pi))
+    return turns
+
+
+def measure_slip(
+    joint: Joint, thetas: Array, Ts_world_ee: Array, grasp_ee: Array, reference: int
+) -> tuple[Array, Array]:
+    """How far the hand has slid along the part (T, 3), [m], and turned against it (T, 3), rotation vectors.
+
+    World axes with the part at its scanned place; zero at the reference.
+
+    Args:
+        joint: Value 0 is the scanned place, world frame.
+        thetas: Joint values (T,), [rad] or [m].
+        Ts_world_ee: End-effector poses (T, 4, 4) at the same times, in the order of time.
+        grasp_ee: Held point (3,), end-effector frame, [m].
+        reference: Index of the moment that both are told from.
+
+    Not checked: that the hand touches the part; values are only as independent of the hand's path as `thetas` are.
+    """
+    Ts_part_ee = invert(joint.motion(thetas)) @ Ts_world_ee
+    points, rotations = apply(Ts_part_ee, grasp_ee), Ts_part_ee[:, :3, :3]
+    turns = rotations @ rotations[reference].T
+    forwards, backwards = unwrap_rotations(turns[reference:]), unwrap_rotations(turns[reference::-1])
+    return points - points[reference], np.concatenate([backwards[:0:-1], forwards])

@@ -10,7 +10,7 @@ from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import InputError
-from aomgen.motion.grasp_slip import measure_slip
+from aomgen.motion.ee_path import measure_slip
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, choose_type
 from aomgen.motion.joint_trajectory import (
@@ -21,12 +21,16 @@ from aomgen.motion.joint_trajectory import (
     recover_motion,
 )
 from aomgen.motion.joint_value import compute_path_values, find_motion_tolerance, sample_at_frames
-from aomgen.motion.model_selection import compute_type_margin
+from aomgen.motion.kinematic_prior import make_kinematic_prior
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.opening_direction import infer_direction
 from aomgen.motion.params import MotionParams
-from aomgen.motion.photometric import PhotometricFrames, select_frames
-from aomgen.motion.photometric_estimate import make_kinematic_prior, refine_estimate
+from aomgen.motion.photometric import (
+    PhotometricFrames,
+    compute_type_margin,
+    refine_estimate,
+    select_frames,
+)
 from aomgen.motion.photometric_residuals import JointMotion
 from aomgen.robots.robot_masks import MasksAt, robot_masks
 
@@ -146,11 +150,11 @@ def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, o
     thetas = sample_at_frames(frames, trajectory, find_motion_tolerance(estimate.joint.type))
     moving = (frames >= trajectory.interval[0]) & (frames <= trajectory.interval[1])
     joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
-    poses = ee_poses_at(demo, frames + demo.clock_offset_s)
-    drift = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
+    poses = ee_poses_at(demo, frames)
+    slips, pivots = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
     return MotionEstimate(
-        clock_offset_s=demo.clock_offset_s,
-        clock_offset_sd_s=demo.clock_sd_s,
+        clock_offset_s=demo.clock.offset_s,
+        clock_offset_sd_s=demo.clock.sd_s,
         start_s=find_first_frame(frames, trajectory.interval[0]),
         end_s=_last_frame(frames, trajectory.interval[1]),
         curve=curve,
@@ -166,8 +170,8 @@ def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, o
         times_s=frames,
         thetas=thetas,
         theta_sd=_theta_sd(demo, recovery, thetas, frames),
-        slip_m=np.where(moving, drift.slip_m, 0.0),
-        pivot_rad=np.where(moving, drift.pivot_rad, 0.0),
+        slip_m=np.where(moving, np.linalg.norm(slips, axis=1), 0.0),
+        pivot_rad=np.where(moving, np.linalg.norm(pivots, axis=1), 0.0),
         direction=infer_direction(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
         part_odds=odds,
     )
@@ -179,19 +183,17 @@ def _theta_sd(demo: MotionInput, recovery: RecoveredMotion, thetas: Array, frame
     joint = estimate.joint
     first, last = trajectory.interval
     moments = np.clip(frames, first, last)
-    poses = ee_poses_at(demo, np.concatenate([[first], moments]) + demo.clock_offset_s)
+    poses = ee_poses_at(demo, np.concatenate([[first], moments]))
     draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
     values = [
-        compute_path_values(
-            replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal
-        ).values
+        compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal)
         for axis, origin, grasp in draws
     ]
     offset = apply(poses[0], estimate.grasp_ee) - joint.origin
     radius = float(np.linalg.norm(np.cross(offset, joint.axis))) if joint.type == "revolute" else 1.0
     grasp_sd = np.hypot(estimate.residual_m / radius, estimate.give_rate * thetas)
     speed = np.abs(np.interp(frames, trajectory.times_s, np.gradient(trajectory.values, trajectory.times_s)))
-    clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock_sd_s
+    clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock.sd_s
     level_sd = np.where(thetas > 0, recovery.level_sd, 0.0)
     return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2 + level_sd**2)
 

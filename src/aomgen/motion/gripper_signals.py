@@ -58,21 +58,20 @@ class GripperSignals:
 
 
 def read_gripper_signals(
-    robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array, clock_offset_s: float
+    robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array
 ) -> GripperSignals:
     """Evaluate the log at video times (T,).
 
     Args:
         robot: Kinematics and finger pads; without pads the end effector's distance counts.
-        log: The joint log.
+        log: The joint log, on the video's clock.
         points_moving: Points of the moving part at its scanned place (N, 3), world frame, [m].
         times_s: Video times (T,).
-        clock_offset_s: Log time minus video time.
     """
-    joints, gripper = log.at(times_s + clock_offset_s)
+    joints, gripper = log.at(times_s)
     half = _SPEED_WINDOW_S / 2
-    before = robot.ee_poses(log.at(times_s + clock_offset_s - half)[0])
-    after = robot.ee_poses(log.at(times_s + clock_offset_s + half)[0])
+    before = robot.ee_poses(log.at(times_s - half)[0])
+    after = robot.ee_poses(log.at(times_s + half)[0])
     Ts_world_ee = robot.ee_poses(joints)
     if robot.pads:
         bodies = robot.link_poses(joints, gripper)
@@ -172,15 +171,13 @@ def refine_touch(touch: TouchInterval, signals: GripperSignals, gaps_m: Array) -
     return replace(touch, first=first)
 
 
-def measure_surface_gaps(
-    robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array, clock_offset_s: float
-) -> Array:
+def measure_surface_gaps(robot: RobotModel, log: JointLog, points_moving: Array, times_s: Array) -> Array:
     """Smallest distance (T,) of the hand's surface to the part at its scanned place, [m].
 
     Args: as in `read_gripper_signals`; infinite for an arm without a hand.
     """
     surface = hand_surface(robot)
-    bodies = robot.link_poses(*log.at(times_s + clock_offset_s))
+    bodies = robot.link_poses(*log.at(times_s))
     tree = cKDTree(points_moving)
     if not len(surface.points_body):
         return np.full(len(times_s), np.inf)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.camera import Camera
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.core.part_points import spread_points, surface_points
@@ -22,12 +23,11 @@ class MotionInput:
     Attributes:
         video: The fixed camera's video.
         camera: Its pose and intrinsics, world frame.
-        log: The robot's joint log, own clock.
+        log: The robot's joint log on the video's clock.
         robot: Kinematics, meshes and finger pads.
         scene: The scene as scanned, world frame.
         labels: Part label of every Gaussian of the scene (G,), see `conventions`.
-        clock_offset_s: Log time minus video time.
-        clock_sd_s: Its standard deviation, [s].
+        clock: How the log was brought there.
     """
 
     video: Video
@@ -36,8 +36,7 @@ class MotionInput:
     robot: RobotModel
     scene: Gaussians
     labels: NDArray[np.uint8]
-    clock_offset_s: float
-    clock_sd_s: float
+    clock: Clock
 
     def __post_init__(self) -> None:
         freeze(self, "labels", self.labels, (len(self.scene),), np.uint8)

@@ -14,13 +14,13 @@ from aomgen.core.values import Array, freeze
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
 from aomgen.motion.axis_prior import PartShape
 from aomgen.motion.ee_path import EePath, GraspGuess, thin_path
-from aomgen.motion.joint_models import Prismatic, Revolute, guess_axes
-from aomgen.motion.joint_posterior import JointModel, Posterior, compute_posterior, fit_path
+from aomgen.motion.joint_models import JointModel, Prismatic, Revolute, make_models
+from aomgen.motion.joint_posterior import Posterior, compute_posterior, fit_path
 from aomgen.motion.noise_model import (
     BEND_SHARE,
     SCALES,
     NoisePrior,
-    PathNodes,
+    PathNoise,
     compute_give_rate,
     compute_held_rate,
 )
@@ -203,51 +203,34 @@ def estimate_joint(
 
 def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> tuple[Posterior, Posterior]:
     """The path as a revolute and as a prismatic joint would make it."""
-    points = path.points_world
-    middle = points.mean(0)
-    turns = path.turns_world
-    doors: list[JointModel] = [
-        Revolute(
-            path=path,
-            turns_world=turns,
-            start=start,
-            middle=middle,
-            reach_m=np.inf if shape is None else shape.reach_m(middle),
-        )
-        for start in guess_axes(path, turns)
-    ]
-    along = np.linalg.svd(points - middle)[2][0]
-    drawer = Prismatic(path=path, turns_world=turns, start=along, middle=middle)
-    path_nodes = _loosen_ends(PathNodes.of(points), (doors, [drawer]), params.noise)
+    reach_m = np.inf if shape is None else shape.reach_m(path.points_world.mean(0))
+    doors, drawer = make_models(path, reach_m)
+    noise = _loosen_ends(PathNoise.of(path.points_world, params.noise), (doors, [drawer]))
     hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
-    return (
-        compute_posterior(doors, path_nodes, params.noise, hinges),
-        compute_posterior([drawer], path_nodes, params.noise, rails),
-    )
+    return compute_posterior(doors, noise, hinges), compute_posterior([drawer], noise, rails)
 
 
-def _loosen_ends(path_nodes: PathNodes, types: tuple[list[JointModel], ...], noise: NoisePrior) -> PathNodes:
-    """The nodes with those at the ends loosened at which the hand did not hold the part yet or any more.
+def _loosen_ends(noise: PathNoise, types: tuple[list[Revolute], list[Prismatic]]) -> PathNoise:
+    """The noise with nodes at the ends loosened at which the hand did not hold the part yet or any more.
 
     Only looked for where a path is much less steady than paths are.
     """
 
-    def fit(path_nodes: PathNodes) -> tuple[float, float]:
-        evidence, steps = max(
-            (fit_path(models, path_nodes, noise)[:2] for models in types), key=lambda item: item[0]
-        )
-        return evidence, float(np.max(np.delete(steps, _TURNS)))
+    def fit(noise: PathNoise) -> tuple[float, float]:
+        fits = [fit_path(models, noise) for models in types]
+        path, steps = max(fits, key=lambda item: item[0].log_posterior(item[1]))
+        return path.log_posterior(steps), float(np.max(np.delete(steps, _TURNS)))
 
-    best, unsteady = fit(path_nodes)
+    best, unsteady = fit(noise)
     if unsteady < _UNUSUAL:
-        return path_nodes
-    count = len(path_nodes.travel_m)
+        return noise
+    count = len(noise.travel_m)
     for ends in ([slice(count - k, count) for k in (1, 2, 4, 6)], [slice(0, k) for k in (1, 2, 4, 6)]):
-        tried = [(fit(path_nodes.loosened(nodes))[0], nodes) for nodes in ends]
-        evidence, nodes = max(tried, key=lambda item: item[0])
-        if evidence > best:
-            best, path_nodes = evidence, path_nodes.loosened(nodes)
-    return path_nodes
+        tried = [noise.loosened(nodes) for nodes in ends]
+        evidences = [fit(item)[0] for item in tried]
+        if max(evidences) > best:
+            best, noise = max(evidences), tried[int(np.argmax(evidences))]
+    return noise
 
 
 def _refuse_hidden_arc(found: JointCandidates) -> None:

@@ -1,23 +1,24 @@
 """The posterior of a joint model: fitted, with the sizes of its flaws, over what the shape suggests.
 
-Every possibility (no hint, or one of the hints) times every size of the flaws is a Gaussian with an
-evidence; together they are the answer, and the evidence of a joint type is their sum.
+Every hint of the shape times every size of the flaws is a Gaussian with an evidence; together they are the answer,
+and the evidence of a joint type is their sum.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
+from scipy.optimize import least_squares, minimize
 from scipy.special import ndtri
 from scipy.stats import qmc
 
 from aomgen.core.values import Array, freeze
-from aomgen.motion.axis_prior import NEITHER, AxisHint
-from aomgen.motion.joint_models import LOG_ANY_DIRECTION, Prismatic, Revolute
-from aomgen.motion.noise_model import SCALES, STEP_LIMITS, NoisePrior, PathNodes, factorize_covariances
+from aomgen.motion.axis_prior import ANYWHERE, AxisHint
+from aomgen.motion.joint_models import Prismatic, Revolute
+from aomgen.motion.noise_model import SCALES, STEP_LIMITS, PathNoise
 
-JointModel = Revolute | Prismatic
 # Possibilities this many nats below the best are left out.
 _NEGLIGIBLE = 7.0
 # Points of the quadrature over the noise scales, in seven dimensions; each costs one linear solution a hint.
@@ -26,23 +27,8 @@ _SCALE_POINTS = 24
 _MAX_TILT = 1.0
 # Samples of the joint that are handed on; a 95 % interval read from them is good to some percent of itself.
 _DRAWS = 512
-# Levenberg-Marquardt steps at most; it ends earlier where a step gains less than 1e-4.
-_ROUNDS = 30
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinearizedModel:
-    """Linear model at one set of unknowns.
-
-    Attributes:
-        data: Residuals (C, K) and their Jacobian (C, K, P).
-        prior: Residuals (Q,) in standard deviations and their Jacobian (Q, P).
-        log_prior: Normalization of the prior.
-    """
-
-    data: tuple[Array, Array]
-    prior: tuple[Array, Array]
-    log_prior: float
+# Relative gain of the cost below which a fit is done, some 1e-3 nats, and steps at most.
+_TOLERANCE, _MAX_STEPS = 1e-5, 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,10 +40,10 @@ class Posterior:
         mean: Unknowns (P,).
         draws: Samples of the unknowns (S, P), equally likely.
         log_evidence: Of the type, up to a constant that all types share.
-        scales: Sizes of the flaws (7,) at their likeliest, see `joint_noise.SCALES`.
+        scales: Sizes of the flaws (7,) at their likeliest, see `noise_model.SCALES`.
     """
 
-    model: JointModel
+    model: Revolute | Prismatic
     mean: Array
     draws: Array
     log_evidence: float
@@ -69,214 +55,170 @@ class Posterior:
         freeze(self, "scales", self.scales, (len(SCALES),))
 
 
-def solve(
-    model: JointModel, path_nodes: PathNodes, scales: Array, hint: AxisHint | None, first: Array
-) -> Array:
-    """Unknowns (P,) that fit best at given sizes of the flaws.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinearizedModel:
+    """A joint model under a hint, linear about unknowns `x` (P,).
 
-    Source: Levenberg, 1944; Marquardt, 1963.
+    Attributes:
+        model: The joint type.
+        noise: Of the path.
+        x: Unknowns.
+        data: Residuals (C, K) and their Jacobian (C, K, P).
+        prior: Residuals (Q,) in standard deviations and their Jacobian (Q, P).
+        log_prior: Normalization of the prior.
     """
-    known = factorize_covariances(path_nodes, scales, model.firmness)
-    whiten = np.stack([known[kind][0] for kind in model.kinds])
 
-    def at(x: Array) -> tuple[float, Array, Array]:
-        r, J = _slopes(model, hint, x, whiten)
-        return float(r @ r), J.T @ J, J.T @ r
+    model: Revolute | Prismatic
+    noise: PathNoise
+    x: Array
+    data: tuple[Array, Array]
+    prior: tuple[Array, Array]
+    log_prior: float
 
-    x = first
-    cost, information, gradient = at(x)
-    damping = 1e-3
-    for _ in range(_ROUNDS):
-        step = -np.linalg.solve(information + damping * np.diag(1e-12 + np.diag(information)), gradient)
-        tried = at(x + step)
-        if not tried[0] < cost:
-            damping *= 10
-            if damping > 1e6:
-                break
-            continue
-        gained = cost - tried[0]
-        x, (cost, information, gradient), damping = x + step, tried, max(damping / 10, 1e-9)
-        if gained < 1e-4:
-            break
-    return x
+    @staticmethod
+    def of(model: Revolute | Prismatic, noise: PathNoise, hint: AxisHint, x: Array) -> "LinearizedModel":
+        """By central differences."""
+        steps = model.steps * 1e-3
+        around = np.concatenate([x[None], x + np.diag(steps), x - np.diag(steps)])
 
+        def differences(rows: Array) -> tuple[Array, Array]:
+            ahead, behind = np.split(rows[1:], 2)
+            return rows[0], np.moveaxis(ahead - behind, 0, -1) / (2 * steps)
 
-def _slopes(
-    model: JointModel, hint: AxisHint | None, x: Array, whiten: Array | None = None
-) -> tuple[Array, Array]:
-    """All residuals (N,), white ones first, and their central differences (N, P)."""
-    steps = model.steps * 1e-3
-    around = np.concatenate([x[None], x + np.diag(steps), x - np.diag(steps)])
-    data = model.data(around)
-    if whiten is not None:
-        data = (whiten @ data[..., None])[..., 0]
-    rows = np.concatenate([data.reshape(len(around), -1), _prior_residuals(model, hint, around)], axis=1)
-    ahead, behind = np.split(rows[1:], 2)
-    return rows[0], ((ahead - behind) / (2 * steps[:, None])).T
+        place = 0.0 if len(hint.across) else model.log_any_place(x)
+        return LinearizedModel(
+            model=model,
+            noise=noise,
+            x=x,
+            data=differences(model.data(around)),
+            prior=differences(_prior(model, hint, around)),
+            log_prior=hint.log_density + place + model.log_beliefs,
+        )
 
+    def gaussian(self, steps: Array) -> tuple[float, Array, Array]:
+        """Log evidence, mean (P,) and information (P, P) of the unknowns at given sizes of the flaws."""
+        whiten, log_det = self.noise.whiten(self.model.kinds, steps, self.model.firmness)
+        r = np.append(whiten @ self.data[0][..., None], self.prior[0])
+        J = np.concatenate([(whiten @ self.data[1]).reshape(-1, len(self.x)), self.prior[1]])
+        information, gradient = J.T @ J, J.T @ r
+        step = -np.linalg.solve(information, gradient)
+        cost = r @ r + gradient @ step + np.linalg.slogdet(information)[1] + log_det
+        free = len(self.x) * np.log(2 * np.pi)
+        return float(self.log_prior - 0.5 * (cost - free)), self.x + step, information
 
-def _prior_residuals(model: JointModel, hint: AxisHint | None, x: Array) -> Array:
-    own = model.beliefs(x)
-    if hint is None:
-        return own
-    return np.concatenate([own, hint.residuals(*model.lines(x))], axis=-1)
+    def log_posterior(self, steps: Array) -> float:
+        """Of the sizes of the flaws, the unknowns integrated out."""
+        return self.gaussian(steps)[0] - 0.5 * float(steps @ steps)
 
+    def likeliest(self, first: Array) -> Array:
+        """Sizes of the flaws (7,), looked for from given ones."""
+        result = minimize(
+            lambda steps: -self.log_posterior(steps),
+            first,
+            method="L-BFGS-B",
+            bounds=[STEP_LIMITS] * len(first),
+            options={"maxiter": 15, "ftol": 1e-5},
+        )
+        return np.asarray(result.x, np.float64)
 
-def linearize_model(model: JointModel, hint: AxisHint | None, x: Array) -> LinearizedModel:
-    """Residuals and central differences at `x`."""
-    rows, slopes = _slopes(model, hint, x)
-    channels = len(model.kinds)
-    size = channels * len(model.turns_world)
-    shape = (channels, len(model.turns_world))
-    if hint is None:
-        log_prior = np.log(NEITHER) + LOG_ANY_DIRECTION + model.log_any_place(x)
-    else:
-        log_prior = hint.log_density + (0.0 if len(hint.across) else model.log_any_place(x))
-    return LinearizedModel(
-        data=(rows[:size].reshape(shape), slopes[:size].reshape(*shape, -1)),
-        prior=(rows[size:], slopes[size:]),
-        log_prior=float(log_prior) + model.log_beliefs,
-    )
-
-
-def integrate_gaussian(
-    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, scales: Array
-) -> tuple[float, Array, Array]:
-    """Log evidence, step (P,) to the mean and information (P, P) at given sizes of the flaws."""
-    known = factorize_covariances(path_nodes, scales, model.firmness)
-    (rows, slopes), (beliefs, lean) = evidence.data, evidence.prior
-    whiten = np.stack([known[kind][0] for kind in model.kinds])
-    r = np.concatenate([(whiten @ rows[..., None]).ravel(), beliefs])
-    J = np.concatenate([(whiten @ slopes).reshape(-1, len(model.steps)), lean])
-    information, gradient = J.T @ J, J.T @ r
-    step = -np.linalg.solve(information, gradient)
-    cost = float(r @ r + gradient @ step + np.linalg.slogdet(information)[1])
-    cost += sum(known[kind][1] for kind in model.kinds)
-    free = len(model.steps) * np.log(2 * np.pi)
-    return -0.5 * (cost - free) + evidence.log_prior, np.asarray(step, np.float64), information
+    def scale_points(self, center: Array) -> tuple[Array, Array]:
+        """Even points (N, 7) over the sizes' posterior, with log weights (N,) that make them its integral."""
+        h, size = 0.3, len(center)
+        middle, unit = self.log_posterior(center), h * np.eye(size)
+        around = [self.log_posterior(center + step) + self.log_posterior(center - step) for step in unit]
+        curvature = (2 * middle - np.array(around)) / h**2
+        sds = 1.1 / np.sqrt(np.clip(curvature, 0.5, None))
+        normal = _normal_points(_SCALE_POINTS, size)
+        points = np.clip(center + normal * sds, *STEP_LIMITS)
+        log_ratio = 0.5 * (normal**2 - points**2).sum(1) + np.log(sds).sum()
+        return points, log_ratio - np.log(len(points))
 
 
 def compute_posterior(
-    models: list[JointModel], path_nodes: PathNodes, noise: NoisePrior, hints: list[AxisHint]
+    models: Sequence[Revolute | Prismatic], noise: PathNoise, hints: Sequence[AxisHint]
 ) -> Posterior:
     """What is known of one joint type.
 
     Args:
         models: The type, linearized about different first axes.
-        path_nodes: Nodes of the path.
-        noise: Usual sizes of the flaws.
+        noise: Of the path.
         hints: What the shape suggests; none of them may hold.
     """
-    steps, model, x = fit_path(models, path_nodes, noise)[1:]
+    path, steps = fit_path(models, noise)
+    model, x = path.model, path.x
     for _ in range(2):
-        model, x = model.about(solve(model, path_nodes, noise.scales(steps), None, x))
-        steps = _likeliest(model, linearize_model(model, None, x), path_nodes, noise, steps)
-    found = []
-    for hint in (None, *hints):
-        x_hint = x if hint is None else solve(model, path_nodes, noise.scales(steps), hint, x)
-        if hint is not None and not np.abs(x_hint[:2]).max() < _MAX_TILT:
-            continue
-        evidence = linearize_model(model, hint, x_hint)
-        found.append(
-            (integrate_gaussian(model, evidence, path_nodes, noise.scales(steps))[0], x_hint, evidence)
-        )
-    best = max(found, key=lambda item: item[0])
-    steps = _likeliest(model, best[2], path_nodes, noise, steps)
-    kept = [item for item in found if item[0] > best[0] - _NEGLIGIBLE]
-    points, log_weights = _scale_points(model, best[2], path_nodes, noise, steps)
-    parts = []
-    for _, x_hint, evidence in kept:
-        for point, log_weight in zip(points, log_weights, strict=True):
-            log_evidence, step, information = integrate_gaussian(
-                model, evidence, path_nodes, noise.scales(point)
-            )
-            parts.append((log_evidence + log_weight, x_hint + step, information))
-    logs = np.array([part[0] for part in parts])
-    weights = np.exp(logs - np.logaddexp.reduce(logs))
+        model, x = model.about(_fit(model, noise, ANYWHERE, steps, x))
+        steps = LinearizedModel.of(model, noise, ANYWHERE, x).likeliest(steps)
+    found = [LinearizedModel.of(model, noise, ANYWHERE, x)]
+    for hint in hints:
+        x_hint = _fit(model, noise, hint, steps, x)
+        if np.abs(x_hint[:2]).max() < _MAX_TILT:
+            found.append(LinearizedModel.of(model, noise, hint, x_hint))
+    evidences = np.array([item.gaussian(steps)[0] for item in found])
+    best = found[int(np.argmax(evidences))]
+    steps = best.likeliest(steps)
+    points, log_weights = best.scale_points(steps)
+    kept = [
+        item
+        for item, evidence in zip(found, evidences, strict=True)
+        if evidence > evidences.max() - _NEGLIGIBLE
+    ]
+    parts = [item.gaussian(point) for item in kept for point in points]
+    logs = np.array([part[0] for part in parts]) + np.tile(log_weights, len(kept))
+    log_evidence = float(np.logaddexp.reduce(logs))
+    weights = np.exp(logs - log_evidence)
     return Posterior(
         model=model,
-        mean=np.sum([w * part[1] for w, part in zip(weights, parts, strict=True)], axis=0),
-        draws=_drawn(weights, parts),
-        log_evidence=float(np.logaddexp.reduce(logs)),
-        scales=noise.scales(steps),
+        mean=weights @ np.array([part[1] for part in parts]),
+        draws=_draw(weights, parts),
+        log_evidence=log_evidence,
+        scales=noise.prior.scales(steps),
     )
 
 
-def fit_path(
-    models: list[JointModel], path_nodes: PathNodes, noise: NoisePrior
-) -> tuple[float, Array, JointModel, Array]:
-    """The path alone: log evidence, sizes of the flaws (as steps), the model about its axis and the unknowns."""
-    path = models[0].path
-    first = noise.first_steps(path.points_world, models[0].turns_world)
-    scales = noise.scales(first)
+def fit_path(models: Sequence[Revolute | Prismatic], noise: PathNoise) -> tuple[LinearizedModel, Array]:
+    """The path alone, by the model whose first axis fits best, and the likeliest sizes of its flaws (7,)."""
+    steps = np.zeros(len(SCALES))
     found = []
     for model in models:
         x = model.first()
         for _ in range(2):
-            model, x = model.about(solve(model, path_nodes, scales, None, x))
-        found.append(
-            (integrate_gaussian(model, linearize_model(model, None, x), path_nodes, scales)[0], model, x)
-        )
-    _, model, x = max(found, key=lambda item: item[0])
-    evidence = linearize_model(model, None, x)
-    steps = _likeliest(model, evidence, path_nodes, noise, first)
-    return _log_posterior(model, evidence, path_nodes, noise, steps), steps, model, x
+            model, x = model.about(_fit(model, noise, ANYWHERE, steps, x))
+        found.append(LinearizedModel.of(model, noise, ANYWHERE, x))
+    best = max(found, key=lambda item: item.gaussian(steps)[0])
+    return best, best.likeliest(steps)
 
 
-def _log_posterior(
-    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, steps: Array
-) -> float:
-    """Of the sizes of the flaws, the unknowns integrated out."""
-    return integrate_gaussian(model, evidence, path_nodes, noise.scales(steps))[0] - 0.5 * float(
-        steps @ steps
-    )
+def _fit(model: Revolute | Prismatic, noise: PathNoise, hint: AxisHint, steps: Array, first: Array) -> Array:
+    """Unknowns (P,) that fit best at given sizes of the flaws."""
+    whiten = noise.whiten(model.kinds, steps, model.firmness)[0]
 
+    def residuals(x: Array) -> Array:
+        return np.append(whiten @ model.data(x)[..., None], _prior(model, hint, x))
 
-def _likeliest(
-    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, first: Array
-) -> Array:
-    result = minimize(
-        lambda steps: -_log_posterior(model, evidence, path_nodes, noise, steps),
-        first,
-        method="L-BFGS-B",
-        bounds=[STEP_LIMITS] * len(first),
-        options={"maxiter": 15, "ftol": 1e-5},
-    )
+    def slopes(x: Array) -> Array:
+        here = LinearizedModel.of(model, noise, hint, x)
+        return np.concatenate([(whiten @ here.data[1]).reshape(-1, len(x)), here.prior[1]])
+
+    limits = {"ftol": _TOLERANCE, "max_nfev": _MAX_STEPS}
+    # Its type stubs know no function for a Jacobian.
+    result = least_squares(residuals, first, cast(Any, slopes), method="lm", x_scale=model.steps, **limits)
     return np.asarray(result.x, np.float64)
 
 
-def _scale_points(
-    model: JointModel, evidence: LinearizedModel, path_nodes: PathNodes, noise: NoisePrior, center: Array
-) -> tuple[Array, Array]:
-    """Even points (N, 7) over the sizes' posterior, with log weights (N,) that make them its integral."""
-    size = len(center)
-
-    def value(steps: Array) -> float:
-        return _log_posterior(model, evidence, path_nodes, noise, steps)
-
-    h, middle = 0.3, value(center)
-    unit = h * np.eye(size)
-    ahead = [value(center + unit[i]) for i in range(size)]
-    behind = [value(center - unit[i]) for i in range(size)]
-    curvature = np.array([(2 * middle - ahead[i] - behind[i]) / h**2 for i in range(size)])
-    sds = 1.1 / np.sqrt(np.clip(curvature, 0.5, None))
-    normal = _normal_points(_SCALE_POINTS, size)
-    points = np.clip(center + normal * sds, *STEP_LIMITS)
-    own = -0.5 * (normal**2).sum(1) - np.log(sds).sum() - size / 2 * np.log(2 * np.pi)
-    prior = -0.5 * (points**2).sum(1) - size / 2 * np.log(2 * np.pi)
-    return points, prior - own - np.log(len(points))
+def _prior(model: Revolute | Prismatic, hint: AxisHint, x: Array) -> Array:
+    return np.concatenate([model.beliefs(x), hint.residuals(*model.lines(x))], axis=-1)
 
 
-def _drawn(weights: Array, parts: list[tuple[float, Array, Array]]) -> Array:
-    """Samples (S, P) of the mixture, evenly taken."""
+def _draw(weights: Array, parts: Sequence[tuple[float, Array, Array]]) -> Array:
+    """Samples (S, P) of the mixture of Gaussians (log evidence, mean, information), evenly taken."""
     places = (np.arange(_DRAWS) + 0.5) / _DRAWS
     chosen = np.minimum(np.searchsorted(np.cumsum(weights), places), len(parts) - 1)
-    normal = _normal_points(_DRAWS, len(parts[0][1]))
-    draws = np.empty_like(normal)
+    draws = _normal_points(_DRAWS, len(parts[0][1]))
     for part in np.unique(chosen):
-        L = np.linalg.cholesky(parts[part][2])
-        mine = chosen == part
-        draws[mine] = parts[part][1] + solve_triangular(L.T, normal[mine].T).T
+        _, mean, information = parts[part]
+        L, mine = np.linalg.cholesky(information), chosen == part
+        draws[mine] = mean + solve_triangular(L.T, draws[mine].T).T
     return draws
 
 

@@ -8,14 +8,16 @@ from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.motion.axis_prior import PartShape, measure_shape
-from aomgen.motion.contact import SPACING_M, WINDOW_S, Contacts, PartPath, find_contacts
+from aomgen.motion.contact import SURFACE_SD_M, WINDOW_S, Contacts, carry_part, find_contacts
 from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
 from aomgen.motion.joint_value import (
+    TouchObservation,
     ValueTrajectory,
     compute_path_values,
     find_motion_tolerance,
+    follow_pushed_part,
     refine_interval,
     select_resting,
     smooth_within,
@@ -24,7 +26,6 @@ from aomgen.motion.keyframes import Departures, Interval
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.onset import Detectability
 from aomgen.motion.params import MotionParams
-from aomgen.motion.push_trajectory import TouchObservation, follow_pushed_part, loosen_prior
 
 # Step at which joint values are computed, [s]: that of a 100 Hz joint log.
 _DENSE_STEP_S = 0.01
@@ -98,15 +99,12 @@ def prepare_recovery(
     touch, frame_times = view.touch, view.signals.times_s
     touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
     inside = slice(touch.first, touch.last + 1)
-    joint = params.joint if touch.gripped else replace(params.joint, noise=loosen_prior(params.joint.noise))
+    joint = params.joint if touch.gripped else replace(params.joint, noise=params.joint.noise.loosened())
     shape = measure_shape(demo.points_static, demo.points_moving)
-    surface = demo.surface_moving(SPACING_M)
-    begin = PartPath.carried(
-        demo.robot,
-        demo.log,
-        (touch_s if touch.gripped else seen)[0] + demo.clock_offset_s,
-        _begin(seen, demo, params),
-    )
+    surface = demo.surface_moving(SURFACE_SD_M)
+    moments = _begin(seen, demo, params)
+    rested_s = (touch_s if touch.gripped else seen)[0]
+    begin = (moments, carry_part(demo.robot, demo.log, rested_s, moments))
     contacts, found = _explained(demo, shape, surface, begin, seen, joint)
     return RecoveryInput(
         demo=demo,
@@ -134,16 +132,16 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
     Raises:
         DemonstrationTooShortError: The hand moved the part less than 3 cm.
     """
-    demo, shape, seen, offset_s = first.demo, first.shape, first.seen, first.demo.clock_offset_s
+    demo, shape, seen = first.demo, first.shape, first.seen
     times = _dense(first.touch_s)
-    poses = ee_poses_at(demo, times + offset_s)
+    poses = ee_poses_at(demo, times)
     leave = find_motion_tolerance(joint_type)
 
     def along(found: JointCandidates, interval: tuple[float, float]) -> ValueTrajectory:
         estimate = found.of(joint_type)
         reference = int(np.argmin(np.abs(times - interval[0])))
         path = compute_path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
-        values = smooth_within(path.values, _DENSE_STEP_S, _SMOOTH_S, leave)
+        values = smooth_within(path, _DENSE_STEP_S, _SMOOTH_S, leave)
         if not first.gripped:
             points = apply(poses, estimate.grasp_ee[None])
             hand = (points, apply(invert(estimate.joint.motion(values)), points))
@@ -152,10 +150,10 @@ def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionPa
         start, end = (_nearby(felt[k], seen[k], _AGREE_S) for k in (0, 1))
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
-    def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> PartPath:
+    def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> tuple[Array, Array]:
         moments = _begin(trajectory.interval, demo, params)
-        thetas = np.interp(moments - offset_s, times, trajectory.values) - trajectory.levels[0]
-        return PartPath(times_log_s=moments, Ts_world_part=found.of(joint_type).joint.motion(thetas))
+        thetas = np.interp(moments, times, trajectory.values) - trajectory.levels[0]
+        return moments, found.of(joint_type).joint.motion(thetas)
 
     trajectory = along(first.found, seen)
     begin = beginning(first.found, trajectory)
@@ -178,13 +176,13 @@ def _explained(
     demo: MotionInput,
     shape: PartShape,
     surface: Array,
-    begin: PartPath,
+    begin: tuple[Array, Array],
     interval: tuple[float, float],
     params: JointParams,
 ) -> tuple[Contacts, JointCandidates]:
     """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
     contacts = _contacts(demo, shape, surface, begin)
-    held = ee_poses_at(demo, _dense(interval) + demo.clock_offset_s)
+    held = ee_poses_at(demo, _dense(interval))
     # Fingers that do not stand against each other push, and hold in no direction.
     normals = [patch.normal for patch in contacts.patches]
     pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
@@ -192,14 +190,15 @@ def _explained(
     return contacts, fit_candidates(held, hold, shape, params)
 
 
-def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: PartPath) -> Contacts:
-    return find_contacts(demo.robot, demo.log, surface, shape.box.T_world_box[:3, :3].T, begin)
+def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: tuple[Array, Array]) -> Contacts:
+    axes = shape.box.T_world_box[:3, :3].T
+    return find_contacts(demo.robot, demo.log, (surface, axes), *begin)
 
 
 def _begin(interval: tuple[float, float], demo: MotionInput, params: MotionParams) -> Array:
-    """First moments of the motion from its first frame on, log clock (K,), [s]."""
+    """First moments of the motion from its first frame on (K,), [s]."""
     steps = np.linspace(0.0, WINDOW_S, params.contact_steps, dtype=np.float64)
-    return steps + (find_first_frame(demo.video.times_s, interval[0]) + demo.clock_offset_s)
+    return steps + find_first_frame(demo.video.times_s, interval[0])
 
 
 def find_first_frame(frames: Array, moment_s: float) -> float:
@@ -218,6 +217,6 @@ def _dense(interval: tuple[float, float]) -> Array:
     return np.linspace(interval[0], interval[1], count, dtype=np.float64)
 
 
-def ee_poses_at(demo: MotionInput, log_times_s: Array) -> Array:
-    """End-effector poses (T, 4, 4), world frame, at times (T,) of the log's clock."""
-    return np.asarray(demo.robot.ee_poses(demo.log.at(log_times_s)[0]), np.float64)
+def ee_poses_at(demo: MotionInput, times_s: Array) -> Array:
+    """End-effector poses (T, 4, 4), world frame, at times (T,)."""
+    return np.asarray(demo.robot.ee_poses(demo.log.at(times_s)[0]), np.float64)

@@ -1,4 +1,9 @@
-"""The joint value over time, in closed form from the hand's path."""
+"""The joint value over time, in closed form from the hand's path.
+
+A hand that holds the part shows its value from rest to rest. One that pushes or hooks takes it forward only: before the
+hand meets the part and after it lets go it moves freely, in between the part is as far as the hand ever pushed it; the
+picture tells where on the hand's way that begins and ends.
+"""
 
 from dataclasses import dataclass
 
@@ -10,6 +15,8 @@ from aomgen.core.robust import SD_OF_MAD
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.motion.filters import smooth
+from aomgen.motion.keyframes import Departures
+from aomgen.motion.onset import STILL_M, Detectability, GripperPath, detect_offset, detect_onset
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7
@@ -17,28 +24,12 @@ _MAX_FACE_SHARE = 0.7
 _NOISE_SDS = 3.0
 # While it is held, a part that rests is looked at from so long to so long before it moves, [s].
 _REST_S = (0.5, 0.1)
+# A hand leaves for good when it goes aside, farther than along the part's way, by this much within this time.
+_ASIDE_M, _ASIDE_S = 0.004, 0.1
 # The part has left its first state when its value differs by this much.
 LEAVE_RAD = float(np.radians(0.5))
 # The same of a prismatic joint, [m]: half a degree of a door whose handle is 0.23 m from its hinge.
 LEAVE_M = 0.002
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PathValues:
-    """Joint values along a dense path, relative to one moment of it.
-
-    Attributes:
-        values: (T,), [rad] or [m].
-        slip_m: Change of the held point's distance from the axis (T,), [m]; prismatic: its distance
-            from the line.
-    """
-
-    values: Array
-    slip_m: Array
-
-    def __post_init__(self) -> None:
-        freeze(self, "values", self.values, (None,))
-        freeze(self, "slip_m", self.slip_m, (len(self.values),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,8 +60,8 @@ def find_motion_tolerance(joint_type: JointType) -> float:
 
 def compute_path_values(
     joint: Joint, Ts_world_ee: Array, grasp_ee: Array, reference: int, face_normal: Array | None = None
-) -> PathValues:
-    """Joint value of each hand pose while it holds the part.
+) -> Array:
+    """Joint values (T,), [rad] or [m], of hand poses that hold the part.
 
     Prismatic: `a . (p_t - p_ref)`. Revolute: `atan2(y_t, x_t) - asin(h / rho_t)` with x along the
     part's face, y across it and h the held point's height over the face's plane through the axis;
@@ -89,11 +80,7 @@ def compute_path_values(
     """
     points = apply(Ts_world_ee, grasp_ee)
     if joint.type == "prismatic":
-        offsets = points - points[reference]
-        values = offsets @ joint.axis
-        return PathValues(
-            values=values, slip_m=np.linalg.norm(offsets - np.outer(values, joint.axis), axis=1)
-        )
+        return (points - points[reference]) @ joint.axis
     offsets = points - joint.origin
     flat = offsets - np.outer(offsets @ joint.axis, joint.axis)
     radii = np.maximum(np.linalg.norm(flat, axis=1), 1e-6)
@@ -110,7 +97,7 @@ def compute_path_values(
     side = 1.0 if face_normal is None else float(np.sign(np.cross(joint.axis, first) @ face_normal)) or 1.0
     lean = side * np.arcsin(height / radii)
     values = turn - (lean - lean[reference])
-    return PathValues(values=values - values[reference], slip_m=radii - radii[reference])
+    return np.asarray(values - values[reference], np.float64)
 
 
 def smooth_within(values: Array, step_s: float, window_s: float, tolerance: float) -> Array:
@@ -179,6 +166,75 @@ def select_resting(times_s: Array, values: Array, start_s: float) -> Array:
 
 def _level(values: Array, otherwise: float) -> float:
     return float(np.median(values)) if len(values) else otherwise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchObservation:
+    """What the video shows of the two ends.
+
+    Attributes:
+        times_s: Times of the frames of the touch (T,), [s].
+        seen: The part's departures in them.
+        sight: What the picture can tell.
+    """
+
+    times_s: Array
+    seen: Departures
+    sight: Detectability
+
+    def __post_init__(self) -> None:
+        freeze(self, "times_s", self.times_s, (len(self.seen.left),))
+
+
+def follow_pushed_part(
+    times_s: Array,
+    values: Array,
+    hand: tuple[Array, Array],
+    seen_s: tuple[float, float],
+    leave: float,
+    picture: TouchObservation,
+) -> ValueTrajectory:
+    """Follow a part by the value that the hand's way would give it.
+
+    Args:
+        times_s: Dense times of the touch (T,), [s].
+        values: The joint value if the hand held the part all the time (T,), smooth, growing in the
+            demonstrated direction.
+        hand: The touching point (T, 3) in the world, and as it would be seen from the part if it held it, [m].
+        seen_s: A first guess of start and end, [s]; the hand pushes at their middle.
+        leave: Change of the value at which a motion has begun, `LEAVE_RAD` or `LEAVE_M`.
+        picture: Of the touch.
+    """
+    middle = int(np.argmin(np.abs(times_s - sum(seen_s) / 2)))
+    gone = middle + _left(times_s[middle:], *(points[middle:] for points in hand))
+    farthest = _farthest(values[np.minimum(np.arange(len(values)), gone - 1)], middle)
+    along = np.zeros((len(values), 3))
+    along[:, 0] = farthest * (STILL_M / leave)
+    way = GripperPath(times_s=times_s, points=along)
+    start = detect_onset(way, picture.times_s, picture.seen.left, picture.sight, held=False)
+    end = detect_offset(way, picture.times_s, picture.seen.ahead, picture.sight, held=False)
+    interval = (min(start.time_s, end.time_s), max(start.time_s, end.time_s))
+    first, last = np.interp(interval, times_s, farthest)
+    return ValueTrajectory(
+        times_s=times_s, values=farthest, interval=interval, levels=(first - leave, last + leave)
+    )
+
+
+def _left(times_s: Array, points_world: Array, points_part: Array) -> int:
+    """Index in (T,), at least 1, from which on the hand has left its part sideways; T when it never does."""
+    later = np.searchsorted(times_s, times_s + _ASIDE_S).clip(max=len(times_s) - 1)
+    aside = np.linalg.norm(points_part[later] - points_part, axis=1)
+    moved = np.linalg.norm(points_world[later] - points_world, axis=1)
+    # Of a way and what of it goes aside: more than half of its square.
+    off = (aside > _ASIDE_M) & (2 * aside**2 > moved**2)
+    return max(1, int(np.argmax(off))) if off.any() else len(times_s)
+
+
+def _farthest(values: Array, middle: int) -> Array:
+    """Values (T,) without what the hand moves backwards: before it comes to the part, and when it leaves it."""
+    return np.concatenate(
+        [np.minimum.accumulate(values[: middle + 1][::-1])[::-1], np.maximum.accumulate(values[middle:])[1:]]
+    )
 
 
 def sample_at_frames(frame_times_s: Array, trajectory: ValueTrajectory, tolerance: float) -> Array:

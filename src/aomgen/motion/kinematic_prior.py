@@ -1,24 +1,32 @@
-"""What the hand's path says about the motion, before the video is asked."""
+"""What the gripper's path says about the motion, as a prior for the video."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from aomgen.core.joint import Joint
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
+from aomgen.motion.inputs import MotionInput
+from aomgen.motion.joint_models import make_tangent_basis
+
+# Far below any error of a joint, so that a covariance can be inverted, [rad^2], [m^2].
+_LEAST_VARIANCE = 1e-10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KinematicPrior:
-    """What the hand's path says.
+    """Joint and joint values with independent errors.
 
     Attributes:
-        joint: Axis and origin, world frame; value 0 is the scanned state.
+        joint: World frame; value 0 is the scanned state.
         held_world: Held point when the motion begins (3,), [m].
-        covariance: Of tilt (2) [rad] and, if revolute, shift (2) [m] of the axis in the directions
-            `tangent_basis(joint.axis)`, the shift where the axis passes the held point.
+        covariance: Of `shift_joint`'s numbers (n, n): tilt [rad] and, if revolute, shift [m].
         interval: First and last moment of the motion, [s].
         times_s: Video frame times (T,).
         thetas: Values (T,), [rad] or [m].
-        theta_sd: Their standard deviation if the joint is as it is said (T,).
+        theta_sd: Their standard deviation (T,) if the joint is exact.
     """
 
     joint: Joint
@@ -35,3 +43,68 @@ class KinematicPrior:
         freeze(self, "covariance", self.covariance, (count, count))
         for name in ("times_s", "thetas", "theta_sd"):
             freeze(self, name, getattr(self, name), (len(self.times_s),))
+
+    @property
+    def pivot(self) -> Array:
+        """Point of the axis nearest the held point (3,), world frame, [m]."""
+        joint = self.joint
+        return joint.origin + joint.axis * ((self.held_world - joint.origin) @ joint.axis)
+
+    def value_lever(self) -> Array:
+        """Derivatives (T, n) of the values by `shift_joint`'s numbers, the held point's path being fixed.
+
+        The held point goes round the pivot in the plane across the axis, so that a tilt changes nothing.
+        """
+        lever = np.zeros((len(self.thetas), len(self.covariance)))
+        if self.joint.type == "revolute":
+            points = np.asarray(apply(self.joint.motion(self.thetas), self.held_world))
+            first = self.held_world - self.pivot
+            change = np.cross(self.joint.axis, first - (points - self.pivot)) / (first @ first)
+            lever[:, 2:] = change @ make_tangent_basis(self.joint.axis).T
+        return lever
+
+
+def shift_joint(joint: Joint, pivot: Array, x: Array) -> Joint:
+    """A joint tilted by x[:2] [rad] and, if revolute, moved by x[2:4] [m] across its axis at `pivot` (3,)."""
+    tangents = make_tangent_basis(joint.axis)
+    axis = joint.axis + x[:2] @ tangents
+    offset = x[2:4] @ tangents if joint.type == "revolute" else np.zeros(3)
+    return replace(joint, axis=axis / np.linalg.norm(axis), origin=pivot + offset)
+
+
+def make_kinematic_prior(
+    demo: MotionInput, estimate: MotionEstimate, lines: tuple[Array, Array]
+) -> KinematicPrior:
+    """An estimate as a prior.
+
+    Args:
+        demo: What the estimate was made from.
+        estimate: By the gripper's path.
+        lines: Equally likely axes (S, 3) and points on them (S, 3) [m], world frame.
+    """
+    prior = KinematicPrior(
+        joint=estimate.joint,
+        held_world=apply(demo.robot.ee_poses(demo.log.at([estimate.start_s])[0]), estimate.grasp_ee)[0],
+        covariance=_LEAST_VARIANCE * np.eye(4 if estimate.joint.type == "revolute" else 2),
+        interval=(estimate.start_s, estimate.end_s),
+        times_s=estimate.times_s,
+        thetas=estimate.thetas,
+        theta_sd=estimate.theta_sd,
+    )
+    covariance = compute_line_covariance(prior.joint, prior.pivot, lines)
+    by_joint = np.einsum("ti,ij,tj->t", prior.value_lever(), covariance, prior.value_lever())
+    # What is left without the joint's error, and never nothing.
+    own = np.maximum(estimate.theta_sd**2 - by_joint, estimate.theta_sd**2 / 9)
+    return replace(prior, covariance=covariance, theta_sd=np.sqrt(own))
+
+
+def compute_line_covariance(joint: Joint, pivot: Array, lines: tuple[Array, Array]) -> Array:
+    """Covariance (n, n) of `shift_joint`'s numbers of equally likely axes (S, 3) through points (S, 3)."""
+    axes, points = lines
+    tangents = make_tangent_basis(joint.axis)
+    along = (axes @ joint.axis)[:, None]
+    crossings = points + axes * ((pivot - points) @ joint.axis)[:, None] / along
+    numbers = np.hstack([axes @ tangents.T / along, (crossings - pivot) @ tangents.T])
+    numbers = numbers if joint.type == "revolute" else numbers[:, :2]
+    # About the answer itself, which need not be the samples' middle.
+    return numbers.T @ numbers / len(numbers) + _LEAST_VARIANCE * np.eye(numbers.shape[1])

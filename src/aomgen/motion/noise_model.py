@@ -5,12 +5,12 @@ it small. It enters as a Gaussian process along the path whose size each demonst
 bends, starting from what grasps usually do.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from aomgen.core.joint import JointType
-from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array, freeze
 
 # A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
@@ -25,69 +25,59 @@ _GIVE_RATES = {"prismatic": 0.002, "revolute": 0.004}
 _LOST_SHARE = 0.16
 # Unsteadiness of a node at which the hand may not have held the part, over that of the others.
 _INFLATION = 100.0
+# A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
+# 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
+_LOOSE_RATE, _LOOSE_SPREAD = 0.06, 0.1
 # Sizes are looked for between so many standard deviations from their medians.
 STEP_LIMITS = (-3.0, 5.0)
-# Names of the sizes, in the order of `NoiseScales.logs`.
+# What errs: place [m] and turn [rad] of the hand from stretch to stretch; slip along the part's face, and along the
+# handle's bar or the fingers' pads, per travel [m/m]; turn of the hand across the joint's axis, and uneven turn of the
+# handle in the fingers, per travel [rad/m]; slip in the direction in which the fingers close, per travel [m/m].
 SCALES = ("place", "turn", "face", "bar", "tilt", "pivot", "straight")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoisePrior:
-    """Usual sizes of the flaws and how much they differ between demonstrations (natural logarithm).
+    """Usual sizes of the flaws and how much they differ between demonstrations.
 
-    Medians come from simulated contact with doors and drawers and from joint logs with 0.5 mrad of
-    noise, averaged over a stretch of the path.
+    From simulated contact with doors and drawers and from joint logs with 0.5 mrad of noise, averaged over a stretch
+    of the path.
 
     Attributes:
-        place_m, turn_rad: Unsteadiness of hand pose from stretch to stretch.
-        face_rate, bar_rate: Slip along the part's face, and along the handle's bar or the fingers' pads
-            on a straight path, per travel, [m/m].
-        tilt_rate: Turn of the hand across the joint's axis per travel, [rad/m].
-        pivot_rate: Uneven turn of the handle in the fingers per travel, [rad/m].
-        straight_rate: Slip in the direction in which the fingers close per travel, [m/m].
-        spreads: Standard deviation of the logarithm of each, in this order.
+        medians: In the order of `SCALES`.
+        spreads: Standard deviation of the natural logarithm of each.
     """
 
-    place_m: float = 0.00015
-    turn_rad: float = 0.0005
-    face_rate: float = 0.004
-    bar_rate: float = 0.006
-    tilt_rate: float = 0.016
-    pivot_rate: float = 0.015
-    straight_rate: float = 0.0015
+    medians: tuple[float, ...] = (0.00015, 0.0005, 0.004, 0.006, 0.016, 0.015, 0.0015)
     spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.8, 1.4, 1.2, 1.2)
-
-    @property
-    def medians(self) -> Array:
-        """In the order of `SCALES` (7,)."""
-        rates = (self.face_rate, self.bar_rate, self.tilt_rate, self.pivot_rate, self.straight_rate)
-        return np.array([self.place_m, self.turn_rad, *rates])
-
-    def first_steps(self, points: Array, turns: Array) -> Array:
-        """Steps (7,) whose unsteadiness is that of a path's points and turns (K, 3); the rest is usual."""
-        steps = np.zeros(len(SCALES))
-        for k, rows in enumerate((points, turns)):
-            rough = np.diff(rows, n=3, axis=0) if len(rows) > 5 else np.zeros((1, 3))
-            # Third differences of white noise have a variance of 20.
-            sd = robust_sd(rough) / np.sqrt(20.0)
-            steps[k] = np.log(max(sd / self.medians[k], 1e-3)) / self.spreads[k]
-        return np.clip(steps, *STEP_LIMITS)
 
     def scales(self, steps: Array) -> Array:
         """Sizes (7,) that lie `steps` (7,) standard deviations from their medians."""
-        return self.medians * np.exp(np.array(self.spreads) * steps)
+        return np.array(self.medians) * np.exp(np.array(self.spreads) * steps)
+
+    def loosened(self) -> "NoisePrior":
+        """Usual flaws of a path on which the hand only pushes or hooks: it slides across the motion."""
+        medians, spreads = (
+            dict(zip(SCALES, self.medians, strict=True)),
+            dict(zip(SCALES, self.spreads, strict=True)),
+        )
+        medians |= {"face": _LOOSE_RATE / 4, "bar": _LOOSE_RATE, "straight": _LOOSE_RATE}
+        spreads |= {"bar": _LOOSE_SPREAD, "straight": _LOOSE_SPREAD}
+        return NoisePrior(medians=tuple(medians.values()), spreads=tuple(spreads.values()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PathNodes:
-    """Places along a path at which the hand was looked at.
+class PathNoise:
+    """Covariances of what a path's nodes may err by.
 
     Attributes:
+        prior: Usual sizes of the flaws.
         travel_m: Travel since the first node (K,), [m].
         inflation: Factor (K,) on the unsteadiness of each node, 1 where nothing is wrong.
         waves: Covariance (K, K) of an uneven course of length one.
     """
 
+    prior: NoisePrior
     travel_m: Array
     inflation: Array
     waves: Array
@@ -99,52 +89,41 @@ class PathNodes:
         freeze(self, "waves", self.waves, (count, count))
 
     @staticmethod
-    def of(points: Array) -> "PathNodes":
-        """The nodes of a path of points (K, 3), none of them loosened."""
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        travel = np.concatenate([[0.0], np.cumsum(steps)])
+    def of(points: Array, prior: NoisePrior) -> "PathNoise":
+        """Along a path of points (K, 3), none of them loosened."""
+        travel = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         k = np.arange(1, _WAVES + 1)
         waves = np.sin(np.pi * np.outer(travel / travel[-1], k)) / k**2
-        return PathNodes(travel_m=travel, inflation=np.ones(len(points)), waves=waves @ waves.T)
+        return PathNoise(prior=prior, travel_m=travel, inflation=np.ones(len(points)), waves=waves @ waves.T)
 
-    def loosened(self, nodes: slice) -> "PathNodes":
-        """The same course with some nodes that may lie anywhere near."""
+    def loosened(self, nodes: slice) -> "PathNoise":
+        """The same with some nodes that may lie anywhere near."""
         inflation = self.inflation.copy()
         inflation[nodes] = _INFLATION
         return replace(self, inflation=inflation)
 
-    def steady(self, rate: float) -> Array:
-        """Covariance (K, K) of a steady course with a bend, whose end has a deviation of `rate` per travel."""
+    def covariance(self, kind: str, scales: Array, firmness: float) -> Array:
+        """Covariance (K, K) of a kind of residual: "face", "bar", "straight" [m], "tilt", "pivot" [rad].
+
+        Args:
+            kind: Which one.
+            scales: Sizes of the flaws (7,).
+            firmness: Square of the cosine between the "straight" direction and that in which the fingers
+                close; by the rest they give way as along the bar.
+        """
+        sizes = dict(zip(SCALES, scales, strict=True)) | {"straight": compute_held_rate(scales, firmness)}
+        steady, uneven = (0.0, sizes[kind]) if kind == "pivot" else (sizes[kind], BEND_SHARE * sizes[kind])
+        white = sizes["turn" if kind in ("tilt", "pivot") else "place"]
         s = self.travel_m
-        return rate**2 * np.outer(s, s) + self.uneven(BEND_SHARE * rate)
+        course = steady**2 * np.outer(s, s) + (uneven * s[-1]) ** 2 * self.waves
+        return course + np.diag((white * self.inflation) ** 2)
 
-    def uneven(self, rate: float) -> Array:
-        """Covariance (K, K) of a course without a steady part, whose middle has that deviation."""
-        return (rate * self.travel_m[-1]) ** 2 * self.waves
-
-    def white(self, sd: float) -> Array:
-        """Covariance (K, K) of unsteadiness."""
-        return np.diag((sd * self.inflation) ** 2)
-
-
-def compute_covariances(path_nodes: PathNodes, scales: Array, firmness: float = 1.0) -> dict[str, Array]:
-    """Covariance (K, K) of each kind of residual, by name.
-
-    Args:
-        path_nodes: Nodes of the path.
-        scales: Sizes of the flaws (7,).
-        firmness: Square of the cosine between the "straight" direction and that in which the fingers
-            close; by the rest they give way as along the bar.
-    """
-    place, turn, face, bar, tilt, pivot, _ = scales
-    white_m, white_rad = path_nodes.white(place), path_nodes.white(turn)
-    return {
-        "face": white_m + path_nodes.steady(face),
-        "bar": white_m + path_nodes.steady(bar),
-        "tilt": white_rad + path_nodes.steady(tilt),
-        "straight": white_m + path_nodes.steady(compute_held_rate(scales, firmness)),
-        "pivot": white_rad + path_nodes.uneven(pivot),
-    }
+    def whiten(self, kinds: Sequence[str], steps: Array, firmness: float) -> tuple[Array, float]:
+        """Matrices (C, K, K) that make residuals of kinds white, and the sum of their log determinants."""
+        scales = self.prior.scales(steps)
+        factors = np.linalg.cholesky([self.covariance(kind, scales, firmness) for kind in kinds])
+        logs = np.log(np.diagonal(factors, axis1=1, axis2=2))
+        return np.asarray(np.linalg.inv(factors), np.float64), 2 * float(logs.sum())
 
 
 def compute_held_rate(scales: Array, firmness: float) -> float:
@@ -152,7 +131,7 @@ def compute_held_rate(scales: Array, firmness: float) -> float:
 
     Args:
         scales: Sizes of the flaws (7,).
-        firmness: See `compute_covariances`.
+        firmness: See `PathNoise.covariance`.
     """
     straight, bar = scales[SCALES.index("straight")], scales[SCALES.index("bar")]
     return float(np.sqrt(firmness * straight**2 + (1 - firmness) * bar**2))
@@ -171,14 +150,3 @@ def compute_give_rate(joint_type: JointType, scales: Array, closing: float) -> f
     """
     along_pads = np.sqrt(max(1 - closing**2, 0.0))
     return float(np.hypot(_GIVE_RATES[joint_type], _LOST_SHARE * along_pads * scales[SCALES.index("bar")]))
-
-
-def factorize_covariances(
-    path_nodes: PathNodes, scales: Array, firmness: float = 1.0
-) -> dict[str, tuple[Array, float]]:
-    """Matrix (K, K) that makes residuals white and log determinant of each covariance, by name."""
-    found = {}
-    for name, covariance in compute_covariances(path_nodes, scales, firmness).items():
-        L = np.linalg.cholesky(covariance)
-        found[name] = (np.linalg.inv(L), 2 * float(np.log(np.diag(L)).sum()))
-    return found

@@ -80,9 +80,9 @@ class VideoObservations:
         stride = max(1, int(np.floor(demo.video.fps / MAX_FPS)))
         width = min(params.width, demo.camera.width)
         small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
-        times, offset_s = demo.video.times_s[::stride], demo.clock_offset_s
+        times = demo.video.times_s[::stride]
         frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb[::stride]]
-        masks = masks_at(times + offset_s, small.width, small.height)
+        masks = masks_at(times, small.width, small.height)
         region = find_part_region(demo.points_moving, small)
         matched = match_exposure(np.stack(frames), masks, region)
         good = ~matched.bad
@@ -92,10 +92,10 @@ class VideoObservations:
                 f"has {int(good.sum())} frames that can be compared, need {_LEAST_FRAMES}",
                 "check that the camera stands still and that the video shows the whole motion",
             )
-        signals = read_gripper_signals(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
+        signals = read_gripper_signals(demo.robot, demo.log, demo.points_moving, times[good])
         touch = find_touch(signals)
         if not touch.gripped and demo.robot.hand_bodies:
-            gaps = measure_surface_gaps(demo.robot, demo.log, demo.points_moving, times[good], offset_s)
+            gaps = measure_surface_gaps(demo.robot, demo.log, demo.points_moving, times[good])
             touch = refine_touch(touch, signals, gaps)
         return VideoObservations(
             camera=small,
@@ -111,7 +111,7 @@ class VideoObservations:
     def identify_part(self, demo: MotionInput) -> PartIdentification:
         """Whether the prompted part is the one that moved."""
         static, other = (
-            read_gripper_signals(demo.robot, demo.log, points, self.signals.times_s, demo.clock_offset_s)
+            read_gripper_signals(demo.robot, demo.log, points, self.signals.times_s)
             for points in (demo.points_static, demo.points_other)
         )
         return identify_part(
@@ -163,6 +163,6 @@ class VideoObservations:
 
 def _way(demo: MotionInput, first_s: float, last_s: float) -> GripperPath:
     times = np.arange(first_s, last_s + _WAY_STEP_S / 2, _WAY_STEP_S, dtype=np.float64)
-    points = demo.robot.ee_poses(demo.log.at(times + demo.clock_offset_s)[0])[:, :3, 3]
+    points = demo.robot.ee_poses(demo.log.at(times)[0])[:, :3, 3]
     columns = [smooth(column, _WAY_STEP_S, _WAY_SMOOTH_S) for column in points.T]
     return GripperPath(times_s=times, points=np.stack(columns, 1))

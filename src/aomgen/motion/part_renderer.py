@@ -1,8 +1,7 @@
 """The video around the moving part, and the part painted with what the video shows of it at rest.
 
-The scan knows the part's shape; its colors under the video's light, exposure and white balance are
-read from the video itself, before the motion. What is compared later is the same surface in the same
-video, so that neither the scan's exposure nor a constant error of the camera's pose counts as motion.
+The scan knows the part's shape; its colors under the video's light and exposure are read from the video
+before the motion. So neither the scan's exposure nor a constant error of the camera's pose counts as motion.
 """
 
 from dataclasses import dataclass, replace
@@ -11,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from aomgen.conventions import MOVING, ROBOT
+from aomgen.conventions import MOVING, ROBOT, luma_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.joint import Joint
+from aomgen.core.robust import masked_median
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
@@ -25,8 +25,8 @@ from aomgen.splatting.rasterizer import RigidParts, contribution_weights, render
 
 FloatImage = NDArray[np.float32]
 
-# Rec. 601 luma.
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+# Margin around the robot's masks, and rim of the part that is left out, pixels of the crop.
+_ROBOT_MARGIN_PX, _RIM_PX = 3, 2
 # Rounds of back-projected residuals; each takes most of what is left.
 _PAINT_ROUNDS = 10
 # A Gaussian whose weights sum to less than this share of a pixel is not seen.
@@ -77,12 +77,11 @@ class PartRenderer:
     reach_m: float
 
     def draw(self, joint: Joint, theta: float) -> PartRendering:
-        """The part at a joint value, without gradients."""
+        """The part at a joint value."""
         Ts = np.stack([np.eye(4), joint.motion(theta)])
-        parts = RigidParts(indices=self.parts, Ts_world_part=Ts)
-        drawn = render(self.scene, self.camera, features=self.features, parts=parts, threads=1).features
-        images = np.moveaxis(np.zeros((1, 1, 3), np.float32) if drawn is None else drawn, -1, 0)
-        return PartRendering(luma=images[0], alpha=images[1], painted=images[2])
+        images = _draw_features(self, self.features, RigidParts(indices=self.parts, Ts_world_part=Ts))
+        luma, alpha, painted = np.moveaxis(images, -1, 0)
+        return PartRendering(luma=luma, alpha=alpha, painted=painted)
 
     def at(self, frame: int) -> tuple[FloatImage, NDArray[np.bool_]]:
         """Luma and hidden pixels (H, W) of a video frame that was read."""
@@ -95,9 +94,7 @@ def make_part_renderer(
     masks_at: MasksAt,
     joint: Joint,
     moments: tuple[NDArray[np.intp], NDArray[np.intp], float],
-    *,
     max_pixels: int,
-    dilate_px: int,
 ) -> PartRenderer:
     """Cut the video to the part's way and paint the part.
 
@@ -107,7 +104,6 @@ def make_part_renderer(
         joint: Where the part goes, roughly.
         moments: Frames at rest before the motion, frames of the motion, and the largest joint value.
         max_pixels: The crop is scaled to this many pixels at most.
-        dilate_px: Margin around the robot, in pixels of the crop.
     """
     resting, moving, largest = moments
     chosen = resting[np.unique(np.linspace(0, len(resting) - 1, _REST_FRAMES).round().astype(int))]
@@ -116,7 +112,7 @@ def make_part_renderer(
     scene, moves = demo.scene.select(kept), demo.labels[kept] == MOVING
     solid = demo.points_moving
     places = [apply(joint.motion(theta), solid) for theta in np.linspace(0, largest, 8)]
-    small, (rows, columns) = _crop(demo.camera, places, max_pixels)
+    small, (rows, columns) = _choose_crop(demo.camera, places, max_pixels)
     camera = replace(
         small,
         cx=small.cx - columns.start,
@@ -125,71 +121,71 @@ def make_part_renderer(
         height=rows.stop - rows.start,
     )
     images = [resize(demo.video.frames_srgb[k], small.width, small.height)[rows, columns] for k in frames]
-    masks = masks_at(demo.video.times_s[frames] + demo.clock_offset_s, small.width, small.height)
-    hidden = np.stack([dilate(mask, dilate_px)[rows, columns] for mask in masks])
-    luma = np.asarray(np.stack(images).astype(np.float32) @ _LUMA / 255, np.float32)
-    near = moves | _in_view(scene, camera)
+    masks = masks_at(demo.video.times_s[frames], small.width, small.height)
+    near = moves | _find_near(scene, camera)
     renderer = PartRenderer(
         camera=camera,
         frames=frames,
-        luma=luma,
-        hidden=hidden,
+        luma=luma_from_srgb(np.stack(images)),
+        hidden=np.stack([dilate(mask, _ROBOT_MARGIN_PX)[rows, columns] for mask in masks]),
         scene=scene.select(near).with_sh_degree(0),
         parts=moves[near].astype(np.int32),
         features=np.zeros((int(near.sum()), 3), np.float32),
         focus=solid.mean(0),
         reach_m=float(np.sqrt(((solid - solid.mean(0)) ** 2).sum(1).mean())),
     )
-    return replace(renderer, features=_painted(renderer, np.isin(frames, chosen)))
+    return replace(renderer, features=_paint(renderer, np.isin(frames, chosen)))
 
 
-def _crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[Camera, tuple[slice, slice]]:
-    """The camera at a fitting resolution, and rows and columns around the places of the part."""
-    pixels = np.concatenate([np.percentile(camera.project(place)[0], [1, 99], axis=0) for place in places])
-    margin = 0.05 * np.ptp(pixels, axis=0) + 4
-    low, high = pixels.min(0) - margin, pixels.max(0) + margin
-    low, high = (
-        np.clip(low, 0, [camera.width - 8, camera.height - 8]),
-        np.clip(high, 8, [camera.width, camera.height]),
-    )
+def _choose_crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[Camera, tuple[slice, slice]]:
+    """The camera at a fitting resolution, and rows and columns around the part's points (N, 3) on its way."""
+    bounds = np.array([np.percentile(camera.project(place)[0], [1, 99], axis=0) for place in places])
+    low, high = bounds.min((0, 1)), bounds.max((0, 1))
+    margin = 0.05 * (high - low) + 4
+    size = np.array([camera.width, camera.height])
+    low, high = np.clip(low - margin, 0, size - 8), np.clip(high + margin, 8, size)
     factor = min(1.0, float(np.sqrt(max_pixels / np.prod(high - low))))
-    small = camera.resized(round(camera.width * factor), round(camera.height * factor))
-    first, last = np.floor(low * factor).astype(int), np.ceil(high * factor).astype(int)
-    last = np.minimum(last, [small.width, small.height])
+    small = camera.resized(*np.round(size * factor).astype(int).tolist())
+    first = np.floor(low * factor).astype(int)
+    last = np.minimum(np.ceil(high * factor).astype(int), [small.width, small.height])
     return small, (slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0])))
 
 
-def _in_view(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
+def _find_near(scene: Gaussians, camera: Camera) -> NDArray[np.bool_]:
+    """Gaussians (G,) in the picture or near it."""
     pixels, depths = camera.project(scene.means)
     margin = 0.25 * max(camera.width, camera.height)
     size = np.array([camera.width, camera.height])
     return np.asarray((depths > 0) & ((pixels > -margin) & (pixels < size + margin)).all(1))
 
 
-def _painted(renderer: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _paint(renderer: PartRenderer, resting: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Features (G, 3) with each Gaussian's luma fitted to the video at rest, by back-projected residuals."""
-    shown = ~renderer.hidden[resting]
-    counted = shown.sum(0)
-    bare = np.where(shown, renderer.luma[resting], np.nan)
-    bare[:, counted == 0] = 0
-    target, open_ = np.nanmedian(bare, axis=0).astype(np.float32), (counted > 0).astype(np.float32)
-    weight = contribution_weights(renderer.scene, renderer.camera, open_[None])[:, 0]
-    luma = (np.clip(0.5 + SH_C0 * renderer.scene.sh[:, 0], 0, 1) @ _LUMA).astype(np.float32)
-    ones = np.ones(len(luma), np.float32)
+    target, known = masked_median(renderer.luma[resting], ~renderer.hidden[resting])
+    weight = _gather(renderer, known)
+    luma = luma_from_srgb(255 * np.clip(0.5 + SH_C0 * renderer.scene.sh[:, 0], 0, 1))
     seen = weight > _SEEN_WEIGHT
     for _ in range(_PAINT_ROUNDS):
-        drawn = render(renderer.scene, renderer.camera, features=luma[:, None], threads=1).features
-        left = (target - (0 if drawn is None else drawn[..., 0])) * open_
-        share = contribution_weights(renderer.scene, renderer.camera, left[None].astype(np.float32))[:, 0]
-        luma = luma + np.where(seen, share / np.maximum(weight, _SEEN_WEIGHT), 0).astype(np.float32)
-    moving = renderer.parts.astype(np.float32)
-    return np.stack([luma, ones, seen.astype(np.float32)], 1) * moving[:, None]
+        left = (target - _draw_features(renderer, luma[:, None])[..., 0]) * known
+        luma = luma + np.where(seen, _gather(renderer, left) / np.maximum(weight, _SEEN_WEIGHT), 0)
+    features = np.stack([luma, np.ones(len(luma)), seen], 1) * renderer.parts[:, None]
+    return features.astype(np.float32)
 
 
-def find_interior(view: PartRendering, hidden: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:
+def _gather(renderer: PartRenderer, image: NDArray) -> FloatImage:
+    """Sum of an image (H, W) over each Gaussian's pixels (G,), by its share of them."""
+    return contribution_weights(renderer.scene, renderer.camera, image[None].astype(np.float32))[:, 0]
+
+
+def _draw_features(renderer: PartRenderer, features: NDArray, parts: RigidParts | None = None) -> FloatImage:
+    drawn = render(renderer.scene, renderer.camera, features=features, parts=parts, threads=1)
+    return np.asarray(drawn.features, np.float32)
+
+
+def find_interior(view: PartRendering, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels (H, W) surely inside the painted part and not hidden by the robot.
 
     The part's outline in the scan is a label's edge, a pixel or two off; what lies inside is not.
     """
     sure = ndimage.binary_opening((view.alpha > 0.9) & (view.painted > 0.8 * view.alpha))
-    return np.asarray(ndimage.binary_erosion(sure, iterations=margin_px) & ~hidden, bool)
+    return np.asarray(ndimage.binary_erosion(sure, iterations=_RIM_PX) & ~hidden, bool)

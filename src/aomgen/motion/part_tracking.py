@@ -75,7 +75,7 @@ def _held(demo: MotionInput, motion: MotionEstimate) -> NDArray[np.bool_]:
     """Gaussians (G,) between two pads when the motion begins."""
     if len(demo.robot.pads) != 2:
         return np.zeros(len(demo.scene), bool)
-    joints, gripper = demo.log.at(np.array([motion.start_s + demo.clock_offset_s]))
+    joints, gripper = demo.log.at([motion.start_s])
     bodies = demo.robot.link_poses(joints, gripper)[0]
     first, second = (bodies[pad.body] @ pad.T_body_pad for pad in demo.robot.pads)
     between = np.ones(len(demo.scene), bool)
@@ -168,7 +168,7 @@ def _hidden(
     demo: MotionInput, masks_at: MasksAt, frames: NDArray[np.intp], camera: Camera
 ) -> NDArray[np.bool_]:
     """The robot with a margin (K, H, W)."""
-    masks = masks_at(demo.video.times_s[frames] + demo.clock_offset_s, camera.width, camera.height)
+    masks = masks_at(demo.video.times_s[frames], camera.width, camera.height)
     return np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in masks])
 
 

@@ -1,39 +1,43 @@
 """Joint and joint values refined so that the moved part, drawn from its Gaussians, matches the video.
 
-The hand's path gives a first answer and a prior. The video is compared inside the part's painted
-surface only: its outline in the scan is no better than a label's edge, and the cavity behind it and
-its own inside were never seen. An answer counts only if frames that were not fitted agree.
+The gripper's path gives a first answer and a prior; Gauss-Newton on pixels does the rest. An answer counts
+only if frames that were not fitted agree.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.joint import Joint
-from aomgen.core.values import Array, freeze
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.values import Array
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.kinematic_prior import KinematicPrior
+from aomgen.motion.kinematic_prior import KinematicPrior, shift_joint
 from aomgen.motion.part_renderer import PartRenderer, make_part_renderer
-from aomgen.motion.photometric_residuals import Band, compare_frames
-from aomgen.motion.photometric_solver import PhotometricProblem
+from aomgen.motion.photometric_residuals import Band, Comparison, JointMotion, compare_frames, linearize_frame
 from aomgen.robots.robot_masks import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].
-_SETTLED_S: Final = 0.1
-# Fewer frames that show the part tell nothing.
-MIN_FRAMES: Final = 3
-# Fewer frames at rest have no median to paint the part with.
-_MIN_RESTING: Final = 2
+SETTLED_S = 0.1
+# Fewer frames that show the part tell nothing; fewer at rest have no median to paint it with.
+_MIN_FRAMES, _MIN_RESTING = 3, 2
+# Gauss-Newton steps in each band; the second one changes little.
+_ROUNDS = 3
 # Evidence of the held-out frames has to improve by this many of its standard errors.
-_ACCEPT_SD: Final = 2.0
+_ACCEPT_SD = 2.0
 # Share of the video's detail that the rendered part has to explain: with less, its light has changed more than its pose.
-MIN_EXPLAINED: Final = 0.5
-# Error of a calibrated camera's pose, which turns and moves the joint with it, each component, [rad].
-_CAMERA_SD_RAD: Final = 0.001
-# The same of its position, [m].
-_CAMERA_SD_M: Final = 0.001
+_MIN_EXPLAINED = 0.5
+# Error of a calibrated camera's pose, which turns and moves the joint with it, each component, [rad] and [m].
+_CAMERA_SD = 0.001
+# Deviations of the values are alike over this share of the motion's duration, but for this share of their variance.
+_ALIKE_SHARE, _ROUGHNESS = 0.5, 0.05
+# Smooth displacements of the picture by the errors of shape and cameras, [px]; they persist, so that all
+# frames have about two of them.
+_DISTORTION_PX, _DISTORTIONS = 0.1, 2
+# Change of the picture by which derivatives are measured, [px].
+_STEP_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,209 +47,268 @@ class PhotometricParams:
     Attributes:
         knots: Frames that are fitted, spread evenly over the joint's values; as many are held out.
         max_pixels: Size of the crop around the part, [px^2].
-        dilate_px: Margin around the robot, [px].
         bands: Image detail, coarse to fine.
-        rounds: Gauss-Newton steps in each band.
     """
 
     knots: int = 10
     max_pixels: int = 30000
-    dilate_px: int = 3
     bands: tuple[Band, ...] = (
-        Band(blur_px=3.0, wide_px=6.0, margin_px=2),
-        Band(blur_px=1.5, wide_px=5.0, margin_px=2),
-        Band(blur_px=0.7, wide_px=4.0, margin_px=2),
+        Band(blur_px=3.0, wide_px=6.0),
+        Band(blur_px=1.5, wide_px=5.0),
+        Band(blur_px=0.7, wide_px=4.0),
     )
-    rounds: int = 3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HeldOutEvidence:
-    """How the frames that were not fitted judge.
-
-    Attributes:
-        cost_before, cost_after: Mean robust cost, 0..1.
-        improvement_sd: Improvement over its standard error.
-        explained: Median share of the video's detail that the refined answer explains, 1 at best.
-    """
-
-    cost_before: float
-    cost_after: float
-    improvement_sd: float
-    explained: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotometricRefinement:
-    """The answer after the video was asked.
-
-    Attributes:
-        joint: Refined, or the hand's if not accepted.
-        thetas: Values at the video's frames (T,), [rad] or [m].
-        theta_sd: Standard deviation (T,).
-        covariance: Of tilt (2) [rad] and, if revolute, shift (2) [m] of the axis in the directions
-            `tangent_basis(hand.joint.axis)`, the shift where the axis passes the held point.
-        accepted: The video agrees better with the refined answer, on frames that were not fitted.
-        evidence: Of the held-out frames; None where the video shows too little.
-        reason: Why it was not accepted, or "".
-    """
-
-    joint: Joint
-    thetas: Array
-    theta_sd: Array
-    covariance: Array
-    accepted: bool
-    evidence: HeldOutEvidence | None
-    reason: str
-
-    def __post_init__(self) -> None:
-        freeze(self, "thetas", self.thetas, (None,))
-        freeze(self, "theta_sd", self.theta_sd, (len(self.thetas),))
-        freeze(self, "covariance", self.covariance, (None, None))
-
-    @property
-    def axis_sd_rad(self) -> float:
-        """Root of the summed variances of the axis direction, [rad]."""
-        return float(np.sqrt(np.trace(self.covariance[:2, :2])))
-
-    @property
-    def origin_sd_m(self) -> float:
-        """Root of the summed variances of the axis line at the held point, [m]; 0 if prismatic."""
-        return float(np.sqrt(np.trace(self.covariance[2:, 2:])))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricFrames:
-    """What the video shows of the part.
-
-    Attributes:
-        renderer: Around the part's way, and the part painted.
-        fitted: Frames that answers are fitted to.
-        held_out: Frames that judge them.
-    """
+    """The video around the painted part: frames that answers are fitted to (N,), and that judge them (M,)."""
 
     renderer: PartRenderer
     fitted: NDArray[np.intp]
     held_out: NDArray[np.intp]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotometricRefinement:
+    """The answer after the video was asked: the prior as it was where `reason` says why it stays."""
+
+    answer: KinematicPrior
+    reason: str = ""
+
+
 def select_frames(
-    demo: MotionInput, masks_at: MasksAt, hand: KinematicPrior, params: PhotometricParams | None = None
+    demo: MotionInput, masks_at: MasksAt, prior: KinematicPrior, params: PhotometricParams | None = None
 ) -> PhotometricFrames | None:
     """Read the video; None where it shows too little of the part before or during the motion.
 
     Args:
         demo: Video, camera, and the scene as scanned.
         masks_at: Draws the robot.
-        hand: Where and when the part goes, roughly.
+        prior: Where and when the part goes, roughly.
         params: See there.
     """
     params = params or PhotometricParams()
-    fitted, held_out, resting = choose_frames(hand, params.knots)
-    if len(fitted) < MIN_FRAMES or len(resting) < _MIN_RESTING:
+    fitted, held_out, resting = choose_frames(prior, params.knots)
+    if len(fitted) < _MIN_FRAMES or len(resting) < _MIN_RESTING:
         return None
-    moments = (resting, np.concatenate([fitted, held_out]), float(hand.thetas.max()))
+    moving = np.concatenate([fitted, held_out])
     renderer = make_part_renderer(
-        demo, masks_at, hand.joint, moments, max_pixels=params.max_pixels, dilate_px=params.dilate_px
+        demo, masks_at, prior.joint, (resting, moving, float(prior.thetas.max())), params.max_pixels
     )
     return PhotometricFrames(renderer=renderer, fitted=fitted, held_out=held_out)
 
 
-def refine(
-    seen: PhotometricFrames | None, hand: KinematicPrior, params: PhotometricParams | None = None
-) -> PhotometricRefinement:
-    """Ask the video about joint and joint values.
-
-    Args:
-        seen: The video as read for this answer; where it is None the hand's answer stays.
-        hand: First answer and prior.
-        params: See there.
-
-    Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: camera
-    errors that leave the part at rest where it is.
-    """
-    params = params or PhotometricParams()
-    if seen is None:
-        return _kept(hand, "the film shows too few frames before or during the motion")
-    problem = PhotometricProblem.of(seen.renderer, hand, seen.fitted)
-    y, covariance = problem.solve(params.bands, params.rounds)
-    return _judged(problem, y, covariance, seen.held_out, params)
-
-
 def choose_frames(
-    hand: KinematicPrior, knots: int
+    prior: KinematicPrior, knots: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Fitted, held-out and resting frames; the first two alternate and spread over the values.
 
     A quick motion has few frames; those of the part at its last place make up for them.
     """
-    times = hand.times_s
-    moving = np.flatnonzero((times >= hand.interval[0]) & (times <= hand.interval[1]))
-    resting = np.flatnonzero(times < hand.interval[0] - _SETTLED_S)
-    arrived = np.flatnonzero(times > hand.interval[1] + _SETTLED_S)
-    if not hand.interval[1] > hand.interval[0]:
+    times, (begin, end) = prior.times_s, prior.interval
+    moving = np.flatnonzero((times >= begin) & (times <= end))
+    resting = np.flatnonzero(times < begin - SETTLED_S)
+    arrived = np.flatnonzero(times > end + SETTLED_S)
+    if not end > begin:
         return moving[:0], moving[:0], resting
     if len(moving):
-        levels = np.linspace(0, 1, 2 * knots + 1)[1:] * float(hand.thetas[moving].max())
-        rising = np.maximum.accumulate(hand.thetas[moving]) + 1e-9 * np.arange(len(moving))
+        levels = np.linspace(0, 1, 2 * knots + 1)[1:] * float(prior.thetas[moving].max())
+        rising = np.maximum.accumulate(prior.thetas[moving]) + 1e-9 * np.arange(len(moving))
         moving = moving[np.unique(np.interp(levels, rising, np.arange(len(moving))).round().astype(int))]
-    missing = min(2 * knots - len(moving), len(arrived))
-    after = arrived[np.linspace(0, len(arrived) - 1, missing).astype(int)] if missing > 0 else arrived[:0]
+    missing = max(0, min(2 * knots - len(moving), len(arrived)))
+    after = arrived[np.linspace(0, len(arrived) - 1, missing).astype(int)]
     chosen = np.concatenate([moving, after])
     return chosen[1::2], chosen[::2], resting
 
 
-def _judged(
-    problem: PhotometricProblem,
-    y: Array,
-    covariance: Array,
-    frames: NDArray[np.intp],
-    params: PhotometricParams,
+def refine_estimate(
+    seen: PhotometricFrames | None,
+    estimate: MotionEstimate,
+    prior: KinematicPrior,
+    params: PhotometricParams | None = None,
+) -> MotionEstimate:
+    """The estimate with joint, values and their errors refined on the video, or as it was.
+
+    Args:
+        seen: The video as read for this answer.
+        estimate: By the gripper's path.
+        prior: The same as a prior.
+        params: See there.
+    """
+    refined = refine(seen, prior, params)
+    if refined.reason:
+        return estimate
+    answer = refined.answer
+    tilt, shift = answer.covariance[:2, :2], answer.covariance[2:, 2:]
+    return replace(
+        estimate,
+        joint=answer.joint,
+        thetas=answer.thetas,
+        theta_sd=answer.theta_sd,
+        axis_sd_rad=float(np.sqrt(np.trace(tilt))),
+        origin_sd_m=float(np.sqrt(np.trace(shift))),
+        axis_ci95_rad=find_radius_95(tilt),
+        origin_ci95_m=find_radius_95(shift) if len(shift) else 0.0,
+    )
+
+
+def find_radius_95(covariance: Array) -> float:
+    """Radius around the mean that holds 95 % of a normal distribution in the plane, covariance (2, 2)."""
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(2), covariance, 4000)
+    return float(np.percentile(np.linalg.norm(draws, axis=1), 95))
+
+
+def refine(
+    seen: PhotometricFrames | None, prior: KinematicPrior, params: PhotometricParams | None = None
 ) -> PhotometricRefinement:
-    """The refined answer if held-out frames (N,) agree better with it."""
-    hand, joint, thetas = problem.hand, problem.joint(y), np.maximum(problem.thetas(y), 0.0)
-    seen = compare_frames(
-        problem.renderer, frames, (hand.joint, hand.thetas), (joint, thetas), params.bands[-1]
-    )
-    if len(seen) < MIN_FRAMES:
-        return _kept(hand, f"{len(seen)} held-out frames show the part's painted surface, need {MIN_FRAMES}")
-    gains = np.array([item.cost_before - item.cost_after for item in seen])
-    improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(len(gains)), 1e-9))
-    explained = float(np.median([item.explained_after for item in seen]))
-    evidence = HeldOutEvidence(
-        cost_before=float(np.mean([item.cost_before for item in seen])),
-        cost_after=float(np.mean([item.cost_after for item in seen])),
-        improvement_sd=improvement,
-        explained=explained,
-    )
-    if not explained >= MIN_EXPLAINED:
-        reason = f"the painted part explains {explained:.2f} of the film's detail, need {MIN_EXPLAINED:.2f}"
-        return replace(_kept(hand, reason), evidence=evidence)
+    """Ask the video about joint and joint values.
+
+    Args:
+        seen: The video as read for this answer; where it is None the prior stays.
+        prior: First answer.
+        params: See there.
+
+    Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: camera
+    errors that leave the part at rest where it is.
+    """
+    if seen is None:
+        return PhotometricRefinement(
+            answer=prior, reason="the video shows too few frames before or during the motion"
+        )
+    bands = (params or PhotometricParams()).bands
+    problem = _Problem.of(prior, seen.fitted)
+    y, covariance = _solve(problem, seen.renderer, bands)
+    answer = problem.answer(y, covariance)
+    motions = (prior.joint, prior.thetas), (answer.joint, answer.thetas)
+    reason = _find_objection(compare_frames(seen.renderer, seen.held_out, motions, bands[-1]))
+    return PhotometricRefinement(answer=prior if reason else answer, reason=reason)
+
+
+def compute_type_margin(
+    seen: PhotometricFrames | None,
+    answers: tuple[JointMotion, JointMotion],
+    params: PhotometricParams | None = None,
+) -> float:
+    """Twice the log evidence of the video for one answer over another; 0 where it cannot tell.
+
+    Frames that no answer was fitted to are compared square by square of the part's painted surface.
+
+    Args:
+        seen: The video as read for the first answer's type.
+        answers: The first and the second one, each refined on the video.
+        params: See there.
+
+    Not checked: that the residuals of different frames are independent of each other.
+    """
+    if seen is None:
+        return 0.0
+    bands = (params or PhotometricParams()).bands
+    compared = compare_frames(seen.renderer, seen.held_out, (answers[1], answers[0]), bands[-1])
+    if len(compared.squares) < _MIN_FRAMES:
+        return 0.0
+    better = compared.explained[:, 1 if compared.margin > 0 else 0]
+    return compared.margin if float(np.median(better)) >= _MIN_EXPLAINED else 0.0
+
+
+def _find_objection(compared: Comparison) -> str:
+    """Why held-out frames do not confirm the second answer, "" if they do."""
+    count = len(compared.squares)
+    if count < _MIN_FRAMES:
+        return f"{count} held-out frames show the part's painted surface, need {_MIN_FRAMES}"
+    explained = float(np.median(compared.explained[:, 1]))
+    if not explained >= _MIN_EXPLAINED:
+        return f"the painted part explains {explained:.2f} of the video's detail, need {_MIN_EXPLAINED:.2f}"
+    gains = compared.gains
+    improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(count), 1e-9))
     if not improvement >= _ACCEPT_SD:
-        reason = f"held-out frames improve by {improvement:.1f} standard errors, need {_ACCEPT_SD:.1f}"
-        return replace(_kept(hand, reason), evidence=evidence)
-    count = problem.joint_count
-    sds = np.repeat([_CAMERA_SD_RAD, _CAMERA_SD_M], 2)[:count]
-    by_unknown = np.hstack([problem.lever, problem.spread])
-    variance = np.einsum("ti,ij,tj->t", by_unknown, covariance, by_unknown)
-    return PhotometricRefinement(
-        joint=replace(joint, upper=float(thetas.max())),
-        thetas=thetas,
-        theta_sd=np.sqrt(np.maximum(variance, 0)),
-        covariance=covariance[:count, :count] + np.diag(sds**2),
-        accepted=True,
-        evidence=evidence,
-        reason="",
-    )
+        return f"held-out frames improve by {improvement:.1f} standard errors, need {_ACCEPT_SD:.1f}"
+    return ""
 
 
-def _kept(hand: KinematicPrior, reason: str) -> PhotometricRefinement:
-    return PhotometricRefinement(
-        joint=hand.joint,
-        thetas=hand.thetas,
-        theta_sd=hand.theta_sd,
-        covariance=hand.covariance,
-        accepted=False,
-        evidence=None,
-        reason=reason,
-    )
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Problem:
+    """Unknowns y (n + K,): n numbers of `shift_joint`, and deviations of the values at K frames.
+
+    Attributes:
+        prior: First answer, y = 0.
+        frames: (K,), video frames.
+        lever: Change of the values with the unknowns (T, n + K).
+        precision: Of the prior (n + K, n + K).
+    """
+
+    prior: KinematicPrior
+    frames: NDArray[np.intp]
+    lever: Array
+    precision: Array
+
+    @staticmethod
+    def of(prior: KinematicPrior, frames: NDArray[np.intp]) -> "_Problem":
+        """The values' deviations are a smooth process while the part moves, and lasting afterwards."""
+        begin, end = prior.interval
+        moments = np.clip(prior.times_s, begin, end)
+        apart = (moments[:, None] - moments[frames]) / (_ALIKE_SHARE * (end - begin))
+        alike = np.exp(-0.5 * apart**2)
+        own = np.linalg.inv(alike[frames] + _ROUGHNESS * np.eye(len(frames)))
+        moves = ((prior.thetas > 0) | (prior.times_s >= begin))[:, None]
+        spread = prior.theta_sd[:, None] * (alike @ own)
+        count = len(prior.covariance)
+        precision = np.zeros((count + len(frames),) * 2)
+        precision[:count, :count] = np.linalg.inv(prior.covariance)
+        precision[count:, count:] = own
+        return _Problem(
+            prior=prior,
+            frames=frames,
+            lever=moves * np.hstack([prior.value_lever(), spread]),
+            precision=precision,
+        )
+
+    def place(self, z: Array) -> tuple[Joint, float]:
+        """Joint and value of the joint's numbers and a value (n + 1,)."""
+        return shift_joint(self.prior.joint, self.prior.pivot, z[:-1]), float(z[-1])
+
+    def thetas(self, y: Array) -> Array:
+        """Values (T,)."""
+        return self.prior.thetas + self.lever @ y
+
+    def answer(self, y: Array, covariance: Array) -> KinematicPrior:
+        """What unknowns and their covariance (n + K, n + K) say, errors of the camera included."""
+        count = len(self.prior.covariance)
+        thetas = np.maximum(self.thetas(y), 0.0)
+        variance = np.einsum("ti,ij,tj->t", self.lever, covariance, self.lever)
+        joint = shift_joint(self.prior.joint, self.prior.pivot, y[:count])
+        return replace(
+            self.prior,
+            joint=replace(joint, upper=float(thetas.max())),
+            thetas=thetas,
+            theta_sd=np.sqrt(np.maximum(variance, 0)),
+            covariance=covariance[:count, :count] + _CAMERA_SD**2 * np.eye(count),
+        )
+
+
+def _solve(problem: _Problem, renderer: PartRenderer, bands: Sequence[Band]) -> tuple[Array, Array]:
+    """Unknowns (n + K,) and their covariance, by Gauss-Newton."""
+    count = len(problem.prior.covariance)
+    steps = _choose_steps(renderer, problem.prior.joint)
+    shift_sd_px = _DISTORTION_PX * float(np.sqrt(len(problem.frames) / _DISTORTIONS))
+    y, total = np.zeros(len(problem.precision)), problem.precision
+    for band in [band for band in bands for _ in range(_ROUNDS)]:
+        total, gradient = problem.precision, -problem.precision @ y
+        thetas = problem.thetas(y)
+        for frame in problem.frames:
+            z = np.append(y[:count], thetas[frame])
+            places = [problem.place(z + step) for step in np.vstack([0 * steps, np.diag(steps)])]
+            seen = linearize_frame(renderer, int(frame), places, steps, band, shift_sd_px)
+            if seen is not None:
+                J = seen.derivatives @ np.vstack([np.eye(count, len(y)), problem.lever[frame]])
+                total = total + J.T * seen.weights @ J
+                gradient = gradient + J.T @ (seen.weights * seen.residuals)
+        y = y + np.linalg.solve(total, gradient)
+    return y, np.asarray(np.linalg.inv(total), np.float64)
+
+
+def _choose_steps(renderer: PartRenderer, joint: Joint) -> Array:
+    """Changes of tilt (2), shift (2, revolute only) and value that move the picture by a fraction of a pixel."""
+    camera = renderer.camera
+    meters = _STEP_PX * float(np.linalg.norm(renderer.focus - camera.center)) / camera.fx
+    turn = meters / renderer.reach_m
+    return np.array([turn, turn, meters] if joint.type == "prismatic" else [turn, turn, meters, meters, turn])

@@ -1,97 +1,110 @@
-"""The motion stage: runs AOMotion and keeps its answer in one JSON file."""
+"""When, where and how the part moved. [paper 4.2]"""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from aomgen.core.joint import Joint
-from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
-from aomgen.core.progress import Progress, silent
-from aomgen.errors import CorruptArtifactError, EstimationError
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.motion import MotionCurve, MotionEstimate
+from aomgen.core.progress import Progress
+from aomgen.core.values import Array
+from aomgen.errors import EstimationError
+from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_json
-from aomgen.io.jsonfile import read_json
-from aomgen.motion.estimate import estimate_motion
+from aomgen.motion.estimate import estimate_motion, first_motion
+from aomgen.motion.estimates_file import ESTIMATES, REFUSED_MOTION, describe_estimates
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.params import MotionParams
+from aomgen.motion.part_identification import list_warnings
+from aomgen.motion.part_tracking import compute_log_likelihood_ratio
+from aomgen.results import Results
 
-FILE_NAME = "motion.json"
-
-
-def save_curve(path: Path, curve: MotionCurve) -> None:
-    """Keep the motion score of a demonstration that was refused."""
-    write_json(path, asdict(curve))
-
-
-def load_curve(path: Path) -> MotionCurve:
-    """Read back what `save_curve` wrote.
-
-    Raises:
-        MissingFileError, MalformedFileError: The file is missing or not JSON.
-        CorruptArtifactError: It is JSON of something else.
-    """
-    content: Any = read_json(path)
-    try:
-        return MotionCurve(**content)
-    except (TypeError, ValueError) as error:
-        raise CorruptArtifactError(path, f"is not a motion score ({error})", "run the stage again") from error
+# Hears the motion score before anything that it shows is refused.
+OnCurve = Callable[[MotionCurve], None]
 
 
-def run_motion(
-    demonstration: MotionInput,
+def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Recover the motion, see `recover_motion`."""
+
+    def estimate(results: Results, progress: Progress, on_curve: OnCurve) -> MotionEstimate:
+        demonstration = motion_input(results, results.scene, results.parts.labels)
+        params = results.params("motion", MotionParams())
+        return estimate_motion(demonstration, params, progress, on_curve)
+
+    return recover_motion(results, folder, progress, estimate)
+
+
+def recover_motion(
+    results: Results,
     folder: Path,
-    progress: Progress = silent,
-    params: MotionParams | None = None,
-    refused: Path | None = None,
-) -> MotionEstimate:
-    """Estimate the motion and write it to `folder`; see `estimate_motion` for what it raises.
+    progress: Progress,
+    estimate: Callable[[Results, Progress, OnCurve], MotionEstimate],
+) -> dict[str, Any]:
+    """Write what an estimator recovers, and `estimates.json` beside the run's results.
 
-    Args:
-        demonstration: Video, log and scan.
-        folder: Where the answer is written.
-        progress: Hears how far it is.
-        params: Of the submodules.
-        refused: File that keeps the motion score when the answer is refused.
+    A refused motion is written there as refused before the error goes on, and its score stays beside it.
     """
-    with keep_when_refused(refused) as curves:
-        estimate = estimate_motion(demonstration, params, progress, curves.append)
-    write_json(folder / FILE_NAME, asdict(estimate))
-    progress(1.0, "motion")
-    return estimate
-
-
-@contextmanager
-def keep_when_refused(refused: Path | None) -> Iterator[list[MotionCurve]]:
-    """A list of motion scores whose last one is saved when an answer is refused."""
     curves: list[MotionCurve] = []
     try:
-        yield curves
-    except EstimationError:
-        if refused is not None and curves:
-            save_curve(refused, curves[-1])
+        motion = estimate(results, progress, curves.append)
+    except EstimationError as error:
+        if curves:
+            save_artifact(results.out, REFUSED_MOTION, curves[-1])
+        refusals = [{"quantity": "motion", "reason": str(error)}]
+        write_json(results.out / ESTIMATES, describe_estimates(results, None, refusals))
         raise
+    save_artifact(folder, "motion", motion)
+    write_json(results.out / ESTIMATES, describe_estimates(results, motion, []))
+    unit = "deg" if motion.joint.type == "revolute" else "mm"
+    factor = 180 / np.pi if unit == "deg" else 1e3
+    return {
+        "clock_offset_s": motion.clock_offset_s,
+        "start_s": motion.start_s,
+        "end_s": motion.end_s,
+        "joint": motion.joint.type,
+        "direction": motion.direction,
+        f"moved_{unit}": factor * float(motion.thetas.max()),
+        "axis_ci95_deg": float(np.degrees(motion.axis_ci95_rad)),
+        "origin_ci95_mm": 1e3 * motion.origin_ci95_m,
+        "part_odds": motion.part_odds,
+        "warnings": list_warnings(motion.part_odds),
+    }
 
 
-def load_motion(folder: Path) -> MotionEstimate:
-    """Read back what `run_motion` wrote.
+def motion_input(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) -> MotionInput:
+    """What AOMotion looks at: the first fixed camera's video, the log, and the scan in its parts.
+
+    Args:
+        results: Of a run that is finished up to its alignment.
+        scene: The scan, world frame.
+        labels: Part label of every Gaussian.
 
     Raises:
-        MissingFileError, MalformedFileError: The file is missing or not JSON.
-        CorruptArtifactError: It is JSON of something else.
+        SyncError: The clock offset is unknown.
     """
-    path = folder / FILE_NAME
-    content: Any = read_json(path)
+    return MotionInput(
+        video=results.videos[results.demo_camera],
+        camera=results.fixed_camera.camera,
+        log=results.demo_log,
+        robot=results.robot,
+        scene=scene,
+        labels=labels,
+        clock=results.fixed_camera.require_clock(),
+    )
+
+
+def motion_evidence(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) -> Array | None:
+    """How much more likely the demonstration is if a Gaussian (N,) moves than if it stands still.
+
+    Returns:
+        Natural logarithms; None where the demonstration tells no motion with these labels: the motion
+        stage meets the same, and says what is wrong.
+    """
+    demonstration = motion_input(results, scene, labels)
     try:
-        return MotionEstimate(
-            **{
-                **content,
-                "curve": MotionCurve(**content["curve"]),
-                "contacts": tuple(ContactPatch(**patch) for patch in content["contacts"]),
-                "joint": Joint(**content["joint"]),
-            }
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise CorruptArtifactError(
-            path, f"is not a motion estimate ({error})", "run the stage again"
-        ) from error
+        return compute_log_likelihood_ratio(demonstration, first_motion(demonstration))
+    except EstimationError:
+        return None

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from aomgen.alignment.align import Alignment, unit_frame
+from aomgen.alignment.align import unit_frame
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.gravity import up_candidates
 from aomgen.alignment.pose_search import Scan, search_poses, select_distinct
-from aomgen.alignment.starting_poses import RobotBox
+from aomgen.alignment.starting_poses import RobotBox, up_candidates
+from aomgen.core.alignment import Alignment
 from aomgen.core.camera import camera_in_world
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
@@ -22,7 +22,7 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
 from aomgen.paper.rigid_icp import rigid_icp
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 STAGE = "alignment (paper)"
 
@@ -49,7 +49,7 @@ def align_as_paper(
     views: list[AlignmentImage],
     boxes: list[RobotBox],
     gaussians_recon: Gaussians,
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     rng: np.random.Generator,
     min_matched: float = MIN_MATCHED,
 ) -> Alignment:
@@ -62,7 +62,7 @@ def align_as_paper(
         views: Scan images, for the starts only.
         boxes: Prompted boxes around the robot, two or more.
         gaussians_recon: The trained scene.
-        posture: Robot during the scan.
+        configuration: Robot during the scan.
         rng: Starts, and samples of both clouds.
         min_matched: Least share of the robot points that has to lie on the model in the end.
 
@@ -82,11 +82,11 @@ def align_as_paper(
     surface = apply(S_unit_recon, np.asarray(solid, np.float64))
     up = up_candidates([view.camera_recon for view in views], surface, rng)[0]
     points = robot_points(surface, boxes, up, rng)
-    model = model_points(posture, _MODEL_POINTS, rng)
+    model = model_points(configuration, _MODEL_POINTS, rng)
     # Samples lie about this far apart on the model.
-    spacing_m = float(np.sqrt(_area(posture) / _MODEL_POINTS))
+    spacing_m = float(np.sqrt(_area(configuration) / _MODEL_POINTS))
     fits = []
-    for S in _starts(views, boxes, surface, posture, rng):
+    for S in _starts(views, boxes, surface, configuration, rng):
         fit = rigid_icp(apply(S, points), model, np.eye(4), spacing_m)
         fits.append((fit.matched, fit.rms_m, fit.T_target_source @ S))
     fits.sort(key=lambda item: -item[0])
@@ -136,11 +136,11 @@ def robot_points(
     return found[rng.permutation(len(found))[:_SCAN_POINTS]]
 
 
-def model_points(posture: RobotPosture, count: int, rng: np.random.Generator) -> Array:
+def model_points(configuration: RobotConfiguration, count: int, rng: np.random.Generator) -> Array:
     """Points (about `count`, 3) spread evenly over the posed robot's meshes, world frame, [m]."""
-    poses = posture.robot.link_poses(posture.joints[None], posture.gripper)[0]
-    total, samples = _area(posture), []
-    for mesh in posture.robot.meshes:
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    total, samples = _area(configuration), []
+    for mesh in configuration.robot.meshes:
         area = float(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum())
         share = round(count * area / total)
         if share:
@@ -149,8 +149,8 @@ def model_points(posture: RobotPosture, count: int, rng: np.random.Generator) ->
     return np.concatenate(samples)
 
 
-def _area(posture: RobotPosture) -> float:
-    meshes = posture.robot.meshes
+def _area(configuration: RobotConfiguration) -> float:
+    meshes = configuration.robot.meshes
     return float(sum(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in meshes))
 
 
@@ -193,10 +193,10 @@ def _starts(
     views: list[AlignmentImage],
     boxes: list[RobotBox],
     points: Array,
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     rng: np.random.Generator,
 ) -> Array:
     """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
     scan = Scan(views=views, boxes=boxes, points_recon=points)
-    found = search_poses(scan, posture, rng).at_least(_START_SHARE)
-    return select_distinct(found, posture.points_world(60), _APART, _STARTS).Ss_world_recon
+    found = search_poses(scan, configuration, rng).at_least(_START_SHARE)
+    return select_distinct(found, configuration.points_world(60), _APART, _STARTS).Ss_world_recon

@@ -1,24 +1,20 @@
 """The paper's AOMotion from end to end, with an answer that is scored like ours."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
-from aomgen.core.progress import Progress, part, silent
+from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import InputError
-from aomgen.io.atomic import write_json
-from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.gripper_signals import read_gripper_signals
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.opening_direction import infer_direction
 from aomgen.motion.part_identification import MIN_ODDS
-from aomgen.motion.stage import FILE_NAME, keep_when_refused
 from aomgen.paper.contact_points import NearestPair, contact_path, nearest_pair
 from aomgen.paper.edge_joint import PairWeights, box_joint
 from aomgen.paper.joint_values import recovered_thetas
@@ -86,7 +82,7 @@ def estimate_motion_paper(
     curve = _curve(demo, scored)
     on_curve(curve)
     interval = flagged_frames(scored)
-    held = frames[interval[0] : interval[1] + 1] + demo.clock_offset_s
+    held = frames[interval[0] : interval[1] + 1]
     progress(0.3, "contact")
     pair = nearest_pair(demo.robot, demo.log, demo.points_moving, float(held[0]), np.random.default_rng(0))
     path = contact_path(pair, demo.robot, demo.log, held)
@@ -121,14 +117,14 @@ def _assemble(
     thetas: Array,
 ) -> MotionEstimate:
     frames, (first, last) = demo.video.times_s, interval
-    T_world_ee = demo.robot.ee_poses(demo.log.at([frames[first] + demo.clock_offset_s])[0])[0]
+    T_world_ee = demo.robot.ee_poses(demo.log.at([frames[first]])[0])[0]
     values = np.zeros(len(frames))
     values[first : last + 1] = thetas
     values[last + 1 :] = values[last]
     nothing = np.zeros(len(frames))
     return MotionEstimate(
-        clock_offset_s=demo.clock_offset_s,
-        clock_offset_sd_s=demo.clock_sd_s,
+        clock_offset_s=demo.clock.offset_s,
+        clock_offset_sd_s=demo.clock.sd_s,
         start_s=float(frames[first]),
         end_s=float(frames[last]),
         curve=curve,
@@ -152,9 +148,7 @@ def _assemble(
 
 
 def _curve(demo: MotionInput, scored: Scores) -> MotionCurve:
-    signals = read_gripper_signals(
-        demo.robot, demo.log, demo.points_moving, demo.video.times_s, demo.clock_offset_s
-    )
+    signals = read_gripper_signals(demo.robot, demo.log, demo.points_moving, demo.video.times_s)
     return MotionCurve(
         times_s=demo.video.times_s,
         scores=scored.scores,
@@ -177,27 +171,3 @@ def _patch(demo: MotionInput, pair: NearestPair) -> ContactPatch:
         spread_m=0.0,
         gap_m=gap,
     )
-
-
-def run_paper_motion(
-    demonstration: MotionInput,
-    masks: PartMasks,
-    folder: Path,
-    progress: Progress = silent,
-    refused: Path | None = None,
-) -> MotionEstimate:
-    """Estimate the motion as the paper does, formulas as printed, and write it to `folder`.
-
-    The paper takes the joint's type as known; here it is the one that our own estimator finds, so
-    both have to answer; see `estimate_motion` and `estimate_motion_paper` for what they raise, and
-    `run_motion` for the arguments.
-    """
-    ours, papers = part(progress, 0.0, 0.7), part(progress, 0.7, 1.0)
-    with keep_when_refused(refused) as curves:
-        params = PaperMotionParams(
-            joint_type=estimate_motion(demonstration, None, ours, curves.append).joint.type
-        )
-        estimate = estimate_motion_paper(demonstration, masks, params, papers, curves.append)
-    write_json(folder / FILE_NAME, asdict(estimate))
-    progress(1.0, "motion")
-    return estimate

@@ -40,7 +40,7 @@ def masks_by_change(demonstration: MotionInput, width: int = 320) -> PartMasks:
     small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
     frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb]
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        robot = masks_at(demo.video.times_s + demo.clock_offset_s, small.width, small.height)
+        robot = masks_at(demo.video.times_s, small.width, small.height)
     region = find_part_region(demo.points_moving, small)
     still = max(1, round(REFERENCE_S * demo.video.fps))
     return PartMasks(moving=changed_masks(np.stack(frames), robot, region, still), robot=robot)

@@ -22,5 +22,5 @@ def part_masks(capture: Capture, camera: DemoCamera, demonstration: MotionInput)
     if labels is None:
         return masks_by_change(demo)
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        robot = masks_at(demo.video.times_s + demo.clock_offset_s, width, height)
+        robot = masks_at(demo.video.times_s, width, height)
     return PartMasks(moving=labels == MOVING, robot=robot)

@@ -6,29 +6,20 @@ robot's left when it looks at the object.
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.boxes import OrientedBox, find_upright_axes, fit_box
-from aomgen.core.camera import camera_in_world
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.held_out import held_out
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.part_points import SOLID_OPACITY
-from aomgen.core.structure import Structure
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
-from aomgen.errors import MalformedFileError
-from aomgen.io.arrays import npz_bytes, read_npz
-from aomgen.io.atomic import write_bytes
-from aomgen.parts.label import SEED, Parts
-from aomgen.robots.configuration import RobotPosture
-from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth, view_depths
+from aomgen.robots.configuration import RobotConfiguration
+from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
-COVERAGE_FILE = "coverage.npz"
 # Views that a depth needs: one, and two that confirm it.
 MIN_VIEWS = 3
 # A side under a flatter angle than this shows nothing.
@@ -144,40 +135,10 @@ class Survey:
         return sentences
 
 
-def run_survey(
-    structure: Structure,
-    world: Gaussians,
-    S_world_recon: Array,
-    parts: Parts,
-    posture: RobotPosture,
-    folder: Path,
-) -> Survey:
-    """Look up how the sides of all parts were seen (see `survey`) and write `coverage.npz`.
-
-    Args:
-        structure: Cameras, recon frame; held-out ones do not count.
-        world: The trained scene, world frame.
-        S_world_recon: The alignment.
-        parts: Labels of these Gaussians.
-        posture: Robot as scanned.
-        folder: Receives the result.
-    """
-    withheld = set(held_out([*structure.cameras_recon, *structure.dropped]))
-    cameras = [
-        camera_in_world(S_world_recon, camera)
-        for name, camera in structure.cameras_recon.items()
-        if name not in withheld
-    ]
-    views = view_depths(world, cameras)
-    found = survey(world, parts.labels, posture, views, np.random.default_rng(SEED))
-    save_survey(folder, found)
-    return found
-
-
 def survey(
     gaussians_world: Gaussians,
     labels: NDArray[np.uint8],
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     views: list[ViewDepth],
     rng: np.random.Generator,
 ) -> Survey:
@@ -186,14 +147,18 @@ def survey(
     Args:
         gaussians_world: The scene, [m].
         labels: Part of each Gaussian (N,).
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         views: What the training views see, world frame.
         rng: Spreads points over the robot.
     """
     ours = np.isin(labels, (STATIC, MOVING)) & (gaussians_world.opacities > SOLID_OPACITY)
     points = np.asarray(gaussians_world.means[ours], np.float64)
     forward, box = _forward(points), fit_box(points, find_upright_axes(points))
-    sides = [*object_sides(box, forward), *table_sides(box, forward), *robot_sides(posture, forward, rng)]
+    sides = [
+        *object_sides(box, forward),
+        *table_sides(box, forward),
+        *robot_sides(configuration, forward, rng),
+    ]
     places = np.concatenate([side.points for side in sides])
     normals = np.concatenate([side.normals for side in sides])
     return Survey(
@@ -238,18 +203,20 @@ def table_sides(box: OrientedBox, forward: Array) -> list[Side]:
     return result
 
 
-def robot_sides(posture: RobotPosture, forward: Array, rng: np.random.Generator) -> list[Side]:
+def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.random.Generator) -> list[Side]:
     """Four sides and the top of the posed robot; undersides, which no table lets be seen, are left out.
 
     Args:
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         forward: Level unit direction (2,) in which it looks at the object.
         rng: Spreads points over the meshes.
     """
-    poses = posture.robot.link_poses(posture.joints[None], posture.gripper)[0]
-    areas = [face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in posture.robot.meshes]
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    areas = [
+        face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in configuration.robot.meshes
+    ]
     points, normals = [], []
-    for mesh, area in zip(posture.robot.meshes, areas, strict=True):
+    for mesh, area in zip(configuration.robot.meshes, areas, strict=True):
         count = round(ROBOT_POINTS * area / sum(areas))
         if count:
             vertices = apply(poses[mesh.body], mesh.vertices_body)
@@ -283,35 +250,3 @@ def _bearing(direction: Array, forward: Array) -> str:
     if abs(along) >= abs(across):
         return "far" if along > 0 else "near"
     return "left" if across > 0 else "right"
-
-
-def save_survey(folder: Path, found: Survey) -> None:
-    """Write `coverage.npz`; equal surveys give equal bytes."""
-    arrays = {
-        "names": np.array(found.names, dtype=np.str_),
-        "points_world": found.points_world,
-        "sides": found.sides,
-        "views": found.coverage.views,
-        "spread_deg": found.coverage.spread_deg,
-    }
-    write_bytes(folder / COVERAGE_FILE, npz_bytes(arrays))
-
-
-def load_survey(folder: Path) -> Survey:
-    """Read what `save_survey` wrote.
-
-    Raises:
-        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
-    """
-    arrays = read_npz(folder / COVERAGE_FILE)
-    try:
-        return Survey(
-            names=tuple(str(name) for name in arrays["names"]),
-            points_world=arrays["points_world"],
-            sides=arrays["sides"],
-            coverage=Coverage(views=arrays["views"], spread_deg=arrays["spread_deg"]),
-        )
-    except (KeyError, ValueError) as error:
-        raise MalformedFileError(
-            folder / COVERAGE_FILE, f"does not hold a survey ({error})", "run the parts stage again"
-        ) from error

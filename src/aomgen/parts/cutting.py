@@ -5,55 +5,20 @@ would drag a strip of the body along when the part moves. Each half is the momen
 truncated at the face: its mean and covariance, its weight kept, so that images of the scan stay.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
+from aomgen.core.parts import Cut
 from aomgen.core.transforms import matrix_from_quat, quat_from_matrix
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array
 from aomgen.parts.panel import Panel
 
 # A face cuts Gaussians of which it leaves this share on either side, at least.
 MIN_SHARE = 0.1
 # Opacities end below 1: a Gaussian never blocks all light.
 MAX_OPACITY = 0.999
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cut:
-    """Gaussians cut, and their pieces.
-
-    Attributes:
-        sources: (M,) index of the Gaussian that each piece comes from.
-        pieces: M of them.
-    """
-
-    sources: NDArray[np.int64]
-    pieces: Gaussians
-
-    def __post_init__(self) -> None:
-        freeze(self, "sources", self.sources, (len(self.pieces),), np.int64)
-
-    def applied(self, gaussians: Gaussians) -> Gaussians:
-        """All that is whole, in order, then the pieces."""
-        return concatenate([gaussians.select(self._whole(len(gaussians))), self.pieces])
-
-    def origins(self, count: int) -> NDArray[np.int64]:
-        """For each Gaussian of `applied`, which of the `count` it is or comes from."""
-        return np.concatenate([np.flatnonzero(self._whole(count)), self.sources])
-
-    def _whole(self, count: int) -> NDArray[np.bool_]:
-        whole = np.ones(count, bool)
-        whole[self.sources] = False
-        return whole
-
-
-def no_cut(gaussians: Gaussians) -> Cut:
-    """Nothing is cut."""
-    return Cut(sources=np.zeros(0, np.int64), pieces=gaussians.select(np.zeros(0, np.int64)))
 
 
 def cut_at_faces(gaussians: Gaussians, panel: Panel, free: NDArray[np.bool_]) -> Cut:

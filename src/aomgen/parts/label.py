@@ -14,9 +14,10 @@ from scipy.spatial import cKDTree
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.part_points import SOLID_OPACITY
-from aomgen.core.values import Array, freeze
+from aomgen.core.parts import Cut, Parts, no_cut
+from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError, WrongPromptError
-from aomgen.parts.cutting import Cut, cut_at_faces, no_cut
+from aomgen.parts.cutting import cut_at_faces
 from aomgen.parts.posterior import (
     LABELS,
     PartEvidence,
@@ -36,58 +37,9 @@ SEED = 0
 DRAWN_VIEWS = 20
 # Fewest Gaussians of a usable part.
 MIN_GAUSSIANS = 50
-# Boxes explained worse than this (5 % of the box a side) are worth a warning.
-DOUBTED_MISFIT = 0.2
-# Labels that overlap with the prompts' masks less than this (IoU) are worth a warning: on eleven captures
-# they overlapped with the true part by .40 to .83, all others by more.
-DOUBTED_AGREEMENT = 0.6
 # Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
 # captures with right prompts, 0.6 and more with boxes around a neighbor).
 MAX_APART_SHARE = 0.2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Parts:
-    """Labels of N Gaussians: those of the scan, some of them cut.
-
-    Attributes:
-        labels: (N,), see `conventions.PART_LABELS`.
-        robot_bodies: (N,), index into the robot's `body_names`, -1 where the label is not robot.
-        cut: Which Gaussians of the scan were cut, and their pieces.
-        method: "boxes" (two boxes explain the evidence), "masks" (nothing is like a panel) or another one's name.
-        box_misfit: How far the labels' extents are from the prompts' boxes, see `box_misfit`.
-        static_agreement, moving_agreement: IoU of the drawn part with its masks in the prompted images, 0..1.
-    """
-
-    labels: NDArray[np.uint8]
-    robot_bodies: NDArray[np.int32]
-    cut: Cut
-    method: str
-    box_misfit: float
-    static_agreement: float
-    moving_agreement: float
-
-    def __post_init__(self) -> None:
-        count = len(self.labels)
-        freeze(self, "labels", self.labels, (count,), np.uint8)
-        freeze(self, "robot_bodies", self.robot_bodies, (count,), np.int32)
-
-    def warnings(self) -> list[str]:
-        """Sentences about parts that may be wrong."""
-        sentences = []
-        if not self.box_misfit <= DOUBTED_MISFIT:
-            sentences.append(
-                f"the parts found end {100 * self.box_misfit / 4:.0f} % of a box away from the prompts' boxes, "
-                f"want {100 * DOUBTED_MISFIT / 4:.0f} %; draw boxes that touch each part on all four sides"
-            )
-        for name, iou in (("static", self.static_agreement), ("moving", self.moving_agreement)):
-            if not iou >= DOUBTED_AGREEMENT:
-                sentences.append(
-                    f"labels of the {name} part are doubtful: they overlap with its masks by {100 * iou:.0f} %, "
-                    f"want {100 * DOUBTED_AGREEMENT:.0f} %; look at the labels, and add prompts of '{name}' on "
-                    "images that show it from other sides"
-                )
-        return sentences
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

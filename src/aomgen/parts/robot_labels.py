@@ -9,7 +9,7 @@ from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.parts.prompted_images import ScanView, lift, spread
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 
 # Largest distance of a robot Gaussian from its links, [m]: covers cables and housings that the model omits.
 LOOSE_DISTANCE_M = 0.06
@@ -22,18 +22,18 @@ SAMPLES_PER_M2 = 60_000.0
 
 
 def label_robot(
-    gaussians: Gaussians, views: list[ScanView], posture: RobotPosture, rng: np.random.Generator
+    gaussians: Gaussians, views: list[ScanView], configuration: RobotConfiguration, rng: np.random.Generator
 ) -> NDArray[np.int32]:
     """Index into `robot.body_names` (N,) of the body that each Gaussian is of, -1 for none.
 
     Args:
         gaussians: The scan, world frame.
         views: Scan images with drawn robot masks.
-        posture: Robot as scanned.
+        configuration: Robot as scanned.
         rng: Spreads samples over the robot's surface.
     """
     means = np.asarray(gaussians.means, np.float64)
-    near, distances = nearest_links(means, posture, rng, LOOSE_DISTANCE_M)
+    near, distances = nearest_links(means, configuration, rng, LOOSE_DISTANCE_M)
     inside, seen = np.zeros(len(gaussians)), np.zeros(len(gaussians))
     for view in spread(views, VIEWS):
         weights = lift(gaussians, view, [view.robot, ~view.robot])
@@ -54,7 +54,7 @@ def label_robot(
 
 def nearest_links(
     points_world: Array,
-    posture: RobotPosture,
+    configuration: RobotConfiguration,
     rng: np.random.Generator,
     max_distance_m: float = MAX_DISTANCE_M,
 ) -> tuple[NDArray[np.int32], Array]:
@@ -62,7 +62,7 @@ def nearest_links(
 
     Args:
         points_world: (N, 3), [m].
-        posture: Robot as scanned, fingers included.
+        configuration: Robot as scanned, fingers included.
         rng: Spreads samples over the meshes, about 4 mm apart.
         max_distance_m: Points farther away belong to no body.
 
@@ -70,9 +70,9 @@ def nearest_links(
         Index into `robot.body_names` (N,), -1 for none; and distances (N,) [m], infinite beyond
         the limit.
     """
-    poses = posture.robot.link_poses(posture.joints[None], posture.gripper)[0]
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
     samples, owners = [], []
-    for mesh in posture.robot.meshes:
+    for mesh in configuration.robot.meshes:
         area = face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum()
         if not area > 0:
             continue

@@ -1,90 +1,106 @@
-"""Loading and saving of the parts stage."""
+"""A part label for every Gaussian, the robot link that carries it, and which sides the scan saw. [paper 4.1]"""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aomgen.core.camera import camera_in_world
-from aomgen.core.gaussians import Gaussians
+from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.held_out import held_out
-from aomgen.core.structure import Structure
-from aomgen.core.values import Array
-from aomgen.errors import MalformedFileError
-from aomgen.io.arrays import npz_bytes, read_npz
-from aomgen.io.atomic import write_bytes
+from aomgen.core.parts import Parts
+from aomgen.core.progress import Progress, part
+from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
-from aomgen.parts.cutting import Cut
-from aomgen.parts.label import Parts
-from aomgen.parts.prompted_images import ScanView
-from aomgen.robots.configuration import RobotPosture
+from aomgen.parts.coverage import Survey, survey
+from aomgen.parts.label import SEED, segment_scan
+from aomgen.parts.moving_parts import MotionEvidence, find_moving_parts
+from aomgen.parts.posterior import PartEvidence
+from aomgen.parts.prompted_images import PromptedImage, ScanView, segment_prompts
+from aomgen.parts.robot_labels import label_robot
+from aomgen.results import Results
 from aomgen.robots.silhouette import SilhouetteRenderer
+from aomgen.segmentation.interface import Segmenter
+from aomgen.segmentation.segmenter import choose_segmenter
+from aomgen.splatting.surfaces import view_depths
 
-PARTS_FILE = "parts.npz"
-# Arrays of the pieces of Gaussians that were cut.
-PIECES = ("means", "quats", "scales", "opacities", "sh")
+# Name of the coverage maps beside the labels.
+COVERAGE = "coverage"
+
+# The robot body (N,) that carries each Gaussian, -1 where it is not of the robot.
+LabelRobot = Callable[[Results, list[ScanView]], NDArray[np.int32]]
+# Evidence of the object's parts by another method than boxes; None for boxes.
+GivenEvidence = Callable[
+    [Results, list[ScanView], Sequence[PromptedImage], Segmenter, Progress], PartEvidence | None
+]
 
 
-def scan_views(
-    structure: Structure, S_world_recon: Array, images: Mapping[str, Path], posture: RobotPosture
-) -> list[ScanView]:
-    """The scan images that are not held out, world frame, with the robot drawn into them.
+def label_robot_by_links(results: Results, views: list[ScanView]) -> NDArray[np.int32]:
+    """The nearest link of the model where the model is drawn."""
+    return label_robot(results.gaussians, views, results.configuration, np.random.default_rng(SEED))
 
-    Args:
-        structure: Cameras, recon frame.
-        S_world_recon: The alignment.
-        images: All scan images by file name.
-        posture: Robot as scanned.
-    """
-    withheld = set(held_out(list(images)))
-    cameras = {n: camera_in_world(S_world_recon, c) for n, c in structure.cameras_recon.items()}
-    width = max(camera.width for camera in cameras.values())
-    height = max(camera.height for camera in cameras.values())
+
+def no_evidence(*_: object) -> None:
+    """Boxes are the evidence."""
+
+
+def run(
+    results: Results,
+    folder: Path,
+    progress: Progress,
+    motion_evidence: MotionEvidence,
+    label_robot: LabelRobot = label_robot_by_links,
+    given_evidence: GivenEvidence = no_evidence,
+) -> dict[str, Any]:
+    """Label the Gaussians by prompts and demonstration, and survey how the sides of all parts were seen."""
+    capture = results.capture
+    views = scan_views(results)
+    progress(0.1, "robot drawn into the scan")
+    bodies = label_robot(results, views)
+    progress(0.2, "robot labelled")
+    segmenter = choose_segmenter(capture.mask_folders, results.project.segmenter)
+    prompted = segment_prompts(views, capture.prompts, segmenter)
+    progress(0.4, "prompts answered")
+    given = given_evidence(results, views, prompted, segmenter, part(progress, 0.4, 0.5))
+    scan = segment_scan(results.gaussians, views, bodies, prompted, given)
+    found = find_moving_parts(scan, motion_evidence, part(progress, 0.5, 1.0))
+    save_artifact(folder, "parts", found)
+    seen = survey_parts(results, found)
+    save_artifact(folder, COVERAGE, seen)
+    counts = np.bincount(found.labels, minlength=4)
+    return {
+        "robot": int(counts[ROBOT]),
+        "static": int(counts[STATIC]),
+        "moving": int(counts[MOVING]),
+        "static_agreement": found.static_agreement,
+        "moving_agreement": found.moving_agreement,
+        "method": found.method,
+        "box_misfit": found.box_misfit,
+        "coverage": seen.figures(),
+        "warnings": [*found.warnings(), *seen.warnings()],
+    }
+
+
+def scan_views(results: Results) -> list[ScanView]:
+    """The scan images that are not held out, world frame, with the robot drawn into them."""
+    withheld, configuration = set(held_out(list(results.scan_images))), results.configuration
+    width = max(camera.width for camera in results.scan_cameras.values())
+    height = max(camera.height for camera in results.scan_cameras.values())
     views = []
-    with SilhouetteRenderer(posture.robot, max_width=width, max_height=height) as renderer:
-        for name, camera in cameras.items():
+    with SilhouetteRenderer(configuration.robot, max_width=width, max_height=height) as renderer:
+        for name, camera in results.scan_cameras.items():
             if name not in withheld:
-                bodies, _ = renderer.draw(camera, posture.joints, posture.gripper)
-                image = read_image(images[name])
+                bodies, _ = renderer.draw(camera, configuration.joints, configuration.gripper)
+                image = read_image(results.scan_images[name])
                 views.append(ScanView(name=name, camera=camera, image_srgb=image, robot=bodies >= 0))
     return views
 
 
-def save_parts(parts: Parts, folder: Path) -> None:
-    """Write labels into a folder; equal parts give equal bytes."""
-    pieces = {name: getattr(parts.cut.pieces, name) for name in PIECES}
-    arrays = {
-        "labels": parts.labels,
-        "robot_bodies": parts.robot_bodies,
-        "cut_sources": parts.cut.sources,
-        **{f"cut_{name}": array for name, array in pieces.items()},
-        "method": np.array(parts.method, dtype=np.str_),
-        "box_misfit": np.array(parts.box_misfit),
-        "static_agreement": np.array(parts.static_agreement),
-        "moving_agreement": np.array(parts.moving_agreement),
-    }
-    write_bytes(folder / PARTS_FILE, npz_bytes(arrays))
-
-
-def load_parts(folder: Path) -> Parts:
-    """Read what `save_parts` wrote.
-
-    Raises:
-        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
-    """
-    arrays = read_npz(folder / PARTS_FILE)
-    try:
-        pieces = Gaussians(**{name: arrays[f"cut_{name}"] for name in PIECES})
-        return Parts(
-            labels=arrays["labels"],
-            robot_bodies=arrays["robot_bodies"],
-            cut=Cut(sources=arrays["cut_sources"], pieces=pieces),
-            method=str(arrays["method"]),
-            box_misfit=float(arrays["box_misfit"]),
-            static_agreement=float(arrays["static_agreement"]),
-            moving_agreement=float(arrays["moving_agreement"]),
-        )
-    except (ValueError, KeyError) as error:
-        raise MalformedFileError(
-            folder / PARTS_FILE, f"does not hold part labels ({error})", "run the stage again"
-        ) from error
+def survey_parts(results: Results, parts: Parts) -> Survey:
+    """How the sides of object, robot and table were seen; held-out images do not count."""
+    withheld = set(held_out([*results.structure.cameras_recon, *results.structure.dropped]))
+    cameras = [camera for name, camera in results.scan_cameras.items() if name not in withheld]
+    world = parts.cut.applied(results.gaussians)
+    views = view_depths(world, cameras)
+    return survey(world, parts.labels, results.configuration, views, np.random.default_rng(SEED))

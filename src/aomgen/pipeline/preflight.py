@@ -4,19 +4,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from aomgen import __version__
+from aomgen.assets.choice import asset_file, is_made, open_assets, suggest_category
 from aomgen.assets.make import make_asset
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
+from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.errors import BackendError, ConfigError, StorageError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import probe_video
-from aomgen.pipeline.asset_choice import asset_file, is_made, open_assets, suggest_category
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.manifest import MANIFEST, text_digest
-from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import STARTED, stage_states
 from aomgen.pipeline.stage import Stage
 

@@ -10,9 +10,9 @@ from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError
+from aomgen.io.artifact import load_artifact
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import load_robot_description
-from aomgen.twin.store import load_twin
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
@@ -35,7 +35,7 @@ def open_twin(out: Path) -> tuple[Twin, RobotModel]:
     folder = out / TWIN_FOLDER
     if not folder.is_dir():
         raise MissingFileError(folder, "is missing", "finish the run first")
-    twin = load_twin(folder)
+    twin = load_artifact(folder, "twin", Twin)
     return twin, load_robot_description(folder)
 
 

@@ -1,13 +1,10 @@
 """The cameras of a run by their names: of the demonstration, of the episodes, of the scan."""
 
-from aomgen.alignment.calibrated_cameras import load_calibrated_cameras
 from aomgen.core.camera import Camera
+from aomgen.core.project import Project
 from aomgen.errors import ConfigError
-from aomgen.pipeline.generation import stored_cameras
-from aomgen.pipeline.project import Project
-from aomgen.pipeline.stage import Run
+from aomgen.pipeline.stage import results_of
 from aomgen.pipeline.stages import STAGES
-from aomgen.pipeline.twin_stages import scan_cameras_world
 
 
 def find_camera(project: Project, name: str) -> Camera:
@@ -21,11 +18,10 @@ def find_camera(project: Project, name: str) -> Camera:
     Raises:
         ConfigError: No such camera; lists the known ones.
     """
-    run = Run.of(project, project.out, STAGES)
-    scan = scan_cameras_world(run)
-    calibrated = load_calibrated_cameras(run.folders["alignment"])
-    made = stored_cameras(run) if run.folders["replacement"].is_dir() else {}
-    fixed = made | {key: item.camera for key, item in calibrated.items()}
+    results = results_of(project, STAGES)
+    scan = results.scan_cameras
+    made = results.episode_scene.cameras if results.folders["replacement"].is_dir() else {}
+    fixed = made | {key: item.camera for key, item in results.alignment.cameras.items()}
     known = scan | fixed
     if name not in known:
         images = sorted(scan)

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from aomgen import __version__
 from aomgen.core.progress import Progress
+from aomgen.core.project import Project
 from aomgen.errors import LockedError, StorageError
 from aomgen.io.atomic import remove_folder, remove_staging, staged_folder, write_json, write_text
 from aomgen.io.jsonfile import read_json
@@ -21,8 +22,8 @@ from aomgen.pipeline.manifest import (
     text_digest,
     write_manifest,
 )
-from aomgen.pipeline.project import Project
-from aomgen.pipeline.stage import WARNINGS, Run, Stage
+from aomgen.pipeline.stage import WARNINGS, Stage, results_of
+from aomgen.results import Results
 
 TIMINGS = "timings.json"
 STARTED = "started.json"
@@ -67,16 +68,16 @@ def run_stages(
         LockedError: Another process works in the same folder.
         AomgenError: Whatever a stage refuses; nothing half-written stays.
     """
-    run = Run.of(project, project.out, stages)
+    results = results_of(project, stages)
     _make_folder(project.out)
     with _locked(project.out):
         remove_staging(project.out)
         digests = dict(inputs)
         made: list[str] = []
         for stage in stages:
-            kept = _kept(run, stage, digests)
+            kept = _kept(results, stage, digests)
             if kept is None:
-                digests[stage.name] = _make(run, stage, digests, display)
+                digests[stage.name] = _make(results, stage, digests, display)
                 made.append(stage.name)
             else:
                 display.begin(stage, fresh=True)
@@ -100,35 +101,37 @@ def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stag
     return states
 
 
-def _wanted(run: Run, stage: Stage, digests: dict[str, str]) -> Identity:
+def _wanted(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:
     inputs = {name: digests[name] for name in stage.needs}
-    return stage.version, inputs, {name: _plain(getattr(run.project, name)) for name in stage.settings}
+    parameters = {name: _plain(getattr(results.project, name)) for name in stage.settings}
+    changed = results.project.params.get(stage.name)
+    return stage.version, inputs, parameters | ({"params": changed} if changed else {})
 
 
-def _kept(run: Run, stage: Stage, digests: dict[str, str]) -> Manifest | None:
+def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest | None:
     """The stage's manifest when its result was made from what the inputs are now."""
-    folder = run.folders[stage.name]
+    folder = results.folders[stage.name]
     manifest = read_manifest(folder)
     if manifest is None or not files_present(folder, manifest):
         return None
-    same = (manifest.version, manifest.inputs, manifest.parameters) == _wanted(run, stage, digests)
+    same = (manifest.version, manifest.inputs, manifest.parameters) == _wanted(results, stage, digests)
     return manifest if same else None
 
 
-def _make(run: Run, stage: Stage, digests: dict[str, str], display: Display) -> str:
+def _make(results: Results, stage: Stage, digests: dict[str, str], display: Display) -> str:
     """Run a stage and commit its folder; the new digest."""
-    folder, wanted = run.folders[stage.name], _wanted(run, stage, digests)
+    folder, wanted = results.folders[stage.name], _wanted(results, stage, digests)
     display.begin(stage, fresh=False)
     start = time.monotonic()
     if stage.incremental:
-        figures = _work_in_place(run, stage, wanted, display.progress)
+        figures = _work_in_place(results, stage, wanted, display.progress)
         manifest = _finish(folder, stage, wanted, figures)
     else:
         with staged_folder(folder) as staging:
-            figures = stage.function(run, staging, display.progress)
+            figures = stage.function(results, staging, display.progress)
             manifest = _finish(staging, stage, wanted, figures)
     seconds = time.monotonic() - start
-    _record_seconds(run.out, stage.name, seconds)
+    _record_seconds(results.out, stage.name, seconds)
     display.end(stage, seconds, manifest.figures)
     _warn(display, stage, manifest)
     return manifest.digest
@@ -154,9 +157,9 @@ def _finish(folder: Path, stage: Stage, wanted: Identity, figures: dict[str, Any
     return manifest
 
 
-def _work_in_place(run: Run, stage: Stage, wanted: Identity, progress: Progress) -> dict[str, Any]:
+def _work_in_place(results: Results, stage: Stage, wanted: Identity, progress: Progress) -> dict[str, Any]:
     """Continue an incremental stage when it was started for the same inputs, else start it over."""
-    folder = run.folders[stage.name]
+    folder = results.folders[stage.name]
     version, inputs, parameters = wanted
     deciding = {name: value for name, value in parameters.items() if name not in stage.amount}
     identity = text_digest(repr((__version__, (version, inputs, deciding))))
@@ -167,7 +170,7 @@ def _work_in_place(run: Run, stage: Stage, wanted: Identity, progress: Progress)
     remove_staging(folder)
     (folder / MANIFEST).unlink(missing_ok=True)  # until the stage is finished again
     write_json(started_file, {"identity": identity})
-    return stage.function(run, folder, progress)
+    return stage.function(results, folder, progress)
 
 
 def _record_seconds(out: Path, name: str, seconds: float) -> None:

@@ -6,34 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from aomgen.core.progress import Progress
-from aomgen.pipeline.project import Project
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """One run of the pipeline: its project and where the results of each stage lie.
-
-    Attributes:
-        project: The choices of this run.
-        out: The run's folder.
-        folders: Final folder of every stage, by stage name.
-    """
-
-    project: Project
-    out: Path
-    folders: dict[str, Path]
-
-    @classmethod
-    def of(cls, project: Project, out: Path, stages: Sequence["Stage"]) -> "Run":
-        """The run of a project whose results lie, or shall lie, in a folder."""
-        return cls(project=project, out=out, folders={stage.name: out / stage.folder for stage in stages})
-
+from aomgen.core.project import Project
+from aomgen.results import Results
 
 # Figures under this name are sentences that the user should read: what may go wrong with this input.
 WARNINGS = "warnings"
 
 # Does the work of a stage in the given folder and returns figures worth reading.
-StageFunction = Callable[[Run, Path, Progress], dict[str, Any]]
+StageFunction = Callable[[Results, Path, Progress], dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,3 +46,9 @@ class Stage:
     function: StageFunction
     incremental: bool = False
     amount: tuple[str, ...] = ()
+
+
+def results_of(project: Project, stages: Sequence[Stage]) -> Results:
+    """The results of a project, where they lie or shall lie."""
+    folders = {stage.name: project.out / stage.folder for stage in stages}
+    return Results(project=project, out=project.out, folders=folders)

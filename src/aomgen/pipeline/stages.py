@@ -1,36 +1,74 @@
 """The one list of stages, and how it is run."""
 
 import importlib
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from aomgen.assets.choice import asset_file
 from aomgen.capture.demo_masks import demo_mask_files
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
+from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
+from aomgen.io.overrides import override
 from aomgen.io.schema import suggest
-from aomgen.pipeline.asset_choice import assets_digest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
-from aomgen.pipeline.project import Project, write_project
+from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.runner import Display, run_stages
-from aomgen.pipeline.stage import Run, Stage, StageFunction
+from aomgen.pipeline.stage import Stage, StageFunction
+from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"
 REPORT_FILE = "report.html"
 
 
-def lazily(module: str, name: str) -> StageFunction:
-    """A stage function of a sibling module, imported when the stage runs.
+def _lazily(module: str, name: str = "run") -> StageFunction:
+    """A stage's function, imported when it runs: a finished run is looked through in a second that way.
 
-    A finished run is looked through in a second that way, without torch or MuJoCo.
+    Args:
+        module: Below `aomgen`, with the function.
+        name: Of the function.
     """
 
-    def function(run: Run, folder: Path, progress: Progress) -> dict[str, Any]:
-        return getattr(importlib.import_module(f"aomgen.pipeline.{module}"), name)(run, folder, progress)
+    def function(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+        return getattr(importlib.import_module(f"aomgen.{module}"), name)(results, folder, progress)
 
     return function
+
+
+def _by_method(setting: str, functions: Mapping[str, StageFunction]) -> StageFunction:
+    """The function of the method that the project's `setting` names."""
+
+    def function(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+        return functions[getattr(results.project, setting)](results, folder, progress)
+
+    return function
+
+
+def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Parts, told by the motion which of them move."""
+    from aomgen.motion.stage import motion_evidence
+
+    project = results.project
+    if project.alignment_method == "paper" or project.parts_method == "saga":
+        from aomgen.paper.methods import run_parts as run
+    else:
+        from aomgen.parts.stage import run
+    return run(results, folder, progress, partial(motion_evidence, results))
+
+
+def _episodes(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Episodes of the verified plans."""
+    from aomgen.episodes.stage import run
+    from aomgen.generalization.stage import load_generalization
+
+    return run(
+        results, folder, progress, load_generalization(results.folders["plans"], results.fitted_assets)
+    )
 
 
 STAGES: tuple[Stage, ...] = (
@@ -40,9 +78,9 @@ STAGES: tuple[Stage, ...] = (
         title="structure from motion",
         needs=("capture",),
         settings=(),
-        version=6,
+        version=7,
         weight=40,
-        function=lazily("twin_stages", "structure"),
+        function=_lazily("structure.stage"),
         incremental=True,
     ),
     Stage(
@@ -53,7 +91,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("iterations", "gaussians"),
         version=4,
         weight=76,
-        function=lazily("twin_stages", "gaussians"),
+        function=_lazily("gaussians.stage"),
         incremental=True,
     ),
     Stage(
@@ -62,9 +100,12 @@ STAGES: tuple[Stage, ...] = (
         title="aligning scene and robot, clock",
         needs=("capture", "structure", "gaussians"),
         settings=("alignment_method",),
-        version=8,
+        version=9,
         weight=17,
-        function=lazily("aligning", "alignment"),
+        function=_by_method(
+            "alignment_method",
+            {"outlines": _lazily("alignment.stage"), "paper": _lazily("paper.methods", "run_alignment")},
+        ),
     ),
     Stage(
         name="parts",
@@ -72,9 +113,9 @@ STAGES: tuple[Stage, ...] = (
         title="parts of robot and object",
         needs=("capture", "structure", "gaussians", "alignment"),
         settings=("parts_method", "segmenter", "alignment_method"),
-        version=12,
+        version=13,
         weight=22,
-        function=lazily("twin_stages", "parts"),
+        function=_parts,
         incremental=True,
     ),
     Stage(
@@ -83,9 +124,12 @@ STAGES: tuple[Stage, ...] = (
         title="keyframes, contact, joint",
         needs=("capture", "structure", "gaussians", "alignment", "parts"),
         settings=("motion_method",),
-        version=23,
+        version=24,
         weight=9,
-        function=lazily("twin_stages", "motion"),
+        function=_by_method(
+            "motion_method",
+            {"aomotion": _lazily("motion.stage"), "paper": _lazily("paper.methods", "run_motion")},
+        ),
     ),
     Stage(
         name="twin",
@@ -93,9 +137,9 @@ STAGES: tuple[Stage, ...] = (
         title="binding the twin",
         needs=("capture", "structure", "gaussians", "alignment", "parts", "motion"),
         settings=(),
-        version=8,
+        version=9,
         weight=24,
-        function=lazily("twin_stages", "twin"),
+        function=_lazily("appearance.stage"),
     ),
     Stage(
         name="replacement",
@@ -103,9 +147,9 @@ STAGES: tuple[Stage, ...] = (
         title="removing the object, fitting assets",
         needs=("capture", "assets", "structure", "alignment", "motion", "twin"),
         settings=("assets", "adapt", "seed", "image_size"),
-        version=5,
+        version=6,
         weight=10,
-        function=lazily("generation", "replacement"),
+        function=_lazily("replacement.stage"),
     ),
     Stage(
         name="plans",
@@ -115,7 +159,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("seed", "poses"),
         version=2,
         weight=12,
-        function=lazily("generation", "plans"),
+        function=_lazily("generalization.stage"),
         incremental=True,
         amount=("poses",),
     ),
@@ -127,7 +171,7 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=6,
         weight=17,
-        function=lazily("generation", "episodes"),
+        function=_episodes,
         incremental=True,
     ),
     Stage(
@@ -138,9 +182,34 @@ STAGES: tuple[Stage, ...] = (
         settings=(),
         version=2,
         weight=2,
-        function=lazily("generation", "dataset"),
+        function=_lazily("datasets.stage"),
     ),
 )
+
+
+# Parameters of the stages that have some, by stage: module below `aomgen`, and class.
+PARAMETERS = {
+    "structure": ("structure.reconstruct", "StructureParams"),
+    "gaussians": ("gaussians.train", "GaussiansParams"),
+    "alignment": ("alignment.align", "AlignmentParams"),
+    "motion": ("motion.params", "MotionParams"),
+    "replacement": ("replacement.fitting", "FitParams"),
+    "plans": ("generalization.generate", "GenerationParams"),
+}
+
+
+def check_params(project: Project) -> None:
+    """Refuse parameters that no stage has.
+
+    Raises:
+        ConfigError: No such stage or parameter, or a value of another type.
+    """
+    for stage, changes in project.params.items():
+        if stage not in PARAMETERS:
+            raise ConfigError(f"parameters of '{stage}'", "are unknown", suggest(stage, PARAMETERS))
+        module, name = PARAMETERS[stage]
+        kind = getattr(importlib.import_module(f"aomgen.{module}"), name)
+        override(kind(count=1) if stage == "plans" else kind(), changes, stage)
 
 
 def run_pipeline(project: Project, display: Display, *, until: str = "") -> list[str]:
@@ -154,6 +223,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
     names = [stage.name for stage in STAGES]
     if until and until not in names:
         raise ConfigError("--until", f"'{until}' is no stage", suggest(until, names))
+    check_params(project)
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}
@@ -179,3 +249,8 @@ def capture_digest(capture: Capture) -> str:
     for masks in capture.mask_folders.values():
         files += sorted(masks.glob("*.png"))
     return files_digest(files)
+
+
+def assets_digest(specs: Sequence[str]) -> str:
+    """Digest of the USD files among the assets of a project, not of what they refer to."""
+    return files_digest([file for file in map(asset_file, specs) if file is not None and file.is_file()])

@@ -13,8 +13,8 @@ from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.replacement.inpaint import inpaint
-from aomgen.replacement.support import SURFACE, Support, find_support, on_surface, seen_from_above
 from aomgen.robots.robot import RobotModel
+from aomgen.twin.support import SURFACE, Support, find_support, on_surface, seen_from_above
 from aomgen.twin.twin import Twin, posed
 
 # Remains of the object are looked for this far around it, [m].

@@ -10,9 +10,8 @@ from aomgen.core.plan import Variation
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.video import read_frames
 from aomgen.pipeline.figures import read_figure
-from aomgen.pipeline.generation import fitted_assets
-from aomgen.pipeline.stage import Run
 from aomgen.report.html import Markup, fold, heading, link, paragraph, table, text, video, whole
+from aomgen.results import Results
 from aomgen.simulation.verify import PassRule
 
 # Episodes shown with videos; each adds two posters of some 15 kB to the page.
@@ -52,9 +51,9 @@ class Made:
         return place_words(Variation(**self.episode.verdict["variation"]))
 
 
-def episodes_section(run: Run) -> list[str]:
+def episodes_section(results: Results) -> list[str]:
     """Cards with videos of the first episodes, a table of all, and what its figures are held against."""
-    made = made_episodes(run)
+    made = made_episodes(results)
     rule = PassRule()
     names = [run["name"] for run in made[0].episode.verdict["dynamic"]]
     cards = "".join(_card(item) for item in made[:SHOWN])
@@ -67,14 +66,14 @@ def episodes_section(run: Run) -> list[str]:
         ),
         f'<div class="cards">{cards}</div>',
         heading("Verdicts"),
-        paragraph("The worst of the settings. " + force_limits(run, made)),
+        paragraph("The worst of the settings. " + force_limits(results, made)),
         fold(f"all {len(made)} episodes", _verdicts(made), opened=len(made) <= SHOWN),
     ]
 
 
-def made_episodes(run: Run) -> list[Made]:
+def made_episodes(results: Results) -> list[Made]:
     """All committed episodes of a run."""
-    root = run.folders["episodes"]
+    root = results.folders["episodes"]
     return [
         Made(name=folder.name, link=f"{root.name}/{folder.name}", stored=read_episode(folder))
         for folder in list_committed(root)
@@ -87,7 +86,7 @@ def place_words(variation: Variation) -> str:
     return f"{x:+d} cm, {y:+d} cm, {yaw:+d} deg"
 
 
-def force_limits(run: Run, made: list[Made]) -> str:
+def force_limits(results: Results, made: list[Made]) -> str:
     """What the forces of the verdicts are held against, and that nothing is where nothing is."""
     words = "No limit is set on the grip force: it tells how hard the simulated gripper squeezes."
     if not all(item.episode.verdict["bolted"] for item in made):
@@ -96,7 +95,7 @@ def force_limits(run: Run, made: list[Made]) -> str:
     friction = PassRule().base_friction
     holds = [
         f"{fitted.asset.name} from {friction * GRAVITY * (fitted.asset.static.mass + fitted.asset.moving.mass):.0f} N"
-        for fitted in fitted_assets(run)
+        for fitted in results.fitted_assets
     ]
     return (
         f"{words} None is set on the force on the object either, because it is simulated as fixed to the table; "

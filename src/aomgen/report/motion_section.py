@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING
+from aomgen.core.camera import Camera
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
@@ -13,7 +14,8 @@ from aomgen.report.charts import Chart, draw_chart
 from aomgen.report.drawing import Image8, overlay_outline, sheet
 from aomgen.report.html import paragraph, picture
 from aomgen.report.joint_drawing import axis_space, overlay_motion
-from aomgen.report.recording_images import Recovered
+from aomgen.report.recording_images import recorded_states
+from aomgen.results import Results
 
 # Half a 95 % interval in standard deviations.
 NORMAL_95 = 1.96
@@ -23,51 +25,52 @@ PART_OUTLINE = (255, 60, 200)
 WIDTH_PX = 420
 
 
-def motion_section(data: Recovered) -> list[str]:
+def motion_section(results: Results) -> list[str]:
     """Sentence, images and charts."""
     return [
-        paragraph(motion_sentence(data.motion)),
-        picture(joint_sheet(data), "the recovered joint when the motion starts, halfway and when it ends"),
+        paragraph(motion_sentence(results.motion)),
+        picture(joint_sheet(results), "the recovered joint when the motion starts, halfway and when it ends"),
         paragraph(
             "Blue: the axis, and the space that holds it with 95 %. Red: path of the held point. Yellow: where "
             "fingers touched, carried by the part. Pink: outline of the twin's part; it has to lie on the real one."
         ),
-        *motion_charts(data.motion),
+        *motion_charts(results.motion),
     ]
 
 
-def joint_sheet(data: Recovered) -> Image8:
+def joint_sheet(results: Results) -> Image8:
     """Frames at start, middle and end with the joint drawn into them, cut out around it."""
-    motion, times = data.motion, data.video.times_s
+    motion, video = results.motion, results.videos[results.demo_camera]
+    camera = results.fixed_camera.camera
     moments = [motion.start_s, 0.5 * (motion.start_s + motion.end_s), motion.end_s]
-    frames = [int(np.argmin(np.abs(times - moment))) for moment in moments]
-    begin = data.state(frames[0])
-    held = apply(data.robot.ee_poses(begin.joints[None])[0], motion.grasp_ee)
-    parts = [
-        draw_twin(data.twin, data.robot, data.camera, data.state(frame))[1] == MOVING for frame in frames
-    ]
-    left, top, width, height = _cut(data, held, np.any(parts, axis=0))
+    frames = [int(np.argmin(np.abs(video.times_s - moment))) for moment in moments]
+    states = recorded_states(results, frames)
+    held = apply(results.robot.ee_poses(states[0].joints[None])[0], motion.grasp_ee)
+    parts = [draw_twin(results.twin, results.robot, camera, state)[1] == MOVING for state in states]
+    left, top, width, height = _cut(camera, motion, held, np.any(parts, axis=0))
     scale = WIDTH_PX / width
-    size = (round(scale * data.camera.width), round(scale * data.camera.height))
+    size = (round(scale * camera.width), round(scale * camera.height))
     rows = slice(round(scale * top), round(scale * (top + height)))
     columns = slice(round(scale * left), round(scale * left) + WIDTH_PX)
     images = []
     for frame, part in zip(frames, parts, strict=True):
-        large = resize(data.video.frames_srgb[frame], *size)
+        large = resize(video.frames_srgb[frame], *size)
         mask = resize(np.repeat(255 * part[..., None].astype(np.uint8), 3, 2), *size)[..., 0] > 127
         outlined = overlay_outline(large, mask, PART_OUTLINE)
         theta = float(motion.thetas[frame])
-        drawn = overlay_motion(outlined, data.camera.resized(*size), motion, held, theta)
+        drawn = overlay_motion(outlined, camera.resized(*size), motion, held, theta)
         images.append(drawn[rows, columns])
     return sheet(images, len(images))
 
 
-def _cut(data: Recovered, held_world: Array, part: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+def _cut(
+    camera: Camera, motion: MotionEstimate, held_world: Array, part: NDArray[np.bool_]
+) -> tuple[int, int, int, int]:
     """Left, top, width and height, [px], of what shows the part's pixels (H, W), the axis and the path."""
-    camera, joint = data.camera, data.motion.joint
+    joint = motion.joint
     path = apply(joint.motion(np.linspace(joint.lower, joint.upper, 9)), held_world)
     pixels, depths = camera.project(
-        np.concatenate([path, axis_space(data.motion, held_world).circles().reshape(-1, 3)])
+        np.concatenate([path, axis_space(motion, held_world).circles().reshape(-1, 3)])
     )
     rows, columns = np.nonzero(part)
     shown = np.concatenate([pixels[depths > 0], np.stack([columns, rows], 1)])

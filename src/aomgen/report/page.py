@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.alignment.calibrated_cameras import load_calibrated_cameras
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.io.images import write_image
 from aomgen.pipeline.figures import FIGURES, read_figure
-from aomgen.pipeline.project import read_project
-from aomgen.pipeline.stage import Run
+from aomgen.pipeline.project_file import read_project
+from aomgen.pipeline.stage import results_of
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
 from aomgen.report import recording_images
 from aomgen.report.drawing import sheet
@@ -25,6 +24,7 @@ from aomgen.report.summary import (
     results_table,
     stages_table,
 )
+from aomgen.results import Results
 
 CONTACT_SHEET = "episodes.jpg"
 SHEET_FRAMES, SHEET_EPISODES = 5, 12
@@ -40,87 +40,86 @@ def write_report(out: Path) -> Path:
         MissingFileError: The run is not finished.
     """
     project = read_project(out / PROJECT_FILE)
-    run = Run.of(project, out, STAGES)
-    manifest_of(run, "dataset")
-    data = recording_images.open_recovered(run)
-    write_image(out / CONTACT_SHEET, contact_sheet(data))
+    results = results_of(project, STAGES)
+    manifest_of(results, "dataset")
+    write_image(out / CONTACT_SHEET, contact_sheet(results))
     sections = {
-        "Warnings": _warnings(run),
+        "Warnings": _warnings(results),
         "Episodes": [
             picture(
-                sheet(recording_images.demo_strip(data, SHEET_FRAMES), SHEET_FRAMES),
+                sheet(recording_images.demo_strip(results, SHEET_FRAMES), SHEET_FRAMES),
                 "The recorded demonstration.",
             ),
-            *episodes_section(run),
+            *episodes_section(results),
         ],
-        "Rejected poses": rejects_section(run),
-        "What next": next_steps(run),
-        **_recovered_sections(data),
-        "Time and figures of the stages": [stages_table(run)],
+        "Rejected poses": rejects_section(results),
+        "What next": next_steps(results),
+        **_recovered_sections(results),
+        "Time and figures of the stages": [stages_table(results)],
     }
     shown = {title: parts for title, parts in sections.items() if parts}
-    name = f"{data.capture.name}: {data.capture.instruction}"
+    name = f"{results.recorded.name}: {results.recorded.instruction}"
     body = [
         f"<h1>{text(name)}</h1>",
         contents(list(shown)),
-        f'<div class="head"><div>{results_table(run)}</div><div>{provenance_table(run)}</div></div>',
+        f'<div class="head"><div>{results_table(results)}</div><div>{provenance_table(results)}</div></div>',
         *(section(title, *parts) for title, parts in shown.items()),
     ]
-    write_text(out / REPORT_FILE, page(f"AOMGen: {data.capture.name}", body))
+    write_text(out / REPORT_FILE, page(f"AOMGen: {results.recorded.name}", body))
     return out / REPORT_FILE
 
 
-def _recovered_sections(data: recording_images.Recovered) -> dict[str, list[str]]:
+def _recovered_sections(results: Results) -> dict[str, list[str]]:
     """What the recording became, from the scan to the replay of the video."""
     return {
         "Scene": [
             paragraph("Held-out scan images (above) and the twin drawn from the same places (below)."),
-            picture(recording_images.heldout_sheet(data), "held-out views"),
+            picture(recording_images.heldout_sheet(results), "held-out views"),
             paragraph("Part labels: robot blue, static part orange, moving part pink."),
-            picture(recording_images.parts_sheet(data), "parts"),
+            picture(recording_images.parts_sheet(results), "parts"),
         ],
         "Coverage": [
             paragraph(
                 "Where the scan looked: sides of object, robot and table from above, with the scan's cameras. Green: "
                 "enough views from different directions. Yellow: too few. Red: none; what is there is guessed."
             ),
-            picture(recording_images.coverage_map(data), "coverage"),
-            _coverage(data.run),
+            picture(recording_images.coverage_map(results), "coverage"),
+            _coverage(results),
         ],
         "Alignment": [
             paragraph("The robot model's outline over the video, at the estimated camera and clock offset."),
-            picture(recording_images.robot_sheet(data), "robot model over the video"),
-            _fixed_cameras(data.run),
+            picture(recording_images.robot_sheet(results), "robot model over the video"),
+            _fixed_cameras(results),
         ],
-        "Motion": motion_section(data),
+        "Motion": motion_section(results),
         "Replay": [
             paragraph(
                 "The video (above) and the twin's replay of it (below). What the scan never saw stays empty."
             ),
-            picture(recording_images.replay_sheet(data), "replay"),
+            picture(recording_images.replay_sheet(results), "replay"),
         ],
     }
 
 
-def _warnings(run: Run) -> list[str]:
+def _warnings(results: Results) -> list[str]:
     """What the stages warn of, or nothing."""
     rows: list[list[object]] = [
-        [stage.title, sentence] for stage in STAGES for sentence in manifest_of(run, stage.name).warnings
+        [stage.title, sentence] for stage in STAGES for sentence in manifest_of(results, stage.name).warnings
     ]
     return [table(["stage", "warning"], rows)] if rows else []
 
 
-def _coverage(run: Run) -> str:
+def _coverage(results: Results) -> str:
     rows: list[list[object]] = [
         [side, *(read_figure("coverage", name, seen[name]).number for name in FIGURES["coverage"])]
-        for side, seen in manifest_of(run, "parts").figures["coverage"].items()
+        for side, seen in manifest_of(results, "parts").figures["coverage"].items()
     ]
     return table(["side", *_titles("coverage")], rows)
 
 
-def _fixed_cameras(run: Run) -> str:
+def _fixed_cameras(results: Results) -> str:
     rows: list[list[object]] = []
-    for name, item in load_calibrated_cameras(run.folders["alignment"]).items():
+    for name, item in results.alignment.cameras.items():
         clock = {"offset_s": item.clock.offset_s, "sd_s": item.clock.sd_s} if item.clock else {}
         figures = clock | item.figures
         shown = [
@@ -135,15 +134,15 @@ def _titles(group: str) -> list[str]:
     return [read_figure(group, name, 0.0).title for name in FIGURES[group]]
 
 
-def contact_sheet(data: recording_images.Recovered) -> np.ndarray:
+def contact_sheet(results: Results) -> np.ndarray:
     """One row for the recording, one for each of the first episodes: a few frames from each camera."""
-    folders = list_committed(data.run.folders["episodes"])[:SHEET_EPISODES]
+    folders = list_committed(results.folders["episodes"])[:SHEET_EPISODES]
     cameras = read_episode(folders[0]).episode.cameras
     names = list(cameras)
     size = cameras[names[0]]
     images = [
         recording_images.resize(image, size.width, size.height)
-        for image in recording_images.demo_strip(data, SHEET_FRAMES * len(names))
+        for image in recording_images.demo_strip(results, SHEET_FRAMES * len(names))
     ]
     for folder in folders:
         for name in names:

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from aomgen.core.motion import MotionCurve
+from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import write_text
-from aomgen.motion.stage import load_curve
-from aomgen.pipeline.estimates import REFUSED_FILE, REFUSED_MOTION
+from aomgen.motion.estimates_file import REFUSED_FILE, REFUSED_MOTION
 from aomgen.report.charts import Chart, draw_chart
 from aomgen.report.html import page, paragraph, section
 
@@ -22,13 +22,13 @@ def write_refusal(out: Path, reason: str) -> Path | None:
     Returns:
         Path of the page; None when the run was refused before or after its motion.
     """
-    kept = out / REFUSED_MOTION
-    if not kept.is_file():
+    if not (out / f"{REFUSED_MOTION}.json").is_file():
         return None
+    curve = load_artifact(out, REFUSED_MOTION, MotionCurve)
     body = [
         "<h1>No motion was recovered</h1>",
         paragraph(reason),
-        section("Evidence", *_charts(load_curve(kept))),
+        section("Evidence", *_charts(curve)),
     ]
     path = out / REFUSED_FILE
     write_text(path, page("No motion was recovered", body))

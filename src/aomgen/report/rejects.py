@@ -5,9 +5,9 @@ from typing import Any
 from aomgen.core.plan import Variation
 from aomgen.generalization.ik import IkLimits
 from aomgen.io.jsonfile import read_json
-from aomgen.pipeline.stage import Run
 from aomgen.report.episodes import place_words
 from aomgen.report.html import heading, paragraph, table, whole
+from aomgen.results import Results
 from aomgen.simulation.collision_check import KinematicLimits
 from aomgen.simulation.verify import PassRule
 
@@ -15,9 +15,9 @@ from aomgen.simulation.verify import PassRule
 LISTED = 20
 
 
-def rejects_section(run: Run) -> list[str]:
+def rejects_section(results: Results) -> list[str]:
     """One table for each reason, the commonest first."""
-    path = run.folders["plans"] / "rejected.json"
+    path = results.folders["plans"] / "rejected.json"
     rejected = read_json(path)
     if not rejected["rejected"]:
         return [paragraph("Every pose that was tried gave an episode.")]

@@ -5,14 +5,13 @@ import shlex
 from aomgen import __version__
 from aomgen.errors import MissingFileError
 from aomgen.io.jsonfile import read_json
-from aomgen.motion.stage import load_motion
 from aomgen.pipeline.figures import Reading, read_figures
 from aomgen.pipeline.manifest import Manifest, read_manifest
 from aomgen.pipeline.run_record import load_record
 from aomgen.pipeline.runner import TIMINGS
-from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 from aomgen.report.html import Markup, bar, commands, heading, paragraph, reading, table, text
+from aomgen.results import Results
 
 # The figures that a reader looks for first: stage, names.
 HEADLINES = (
@@ -25,24 +24,24 @@ HEADLINES = (
 )
 
 
-def results_table(run: Run) -> str:
+def results_table(results: Results) -> str:
     """The most telling figures with what is good."""
     rows: list[list[object]] = []
     for stage, names in HEADLINES:
-        figures = manifest_of(run, stage).figures
+        figures = manifest_of(results, stage).figures
         chosen = {name: figures[name] for name in names if name in figures}
         rows += [_reading_row(item) for item in read_figures(stage, chosen)]
     return table(["result", "", ""], rows)
 
 
-def provenance_table(run: Run) -> str:
+def provenance_table(results: Results) -> str:
     """Version, date, seed and command of a run, and how to make it again."""
-    record, project = load_record(run.out), run.project
+    record, project = load_record(results.out), results.project
     rows: list[list[object]] = [
         ["AOMGen", record.version if record else __version__],
         ["finished", record.finished.replace("T", " ") if record else "not recorded"],
         ["command", _code(record.command) if record else "not recorded"],
-        ["again", _code(shlex.join(["aomgen", "run", _project_file(run)]))],
+        ["again", _code(shlex.join(["aomgen", "run", _project_file(results)]))],
         # A seed is a name: it stands left, like the rest.
         ["seed", Markup(html=text(project.seed))],
         ["recording", str(project.capture)],
@@ -51,27 +50,27 @@ def provenance_table(run: Run) -> str:
     return table(["made with", ""], rows)
 
 
-def stages_table(run: Run) -> str:
+def stages_table(results: Results) -> str:
     """Seconds of each stage, their share of the whole, and the figures."""
-    seconds = read_json(run.out / TIMINGS)
+    seconds = read_json(results.out / TIMINGS)
     total = max(sum(seconds.values()), 1e-9)
     rows: list[list[object]] = []
     for stage in STAGES:
         spent = float(seconds.get(stage.name, 0.0))
-        items = read_figures(stage.name, manifest_of(run, stage.name).figures)
+        items = read_figures(stage.name, manifest_of(results, stage.name).figures)
         figures = Markup(html="; ".join(reading(item) for item in items))
         rows.append([stage.title, f"{spent:.1f}", f"{100 * spent / total:.0f}", bar(spent / total), figures])
     head = ["stage", "seconds", "% of all", Markup(html='<div style="width:130px"></div>'), "figures"]
     return table([*head], [*rows, ["all", f"{total:.1f}", "100", "", ""]])
 
 
-def next_steps(run: Run) -> list[str]:
+def next_steps(results: Results) -> list[str]:
     """The commands with which a reader goes on from this run."""
-    out = shlex.quote(str(run.out.resolve()))
-    project = shlex.quote(_project_file(run))
-    camera = next(iter(read_json(run.folders["replacement"] / "cameras.json")))
-    halfway = 0.5 * float(load_motion(run.folders["motion"]).thetas.max())
-    usd = sorted((run.folders["replacement"] / "assets").glob("*/asset.usda"))
+    out = shlex.quote(str(results.out.resolve()))
+    project = shlex.quote(_project_file(results))
+    camera = next(iter(results.episode_scene.cameras))
+    halfway = 0.5 * float(results.motion.thetas.max())
+    usd = sorted((results.folders["replacement"] / "assets").glob("*/asset.usda"))
     steps = [
         heading("More episodes, other assets"),
         paragraph(
@@ -88,7 +87,7 @@ def next_steps(run: Run) -> list[str]:
         heading("The dataset in LeRobot"),
         commands(
             "from lerobot.datasets.lerobot_dataset import LeRobotDataset\n"
-            f'dataset = LeRobotDataset("local/{run.out.resolve().name}", root="{run.out.resolve() / "dataset"}")'
+            f'dataset = LeRobotDataset("local/{results.out.resolve().name}", root="{results.out.resolve() / "dataset"}")'
         ),
     ]
     if usd:
@@ -99,15 +98,15 @@ def next_steps(run: Run) -> list[str]:
     return steps
 
 
-def manifest_of(run: Run, stage: str) -> Manifest:
+def manifest_of(results: Results, stage: str) -> Manifest:
     """The manifest of a finished stage.
 
     Raises:
         MissingFileError: The stage is not finished.
     """
-    manifest = read_manifest(run.folders[stage])
+    manifest = read_manifest(results.folders[stage])
     if manifest is None:
-        raise MissingFileError(run.folders[stage], "is not finished", "run the project first")
+        raise MissingFileError(results.folders[stage], "is not finished", "run the project first")
     return manifest
 
 
@@ -120,8 +119,8 @@ def _judged(item: Reading) -> str:
     return f"poor, {item.limit}" if item.verdict == "poor" else item.limit
 
 
-def _project_file(run: Run) -> str:
-    return str(run.out.resolve() / PROJECT_FILE)
+def _project_file(results: Results) -> str:
+    return str(results.out.resolve() / PROJECT_FILE)
 
 
 def _code(words: str) -> Markup:

@@ -1,10 +1,11 @@
-"""The robot as it stood during the scan, and how each of its joints would move it."""
+"""The robot as it stood during the scan: where it is, and how each of its joints would move it."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
@@ -14,7 +15,7 @@ _TURN_RAD = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RobotPosture:
+class RobotConfiguration:
     """The robot during the scan: model, joints (J,) [rad] and gripper 0..1."""
 
     robot: RobotModel
@@ -34,11 +35,9 @@ class RobotPosture:
     def surface_world(self, count: int, rng: np.random.Generator) -> Array:
         """Points (count, 3) spread evenly over the surface of the posed robot, [m]."""
         poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
-        corners = np.concatenate([apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes])
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        a, b, c = np.moveaxis(corners[rng.choice(len(corners), count, p=areas / areas.sum())], 1, 0)
-        u, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-        return np.asarray((1 - u) * a + u * (1 - v) * b + u * v * c, np.float64)
+        corners = [apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes]
+        vertices = np.concatenate(corners).reshape(-1, 3)
+        return sample_surface(vertices, np.arange(len(vertices)).reshape(-1, 3), count, rng)[0]
 
     @property
     def ee_world(self) -> Array:

@@ -1,18 +1,77 @@
-"""Surfaces of MuJoCo's geoms as triangles, whatever kind of shape they are."""
+"""What is seen of a robot, as triangles, whatever kind of shape MuJoCo has."""
+
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from aomgen.core.transforms import matrix_from_quat
-from aomgen.core.values import Array
+from aomgen.core.values import Array, freeze
 
 # Round shapes are drawn with this many corners about their axis: 0.5 % of the radius inside the circle.
 SIDES = 32
-BOX_FACES = np.array([
-    [0, 3, 2], [0, 1, 3], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5],
-    [2, 7, 6], [2, 3, 7], [0, 6, 4], [0, 2, 6], [1, 7, 3], [1, 5, 7],
-])  # fmt: skip
+# MuJoCo shows these groups by default; makers put collision shapes into the others.
+SHOWN_GROUPS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotMesh:
+    """One visual mesh of the robot.
+
+    Attributes:
+        body: Index into `RobotModel.body_names`.
+        vertices_body: (V, 3), body frame, [m].
+        faces: (F, 3) vertex indices.
+        color_srgb: Material color (3,), 0..1.
+    """
+
+    body: int
+    vertices_body: Array
+    faces: NDArray[np.int64]
+    color_srgb: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "vertices_body", self.vertices_body, (None, 3))
+        freeze(self, "faces", self.faces, (None, 3), np.int64)
+        freeze(self, "color_srgb", self.color_srgb, (3,))
+
+
+def visual_meshes(model: mujoco.MjModel) -> tuple[RobotMesh, ...]:
+    """What is seen of every body, triangles of primitive shapes included."""
+    meshes = []
+    for geom in np.flatnonzero(find_visible_geoms(model)):
+        surface = geom_surface(model, int(geom))
+        if surface is None:
+            continue
+        material = model.geom_matid[geom]
+        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        meshes.append(
+            RobotMesh(
+                body=int(model.geom_bodyid[geom]) - 1,
+                vertices_body=surface[0],
+                faces=surface[1],
+                color_srgb=rgba[:3],
+            )
+        )
+    return tuple(meshes)
+
+
+def find_visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which geoms (G,) are seen: those without contacts in a shown group; for a body without any,
+    its colliding ones in a shown group, unless collision shapes have a group of their own.
+    """
+    ours = (model.geom_bodyid > 0) & (model.geom_rgba[:, 3] > 0)
+    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    shown = ours & (model.geom_group < SHOWN_GROUPS)
+    visual = shown & ~colliding
+    # One group for all that collides and another for all that is seen: then nothing else is meant.
+    apart = visual.any() and not set(model.geom_group[visual]) & set(model.geom_group[ours & colliding])
+    if apart:
+        return visual
+    bare = ~np.isin(model.geom_bodyid, model.geom_bodyid[visual])
+    return visual | (shown & colliding & bare)
 
 
 def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[Array, NDArray[np.int64]] | None:
@@ -20,25 +79,13 @@ def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[Array, NDArray[np.in
 
     Faces turn counter-clockwise seen from outside.
     """
-    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
-    G = mujoco.mjtGeom
-    if kind == G.mjGEOM_MESH:
+    if int(model.geom_type[geom]) == mujoco.mjtGeom.mjGEOM_MESH:
         vertices, faces = _mesh(model, int(model.geom_dataid[geom]))
-    elif kind == G.mjGEOM_BOX:
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
-        vertices, faces = signs * size, BOX_FACES
-    elif kind == G.mjGEOM_SPHERE:
-        vertices, faces = _turned(_arc(size[0], 0.0))
-    elif kind == G.mjGEOM_ELLIPSOID:
-        vertices, faces = _turned(_arc(1.0, 0.0))
-        vertices = vertices * size
-    elif kind == G.mjGEOM_CAPSULE:
-        vertices, faces = _turned(_arc(size[0], size[1]))
-    elif kind == G.mjGEOM_CYLINDER:
-        radius, half = size[:2]
-        vertices, faces = _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]))
     else:
-        return None
+        points = _outer_points(int(model.geom_type[geom]), model.geom_size[geom])
+        if points is None:
+            return None
+        vertices, faces = _hull(points)
     R = matrix_from_quat(model.geom_quat[geom])
     return vertices @ R.T + model.geom_pos[geom], faces
 
@@ -50,28 +97,32 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[Array, NDArray[np.int64]]:
     return vertices, index.reshape(-1)[model.mesh_face[first : first + faces]].astype(np.int64)
 
 
-def _arc(radius: float, half_length: float) -> Array:
-    """Outline (N, 2) of a capsule from its lower to its upper pole: distance from the axis, height."""
-    angles = np.linspace(-np.pi / 2, np.pi / 2, SIDES // 2)
-    heights = radius * np.sin(angles) + np.where(angles < 0, -half_length, half_length)
-    return np.stack([radius * np.cos(angles), heights], 1)
-
-
-def _turned(outline: Array) -> tuple[Array, NDArray[np.int64]]:
-    """The surface that an outline (N, 2) sweeps about z; its ends lie on the axis."""
+def _outer_points(kind: int, size: Array) -> Array | None:
+    """Points (N, 3) of which a primitive shape is the hull."""
+    G = mujoco.mjtGeom
     angles = np.arange(SIDES) * 2 * np.pi / SIDES
-    ring = np.stack([np.cos(angles), np.sin(angles)], 1)
-    inner = outline[1:-1]
-    rows = np.concatenate([
-        np.repeat(inner[:, :1, None], SIDES, 1) * ring, np.repeat(inner[:, 1:, None], SIDES, 1)
-    ], 2)  # fmt: skip
-    vertices = np.concatenate([[[0, 0, outline[0, 1]]], rows.reshape(-1, 3), [[0, 0, outline[-1, 1]]]])
-    here = np.arange(SIDES)
-    there, faces, top = (here + 1) % SIDES, [], len(vertices) - 1
-    for row in range(len(inner) - 1):
-        a, b = 1 + row * SIDES, 1 + (row + 1) * SIDES
-        faces += [np.stack([a + here, a + there, b + there], 1), np.stack([a + here, b + there, b + here], 1)]
-    last = 1 + (len(inner) - 1) * SIDES
-    faces.append(np.stack([np.zeros_like(here), 1 + there, 1 + here], 1))
-    faces.append(np.stack([np.full_like(here, top), last + here, last + there], 1))
-    return vertices, np.concatenate(faces)
+    ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(SIDES)], 1)
+    heights = np.linspace(-np.pi / 2, np.pi / 2, SIDES // 2)[:, None, None]
+    ball = (ring * np.cos(heights) + np.array([0.0, 0.0, 1.0]) * np.sin(heights)).reshape(-1, 3)
+    up = np.array([0.0, 0.0, 1.0])
+    if kind == G.mjGEOM_BOX:
+        return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+    if kind == G.mjGEOM_SPHERE:
+        return ball * size[0]
+    if kind == G.mjGEOM_ELLIPSOID:
+        return ball * size
+    if kind == G.mjGEOM_CAPSULE:
+        return np.concatenate([ball * size[0] + up * size[1], ball * size[0] - up * size[1]])
+    if kind == G.mjGEOM_CYLINDER:
+        return np.concatenate([ring * size[0] + up * size[1], ring * size[0] - up * size[1]])
+    return None
+
+
+def _hull(points: Array) -> tuple[Array, NDArray[np.int64]]:
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0
+    faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+    used, kept = np.unique(faces, return_inverse=True)
+    return points[used], kept.reshape(-1, 3).astype(np.int64)

@@ -1,9 +1,11 @@
-"""Finger joints of a gripper with closed loops, as a table over its opening value.
+"""All finger joints of a gripper over its opening value, couplings and closed loops included.
 
-Forward kinematics alone leaves such loops open, so the fingers are settled once in simulation.
+Forward kinematics alone leaves loops open, so the fingers settle once in simulation.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,12 +13,16 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.values import Array, freeze
 from aomgen.errors import MalformedFileError
-from aomgen.robots.robot_files import RobotFiles, set_options
+from aomgen.robots.reading import ArmChain
 
 # Rows of the table from open to closed; between them positions are linear to far below a millimetre.
 STEPS = 33
-# Time in which the fingers come to rest at each step, [s].
-SETTLE_S = 0.4
+# Time in which the held joints come to rest, [s]; loops that stay open after it are refused.
+SETTLE_S = 0.3
+# A loop or a stroke that stays farther open than this is refused, [m] or [rad].
+OPEN_LOOP_M = 0.002
+# Fingers that come less than this nearer are no gripper, [m].
+MIN_TRAVEL_M = 0.004
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,38 +54,51 @@ def no_fingers() -> GripperTable:
     return GripperTable(joint_names=(), values=np.zeros(1), positions=np.zeros((1, 0)))
 
 
-def simulate_finger_table(files: RobotFiles) -> GripperTable:
-    """Close the gripper slowly in simulation and record where its joints settle.
+def settle_fingers(
+    spec: mujoco.MjSpec, chain: ArmChain, strokes: Mapping[str, tuple[float, float]], path: Path
+) -> GripperTable:
+    """Move the driving joints evenly from open to closed; the rest settles, without gravity and contacts.
 
-    The table is indexed by the measured driver angle, as the joint log is. Gravity is off: the
-    fingers of a stiff gripper do not sag measurably.
+    Args:
+        spec: The robot.
+        chain: Its arm, which is held, and its finger joints.
+        strokes: Values of the driving joints at gripper 0 and 1, [rad] or [m].
+        path: For messages.
 
     Raises:
-        MalformedFileError: The gripper does not move when its actuator is driven.
+        MalformedFileError: A loop cannot be closed, or a stroke leads out of the limits.
     """
-    spec = mujoco.MjSpec.from_file(str(files.gripper))
-    set_options(spec)
+    spec = spec.copy()
     spec.option.gravity = np.zeros(3)
+    flags = mujoco.mjtDisableBit
+    spec.option.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_FRICTIONLOSS)
+    for name in chain.joints:
+        # The zero at which the arm is held may lie outside its limits.
+        spec.joint(name).limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for name in (*strokes, *chain.joints):
+        hold = spec.add_equality(name=f"hold_{name}", type=mujoco.mjtEq.mjEQ_JOINT, name1=name)
+        # As stiff as the time step allows.
+        hold.solref, hold.objtype = [0.004, 1.0], mujoco.mjtObj.mjOBJ_JOINT
     model = spec.compile()
-    # The pads stop each other just short of the last driver angle; alone in the air that matters to nobody.
-    model.geom_contype[:], model.geom_conaffinity[:] = 0, 0
     data = mujoco.MjData(model)
-    strip = len(files.prefix)
-    driver = model.joint(files.driver[0][strip:]).qposadr[0]
-    actuator = model.actuator(files.actuator[0][strip:]).id
-    names = [model.joint(j).name for j in range(model.njnt)]
-    rows = []
-    for control in np.linspace(0.0, files.actuator[1], STEPS):
-        data.ctrl[actuator] = control
-        for _ in range(int(SETTLE_S / model.opt.timestep)):
-            mujoco.mj_step(model, data)
-        rows.append(data.qpos.copy())
-    positions = np.array(rows)
-    values = positions[:, driver] / files.driver[1]
-    if not np.all(np.diff(values) > 0) or not values[-1] > 0.9:
-        raise MalformedFileError(
-            files.gripper, f"closes to {values[-1]:.2f} of its stroke, want 0.9 or more", "check its actuator"
-        )
-    return GripperTable(
-        joint_names=tuple(files.prefix + name for name in names), values=values, positions=positions
-    )
+    fingers = [model.joint(name).qposadr[0] for name in chain.hand_joints]
+    values = np.arange(STEPS) / (STEPS - 1)
+    positions = []
+    for value in values:
+        for name, (start, end) in strokes.items():
+            zero = model.qpos0[model.joint(name).qposadr[0]]
+            model.eq_data[model.equality(f"hold_{name}").id, 0] = start + value * (end - start) - zero
+        mujoco.mj_step(model, data, round(SETTLE_S / model.opt.timestep))
+        positions.append(data.qpos[fingers].copy())
+        loops = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        apart = float(np.abs(data.efc_pos[: data.nefc][loops]).max(initial=0.0))
+        if not apart <= OPEN_LOOP_M:
+            raise MalformedFileError(
+                path,
+                f"leaves fingers {1000 * apart:.1f} mm apart that belong together or are not where gripper.open "
+                f"and .closed want them, limit {1000 * OPEN_LOOP_M:.0f} mm",
+                "correct these values, or limits and loops of the file",
+            )
+    return GripperTable(joint_names=chain.hand_joints, values=values, positions=np.array(positions))

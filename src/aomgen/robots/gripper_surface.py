@@ -52,26 +52,23 @@ def hand_surface(robot: RobotModel) -> HandSurface:
     Not checked: that the meshes are closed; a point inside the hand is never nearest to a part.
     """
     sides = _sides(robot)
-    rng = np.random.default_rng(0)
     meshes = [mesh for mesh in robot.meshes if mesh.body in sides]
-    areas = [float(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum()) for mesh in meshes]
-    points: list[Array] = [np.zeros((0, 3))]
-    normals: list[Array] = [np.zeros((0, 3))]
-    bodies: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
-    for mesh, area in zip(meshes, areas, strict=True):
-        count = round(POINTS * area / sum(areas))
-        if count == 0:
-            continue
-        where, faces, _ = sample_surface(mesh.vertices_body, mesh.faces, count, rng)
-        points.append(where)
-        normals.append(face_normals_areas(mesh.vertices_body, mesh.faces)[0][faces])
-        bodies.append(np.full(count, mesh.body))
-    owners = np.concatenate(bodies)
+    if not meshes:
+        return HandSurface(
+            points_body=np.zeros((0, 3)),
+            normals_body=np.zeros((0, 3)),
+            bodies=np.zeros(0, np.int64),
+            fingers=np.zeros(0, np.str_),
+        )
+    corners = np.concatenate([mesh.vertices_body[mesh.faces] for mesh in meshes]).reshape(-1, 3)
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    points, chosen, _ = sample_surface(corners, faces, POINTS, np.random.default_rng(0))
+    bodies = np.repeat([mesh.body for mesh in meshes], [len(mesh.faces) for mesh in meshes])[chosen]
     return HandSurface(
-        points_body=np.concatenate(points),
-        normals_body=np.concatenate(normals),
-        bodies=owners,
-        fingers=np.array([sides[int(body)] for body in owners], np.str_),
+        points_body=points,
+        normals_body=face_normals_areas(corners, faces)[0][chosen],
+        bodies=bodies,
+        fingers=np.array([sides[int(body)] for body in bodies], np.str_),
     )
 
 

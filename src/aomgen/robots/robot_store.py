@@ -4,12 +4,15 @@ import os
 from pathlib import Path
 from typing import Any
 
-from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.robot_choice import RobotChoice
 from aomgen.errors import MalformedFileError
-from aomgen.io.atomic import write_bytes, write_json
+from aomgen.io.atomic import write_bytes, write_json, write_text
 from aomgen.io.jsonfile import read_json
 from aomgen.io.paths import resolve_inside
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.description import FILE_NAME, description_toml, find_description
+from aomgen.robots.loading import load_robot
+from aomgen.robots.propose import propose_description
+from aomgen.robots.robot import RobotModel
 
 HEADER = "robot.json"
 FILES = "robot"
@@ -20,13 +23,13 @@ def copy_robot_files(model_file: Path, references: tuple[Path, ...], folder: Pat
 
     Args:
         model_file: URDF or MJCF.
-        references: As `read_robot_xml` found them.
+        references: All further files that it needs.
         folder: Where the copies go.
 
     Returns:
         The copied description.
     """
-    files = [model_file.resolve(), *references]
+    files = [model_file.resolve(), *(file.resolve() for file in references)]
     top = Path(os.path.commonpath([file.parent for file in files]))
     for file in files:
         write_bytes(folder / file.relative_to(top), file.read_bytes())
@@ -34,12 +37,14 @@ def copy_robot_files(model_file: Path, references: tuple[Path, ...], folder: Pat
 
 
 def save_robot(folder: Path, choice: RobotChoice) -> None:
-    """Write which robot it is, and its files, into an existing folder."""
+    """Write which robot it is, its files and what they are for, into an existing folder."""
     file = ""
     if choice.model_file:
         copied = copy_robot_files(choice.model_file, choice.references, folder / FILES)
         file = copied.relative_to(folder).as_posix()
-    hand = choice.hand
+        if find_description(choice.model_file) is None:
+            guess = propose_description(choice.model_file, choice.root, choice.joints, choice.hand)
+            write_text(copied.parent / FILE_NAME, description_toml(guess))
     write_json(
         folder / HEADER,
         {
@@ -47,12 +52,6 @@ def save_robot(folder: Path, choice: RobotChoice) -> None:
             "file": file,
             "base_frame": choice.base_frame,
             "joints": list(choice.joints),
-            "hand": {
-                "open": dict(hand.open),
-                "closed": dict(hand.closed),
-                "fingers": list(hand.fingers),
-                "ee_site": hand.ee_site,
-            },
         },
     )
 
@@ -66,10 +65,7 @@ def load_robot_description(folder: Path) -> RobotModel:
     where = folder / HEADER
     data: Any = read_json(where)
     try:
-        hand = HandChoice(**{**data["hand"], "fingers": tuple(data["hand"]["fingers"])})
         model = resolve_inside(folder, data["file"], named_by=where) if data["file"] else str(data["model"])
-        return load_robot(
-            model, data["base_frame"], joints=data["joints"], hand=hand, root=(folder / FILES).resolve()
-        )
+        return load_robot(model, data["base_frame"], joints=data["joints"], root=(folder / FILES).resolve())
     except (KeyError, TypeError) as error:
         raise MalformedFileError(where, f"is not complete ({error!r})", "run the stage again") from error

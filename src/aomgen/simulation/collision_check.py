@@ -99,13 +99,9 @@ def table_overlap_m(scene: Scene, joints: Array) -> float:
     deepest = 0.0
     for qpos in scene.qpos(joints, 0.0, 0.0):
         _place(scene, data, qpos)
-        for index in range(data.ncon):
-            contact = data.contact[index]
-            a, b = int(contact.geom[0]), int(contact.geom[1])
-            if (scene.roles.table[a] and scene.roles.robot[b]) or (
-                scene.roles.table[b] and scene.roles.robot[a]
-            ):
-                deepest = max(deepest, -float(contact.dist))
+        pairs = data.contact.geom
+        touching = scene.roles.table[pairs].any(1) & scene.roles.robot[pairs].any(1)
+        deepest = max(deepest, float(-data.contact.dist[touching].min(initial=0.0)))
     return deepest
 
 
@@ -143,24 +139,19 @@ def _overlaps(
     model: mujoco.MjModel, data: mujoco.MjData, roles: GeomRoles, holds: bool
 ) -> list[tuple[str, float, str]]:
     """Kind, depth [mm] and names of every penetrating contact of the robot."""
-    result = []
-    for index in range(data.ncon):
-        contact = data.contact[index]
-        if contact.dist >= 0:
-            continue
-        a, b = int(contact.geom[0]), int(contact.geom[1])
-        if not roles.robot[a]:
-            a, b = b, a
-        if not roles.robot[a] or (roles.gripper[a] and roles.gripper[b]):
-            continue
-        kind = "scene"
-        if roles.robot[b]:
-            kind = "self"
-        elif holds and roles.gripper[a] and roles.handle[b]:
+    pairs = np.array(data.contact.geom)
+    # The robot's geom first.
+    pairs = np.where(roles.robot[pairs[:, :1]], pairs, pairs[:, ::-1])
+    hand = roles.gripper[pairs].all(1)
+    found = []
+    for index in np.flatnonzero((data.contact.dist < 0) & roles.robot[pairs[:, 0]] & ~hand):
+        a, b = pairs[index]
+        kind = "self" if roles.robot[b] else "scene"
+        if holds and roles.gripper[a] and roles.handle[b]:
             kind = "handle"
-        names = f"{model.body(model.geom_bodyid[a]).name} and {model.geom(b).name}"
-        result.append((kind, -1000.0 * float(contact.dist), names))
-    return result
+        names = f"{model.body(model.geom_bodyid[a]).name} and {model.geom(int(b)).name}"
+        found.append((kind, -1000.0 * float(data.contact.dist[index]), names))
+    return found
 
 
 def _start_overlap(scene: Scene, data: mujoco.MjData, joints: Array, gripper: float) -> float:

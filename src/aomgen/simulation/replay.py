@@ -103,13 +103,13 @@ def simulate(
     data = mujoco.MjData(model)
     data.qpos[:] = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
     commands, velocities, closing = linear_commands(joints, gripper, fps, ticks_a_frame)
-    data.ctrl[:] = _control(scene, joints[0], np.zeros_like(joints[0]), gripper[0])
+    data.ctrl[:] = servo_control(scene, joints[0], np.zeros_like(joints[0]), gripper[0])
     start_base = _base_position(scene, data)
     mujoco.mj_step(model, data, round(SETTLE_S / model.opt.timestep))
     log = _Log(scene=scene, count=len(commands), start_base=start_base)
     for tick, command in enumerate(commands):
         log.record(tick, data)
-        data.ctrl[:] = _control(scene, command, velocities[tick], closing[tick])
+        data.ctrl[:] = servo_control(scene, command, velocities[tick], closing[tick])
         mujoco.mj_step(model, data, steps_a_tick)
         if any(data.warning[kind].number for kind in DIVERGENCE):
             time_s = tick / (fps * ticks_a_frame)
@@ -145,7 +145,7 @@ def linear_commands(
     return commands[:, :-1], velocities[:, :-1], commands[:, -1]
 
 
-def _control(scene: Scene, command: Array, velocity: Array, closing: float) -> Array:
+def servo_control(scene: Scene, command: Array, velocity: Array, closing: float) -> Array:
     """Actuator controls (nu,) for arm joints (J,), [rad], their velocities [rad/s], and gripper 0..1."""
     arm = scene.arm
     control = np.zeros(scene.model.nu)

@@ -186,7 +186,22 @@ def build_scene(
     names = add_asset(
         spec, asset, T, damping=damping, frictionloss=frictionloss, visual=visual, bolted=bolted
     )
-    model = spec.compile()
+    return describe_scene(spec.compile(), robot, asset, names, bolted=bolted)
+
+
+def describe_scene(
+    model: mujoco.MjModel,
+    robot: RobotModel,
+    asset: ArticulatedAsset,
+    names: AssetNames,
+    *,
+    bolted: bool = True,
+) -> Scene:
+    """Where robot and object are in a model that holds both, and a geom `TABLE`.
+
+    Raises:
+        ConfigError: The robot has no position actuators, or no fingers.
+    """
     joint = model.joint(names.joint)
     return Scene(
         model=model,

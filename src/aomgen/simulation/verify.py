@@ -1,16 +1,31 @@
 """Tier B: an episode counts only when contact opens the object in every simulated setting."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 
-from aomgen.assets.resistance import GRAVITY, RESISTANCES, JointResistance
+from aomgen.assets.resistance import (
+    ARMATURE,
+    CONTACT_FRICTION,
+    GRAVITY,
+    HOLDING_SOLIMP,
+    RESISTANCES,
+    JointResistance,
+    holding_friction,
+)
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import ContactLog
 from aomgen.core.plan import EpisodePlan, VerifiedEpisode
+from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection, SettingOutcome, Verdict
-from aomgen.simulation.replay import SimulatedRun, simulate
+from aomgen.simulation.replay import CONTROL_HZ, SETTLE_S, SimulatedRun, simulate
 from aomgen.simulation.scene import Scene
+
+CONTROL: Final = (
+    "from frame t on the position command moves straight from action[t-1] to action[t], reached at t+1, with "
+    "velocity feed-forward; the arm is gravity compensated; before frame 0 it stands at state[0]"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,20 +52,12 @@ class PassRule:
     max_drift_m: float = 0.005
 
 
-def verify_plan(
-    plan: EpisodePlan,
-    scene: Scene,
-    *,
-    settings: Sequence[JointResistance] | None = None,
-    rule: PassRule | None = None,
-) -> VerifiedEpisode | Rejection:
-    """Simulate a plan in all settings and keep what the nominal one reached.
+def verify_plan(plan: EpisodePlan, scene: Scene) -> VerifiedEpisode | Rejection:
+    """Simulate a plan in all settings (`RESISTANCES`) and keep what the nominal one, the first, reached.
 
     Args:
         plan: Its target, the planned final joint value, is fixed before any simulation.
         scene: The plan's asset; moved to the plan's pose here.
-        settings: At least three, nominal first; None takes `RESISTANCES` of the joint's type.
-        rule: Pass rule; None takes the defaults.
 
     Returns:
         The episode with its verdict; or a Rejection "target_too_small", "diverged", "pre_opened",
@@ -58,9 +65,7 @@ def verify_plan(
 
     Not checked: whether the real object's resistance lies within the settings.
     """
-    rule = rule or PassRule()
-    joint_type = plan.fitted.asset.joint.type
-    settings = settings or RESISTANCES[joint_type]
+    rule, joint_type = PassRule(), plan.fitted.asset.joint.type
     minimum = rule.min_revolute_rad if joint_type == "revolute" else rule.min_prismatic_m
     target = plan.fitted.target_theta
     if not target >= minimum:
@@ -70,8 +75,8 @@ def verify_plan(
             metrics={"target_theta": target},
         )
     outcomes: list[SettingOutcome] = []
-    nominal: SimulatedRun | None = None
-    for setting in settings:
+    runs: list[SimulatedRun] = []
+    for setting in RESISTANCES[joint_type]:
         placed = scene.placed(plan.T_world_object, damping=setting.damping, frictionloss=setting.frictionloss)
         run = simulate(placed, plan.joints, plan.gripper, plan.fps)
         if isinstance(run, Rejection):
@@ -80,13 +85,11 @@ def verify_plan(
         if isinstance(outcome, Rejection):
             return outcome
         outcomes.append(outcome)
-        nominal = nominal or run
-    if nominal is None:
-        raise ValueError("verification needs at least one setting")
+        runs.append(run)
     verdict = Verdict(
         target_theta=target, outcomes=tuple(outcomes), kinematic=plan.metrics, bolted=scene.bolted
     )
-    return _episode(plan, nominal, verdict)
+    return _episode(plan, runs[0], verdict)
 
 
 def judge(
@@ -175,3 +178,34 @@ def _episode(plan: EpisodePlan, run: SimulatedRun, verdict: Verdict) -> Verified
         contacts=contacts,
         verdict=verdict,
     )
+
+
+def assumptions(asset: ArticulatedAsset, joint_zeros_rad: Array, *, bolted: bool) -> dict[str, Any]:
+    """What verification assumed, so that another simulator can repeat it: `simulation` in `episode.json`, SI units.
+
+    Args:
+        asset: As it was simulated, after scaling.
+        joint_zeros_rad: All joints of the episode minus what the real arm reads there (J,).
+        bolted: Its base was held by the world.
+    """
+    holding = holding_friction(asset)
+    return {
+        "control": CONTROL,
+        "control_hz_at_least": CONTROL_HZ,
+        "settle_s": SETTLE_S,
+        "joint_zeros_rad": joint_zeros_rad.tolist(),
+        "bolted": bolted,
+        "masses_kg": {"static": asset.static.mass, "moving": asset.moving.mass},
+        "contact_friction": list(CONTACT_FRICTION),
+        "joint_armature": ARMATURE,
+        "joint_holding_friction": holding,
+        "joint_solimp_friction": list(HOLDING_SOLIMP) if holding else None,
+        "settings": [
+            {
+                "name": resistance.name,
+                "joint_damping": resistance.damping,
+                "joint_frictionloss": resistance.frictionloss + holding,
+            }
+            for resistance in RESISTANCES[asset.joint.type]
+        ],
+    }

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from aomgen.io.colmap import read_colmap as read_colmap
     from aomgen.io.gaussian_files import read_gaussians as read_gaussians
     from aomgen.io.gaussian_files import write_gaussians as write_gaussians
+    from aomgen.splatting.compute import make_rasterizer as make_rasterizer
     from aomgen.splatting.differentiable import CpuRasterizer as CpuRasterizer
     from aomgen.splatting.differentiable import GaussianTensors as GaussianTensors
     from aomgen.splatting.differentiable import PartTensors as PartTensors
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from aomgen.splatting.rasterizer import RigidParts as RigidParts
     from aomgen.splatting.rasterizer import contribution_weights as contribution_weights
     from aomgen.splatting.rasterizer import render as render
-    from aomgen.splatting.rasterizers import make_rasterizer as make_rasterizer
     from aomgen.splatting.session import Motion as Motion
     from aomgen.splatting.session import RenderSession as RenderSession
     from aomgen.splatting.training import TrainingParams as TrainingParams
@@ -57,7 +57,7 @@ _HOMES = {
     "Rendering": "aomgen.splatting.rasterizer",
     "contribution_weights": "aomgen.splatting.rasterizer",
     "render": "aomgen.splatting.rasterizer",
-    "make_rasterizer": "aomgen.splatting.rasterizers",
+    "make_rasterizer": "aomgen.splatting.compute",
     "Motion": "aomgen.splatting.session",
     "RenderSession": "aomgen.splatting.session",
     "TrainingParams": "aomgen.splatting.training",

@@ -1,14 +1,16 @@
-"""Training that survives a kill: its state in one file, bound to the inputs it belongs to."""
+"""The state of a training, and its file: with it a killed training goes on, bound to the inputs it belongs to."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from aomgen import __version__
 from aomgen.core.camera import Camera
@@ -16,13 +18,34 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.errors import CorruptArtifactError, LimitExceededError, MissingFileError
 from aomgen.io.arrays import arrays_from_bytes, npz_bytes
 from aomgen.io.atomic import write_bytes
-from aomgen.splatting.state import TrainingState, state_arrays, state_of_arrays
+from aomgen.splatting.optimizer import NAMES, Parameters
+from aomgen.splatting.training_views import Exposure, PoseIncrements
 
-FORMAT: Final = b"aomgen training 1"
+FORMAT: Final = b"aomgen training 2"
 # Largest checkpoint read, [bytes]: above that of the largest training.
 MAX_BYTES: Final = 8 << 30
-# Hexadecimal digits of a SHA-256.
-DIGEST_LENGTH: Final = 64
+MOMENTS = ("values", "averages", "squares")
+
+
+@dataclass(slots=True, kw_only=True)
+class TrainingState:
+    """Where a training stands; from here on everything is determined by images and parameters.
+
+    Attributes:
+        parameters: Gaussians with their optimizer state.
+        exposure: Gains of the images with their optimizer state.
+        poses: Corrections of the cameras with their optimizer state.
+        order: Indices of the images still to be drawn before the next shuffle.
+        iteration: Iterations done.
+        rng: Source of everything random.
+    """
+
+    parameters: Parameters
+    exposure: Exposure
+    poses: PoseIncrements
+    rng: np.random.Generator
+    order: NDArray[np.int64]
+    iteration: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +108,7 @@ def load_checkpoint(path: Path, digest: str, rng: np.random.Generator) -> Traini
     remedy = "delete it to start the training over"
     header, _, payload = _content(path).partition(b"\n")
     words = header.rsplit(b" ", 2)
-    if len(words) != 3 or words[0] != FORMAT or len(words[1]) != DIGEST_LENGTH:
+    if len(words) != 3 or words[0] != FORMAT or len(words[1]) != 2 * hashlib.sha256().digest_size:
         raise CorruptArtifactError(path, "is not a checkpoint of this version", remedy)
     if words[2] != hashlib.sha256(payload).hexdigest().encode():
         raise CorruptArtifactError(path, "is damaged: its content does not match its digest", remedy)
@@ -109,3 +132,52 @@ def _content(path: Path) -> bytes:
 def _add(digest: "hashlib._Hash", array: NDArray) -> None:
     digest.update(f"{array.dtype.str}{array.shape}".encode())
     digest.update(np.ascontiguousarray(array).tobytes())
+
+
+def state_arrays(state: TrainingState) -> dict[str, NDArray]:
+    """The whole state as named arrays, exact to the bit."""
+    arrays = {
+        f"{moment}.{name}": getattr(state.parameters, moment)[name].cpu().numpy()
+        for moment in MOMENTS
+        for name in NAMES
+    }
+    arrays["reach"] = state.parameters.reach.cpu().numpy()
+    for kind in (state.exposure, state.poses):
+        arrays |= {f"{type(kind).__name__}.{name}": value.numpy() for name, value in kind.tensors().items()}
+    counters = {
+        "iteration": state.iteration,
+        "steps": state.parameters.steps,
+        "exposure": state.exposure.enabled,
+        "poses": state.poses.enabled,
+        "rng": state.rng.bit_generator.state,
+    }
+    text = json.dumps(counters, default=np.ndarray.tolist)
+    return arrays | {"order": state.order, "counters": np.frombuffer(text.encode(), np.uint8)}
+
+
+def state_of_arrays(arrays: Mapping[str, NDArray], rng: np.random.Generator) -> TrainingState:
+    """The state that `state_arrays` took apart; the generator is set to where it was.
+
+    Raises:
+        KeyError, TypeError, ValueError: Arrays are missing, or the generator is of another kind.
+    """
+    counters = json.loads(arrays["counters"].tobytes())
+    moments = {moment: {name: _tensor(arrays[f"{moment}.{name}"]) for name in NAMES} for moment in MOMENTS}
+    rng.bit_generator.state = counters["rng"]
+    return TrainingState(
+        parameters=Parameters(reach=_tensor(arrays["reach"]), steps=counters["steps"], **moments),
+        exposure=Exposure(enabled=counters["exposure"], **_tensors(arrays, "Exposure.")),
+        poses=PoseIncrements(enabled=counters["poses"], **_tensors(arrays, "PoseIncrements.")),
+        order=np.array(arrays["order"]),
+        iteration=counters["iteration"],
+        rng=rng,
+    )
+
+
+def _tensors(arrays: Mapping[str, NDArray], prefix: str) -> dict[str, Tensor]:
+    names = [name for name in arrays if name.startswith(prefix)]
+    return {name.removeprefix(prefix): _tensor(arrays[name]) for name in names}
+
+
+def _tensor(array: NDArray) -> Tensor:
+    return torch.tensor(np.ascontiguousarray(array))

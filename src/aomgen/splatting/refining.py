@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -12,16 +13,17 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.values import Array
 from aomgen.splatting import native
-from aomgen.splatting.compute import NativeCompute
+from aomgen.splatting.compute import NativeCompute, image_loss
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
-from aomgen.splatting.loss import image_loss
-from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
+from aomgen.splatting.optimizer import RATES, Parameters, gaussians_of, parameter_rates, parameters_of
 from aomgen.splatting.training import one_torch_thread
 
-# Learning rate of quaternions, as in training.
-RATE_QUATS = 4e-3
 # What is left of all learning rates at the end, so that the last steps only average.
 DECAY = 0.1
+# Passes over all images.
+ROUNDS = 2
+# As in training, but opacity stays: a surface is opaque.
+REFINING_RATES: Final = {**RATES, "log_scales": 2e-2, "logit_opacities": 0.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,30 +50,11 @@ class RefinementView:
     unsure: NDArray[np.bool_] | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RefiningParams:
-    """Length and learning rates.
-
-    Attributes:
-        rounds: Passes over all images.
-        rate_means: Of means, [m] a step; it falls by `DECAY` until the end, as all others do.
-        rate_log_scales, rate_color, rate_sh: Others. Opacity stays: a surface is opaque.
-        dssim_weight: Share of the structural part in the loss.
-    """
-
-    rounds: int = 2
-    rate_means: float = 1e-4
-    rate_log_scales: float = 2e-2
-    rate_color: float = 2e-2
-    rate_sh: float = 5e-3
-    dssim_weight: float = 0.2
-
-
 def refine_gaussians(
     gaussians: Gaussians,
     parts: NDArray[np.int32],
     views: Sequence[RefinementView],
-    params: RefiningParams,
+    rate_means: float,
     rng: np.random.Generator,
 ) -> tuple[Gaussians, Array]:
     """Fit Gaussians of moving parts to images.
@@ -80,7 +63,7 @@ def refine_gaussians(
         gaussians: N, in the frames of their parts; the last M are those with colors in the views.
         parts: Part of every Gaussian (N,).
         views: At least one.
-        params: Length and rates.
+        rate_means: Learning rate of the means at the start, [m] a step.
         rng: Order of the images.
 
     Returns:
@@ -94,7 +77,7 @@ def refine_gaussians(
     parameters = parameters_of(gaussians, degree)
     first = len(gaussians) - lit
     parameters.values["sh"][first:, 0] = 0
-    steps, order = params.rounds * len(views), np.zeros(0, np.int64)
+    steps, order = ROUNDS * len(views), np.zeros(0, np.int64)
     compute, contexts = NativeCompute(), (native.Context(), native.Context(threads=1))
     indices = torch.tensor(np.asarray(parts, np.int32))
     with one_torch_thread():
@@ -102,8 +85,10 @@ def refine_gaussians(
             if not len(order):
                 order = rng.permutation(len(views))
             view, order = views[int(order[0])], order[1:]
-            gradients = _gradients(parameters, indices, view, params.dssim_weight, contexts)
-            parameters.step(gradients, _rates(params, step / steps, degree), compute)
+            gradients = _gradients(parameters, indices, view, contexts)
+            decay = DECAY ** (step / steps)
+            rates = parameter_rates(REFINING_RATES, rate_means * decay, decay, degree)
+            parameters.step(gradients, rates, compute)
     result = gaussians_of(parameters)
     sh = np.array(result.sh)
     difference = sh[first:, 0].astype(np.float64) * SH_C0
@@ -119,7 +104,6 @@ def _gradients(
     parameters: Parameters,
     indices: Tensor,
     view: RefinementView,
-    dssim_weight: float,
     contexts: tuple[native.Context, native.Context],
 ) -> dict[str, Tensor]:
     """Gradients of one image's loss, by name; `contexts` of the rasterizer and of the loss."""
@@ -138,7 +122,7 @@ def _gradients(
         rgb = rgb * torch.tensor(np.ascontiguousarray(view.shade.transpose(2, 0, 1)))
     if view.unsure is not None:
         target = torch.where(torch.tensor(view.unsure), rgb.detach(), target)
-    image_loss(rgb, target, dssim_weight=dssim_weight, context=contexts[1]).backward()
+    image_loss(rgb, target, context=contexts[1]).backward()
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
 
 
@@ -150,15 +134,3 @@ def _harmonics(learned: Tensor, view: RefinementView) -> Tensor:
     lit = constant + recall[:, None] * learned[first:, 0]
     constants = torch.cat([learned[:first, 0], lit])
     return torch.cat([constants[:, None], learned[:, 1:]], 1)
-
-
-def _rates(params: RefiningParams, share: float, degree: int) -> dict[str, Tensor]:
-    decay = DECAY**share
-    by_coefficient = [params.rate_color] + [params.rate_sh] * ((degree + 1) ** 2 - 1)
-    return {
-        "means": torch.full((3,), params.rate_means * decay),
-        "quats": torch.full((4,), RATE_QUATS * decay),
-        "log_scales": torch.full((3,), params.rate_log_scales * decay),
-        "logit_opacities": torch.zeros(1),
-        "sh": torch.tensor(by_coefficient).repeat_interleave(3) * decay,
-    }

@@ -1,38 +1,59 @@
 """Gaussians fitted to posed images: one loop, counted in iterations."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.splatting import native
-from aomgen.splatting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, training_digest
+from aomgen.splatting.checkpoint import (
+    Checkpoint,
+    TrainingState,
+    load_checkpoint,
+    save_checkpoint,
+    training_digest,
+)
 from aomgen.splatting.compute import Compute, NativeCompute, make_compute
-from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import GaussianTensors, RasterOptions
-from aomgen.splatting.optimizer import Parameters, gaussians_of, parameters_of
-from aomgen.splatting.poses import PoseIncrements
-from aomgen.splatting.state import TrainingState
+from aomgen.splatting.optimizer import (
+    RATES,
+    Parameters,
+    error_shares,
+    gaussians_of,
+    parameter_rates,
+    parameters_of,
+    relocate_and_grow,
+)
 from aomgen.splatting.surfaces import in_free_space, view_depths
-from aomgen.splatting.training_views import Exposure, TrainingView, clip_to_sensor, reduce_image
+from aomgen.splatting.training_views import (
+    Exposure,
+    PoseIncrements,
+    TrainingView,
+    clip_to_sensor,
+    reduce_image,
+)
 
 # Shares of the iterations at which degrees 1, 2, 3 are switched on: constant colors settle first.
 SH_STARTS = (0.0, 0.2, 0.4)
 # Weight of the mean opacity in the loss: Gaussians that no image needs fade and are relocated.
 OPACITY_WEIGHT = 0.002
-# Learning rate of quaternions, which have no length, so one rate serves all scenes.
-RATE_QUATS = 4e-3
 # What is left of the means' learning rate at the end: they converge, as in 3DGS.
 MEANS_DECAY = 0.02
 # What is left of all other learning rates at the end.
 DECAY = 0.3
+# Shares of the iterations between which Gaussians are relocated and added: not before there is something to
+# see, and with time left to settle.
+GROW_WINDOW = (0.1, 0.75)
+# Shares from which on, at the next relocation, Gaussians in free space are dropped once.
+CLEAR_AT = (0.45, 0.65)
+# Images of which the error is looked at for a relocation: as many as take a tenth of its time.
+ERROR_VIEWS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,20 +67,13 @@ class TrainingParams:
             by the factor.
         max_gaussians: Never more than these.
         grow_every: Iterations between relocations.
-        grow_window: Shares of the iterations between which Gaussians are relocated and added.
-        error_views: Images of which the error is looked at for a relocation.
-        clear_at: Shares of the iterations from which on, at the next relocation, Gaussians in free
-            space are dropped once.
         min_opacity: Fainter Gaussians are relocated.
-        dssim_weight: Share of the structural part in the loss.
         background: sRGB behind everything; None draws a random color every iteration.
-        rate_means: Learning rate at the start; it falls by `MEANS_DECAY` until the end.
-        rate_log_scales, rate_logit_opacities, rate_color, rate_sh, rate_gain: Others; they fall by
-            `DECAY` until the end.
-        rate_poses: Of the poses' corrections, [rad] and extents; falls by `MEANS_DECAY`.
+        rates: Learning rates at the start, see `RATES`; means and poses fall by `MEANS_DECAY` until the
+            end, the others by `DECAY`.
         exposure: Fit a gain for every color of every image (the product is kept at 1).
-        refine_poses: Correct the poses of the training cameras; see `poses`.
-        refine_from: Share of the iterations before which poses stay.
+        refine_poses: Correct the poses of the training cameras, see `PoseIncrements`.
+        refine_from: Share of the iterations before which poses stay: a scene that is not there yet pulls at them.
     """
 
     iterations: int = 1800
@@ -67,19 +81,9 @@ class TrainingParams:
     downsampling: tuple[tuple[float, int], ...] = ((0.0, 4), (0.1, 2), (0.35, 1))
     max_gaussians: int = 100_000
     grow_every: int = 100
-    grow_window: tuple[float, float] = (0.1, 0.75)
-    error_views: int = 8
-    clear_at: tuple[float, ...] = (0.45, 0.65)
     min_opacity: float = 0.01
-    dssim_weight: float = 0.2
     background: tuple[float, float, float] | None = None
-    rate_means: float = 8e-4
-    rate_log_scales: float = 2.5e-2
-    rate_logit_opacities: float = 6e-2
-    rate_color: float = 2e-2
-    rate_sh: float = 5e-3
-    rate_gain: float = 2e-3
-    rate_poses: float = 1e-3
+    rates: Mapping[str, float] = field(default_factory=lambda: RATES)
     exposure: bool = True
     refine_poses: bool = False
     refine_from: float = 0.15
@@ -228,23 +232,25 @@ def _learn(
     leaves = parameters.leaves()
     background = params.background or tuple(state.rng.random(3).tolist())
     options = RasterOptions(sh_degree=_sh_degree(params, share), background=background)
-    twist = state.poses.twists[index].clone().requires_grad_() if state.poses.enabled else None
+    twist = state.poses.leaf(index)
     T_cam_world = None if twist is None else state.poses.T_cam_world(view.camera, twist)
     drawn = compute.draw(GaussianTensors(**leaves), view.camera, options, T_cam_world=T_cam_world)
-    log_gains = exposure.log_gains[index].clone().requires_grad_() if exposure.enabled else None
+    log_gains = exposure.leaf(index)
     gains = None if log_gains is None else log_gains.exp().to(compute.device)
     target = view.target()
     seen = clip_to_sensor(drawn.rgb, target, gains)
-    loss = compute.image_loss(seen, target, gains=gains, dssim_weight=params.dssim_weight)
+    loss = compute.image_loss(seen, target, gains=gains)
     total = loss + OPACITY_WEIGHT * leaves["logit_opacities"].sigmoid().mean()
     total.backward()
     gradients = {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
-    rates = {name: rate.to(compute.device) for name, rate in _rates(params, share, extent).items()}
+    means = params.rates["means"] * extent * MEANS_DECAY**share
+    rates = parameter_rates(params.rates, means, DECAY**share, params.sh_degree)
+    rates = {name: rate.to(compute.device) for name, rate in rates.items()}
     parameters.step(gradients, rates, compute)
     if log_gains is not None and log_gains.grad is not None:
-        exposure.step(index, log_gains.grad, params.rate_gain, context)
+        exposure.step(index, log_gains.grad, params.rates["gain"], context)
     if twist is not None and twist.grad is not None and share >= params.refine_from:
-        state.poses.step(index, twist.grad, params.rate_poses * MEANS_DECAY**share, context)
+        state.poses.step(index, twist.grad, params.rates["poses"] * MEANS_DECAY**share, context)
     return float(loss.detach())
 
 
@@ -252,13 +258,13 @@ def _grow(state: TrainingState, views: list[TrainingView], params: TrainingParam
     """Relocate faint Gaussians and approach the maximum number towards the end of the window."""
     parameters, exposure = state.parameters, state.exposure
     share = state.iteration / params.iterations
-    chosen = choose_error_views(len(views), params.error_views, state.iteration // params.grow_every)
-    gains = exposure.log_gains.exp()[:, :, None, None]
+    chosen = choose_error_views(len(views), ERROR_VIEWS, state.iteration // params.grow_every)
+    gains = exposure.values.exp()[:, :, None, None]
     targets = [(views[i].target().cpu() / gains[i]).clamp(max=1).numpy() for i in chosen]
     gaussians = gaussians_of(parameters).with_sh_degree(_sh_degree(params, share))
     cameras = [state.poses.corrected(i, views[i].camera) for i in chosen]
     shares = error_shares(gaussians, cameras, targets)
-    left = max(1.0, (params.grow_window[1] - share) * params.iterations / params.grow_every)
+    left = max(1.0, (GROW_WINDOW[1] - share) * params.iterations / params.grow_every)
     count = max(
         len(parameters), round(len(parameters) * (params.max_gaussians / len(parameters)) ** (1 / left))
     )
@@ -278,12 +284,12 @@ def choose_error_views(views: int, count: int, turn: int) -> NDArray[np.int64]:
 
 
 def _grows(params: TrainingParams, iteration: int) -> bool:
-    first, last = (round(share * params.iterations) for share in params.grow_window)
+    first, last = (round(share * params.iterations) for share in GROW_WINDOW)
     return first <= iteration < last and iteration % params.grow_every == params.grow_every - 1
 
 
 def _clears(params: TrainingParams, iteration: int) -> bool:
-    starts = [round(share * params.iterations) for share in params.clear_at]
+    starts = [round(share * params.iterations) for share in CLEAR_AT]
     return any(start <= iteration < start + params.grow_every for start in starts)
 
 
@@ -293,19 +299,6 @@ def _factor(params: TrainingParams, share: float) -> int:
 
 def _sh_degree(params: TrainingParams, share: float) -> int:
     return min(params.sh_degree, sum(share >= start for start in SH_STARTS))
-
-
-def _rates(params: TrainingParams, share: float, extent: float) -> dict[str, Tensor]:
-    decay = DECAY**share
-    coefficients = (params.sh_degree + 1) ** 2
-    by_coefficient = [params.rate_color] + [params.rate_sh] * (coefficients - 1)
-    return {
-        "means": torch.full((3,), params.rate_means * extent * MEANS_DECAY**share),
-        "quats": torch.full((4,), RATE_QUATS * decay),
-        "log_scales": torch.full((3,), params.rate_log_scales * decay),
-        "logit_opacities": torch.full((1,), params.rate_logit_opacities * decay),
-        "sh": torch.tensor(by_coefficient).repeat_interleave(3) * decay,
-    }
 
 
 def _check(initial: Gaussians, cameras: list[Camera], images: list[NDArray[np.uint8]]) -> None:

@@ -11,10 +11,9 @@ from aomgen.core.recording import Intrinsics
 from aomgen.errors import ReconstructionError
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.resection import (
-    Links,
     Resection,
-    agree,
     choose_view_lens,
+    difference,
     resect,
 )
 from aomgen.structure.sparse_model import SparseModel
@@ -47,7 +46,7 @@ class DemoView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FixedCamera:
+class PlacedCamera:
     """A placed camera.
 
     Attributes:
@@ -63,7 +62,7 @@ class FixedCamera:
 
 def place_fixed_camera(
     work: Workspace, mapped: SparseModel, name: str, view: DemoView, scan_intrinsics: Intrinsics | None
-) -> FixedCamera:
+) -> PlacedCamera:
     """Find a fixed camera and its lens.
 
     A camera with the scan's image size and statement, or with none, may be the one that scanned.
@@ -81,7 +80,7 @@ def place_fixed_camera(
         still, best = max(found.items(), key=lambda item: item[1].count)
         same = (lens.width, lens.height) == (mapped.lens.width, mapped.lens.height)
         scan_lens = mapped.lens if same and stated in (None, scan_intrinsics) else None
-        links = work.links(group, still, mapped)
+        links = work.links(group, (still,), mapped)
         choice = choose_view_lens(links, best, stated, scan_lens, seed=work.seed)
         figures |= {"lens": choice.model, "lens_gain": choice.gain, "lens_significance": choice.significance}
         lens, focal_known = choice.lens, True
@@ -90,30 +89,21 @@ def place_fixed_camera(
     used, reason = _choose(name, found)
     best = found[used[0]]
     if len(used) == 2:
-        best = (
-            resect(_links(work, mapped, group, used), lens, focal_known=focal_known, seed=work.seed) or best
-        )
+        best = resect(work.links(group, used, mapped), lens, focal_known=focal_known, seed=work.seed) or best
     camera = best.camera_recon
     figures |= {f"{still}_inliers": placed.count for still, placed in found.items()}
     figures |= {"used": list(used), "reason": reason}
     if len(found) == 2:
-        apart = agree(found["first"], found["median"])
-        figures |= {"disagreement_deg": apart.angle_deg, "disagreement_share": apart.distance_share}
-    return FixedCamera(camera_recon=camera, lens=lens, figures=figures)
-
-
-def _links(work: Workspace, mapped: SparseModel, group: str, stills: tuple[str, ...]) -> Links:
-    first, *others = (work.links(group, still, mapped) for still in stills)
-    for other in others:
-        first = first.with_links(other)
-    return first
+        angle_deg, share = difference(found["first"], found["median"])
+        figures |= {"disagreement_deg": angle_deg, "disagreement_share": share}
+    return PlacedCamera(camera_recon=camera, lens=lens, figures=figures)
 
 
 def _to_fixed_camera(
     work: Workspace, mapped: SparseModel, group: str, lens: Lens, *, focal_known: bool
 ) -> dict[str, Resection]:
     found = {
-        still: resect(work.links(group, still, mapped), lens, focal_known=focal_known, seed=work.seed)
+        still: resect(work.links(group, (still,), mapped), lens, focal_known=focal_known, seed=work.seed)
         for still in STILLS
     }
     return {still: placed for still, placed in found.items() if placed is not None}
@@ -139,15 +129,15 @@ def _choose(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], st
     if len(held) == 1:
         return tuple(held), "the other still could not be placed"
     first, median = held["first"], held["median"]
-    apart = agree(first, median)
-    if apart.angle_deg <= SAME_ANGLE_DEG and apart.distance_share <= SAME_DISTANCE_SHARE:
+    angle_deg, share = difference(first, median)
+    if angle_deg <= SAME_ANGLE_DEG and share <= SAME_DISTANCE_SHARE:
         return STILLS, "first frame and temporal median agree"
     more, fewer = ("first", "median") if first.count >= median.count else ("median", "first")
     if not held[more].count >= CLEAR_MAJORITY * held[fewer].count:
         raise ReconstructionError(
             where,
-            f"first frame and temporal median place it {apart.angle_deg:.1f} deg and "
-            f"{apart.distance_share:.0%} of its distance apart, with {first.count} and {median.count} "
+            f"first frame and temporal median place it {angle_deg:.1f} deg and "
+            f"{share:.0%} of its distance apart, with {first.count} and {median.count} "
             "matches, so neither can be trusted",
             f"check that the camera did not move; {remedy}",
         )

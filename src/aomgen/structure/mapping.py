@@ -13,9 +13,8 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
-from aomgen.structure.misregistration import Pair
 from aomgen.structure.resection import Links
-from aomgen.structure.sparse_model import SparseModel, adjust, lens_of, read_model, set_camera
+from aomgen.structure.sparse_model import Pair, SparseModel, adjust, lens_of, read_model, set_camera
 
 # Twice the error that verified matches may have: a lens that bends the border by more costs some.
 MAX_SHIFT_PX = 8.0
@@ -215,25 +214,25 @@ class Workspace:
                 )
         return result
 
-    def links(self, group: str, still: str, mapped: SparseModel) -> Links:
-        """Pixels of a still, as photographed, and the scan's points they were matched to."""
-        file = self._files[group][still]
-        features, points = [], []
+    def links(self, group: str, stills: tuple[str, ...], mapped: SparseModel) -> Links:
+        """Pixels of stills of one camera, as photographed, and the scan's points they were matched to."""
+        pixels: list[Array] = [np.zeros((0, 2))]
+        points: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
         with pycolmap.Database.open(self.database) as database:
             ids = {image.name: image.image_id for image in database.read_all_images()}
-            pixels = _pixels(database, ids[file])
-            for name, point_of_feature in mapped.point_of_feature.items():
-                other = ids[self._files["scan"][name]]
-                if not database.exists_two_view_geometry(ids[file], other):
-                    continue
-                matches = database.read_two_view_geometry(ids[file], other).inlier_matches
-                if len(matches):
-                    features.append(matches[:, 0])
-                    points.append(point_of_feature[matches[:, 1]])
-        feature = np.concatenate(features) if features else np.zeros(0, np.int64)
-        point = np.concatenate(points) if points else np.zeros(0, np.int64)
-        pairs = np.unique(np.stack([feature, point], 1)[point >= 0].astype(np.int64), axis=0)
-        return Links(pixels=pixels[pairs[:, 0]], points_recon=mapped.points_recon[pairs[:, 1]])
+            for still in stills:
+                own = ids[self._files[group][still]]
+                pairs: list[NDArray[np.int64]] = [np.zeros((0, 2), np.int64)]
+                for name, point_of_feature in mapped.point_of_feature.items():
+                    other = ids[self._files["scan"][name]]
+                    if database.exists_two_view_geometry(own, other):
+                        matches = database.read_two_view_geometry(own, other).inlier_matches.astype(np.int64)
+                        pairs.append(np.stack([matches[:, 0], point_of_feature[matches[:, 1]]], 1))
+                known = np.concatenate(pairs)
+                known = np.unique(known[known[:, 1] >= 0], axis=0)
+                pixels.append(_pixels(database, own)[known[:, 0]])
+                points.append(known[:, 1])
+        return Links(pixels=np.concatenate(pixels), points_recon=mapped.points_recon[np.concatenate(points)])
 
     def _mapper_options(self, group: str) -> pycolmap.IncrementalPipelineOptions:
         options = pycolmap.IncrementalPipelineOptions(num_threads=self.threads, random_seed=self.seed)

@@ -1,14 +1,81 @@
-"""Rejection of misregistered images: groups first, then every image by itself."""
+"""Rejection of images that registered at a wrong pose: groups first, then every image by itself.
+
+A mapper accepts an image when enough of its matches agree with each other; with the same print on
+several cartons a wrong place can gather enough. Two-view geometry is evidence the mapper did not
+use up: at the true pose nearly all verified matches of nearly all pairs are consistent with the
+epipolar geometry of the poses, at a wrong pose most pairs contradict it. A group at a wrong place agrees
+with itself, so that no image of it stands out alone; between it and the rest there are matches that contradict
+the poses, and images that stand side by side by their poses and yet have nothing in common.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aomgen.core.transforms import apply, invert
-from aomgen.structure.clusters import Views, wrong_groups
+from aomgen.core.transforms import apply, invert, skew
+from aomgen.core.values import Array
 from aomgen.structure.mapping import Workspace
-from aomgen.structure.misregistration import check_registration
-from aomgen.structure.sparse_model import SparseModel
+from aomgen.structure.sparse_model import Pair, SparseModel
+
+# Repeated prints and plain texture give false pairs of up to about this many "verified" matches
+# (measured: 15 to 33 where true neighbours have 40 to 500); only what is above counts as evidence.
+FALSE_MATCHES = 35
+# Matches from which a pair is a test at all: COLMAP verifies a pair from 15 inliers on.
+MIN_MATCHES = 15
+# Epipolar error of a match that agrees, [px]: the default error of COLMAP's two-view geometry.
+MAX_ERROR_PX = 4.0
+# Share of its matches that must agree with an image: the majority.
+MIN_SHARE = 0.5
+# Two images this near are seen by a feature from the same side (SIFT holds to about 30 degrees):
+# distance of their centres as a share of the depth, and angle between their viewing directions.
+NEAR_SHARE = 0.2
+# SIFT descriptors match reliably within this angle, [deg].
+NEAR_ANGLE_DEG = 15.0
+# Candidate splits: leading eigenvectors of the evidence.
+SPLITS = 6
+# Matches that moved no farther than this come from the same place, [px].
+SAME_PX = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Views:
+    """Poses of the registered images.
+
+    Attributes:
+        Ts_recon_cam: Pose (4, 4) by image name.
+        depths: Median depth of the points that an image shows, by image name.
+        K: Intrinsics (3, 3), [px].
+    """
+
+    Ts_recon_cam: dict[str, Array]
+    depths: dict[str, float]
+    K: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agreement:
+    """How well an image's pose fits its matches.
+
+    Attributes:
+        share: Weighted share of verified matches that fit the poses, 0..1.
+        pairs: Pairs that had a say.
+    """
+
+    share: float
+    pairs: int
+
+    @property
+    def accepted(self) -> bool:
+        """At least half of the evidence supports the pose."""
+        return self.pairs > 0 and self.share >= MIN_SHARE
+
+    @property
+    def reason(self) -> str:
+        """One sentence for the report."""
+        if not self.pairs:
+            return f"no other image shares {MIN_MATCHES} verified matches with it"
+        return f"misregistered: {self.share:.0%} of its matches in {self.pairs} pairs fit its pose"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,3 +134,170 @@ def _depths(mapped: SparseModel) -> dict[str, float]:
         points_cam = apply(invert(T_recon_cam), mapped.points_recon[points[points >= 0]])
         depths[name] = float(np.median(points_cam[:, 2])) if len(points_cam) else 0.0
     return depths
+
+
+def wrong_groups(views: Views, pairs: list[Pair]) -> list[set[str]]:
+    """Groups of images that the rest contradicts more than it supports; the larger side is kept.
+
+    Args:
+        views: Registered images.
+        pairs: Every pair that was tried, with its verified matches or with none.
+
+    Not checked: a wrong group that shares no view with the rest, nor stands where the rest stands.
+    """
+    names = sorted(views.Ts_recon_cam)
+    evidence = _evidence(names, views, pairs)
+    alive = np.ones(len(names), bool)
+    groups = []
+    while True:
+        rows = np.flatnonzero(alive)
+        split = _worst_split(evidence[np.ix_(rows, rows)])
+        if split is None:
+            return groups
+        smaller = split if split.sum() * 2 <= len(split) else ~split
+        groups.append({names[row] for row in rows[smaller]})
+        alive[rows[smaller]] = False
+
+
+def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
+    """Images that show nothing but what another one shows, and that other one.
+
+    Args:
+        pairs: Verified matches.
+        preferred: Of two equal images one of these stays.
+    """
+    found: dict[str, str] = {}
+    for pair in sorted(pairs, key=lambda pair: (pair.a, pair.b)):
+        if pair.a in found or pair.b in found or len(pair.pixels_a) <= FALSE_MATCHES:
+            continue
+        moved = np.linalg.norm(pair.pixels_a - pair.pixels_b, axis=1)
+        if np.percentile(moved, 90) <= SAME_PX:
+            first, second = sorted((pair.a, pair.b))
+            if second in preferred and first not in preferred:
+                first, second = second, first
+            found[second] = first
+    return found
+
+
+def _evidence(names: list[str], views: Views, pairs: list[Pair]) -> Array:
+    """Symmetric (N, N): matches in favor of two images' poses, less those against them."""
+    order = {name: index for index, name in enumerate(names)}
+    known = [pair for pair in pairs if pair.a in order and pair.b in order]
+    counts = np.zeros((len(names), len(names)))
+    for pair in known:
+        counts[order[pair.a], order[pair.b]] = counts[order[pair.b], order[pair.a]] = len(pair.pixels_a)
+    # What an image shares with its third best partner: what it should share with one beside it.
+    usual = np.sort(counts, axis=1)[:, -3] if len(names) > 3 else np.zeros(len(names))
+    evidence = np.zeros_like(counts)
+    for pair in known:
+        i, j, count = order[pair.a], order[pair.b], len(pair.pixels_a)
+        T_a, T_b = views.Ts_recon_cam[pair.a], views.Ts_recon_cam[pair.b]
+        if count >= MIN_MATCHES:
+            errors = epipolar_errors_px(pair, T_a, T_b, views.K)
+            share = float((errors <= MAX_ERROR_PX).mean())
+            value = max(count - FALSE_MATCHES, 0) * (share - MIN_SHARE)
+        elif _near(T_a, T_b, min(views.depths[pair.a], views.depths[pair.b])):
+            value = -MIN_SHARE * max(0.5 * min(usual[i], usual[j]) - FALSE_MATCHES, 0)
+        else:
+            value = 0.0
+        evidence[i, j] = evidence[j, i] = value
+    return evidence
+
+
+def _near(T_recon_a: Array, T_recon_b: Array, depth: float) -> bool:
+    cosine = float(T_recon_a[:3, 2] @ T_recon_b[:3, 2])
+    distance = float(np.linalg.norm(T_recon_a[:3, 3] - T_recon_b[:3, 3]))
+    return distance <= NEAR_SHARE * depth and cosine >= np.cos(np.radians(NEAR_ANGLE_DEG))
+
+
+def _worst_split(evidence: Array) -> NDArray[np.bool_] | None:
+    """The split (N,) with most evidence against its cut, or None when all cuts are supported.
+
+    Source: the leading eigenvectors solve the relaxed problem max s^T E s over s = +-1 (as for
+    modularity, Newman 2006, doi:10.1073/pnas.0601602103); single images are then moved to the side
+    that supports them.
+    """
+    if len(evidence) < 2:
+        return None
+    _, vectors = np.linalg.eigh(evidence)
+    best, worst = None, 0.0
+    for vector in vectors[:, ::-1][:, :SPLITS].T:
+        side = _converge_signs(evidence, np.where(vector >= 0, 1.0, -1.0))
+        cut = float(evidence[np.ix_(side > 0, side < 0)].sum())
+        if cut < worst:
+            best, worst = side > 0, cut
+    return best
+
+
+def _converge_signs(evidence: Array, side: Array) -> Array:
+    for _ in range(4 * len(side)):
+        gain = side * (evidence @ side)
+        move = int(np.argmin(gain))
+        if gain[move] >= 0:
+            break
+        side = side.copy()
+        side[move] = -side[move]
+    return side
+
+
+def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array) -> Array:
+    """Sampson distance (M,) of matched pixels under two poses, [px].
+
+    Source: Hartley & Zisserman, Multiple View Geometry, eq. 11.9.
+    """
+    T_b_a = np.linalg.inv(T_recon_b) @ T_recon_a
+    K_inverse = np.linalg.inv(K)
+    F = K_inverse.T @ skew(T_b_a[:3, 3]) @ T_b_a[:3, :3] @ K_inverse
+    a = np.concatenate([pair.pixels_a, np.ones((len(pair.pixels_a), 1))], 1).astype(np.float64)
+    b = np.concatenate([pair.pixels_b, np.ones((len(pair.pixels_b), 1))], 1).astype(np.float64)
+    lines_b, lines_a = a @ F.T, b @ F
+    numerator = np.abs((b * lines_b).sum(1))
+    gradient = np.sqrt((lines_a[:, :2] ** 2).sum(1) + (lines_b[:, :2] ** 2).sum(1))
+    return numerator / np.maximum(gradient, 1e-12)
+
+
+def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
+    """Check every registered image by the verified matches it has with the accepted ones.
+
+    The worst image is dropped first and the rest checked again without it, so that a wrong image
+    does not drag its neighbours down.
+
+    Args:
+        Ts_recon_cam: Pose (4, 4) by image name.
+        K: Intrinsics (3, 3), [px].
+        pairs: Verified matches; pairs with unregistered images are ignored.
+
+    Returns:
+        Agreement by image name; those not `accepted` should be dropped.
+
+    Not checked: a group of images that is wrong as a whole and agrees with itself; the largest
+    group wins.
+    """
+    shares = {}
+    for pair in pairs:
+        if pair.a in Ts_recon_cam and pair.b in Ts_recon_cam and len(pair.pixels_a) >= MIN_MATCHES:
+            errors = epipolar_errors_px(pair, Ts_recon_cam[pair.a], Ts_recon_cam[pair.b], K)
+            shares[pair.a, pair.b] = (float((errors <= MAX_ERROR_PX).mean()), len(errors))
+    verdicts: dict[str, Agreement] = {}
+    alive = set(Ts_recon_cam)
+    while alive:
+        current = {name: _agreement(name, alive, shares) for name in sorted(alive)}
+        worst = min(current, key=lambda name: current[name].share)
+        if current[worst].accepted:
+            return verdicts | current
+        verdicts[worst] = current[worst]
+        alive.remove(worst)
+    return verdicts
+
+
+def _agreement(name: str, alive: set[str], shares: dict[tuple[str, str], tuple[float, int]]) -> Agreement:
+    own = [
+        value for (a, b), value in shares.items() if (a == name and b in alive) or (b == name and a in alive)
+    ]
+    if not own:
+        return Agreement(share=0.0, pairs=0)
+    counts = np.array([count for _, count in own])
+    weights = np.maximum(counts - FALSE_MATCHES, 0)
+    if not weights.any():
+        weights = counts
+    return Agreement(share=float(np.average([share for share, _ in own], weights=weights)), pairs=len(own))

@@ -54,22 +54,21 @@ def measure_prompt_visibility(
 
     Not checked: occlusion.
     """
-    names = list(cameras_recon)
+    names, cameras = list(cameras_recon), list(cameras_recon.values())
     found = []
     for prompt in prompts:
-        if prompt.image not in cameras_recon:
-            found.append(
-                PromptVisibility(
-                    part=prompt.part, image=prompt.image, registered=False, views=0, angle_deg=0.0
-                )
-            )
-            continue
-        seen = observations[observations[:, 1] == names.index(prompt.image), 0]
-        place = _place(prompt, cameras_recon[prompt.image], points_recon[seen])
-        views, angle_deg = (0, 0.0) if place is None else _views(place, list(cameras_recon.values()))
+        registered, views, angle_deg = prompt.image in cameras_recon, 0, 0.0
+        if registered:
+            seen = observations[observations[:, 1] == names.index(prompt.image), 0]
+            place = _place(prompt, cameras_recon[prompt.image], points_recon[seen])
+            views, angle_deg = (0, 0.0) if place is None else _views(place, cameras)
         found.append(
             PromptVisibility(
-                part=prompt.part, image=prompt.image, registered=True, views=views, angle_deg=angle_deg
+                part=prompt.part,
+                image=prompt.image,
+                registered=registered,
+                views=views,
+                angle_deg=angle_deg,
             )
         )
     return found

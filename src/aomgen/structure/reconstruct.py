@@ -12,17 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.core.structure import Figures, Structure
 from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image
-from aomgen.structure.clusters import duplicates
-from aomgen.structure.fixed_cameras import DemoView, FixedCamera, place_fixed_camera
+from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_camera
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import ImageSet, Workspace
-from aomgen.structure.outlier_rejection import InlierModel, is_better, reject_outliers
+from aomgen.structure.outlier_rejection import InlierModel, duplicates, is_better, reject_outliers
 from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage
 from aomgen.structure.sparse_model import SparseModel
 from aomgen.structure.undistortion import undistort_prompts
@@ -210,22 +208,12 @@ def _gate(count: int, inliers: InlierModel) -> None:
 
 
 def _structure(
-    names: list[str], inliers: InlierModel, placed: dict[str, FixedCamera], figures: Figures
+    names: list[str], inliers: InlierModel, placed: dict[str, PlacedCamera], figures: Figures
 ) -> Structure:
     mapped = inliers.mapped
-    undistorted, lens = mapped.lens.straight(), mapped.lens
+    lens = mapped.lens
     cameras = {
-        name: Camera(
-            fx=undistorted.fx,
-            fy=undistorted.fy,
-            cx=undistorted.cx,
-            cy=undistorted.cy,
-            width=undistorted.width,
-            height=undistorted.height,
-            T_world_cam=mapped.Ts_recon_cam[name],
-        )
-        for name in names
-        if name in mapped.Ts_recon_cam
+        name: lens.pinhole_camera(mapped.Ts_recon_cam[name]) for name in names if name in mapped.Ts_recon_cam
     }
     dropped = {
         name: inliers.dropped.get(name, "not registered: too few matches to the other images")

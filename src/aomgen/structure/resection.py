@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
-from aomgen.core.transforms import invert, rotvec_from_matrix
+from aomgen.core.transforms import rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.structure.lens_choice import (
     MIN_SIGNIFICANCE,
@@ -18,7 +18,7 @@ from aomgen.structure.lens_choice import (
     compare,
     lean_on_stated,
 )
-from aomgen.structure.sparse_model import LensModel, free_lens, lens_of, set_camera
+from aomgen.structure.sparse_model import LensModel, T_recon_cam, free_lens, lens_of, set_camera
 
 # Matches that must agree on a camera: twice what COLMAP asks of a pair, as one view carries it alone.
 MIN_INLIERS = 30
@@ -36,13 +36,6 @@ class Links:
 
     pixels: Array
     points_recon: Array
-
-    def with_links(self, other: "Links") -> "Links":
-        """Both: two stills of one camera."""
-        return Links(
-            pixels=np.concatenate([self.pixels, other.pixels]),
-            points_recon=np.concatenate([self.points_recon, other.points_recon]),
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,14 +59,6 @@ class Resection:
     def count(self) -> int:
         """Number of matches that fit."""
         return int(self.inliers.sum())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
-    """How far two placements are apart; `distance_share` is relative to the scene's depth."""
-
-    angle_deg: float
-    distance_share: float
 
 
 def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resection | None:
@@ -107,15 +92,8 @@ def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resecti
     )
     if found is None or found["num_inliers"] < MIN_INLIERS:
         return None
-    optics, inliers = lens_of(camera), np.asarray(found["inlier_mask"], bool)
-    placed = Camera(
-        fx=optics.fx,
-        fy=optics.fy,
-        cx=optics.cx,
-        cy=optics.cy,
-        T_world_cam=_T_recon_cam(found["cam_from_world"]),
-        **size,
-    )
+    inliers = np.asarray(found["inlier_mask"], bool)
+    placed = lens_of(camera).pinhole_camera(T_recon_cam(found["cam_from_world"]))
     low, high = np.percentile(pixels[inliers], [5, 95], axis=0)
     return Resection(
         camera_recon=placed,
@@ -125,14 +103,11 @@ def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resecti
     )
 
 
-def agree(a: Resection, b: Resection) -> Difference:
-    """Rotation and relative distance between two placements of the same camera."""
+def difference(a: Resection, b: Resection) -> tuple[float, float]:
+    """Rotation [deg] between two placements of a camera, and their distance as a share of the scene's depth."""
     turn = rotvec_from_matrix(a.camera_recon.T_world_cam[:3, :3].T @ b.camera_recon.T_world_cam[:3, :3])
     distance = np.linalg.norm(a.camera_recon.center - b.camera_recon.center)
-    return Difference(
-        angle_deg=float(np.degrees(np.linalg.norm(turn))),
-        distance_share=float(distance / min(a.depth, b.depth)),
-    )
+    return float(np.degrees(np.linalg.norm(turn))), float(distance / min(a.depth, b.depth))
 
 
 def choose_view_lens(
@@ -150,7 +125,7 @@ def choose_view_lens(
     The matches are told inliers under the richest lens, because a pinhole drops those near the border.
     """
     start = placed.camera_recon
-    plain = _pinhole(start) if stated is None or stated.distortion is None else stated_lens(stated, start)
+    plain = _plain_lens(stated, start)
     inliers = placed.inliers
     for _ in range(LENS_ROUNDS):
         inliers = (
@@ -183,16 +158,22 @@ def choose_view_lens(
     return LensChoice(lens=lens, model=chosen, gain=gain, significance=significance)
 
 
-def stated_lens(stated: Intrinsics, size: Camera) -> Lens:
-    """Stated optics, for images of a camera's size."""
-    k1, k2, p1, p2 = stated.distortion or (0.0, 0.0, 0.0, 0.0)
-    optics = {"fx": stated.fx, "fy": stated.fy, "cx": stated.cx, "cy": stated.cy}
-    return Lens(**optics, width=size.width, height=size.height, k1=k1, k2=k2, p1=p1, p2=p2)
-
-
-def _pinhole(camera: Camera) -> Lens:
-    optics = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
-    return Lens(**optics, width=camera.width, height=camera.height)
+def _plain_lens(stated: Intrinsics | None, camera: Camera) -> Lens:
+    """Stated optics where they have a distortion, else the pinhole of a camera."""
+    optics = camera if stated is None or stated.distortion is None else stated
+    k1, k2, p1, p2 = (stated and stated.distortion) or (0.0, 0.0, 0.0, 0.0)
+    return Lens(
+        fx=optics.fx,
+        fy=optics.fy,
+        cx=optics.cx,
+        cy=optics.cy,
+        width=camera.width,
+        height=camera.height,
+        k1=k1,
+        k2=k2,
+        p1=p1,
+        p2=p2,
+    )
 
 
 def _refine_camera(
@@ -214,17 +195,11 @@ def _refine_camera(
     )
     if found is None:
         return lens, start.T_world_cam
-    return lens_of(camera), _T_recon_cam(found["cam_from_world"])
+    return lens_of(camera), T_recon_cam(found["cam_from_world"])
 
 
-def _squared_errors(links: Links, lens: Lens, T_recon_cam: Array) -> Array:
-    points_cam = (links.points_recon - T_recon_cam[:3, 3]) @ T_recon_cam[:3, :3]
+def _squared_errors(links: Links, lens: Lens, T: Array) -> Array:
+    points_cam = (links.points_recon - T[:3, 3]) @ T[:3, :3]
     depths = np.where(np.abs(points_cam[:, 2:]) < 1e-9, 1e-9, points_cam[:, 2:])
     errors = ((lens.pixels(points_cam[:, :2] / depths) - links.pixels) ** 2).sum(1)
     return np.where(depths[:, 0] > 0, errors, np.inf)
-
-
-def _T_recon_cam(cam_from_recon: pycolmap.Rigid3d) -> Array:
-    T_cam_recon = np.eye(4)
-    T_cam_recon[:3] = cam_from_recon.matrix()
-    return invert(T_cam_recon)

@@ -46,8 +46,22 @@ class SparseModel:
     @property
     def K(self) -> Array:
         """Intrinsics (3, 3) of the undistorted scan images, [px]."""
-        straight = self.lens.straight()
-        return np.array([[straight.fx, 0, straight.cx], [0, straight.fy, straight.cy], [0, 0, 1.0]])
+        return self.lens.pinhole_camera(np.eye(4)).K
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Verified matches of two images.
+
+    Attributes:
+        a, b: Image names.
+        pixels_a, pixels_b: Matched pixels (M, 2).
+    """
+
+    a: str
+    b: str
+    pixels_a: Array
+    pixels_b: Array
 
 
 def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseModel:
@@ -59,7 +73,7 @@ def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseM
         if not image.has_pose:
             continue
         name = names[image.name]
-        poses[name] = T_recon_cam(image)
+        poses[name] = T_recon_cam(image.cam_from_world())
         point_of = [rows[p.point3D_id] if p.has_point3D() else -1 for p in image.points2D]
         features[name] = np.array(point_of, np.int64)
         observations += [(row, name) for row in sorted({row for row in point_of if row >= 0})]
@@ -74,10 +88,10 @@ def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseM
     )
 
 
-def T_recon_cam(image: pycolmap.Image) -> Array:
-    """Pose (4, 4) of a registered image."""
+def T_recon_cam(cam_from_recon: pycolmap.Rigid3d) -> Array:
+    """Pose (4, 4) of a placed camera."""
     T_cam_recon = np.eye(4)
-    T_cam_recon[:3] = image.cam_from_world().matrix()
+    T_cam_recon[:3] = cam_from_recon.matrix()
     return invert(T_cam_recon)
 
 

@@ -1,107 +1,76 @@
-"""Loading and saving of the structure stage."""
+"""Cameras and sparse points of the scan, fixed cameras in the same model. [paper 4.1]"""
 
-import io
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aomgen.core.camera import Camera
-from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress, part
-from aomgen.core.structure import Structure
-from aomgen.errors import MalformedFileError, MissingFileError
-from aomgen.io.atomic import write_bytes, write_json
-from aomgen.io.jsonfile import read_json
+from aomgen.core.recording import Capture
+from aomgen.core.structure import PinholeScan, Structure
+from aomgen.io.artifact import save_artifact
+from aomgen.io.video import Video
+from aomgen.results import Results
+from aomgen.structure.fixed_cameras import DemoView
 from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
-from aomgen.structure.undistortion import write_undistorted
+from aomgen.structure.undistortion import undistort_scan
+from aomgen.structure.video_frames import extract_frames
 
-CAMERAS_FILE = "structure.json"
-POINTS_FILE = "points.npz"
-
-
-def run_structure(
-    photographs: Photographs,
-    mask_folders: dict[str, Path],
-    folder: Path,
-    progress: Progress,
-    params: StructureParams | None = None,
-) -> Structure:
-    """Reconstruct (see `reconstruct_structure`) and write `structure.json`, `points.npz`.
-
-    When the scan is distorted, its images and masks are written undistorted as well.
-    """
-    structure = reconstruct_structure(photographs, params or StructureParams(), part(progress, 0.0, 0.97))
-    save_structure(structure, folder)
-    if structure.scan_lens is not None:
-        later = part(progress, 0.97, 1.0)
-        write_undistorted(photographs.images, mask_folders, structure.scan_lens, folder, later)
-    progress(1.0, "structure written")
-    return structure
+# The temporal median needs no more frames than this.
+MEDIAN_FRAMES = 48
 
 
-def save_structure(structure: Structure, folder: Path) -> None:
-    """Write a structure into a folder."""
-    write_json(
-        folder / CAMERAS_FILE,
-        {
-            "format": 1,
-            "cameras_recon": {name: _camera_json(c) for name, c in structure.cameras_recon.items()},
-            "demo_cameras_recon": {name: _camera_json(c) for name, c in structure.demo_cameras_recon.items()},
-            "scan_lens": None if structure.scan_lens is None else asdict(structure.scan_lens),
-            "demo_lenses": {name: asdict(lens) for name, lens in structure.demo_lenses.items()},
-            "dropped": structure.dropped,
-            "reprojection_error_px": structure.reprojection_error_px,
-            "figures": structure.figures,
-        },
+def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Reconstruct, and write the images of a pinhole camera where the recorded ones are none."""
+    capture = results.recorded
+    images = {path.name: path for path in capture.scan_images}
+    if capture.scan_video is not None:
+        prompted = {prompt.image for prompt in capture.prompts}
+        images = extract_frames(capture.scan_video, prompted, folder, part(progress, 0.0, 0.2))
+        progress = part(progress, 0.2, 1.0)
+    photographs = Photographs(
+        images=images,
+        intrinsics=capture.scan_intrinsics,
+        demo=_demo_views(capture, results.recorded_videos),
+        prompts=capture.prompts,
     )
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        points_recon=structure.points_recon,
-        colors_srgb=structure.colors_srgb,
-        observations=structure.observations,
+    found = reconstruct_structure(
+        photographs, results.params("structure", StructureParams()), part(progress, 0.0, 0.97)
     )
-    write_bytes(folder / POINTS_FILE, buffer.getvalue())
-
-
-def load_structure(folder: Path) -> Structure:
-    """Read what `save_structure` wrote.
-
-    Raises:
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
-    """
-    stored = read_json(folder / CAMERAS_FILE)
-    path = folder / POINTS_FILE
-    if not path.is_file():
-        raise MissingFileError(path, "is missing", "run the structure stage again")
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return Structure(
-                cameras_recon={name: Camera(**c) for name, c in sorted(stored["cameras_recon"].items())},
-                demo_cameras_recon={name: Camera(**c) for name, c in stored["demo_cameras_recon"].items()},
-                scan_lens=Lens(**stored["scan_lens"]) if stored.get("scan_lens") else None,
-                demo_lenses={name: Lens(**lens) for name, lens in stored.get("demo_lenses", {}).items()},
-                dropped=stored["dropped"],
-                points_recon=arrays["points_recon"],
-                colors_srgb=arrays["colors_srgb"],
-                observations=arrays["observations"],
-                reprojection_error_px=stored["reprojection_error_px"],
-                figures=stored["figures"],
-            )
-    except (ValueError, KeyError, TypeError, OSError) as error:
-        raise MalformedFileError(
-            path, f"does not hold a structure ({error})", "run the stage again"
-        ) from error
-
-
-def _camera_json(camera: Camera) -> dict[str, object]:
+    pinhole = _pinhole_scan(found, capture, images, folder, part(progress, 0.97, 1.0))
+    save_artifact(folder, "structure", replace(found, pinhole=pinhole))
     return {
-        "fx": float(camera.fx),
-        "fy": float(camera.fy),
-        "cx": float(camera.cx),
-        "cy": float(camera.cy),
-        "width": int(camera.width),
-        "height": int(camera.height),
-        "T_world_cam": camera.T_world_cam.tolist(),
+        "registered": len(found.cameras_recon),
+        "of": len(images),
+        "reprojection_error_px": round(found.reprojection_error_px, 3),
+        "points": len(found.points_recon),
     }
+
+
+def _demo_views(capture: Capture, videos: dict[str, Video]) -> dict[str, DemoView]:
+    return {
+        camera.name: DemoView(
+            first_srgb=videos[camera.name].frames_srgb[0],
+            median_srgb=_median_frame(videos[camera.name]),
+            intrinsics=camera.intrinsics,
+        )
+        for camera in capture.cameras
+    }
+
+
+def _median_frame(video: Video) -> NDArray[np.uint8]:
+    step = max(1, len(video.times_s) // MEDIAN_FRAMES)
+    return np.median(video.frames_srgb[::step], axis=0).astype(np.uint8)
+
+
+def _pinhole_scan(
+    found: Structure, capture: Capture, images: dict[str, Path], folder: Path, progress: Progress
+) -> PinholeScan | None:
+    if found.scan_lens is not None:
+        return undistort_scan(images, capture, found.scan_lens, folder, progress)
+    if capture.scan_video is None:
+        return None
+    files = tuple(path.relative_to(folder).as_posix() for path in images.values())
+    return PinholeScan(images=files, masks=None, prompts=capture.prompts)

@@ -7,7 +7,8 @@ import numpy as np
 
 from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress
-from aomgen.core.recording import Prompt
+from aomgen.core.recording import Capture, Prompt
+from aomgen.core.structure import PinholeScan
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
 from aomgen.io.resampling import undistort_labels, undistorter
@@ -32,10 +33,12 @@ def undistort_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, 
     return tuple(prompt for prompt in undistorted if len(prompt.points) or len(prompt.box))
 
 
-def write_undistorted(
-    images: dict[str, Path], mask_folders: dict[str, Path], lens: Lens, folder: Path, progress: Progress
-) -> None:
+def undistort_scan(
+    images: dict[str, Path], capture: Capture, lens: Lens, folder: Path, progress: Progress
+) -> PinholeScan:
     """Write undistorted copies of scan images and their masks below `folder`, names kept.
+
+    Masks of other images or of another size are left out.
 
     Raises:
         InputError: An image or mask cannot be read.
@@ -49,12 +52,19 @@ def write_undistorted(
         data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)
         write_bytes(folder / IMAGES_FOLDER / name, data)
     stems = {Path(name).stem for name in images}
-    for masks, source in sorted(mask_folders.items()):
+    written = {}
+    for masks, source in sorted(capture.mask_folders.items()):
         for path in sorted(source.glob("*.png")):
             labels = read_labels(path)
             if path.stem in stems and labels.shape == (lens.height, lens.width):
                 labels = undistort_labels(labels, lens)
                 write_bytes(folder / MASKS_FOLDER / masks / path.name, encode_png(labels))
+                written[masks] = f"{MASKS_FOLDER}/{masks}"
+    return PinholeScan(
+        images=tuple(f"{IMAGES_FOLDER}/{name}" for name in images),
+        masks=written,
+        prompts=undistort_prompts(capture.prompts, lens),
+    )
 
 
 def _undistort(prompt: Prompt, lens: Lens) -> Prompt:

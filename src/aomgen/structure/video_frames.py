@@ -95,7 +95,7 @@ def extract_frames(
     """
     params = params or FrameParams()
     if (folder / LISTING).is_file():
-        return find_extracted_frames(folder)
+        return _paths(folder, [int(index) for index in read_json(folder / LISTING)["frames"]])
     candidates = list(_candidates(video, part(progress, 0.0, 0.5)))
     chosen = choose_frames(candidates, params)
     if not len(chosen) >= params.min_frames:
@@ -114,15 +114,6 @@ def extract_frames(
             write_image(folder / FRAMES_FOLDER / frame_name(index), _rgb(frame))
     write_json(folder / LISTING, {"frames": sorted(wanted), "of": total, "looked_at": len(candidates)})
     return _paths(folder, sorted(wanted))
-
-
-def find_extracted_frames(folder: Path) -> dict[str, Path]:
-    """What `extract_frames` wrote into a stage's folder: path by name, in the order of time.
-
-    Raises:
-        MissingFileError, MalformedFileError: It has not finished there.
-    """
-    return _paths(folder, [int(index) for index in read_json(folder / LISTING)["frames"]])
 
 
 def choose_frames(candidates: list[Candidate], params: FrameParams) -> list[int]:

@@ -1,5 +1,6 @@
 """Synthetic recordings as capture folders, with `truth/` (see CAPTURE_FORMAT)."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -7,17 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from aomgen.assets.archive import save_asset
 from aomgen.conventions import PART_LABELS
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.joint_log import JointLog
-from aomgen.core.robot_choice import HandChoice
 from aomgen.core.values import Array
+from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_bytes, write_json, write_text
 from aomgen.io.images import encode_jpeg, encode_png
 from aomgen.io.video import encode_video
-from aomgen.synthetic.capture_content import Recording
+from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.demo_video import RecordedVideo
+from aomgen.synthetic.demonstration_search import Performance
 from aomgen.synthetic.style import MOVED
 
 CAMERA = "front"
@@ -27,12 +29,30 @@ VERBS = {"opening": "open", "closing": "close"}
 MOVED_TEXT = {"revolute": "0.5 degrees", "prismatic": "2 mm"}
 
 
-def write_recording(folder: Path, recording: Recording, robot: str, hand: HandChoice) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """Everything a synthetic capture holds.
+
+    Attributes:
+        scan_cameras, scan_images, scan_labels: One entry a still; images (H, W, 3), labels (H, W).
+        video: Of the fixed camera, with the joint log.
+    """
+
+    name: str
+    category: str
+    performance: Performance
+    scan_cameras: list[Camera]
+    scan_images: list[NDArray[np.uint8]]
+    scan_labels: list[NDArray[np.uint8]]
+    video: RecordedVideo
+    conditions: Conditions
+
+
+def write_recording(folder: Path, recording: Recording, robot: str) -> None:
     """Write capture.toml, scan, video and joint log.
 
     Args:
         robot: The line of capture.toml that names the robot.
-        hand: What its file does not tell.
 
     Raises:
         StorageError: The disk refuses.
@@ -44,11 +64,11 @@ def write_recording(folder: Path, recording: Recording, robot: str, hand: HandCh
         encode_video(recording.video.frames, recording.conditions.fps, crf=17),
     )
     write_text(folder / "demo" / "joints.csv", joints_csv(recording.video.schedule.log))
-    write_text(folder / "capture.toml", _capture_toml(recording, robot, hand))
+    write_text(folder / "capture.toml", _capture_toml(recording, robot))
 
 
 def write_truth(folder: Path, recording: Recording) -> None:
-    """Write truth.json, label images and the asset itself (`asset.npz`).
+    """Write truth.json, label images and the asset itself (`asset.json` and `.npz`).
 
     Raises:
         StorageError: The disk refuses.
@@ -56,7 +76,7 @@ def write_truth(folder: Path, recording: Recording) -> None:
     for name, labels in (("scan", recording.scan_labels), (CAMERA, recording.video.labels)):
         for number, image in enumerate(labels):
             write_bytes(folder / "masks" / name / f"{number:04d}.png", encode_png(image))
-    save_asset(recording.performance.layout.asset, folder / "asset.npz")
+    save_artifact(folder, "asset", recording.performance.layout.asset)
     write_json(folder / "truth.json", _answers(recording))
 
 
@@ -89,7 +109,7 @@ def _answers(recording: Recording) -> dict[str, Any]:
         "contacts": contacts,
         "contacts_rule": "contacts of the hand with the moving part; normal from the hand into the part, force its component [N]",
         "clock_offset_s": recording.video.schedule.clock_offset_s,
-        "object": {"asset": "asset.npz", "T_world_object": layout.T_world_object, "scale": 1.0, "value": performance.style.start},
+        "object": {"asset": "asset.json", "T_world_object": layout.T_world_object, "scale": 1.0, "value": performance.style.start},
         "qpos": demonstration.joints[steps],
         "gripper": demonstration.gripper[steps],
         "Ts_world_moving": Ts_world_moving,
@@ -114,7 +134,7 @@ def joints_csv(log: JointLog) -> str:
     return "\n".join(rows) + "\n"
 
 
-def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
+def _capture_toml(recording: Recording, robot: str) -> str:
     names = ", ".join(f'"{name}"' for name in recording.video.schedule.log.joint_names)
     lines = [
         "format = 1",
@@ -127,7 +147,6 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
         f"joints = [{names}]",
         'gripper = "gripper"',
         'scan_state = "first_row"',
-        *_hand_lines(hand),
         "",
         "[scan]",
         'images = "scan"',
@@ -152,20 +171,6 @@ def _capture_toml(recording: Recording, robot: str, hand: HandChoice) -> str:
 
 def _stated(recording: Recording, camera: Camera) -> list[str]:
     return [f"intrinsics = {_intrinsics(camera)}"] if recording.conditions.intrinsics_known else []
-
-
-def _hand_lines(hand: HandChoice) -> list[str]:
-    lines = []
-    for key, values in (("open", hand.open), ("closed", hand.closed)):
-        if values:
-            lines.append(
-                f"{key} = {{ " + ", ".join(f'"{name}" = {value}' for name, value in values.items()) + " }"
-            )
-    if hand.fingers:
-        lines.append(f"fingers = {list(hand.fingers)}".replace("'", '"'))
-    if hand.ee_site:
-        lines.append(f'ee_site = "{hand.ee_site}"')
-    return ["", "[robot.hand]", *lines] if lines else []
 
 
 def _clearest(labels: list[NDArray[np.uint8]], label: int) -> list[int]:

@@ -24,11 +24,10 @@ class CommandedTrajectory:
 
     Attributes:
         times_s: (T,), every CONTROL_STEP_S from 0.
-        joints: Desired joints (T, J), [rad].
-        gripper: Commanded closing (T,), 0..1.
+        joints: (T, J), [rad].
+        gripper: Closing (T,), 0..1.
         grip: Share of its force with which the hand closes.
-        theta_start: Joint value of the object at the beginning, [rad] or [m].
-        theta_goal: Joint value the object should reach, [rad] or [m].
+        theta_start, theta_goal: Joint value of the object before and, wanted, after, [rad] or [m].
         motion_s: Beginning and end of the commanded motion of the part.
         film_s: What may be recorded.
     """
@@ -50,17 +49,7 @@ class CommandedTrajectory:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhasePaths:
-    """The arm's joints (N, J) in each phase, and the gripper before and while it holds.
-
-    Attributes:
-        rest: (J,).
-        approach: From before the handle to it.
-        hold: While the hand takes hold.
-        motion: While the part moves.
-        release: While the hand lets go.
-        retreat: Away from the handle.
-        gripper: Closing while it reaches and while it holds, 0..1.
-    """
+    """The arm's joints at rest (J,) and in each phase (N, J); the gripper's closing while it reaches and holds, 0..1."""
 
     rest: Array
     approach: Array

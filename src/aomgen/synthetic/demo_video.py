@@ -13,11 +13,8 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demonstration_search import Performance
-from aomgen.synthetic.layout import build_world
+from aomgen.synthetic.demonstration_search import Performance, SimulatedDemonstration
 from aomgen.synthetic.scene_renderer import SceneRenderer, expose
-from aomgen.synthetic.simulated_demonstration import SimulatedDemonstration
-from aomgen.synthetic.viewpoints import demo_candidates
 
 # Rows of the joint log, [1/s]; a common rate of robot loggers.
 LOG_RATE_HZ = 100
@@ -33,11 +30,10 @@ SAME_STATE = 3e-5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSchedule:
-    """When the camera runs, and the robot's log.
+    """When the camera runs, and the robot's noisy log with a clock of its own.
 
     Attributes:
         steps: Simulation step of each frame.
-        log: Noisy joint log, own clock.
         clock_offset_s: Log time = video time + offset.
     """
 
@@ -48,37 +44,12 @@ class RecordingSchedule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedVideo:
-    """What the fixed camera recorded.
-
-    Attributes:
-        schedule: When.
-        camera: From where.
-        frames: Pictures (H, W, 3).
-        labels: Part labels (H, W) of each frame.
-    """
+    """What the fixed camera recorded: frames (H, W, 3), and the part labels (H, W) of each."""
 
     schedule: RecordingSchedule
     camera: Camera
     frames: list[NDArray[np.uint8]]
     labels: list[NDArray[np.uint8]]
-
-
-def record_video(
-    robot: RobotModel, performance: Performance, conditions: Conditions, rng: np.random.Generator
-) -> RecordedVideo:
-    """Record a performance without scanning the scene: all that motion-level benchmarks need.
-
-    Raises:
-        BackendError: No OpenGL driver works.
-    """
-    schedule = draw_schedule(robot, performance, conditions, rng)
-    world = build_world(robot, performance.layout, visual=True)
-    with SceneRenderer(robot, world, *conditions.size) as painter:
-        camera = choose_camera(
-            painter, demo_candidates(performance.layout, conditions, rng), performance.demonstration, schedule
-        )
-        frames, labels = render_frames(painter, camera, performance.demonstration, schedule, conditions, rng)
-    return RecordedVideo(schedule=schedule, camera=camera, frames=frames, labels=labels)
 
 
 def draw_schedule(

@@ -1,20 +1,19 @@
 """How the robot of a synthetic capture moves the object: grasp, joint path, what it may touch."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.transforms import matrix_from_rotvec, rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
+from aomgen.simulation.scene import Scene
 from aomgen.synthetic.commanded_trajectory import CommandedTrajectory, PhasePaths, time_phases
 from aomgen.synthetic.grasp import DemonstratedGrasp, compute_grasp_poses, draw_grasp_style
 from aomgen.synthetic.grasp_selection import choose_grasp, draw_usual_style
-from aomgen.synthetic.inverse_kinematics import ArmKinematics
-from aomgen.synthetic.layout import SceneLayout, World
+from aomgen.synthetic.layout import SceneLayout
 from aomgen.synthetic.style import DemonstrationStyle
 
 # The hand approaches on a straight line of this length, [m]: longer than fingers are.
@@ -26,19 +25,74 @@ AIR_M = 0.12
 KNOTS, REACH_KNOTS, SLACK_KNOTS = 40, 10, 4
 # Closing of the hand with which a pinch is checked, and how deep a pressing hand may seem to be, [m].
 PINCHING, PRESS_M = 0.6, 0.003
-# Different starts end in few different postures; the same one is not followed twice.
+# Different starts end in few different configurations; the same one is not followed twice.
 SAME_RAD = 0.02
 # Starts of the inverse kinematics that are tried before a layout is given up.
 SEEDS = 14
+# Damping of the least squares: small against squared lever arms of 0.1 to 1 m, large against rounding.
+DAMPING = 1e-4
+# Largest change of a joint in one step, [rad]: the linear model holds that far.
+MAX_STEP_RAD = 0.25
 # Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
-POSTURES = {
+CONFIGURATIONS = {
     "ur5e_2f85": ([-np.pi, -2.4, 0.8, -2.5, -2.6, -np.pi], [np.pi, -0.7, 2.5, 1.0, 2.6, np.pi]),
 }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IkSolution:
+    """Joints (J,), [rad] or [m], and what is left to the target: [m] and [rad]."""
+
+    joints: Array
+    position_error: float
+    rotation_error: float
+
+    @property
+    def exact(self) -> bool:
+        """Whether the target is met within 0.5 mm and 0.2 degrees."""
+        return self.position_error < 5e-4 and self.rotation_error < np.deg2rad(0.2)
+
+
+class ArmKinematics:
+    """Scratch kinematics of the arm inside a compiled model; not thread safe."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._model, self._data = scene.model, mujoco.MjData(scene.model)
+        self._arm, self._site = scene.arm, scene.ee_site
+        self._limits = scene.robot.joint_limits
+
+    def solve(self, T_world_ee: Array, start: Array, *, iterations: int = 60) -> IkSolution:
+        """Joints that bring the end effector site to a pose (4, 4), near `start` (J,)."""
+        joints = np.array(start, np.float64)
+        position, turn = self._errors(T_world_ee, joints)
+        for _ in range(iterations):
+            if np.linalg.norm(position) < 1e-5 and np.linalg.norm(turn) < 1e-5:
+                break
+            J = np.zeros((6, self._model.nv))
+            mujoco.mj_jacSite(self._model, self._data, J[:3], J[3:], self._site)
+            J = J[:, self._arm.dofs]
+            error = np.concatenate([position, turn])
+            step = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error)
+            step *= min(1.0, MAX_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
+            joints = np.clip(joints + step, self._limits[:, 0], self._limits[:, 1])
+            position, turn = self._errors(T_world_ee, joints)
+        return IkSolution(
+            joints=joints,
+            position_error=float(np.linalg.norm(position)),
+            rotation_error=float(np.linalg.norm(turn)),
+        )
+
+    def _errors(self, T_world_ee: Array, joints: Array) -> tuple[Array, Array]:
+        self._data.qpos[self._arm.qpos] = joints
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        R = self._data.site_xmat[self._site].reshape(3, 3)
+        position = T_world_ee[:3, 3] - self._data.site_xpos[self._site]
+        return position, rotvec_from_matrix(T_world_ee[:3, :3] @ R.T)
+
+
 def plan(
-    robot: RobotModel,
-    world: World,
+    scene: Scene,
     layout: SceneLayout,
     rng: np.random.Generator,
     style: DemonstrationStyle | None = None,
@@ -51,14 +105,14 @@ def plan(
     Checked: residuals, joint steps, contact of anything but the fingers with handle. Not
     checked: dynamics (see `demonstration.py`).
     """
-    asset = layout.asset
+    robot, asset = scene.robot, layout.asset
     style, grasp_style = (style, draw_grasp_style(rng, style)) if style else draw_usual_style(asset, rng)
-    grasp = choose_grasp(robot, world.model, asset, grasp_style, style)
+    grasp = choose_grasp(robot, scene.model, asset, grasp_style, style)
     if grasp is None:
         return None
-    arm = ArmKinematics(world.model, robot)
+    arm = ArmKinematics(scene)
     path = _hand_path(robot, layout, grasp, style)
-    low, high = POSTURES.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
+    low, high = CONFIGURATIONS.get(robot.name, np.clip(robot.joint_limits, -np.pi, np.pi).T)
     dead_ends: list[Array] = []
     for _ in range(SEEDS):
         start = rng.uniform(low, high)
@@ -75,7 +129,7 @@ def plan(
         if off is None or rest is None:
             continue
         way = _way(rest, to[::-1], motion, off, grasp)
-        if _is_free(robot, world, way, style):
+        if _is_free(scene, way, style):
             return style, time_phases(way, style)
     return None
 
@@ -129,24 +183,42 @@ def _way(rest: Array, to: Array, motion: Array, off: Array, grasp: DemonstratedG
     )
 
 
-def _is_free(robot: RobotModel, world: World, way: PhasePaths, style: DemonstrationStyle) -> bool:
+def _is_free(scene: Scene, way: PhasePaths, style: DemonstrationStyle) -> bool:
     """Whether the arm touches nothing on its way but, while it holds, the part with its hand."""
     still = style.outcome in ("touch", "nothing")
     values = np.linspace(style.start, style.start if still else style.goal, KNOTS)
     reach = way.rest + np.linspace(0, 1, 12)[:, None] * (way.approach[0] - way.rest)
-    away = _Free(robot, world, gripper=way.gripper[0], deepest=0.0)
-    pinching = style.touch == "pinch"
-    holding = _Free(
-        robot,
-        world,
-        gripper=max(PINCHING, way.gripper[0]) if pinching else way.gripper[1],
-        deepest=np.inf if pinching else PRESS_M,
-    )
+    away, held = way.gripper
+    held, deepest = (max(PINCHING, away), np.inf) if style.touch == "pinch" else (held, PRESS_M)
     return (
-        away.along([*reach, *way.approach], values[:1])
-        and away.along(way.retreat, values[-1:])
-        and holding.along(way.motion, values)
+        _is_path_free(scene, np.array([*reach, *way.approach]), away, values[:1])
+        and _is_path_free(scene, way.retreat, away, values[-1:])
+        and _is_path_free(scene, way.motion, held, values, deepest=deepest)
     )
+
+
+def _is_path_free(
+    scene: Scene, path: Array, gripper: float, values: ArrayLike, *, deepest: float = 0.0
+) -> bool:
+    """Whether the robot touches nothing along a path.
+
+    Args:
+        path: Joints (N, J), [rad].
+        gripper: Closing of the hand, 0..1.
+        values: Joint values of the part (N,), or one for all (1,).
+        deepest: So far the hand may reach into the moving part, [m].
+    """
+    roles, data = scene.roles, mujoco.MjData(scene.model)
+    for qpos in scene.qpos(path, gripper, values)[::2]:
+        data.qpos[:] = qpos
+        mujoco.mj_forward(scene.model, data)
+        (a, b), depth = data.contact.geom.T, -data.contact.dist
+        within = roles.gripper[a] & roles.gripper[b]
+        on_part = (roles.gripper[a] & roles.moving[b]) | (roles.moving[a] & roles.gripper[b])
+        allowed = np.where(roles.robot[a] & roles.robot[b], within, on_part & (depth < deepest))
+        if ((depth > 0) & (roles.robot[a] | roles.robot[b]) & ~allowed).any():
+            return False
+    return True
 
 
 def _shifted(T_world_ee: Array, way: Array) -> Array:
@@ -194,39 +266,3 @@ def _rest(
     if not reach.exact or np.abs(reach.joints - near).max() > 1.8:
         return None
     return reach.joints
-
-
-class _Free:
-    """Tells whether the arm touches nothing along a path."""
-
-    def __init__(self, robot: RobotModel, world: World, *, gripper: float, deepest: float) -> None:
-        """Down to `deepest`, [m], the hand may reach into the moving part."""
-        self._robot, self._model, self._gripper = robot, world.model, gripper
-        self._deepest = deepest
-        self._joint = world.names.joint
-        bodies = [world.model.body(b).name for b in world.model.geom_bodyid]
-        self._ours = np.array([name in robot.body_names for name in bodies])
-        self._hand = np.array([name in robot.hand_bodies for name in bodies])
-        self._part = np.array([name == world.names.moving_body for name in bodies])
-
-    def along(self, path: Sequence[Array] | Array, values: ArrayLike) -> bool:
-        """Joints (N, J) and the part's joint values (N,), or one for all."""
-        data = mujoco.MjData(self._model)
-        values = np.broadcast_to(np.asarray(values, np.float64), len(path))
-        size = len(self._robot.qpos(path[0], 0.0)[0])
-        for index in range(0, len(path), 2):
-            data.qpos[:size] = self._robot.qpos(path[index], self._gripper)[0]
-            data.joint(self._joint).qpos[0] = values[index]
-            mujoco.mj_forward(self._model, data)
-            pairs = zip(data.contact.geom, -data.contact.dist, strict=True)
-            if not all(self._allowed(int(a), int(b), depth) for (a, b), depth in pairs if depth > 0):
-                return False
-        return True
-
-    def _allowed(self, a: int, b: int, depth: float) -> bool:
-        if not (self._ours[a] or self._ours[b]):
-            return True
-        if self._ours[a] and self._ours[b]:
-            return bool(self._hand[a] and self._hand[b])
-        ours, other = (a, b) if self._ours[a] else (b, a)
-        return bool(self._hand[ours] and self._part[other] and depth < self._deepest)

@@ -2,17 +2,17 @@
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from aomgen.assets.asset_check import outward_normal
-from aomgen.assets.mjcf import AssetNames, add_asset
+from aomgen.assets.mjcf import add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.visuals import add_robot_visuals
+from aomgen.simulation.scene import Scene, describe_scene
 from aomgen.synthetic.room import FRONT_M, Room, add_room
 
 # How finely the robot is drawn, [m]: less than a pixel in these pictures.
@@ -113,15 +113,7 @@ def _footprint(asset: ArticulatedAsset, T_room_object: Array) -> tuple[float, fl
     return float(low[0]), float(high[0]), float(low[1]) - FRONT_M, float(high[1])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class World:
-    """A compiled layout: the model and the names of the object in it."""
-
-    model: mujoco.MjModel
-    names: AssetNames
-
-
-def build_world(robot: RobotModel, layout: SceneLayout, *, visual: bool) -> World:
+def build_world(robot: RobotModel, layout: SceneLayout, *, visual: bool) -> Scene:
     """Compile robot, room and object into one model; gravity of the arm is compensated.
 
     With and without `visual` the joints are the same, so that `qpos` carries over.
@@ -142,4 +134,4 @@ def build_world(robot: RobotModel, layout: SceneLayout, *, visual: bool) -> Worl
         spec.visual.headlight.diffuse = [0.0, 0.0, 0.0]
         spec.visual.headlight.specular = [0.0, 0.0, 0.0]
         spec.visual.map.znear = 0.01
-    return World(model=spec.compile(), names=names)
+    return describe_scene(spec.compile(), robot, layout.asset, names)

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from aomgen.assets.palette import WOODS
-from aomgen.assets.textures import WORDS, Texture, noise, tint, wood
+from aomgen.assets.procedural.builder import pick
+from aomgen.assets.procedural.textures import COLORS, WORDS, Texture, bar_code, draw_ink, noise, tint, wood
 
 
 def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Texture:
@@ -15,10 +15,10 @@ def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Tex
     for size in np.geomspace(0.35, 0.03, 46) * width:
         x, y = rng.uniform(0, width), rng.uniform(0, 0.85 * height)
         a, b = size * rng.uniform(0.4, 1.0, 2)
-        color = _color(rng)
+        color = draw_ink(rng)
         kind = rng.integers(4)
         if kind == 0:
-            draw.ellipse((x - a, y - b, x + a, y + b), fill=color, outline=_color(rng), width=2)
+            draw.ellipse((x - a, y - b, x + a, y + b), fill=color, outline=draw_ink(rng), width=2)
         elif kind == 1:
             draw.rectangle((x - a, y - b, x + a, y + b), fill=color)
         elif kind == 2:
@@ -51,11 +51,7 @@ def carton(rng: np.random.Generator, width: int = 320, height: int = 240) -> Tex
     )
     for row in range(4):
         _small_print(draw, rng, label_x + 8, label_y + 8 + 15 * row, 12)
-    x = label_x + 8
-    while x < label_x + 138:
-        bar = int(rng.integers(1, 5))
-        draw.rectangle((x, label_y + 70, x + bar, label_y + 88), fill=(10, 10, 10))
-        x += bar + int(rng.integers(2, 5))
+    bar_code(draw, rng, (label_x + 8, label_x + 138), (label_y + 70, label_y + 88), 5)
     name = f"{rng.choice(WORDS).upper()} {rng.integers(10, 99)}"
     at = (rng.uniform(0.05, 0.4) * width, rng.uniform(0.66, 0.8) * height)
     draw.text(at, name, fill=ink, font=ImageFont.load_default(int(rng.integers(26, 44))))
@@ -112,7 +108,7 @@ def checked(rng: np.random.Generator, size: int = 768) -> Texture:
 
 def planks(rng: np.random.Generator, size: int = 768) -> Texture:
     """A wooden board of another shade than the table's."""
-    return wood(rng, WOODS[rng.integers(len(WOODS))], size)
+    return wood(rng, pick(rng, COLORS["wood"]), size)
 
 
 def tiles(rng: np.random.Generator, size: int = 1024, count: int = 6) -> Texture:
@@ -140,11 +136,6 @@ def plaster(rng: np.random.Generator, size: int = 1024) -> Texture:
 def _smooth_colors(rng: np.random.Generator, width: int, height: int) -> NDArray[np.uint8]:
     small = rng.integers(30, 235, (4, 3, 3)).astype(np.uint8)
     return np.asarray(Image.fromarray(small).resize((width, height), Image.Resampling.BICUBIC))
-
-
-def _color(rng: np.random.Generator) -> tuple[int, int, int]:
-    r, g, b = (int(c) for c in rng.integers(15, 245, 3))
-    return r, g, b
 
 
 def _small_print(draw: ImageDraw.ImageDraw, rng: np.random.Generator, x: int, y: int, size: int) -> None:

@@ -7,11 +7,12 @@ import mujoco
 import numpy as np
 
 from aomgen.assets.mjcf import add_visual_mesh
-from aomgen.assets.shapes import Material, box, boxes_mesh, panel
-from aomgen.assets.textures import brushed_metal
+from aomgen.assets.procedural.shapes import Material, box, boxes_mesh, panel
+from aomgen.assets.procedural.textures import brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze
+from aomgen.simulation.scene import TABLE
 from aomgen.synthetic import printed_textures
 from aomgen.synthetic.tabletop_objects import (
     TabletopObject,
@@ -20,7 +21,6 @@ from aomgen.synthetic.tabletop_objects import (
     make_object_meshes,
 )
 
-TABLE_GEOM = "table"
 # Room for the gripper before an object, [m]; part of what is kept free.
 FRONT_M: Final = 0.25
 # Things beside an object lie within this distance of what is kept free, [m].
@@ -64,7 +64,7 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
     body = spec.worldbody.add_body(name="room", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
     x0, x1, y0, y1 = room.table
     body.add_geom(
-        name=TABLE_GEOM,
+        name=TABLE,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[(x0 + x1) / 2, (y0 + y1) / 2, room.table_z - 0.02],
         size=[(x1 - x0) / 2, (y1 - y0) / 2, 0.02],

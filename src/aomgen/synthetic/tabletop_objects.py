@@ -6,8 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.assets.shapes import AlignedBox, Material, box, boxes_mesh, dome, merge_meshes, panel, rod
-from aomgen.assets.textures import plastic, speckled
+from aomgen.assets.procedural.shapes import (
+    AlignedBox,
+    Material,
+    box,
+    boxes_mesh,
+    dome,
+    merge_meshes,
+    panel,
+    rod,
+)
+from aomgen.assets.procedural.textures import plastic, speckled
 from aomgen.core.mesh import Mesh
 from aomgen.synthetic import printed_textures
 

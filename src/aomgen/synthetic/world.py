@@ -9,22 +9,21 @@ from aomgen.assets.make import make_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.motion import Direction
 from aomgen.core.progress import Progress, silent
-from aomgen.core.robot_choice import HandChoice
 from aomgen.errors import ConfigError
 from aomgen.io.atomic import staged_folder
 from aomgen.io.robot_xml import read_robot_xml
-from aomgen.robots.robot import RobotModel, load_robot
+from aomgen.robots.description import robot_references
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import copy_robot_files
-from aomgen.synthetic.capture_content import Recording
-from aomgen.synthetic.capture_writer import write_recording, write_truth
-from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.capture_writer import Recording, write_recording, write_truth
+from aomgen.synthetic.conditions import Conditions, demo_candidates, scan_cameras
 from aomgen.synthetic.demo_video import RecordedVideo, choose_camera, draw_schedule, render_frames
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from aomgen.synthetic.grasp_selection import list_grasp_types
 from aomgen.synthetic.layout import build_world
 from aomgen.synthetic.scene_renderer import SceneRenderer, expose
 from aomgen.synthetic.style import DemonstrationStyle, GraspType, draw_style
-from aomgen.synthetic.viewpoints import demo_candidates, scan_cameras
 
 DEFAULT_ROBOT = "ur5e_2f85"
 # A robot file may name meshes in folders beside its own, as packages do.
@@ -40,7 +39,6 @@ def make_capture(
     seed: int,
     conditions: Conditions | None = None,
     robot_file: Path | None = None,
-    hand: HandChoice | None = None,
     style: DemonstrationStyle | None = None,
     progress: Progress = silent,
 ) -> None:
@@ -55,7 +53,6 @@ def make_capture(
         seed: Chooses asset, room, places, path, cameras, noise and clock.
         conditions: Cameras and their flaws; those of `Conditions` when None.
         robot_file: URDF or MJCF of another robot, copied into the capture with all it refers to.
-        hand: What its file does not tell about its hand.
         style: How the robot demonstrates; a random pinch that opens the object when None.
         progress: Told about pictures.
 
@@ -66,21 +63,20 @@ def make_capture(
         StorageError: The disk refuses.
     """
     rng = np.random.default_rng([seed, *category.encode(), 1])
-    hand = hand or HandChoice()
     robot = load_robot(DEFAULT_ROBOT)
     if robot_file is not None:
         root = robot_file.resolve().parents[min(PACKAGE_DEPTH, len(robot_file.resolve().parents)) - 1]
-        robot = load_robot(robot_file.resolve(), hand=hand, root=root)
+        robot = load_robot(robot_file.resolve(), root=root)
     performance = find_demonstration(robot, draw_object(category, seed), rng, style)
     progress(0.05, "demonstration simulated")
     recording = record(robot, performance, conditions or Conditions(), rng, progress=progress)
     with staged_folder(folder) as staging:
         source = f'model = "{DEFAULT_ROBOT}"'
         if robot_file is not None:
-            xml = read_robot_xml(robot_file.resolve(), root)
-            copied = copy_robot_files(xml.path, xml.references, staging / "robot")
-            source = f'{xml.kind} = "{copied.relative_to(staging).as_posix()}"'
-        write_recording(staging, recording, source, hand)
+            file = robot_file.resolve()
+            copied = copy_robot_files(file, robot_references(file, root), staging / "robot")
+            source = f'{read_robot_xml(file, root).kind} = "{copied.relative_to(staging).as_posix()}"'
+        write_recording(staging, recording, source)
         write_truth(staging / "truth", recording)
 
 
@@ -133,9 +129,8 @@ def record(
     """Record a performance: stills of the scene at rest, a video, a joint log with its own clock."""
     demonstration, layout = performance.demonstration, performance.layout
     schedule = draw_schedule(robot, performance, conditions, rng)
-    world = build_world(robot, layout, visual=True)
     cameras = scan_cameras(layout, conditions, rng)
-    with SceneRenderer(robot, world, *conditions.size) as painter:
+    with SceneRenderer(build_world(robot, layout, visual=True), conditions.size) as painter:
         demo_camera = choose_camera(
             painter, demo_candidates(layout, conditions, rng), demonstration, schedule
         )

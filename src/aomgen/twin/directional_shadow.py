@@ -16,12 +16,14 @@ from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze
 from aomgen.splatting.rasterizer import Rendering, RigidParts, render
-from aomgen.twin.shadow import HEIGHTS
 
 # Distance of the camera that stands for the light: its image is an orthographic one, [m].
 FAR: Final = 60.0
 # Longer side of the image from the light, [px]: a few millimeters each for an arm's shadow.
 MAP_SIDE: Final = 384
+# Heights over which a seen point fades in and out of the surface, [m]. Depth of trained
+# surfaces is uncertain, mostly downwards, because lower Gaussians shine through.
+HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
 # The role of Gaussians for shadows.
 SCENE: Final = 0  # what shadows fall on
 STANDS: Final = 1  # throws a shadow that is always the same

@@ -1,10 +1,9 @@
-"""The shadow that an object casts on the surface it stands on, contact shadow included.
+"""The soft shadow that an object casts on the surface it stands on, contact shadow included.
 
-For every cell of the surface, the light that reaches it past the object is compared with the
-light without the object. The object is a column in each cell, from its lowest to its highest
-point.
+The light of every direction is stopped by what the object's silhouette covers as seen from there.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,22 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze
+from aomgen.splatting.visibility import sphere_directions
+from aomgen.twin.directional_shadow import HEIGHTS, silhouette
 
-# Cell of the height field, [m]: soft light leaves no finer detail in a shadow.
+# Cell of the map, [m]: soft light leaves no finer detail in a shadow.
 CELL: Final = 0.015
 # Shadow is followed this far from the object, and fades out over the last third, [m].
 REACH: Final = 0.35
-# Directions of light on the hemisphere above the plane; the map is smoothed after.
-AZIMUTHS: Final = 16
-# See above: 80 directions in all.
-ELEVATIONS: Final = 5
-# Heights over which a seen point fades in and out of the surface, [m]. Depth of trained
-# surfaces is uncertain, mostly downwards, because lower Gaussians shine through.
-HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
+# Directions of light over the whole sphere, of which half lie above the plane; the map is smoothed after.
+DIRECTIONS: Final = 160
 # Light that things around throw into a shadow, as a share of what is blocked.
 FILL: Final = 0.15
 
@@ -69,65 +66,40 @@ class ShadowMap:
         return (1 - belongs * (1 - factor)).astype(np.float32)
 
 
-def cast_shadow(points_world: ArrayLike, T_world_plane: ArrayLike, light: Light) -> ShadowMap:
-    """Shadow of an object on a plane.
+def cast_shadow(
+    still: Gaussians, moving: Sequence[Gaussians], T_world_plane: ArrayLike, light: Light
+) -> list[ShadowMap]:
+    """Shadows of an object on a plane, one for every place of its moving part.
 
     Args:
-        points_world: Dense points on the object (N, 3), at least one.
+        still: What does not move, at least one, world frame.
+        moving: The moving part, world frame, in each of its places.
         T_world_plane: The surface (4, 4).
         light: What shines.
     """
     T = np.asarray(T_world_plane, np.float64)
-    points = apply(invert(T), points_world)
-    low = points[:, :2].min(0) - REACH
-    size = np.ceil((points[:, :2].max(0) + REACH - low) / CELL).astype(int)
-    columns, rows = ((points[:, :2] - low) / CELL).astype(int).T
-    bottom = np.full((size[1], size[0]), np.inf)
-    top = np.full((size[1], size[0]), -np.inf)
-    np.minimum.at(bottom, (rows, columns), points[:, 2])
-    np.maximum.at(top, (rows, columns), points[:, 2])
-    radiance = light.seen_from(T[:3, :3])
-    arriving, total = np.zeros(top.shape), 0.0
-    elevations = (np.arange(ELEVATIONS) + 0.5) / ELEVATIONS * np.pi / 2
-    for elevation in elevations:
-        for turn in np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS:
-            flat = np.array([np.cos(turn), np.sin(turn)])
-            direction = np.append(np.cos(elevation) * flat, np.sin(elevation))
-            # Cosine on the plane times the ring's solid angle.
-            weight = np.sin(elevation) * np.cos(elevation)
-            weight *= max(float((sh_basis(direction[None], 2) @ radiance).mean()), 0.0)
-            arriving += weight * ~_blocked(bottom, top, flat, float(np.tan(elevation)))
+    T_plane_world = invert(T)
+    points = np.concatenate([apply(T_plane_world, body.means)[:, :2] for body in (still, *moving)])
+    low = points.min(0) - REACH
+    columns, rows = np.ceil((points.max(0) + REACH - low) / CELL).astype(int)
+    x, y = np.meshgrid(low[0] + (np.arange(columns) + 0.5) * CELL, low[1] + (np.arange(rows) + 0.5) * CELL)
+    cells = apply(T, np.stack([x, y, np.zeros_like(x)], -1))
+    arriving, total = np.zeros((len(moving), rows, columns)), 0.0
+    directions = sphere_directions(DIRECTIONS)
+    for direction in directions[directions @ T[:3, 2] > 0]:
+        radiance = float((sh_basis(direction[None], 2) @ light.radiance_sh).mean())
+        weight = float(direction @ T[:3, 2]) * max(radiance, 0.0)
+        if weight > 0:
+            passed = weight * (1 - silhouette(still, direction).at(cells))
+            for shares, part in zip(arriving, moving, strict=True):
+                shares += passed * (1 - silhouette(part, direction).at(cells))
             total += weight
-    share = arriving / max(total, 1e-9)
-    share = gaussian_filter(FILL + (1 - FILL) * share, 1.0)
-    return ShadowMap(T_world_plane=T, low=low, share=1 - (1 - share) * _edge_fade(share.shape))
-
-
-def _blocked(bottom: Array, top: Array, flat: Array, slope: float) -> NDArray[np.bool_]:
-    """Which cells (H, W) do not see a direction, because a column stands in the way."""
-    blocked = bottom < 2 * CELL
-    highest = float(top.max())
-    steps = int(min(highest / max(slope, 1e-6), float(np.linalg.norm(bottom.shape)) * CELL) / CELL) + 1
-    for step in range(1, steps + 1):
-        right, up = (int(n) for n in np.rint(flat * step))
-        ray = step * CELL * slope
-        hit = (top > ray) & (bottom < ray + CELL * max(slope, 1.0))
-        blocked |= _shifted(hit, -up, -right)
-    return blocked
-
-
-def _shifted(grid: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:
-    """The grid moved by whole cells, False coming in."""
-    height, width = grid.shape
-    result = np.zeros_like(grid)
-    if abs(rows) < height and abs(columns) < width:
-        into = (slice(max(rows, 0), height + min(rows, 0)), slice(max(columns, 0), width + min(columns, 0)))
-        out = (
-            slice(max(-rows, 0), height + min(-rows, 0)),
-            slice(max(-columns, 0), width + min(-columns, 0)),
-        )
-        result[into] = grid[out]
-    return result
+    fade = _edge_fade((rows, columns))
+    maps = []
+    for shares in arriving:
+        share = gaussian_filter(FILL + (1 - FILL) * shares / max(total, 1e-9), 1.0)
+        maps.append(ShadowMap(T_world_plane=T, low=low, share=1 - (1 - share) * fade))
+    return maps
 
 
 def _edge_fade(shape: tuple[int, ...]) -> Array:

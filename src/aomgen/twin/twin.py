@@ -15,7 +15,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze, require_indices
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.twin.directional_shadow import (
@@ -87,6 +87,9 @@ class Twin:
         freeze(self, "bodies", self.bodies, (len(self.gaussians),), np.int32)
         freeze(self, "labels", self.labels, (len(self.gaussians),), np.uint8)
         freeze(self, "T_world_object", self.T_world_object, (4, 4))
+        require_indices(self.bodies, len(self.body_names))
+        if self.relit is not None:
+            require_indices(self.relit.indices, len(self.gaussians))
 
     def body(self, name: str) -> int:
         """Index of a body."""

@@ -7,12 +7,12 @@ import pytest
 
 from aomgen.alignment.color_score import color_score, divergence
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import PoseCandidates, Scan, SearchParams, search_poses, select_distinct
-from aomgen.alignment.starting_poses import RobotBox, find_starting_poses
+from aomgen.alignment.pose_search import Scan, SearchParams, search_poses, select_distinct
+from aomgen.alignment.starting_poses import PoseCandidates, RobotBox, find_starting_poses
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
@@ -24,16 +24,16 @@ SIZE = np.array([160, 120])
 
 
 @pytest.fixture(scope="module")
-def posture(robot: RobotModel) -> RobotPosture:
-    return RobotPosture(robot=robot, joints=JOINTS, gripper=0.1)
+def configuration(robot: RobotModel) -> RobotConfiguration:
+    return RobotConfiguration(robot=robot, joints=JOINTS, gripper=0.1)
 
 
 @pytest.fixture(scope="module")
-def views(posture: RobotPosture) -> list[AlignmentImage]:
+def views(configuration: RobotConfiguration) -> list[AlignmentImage]:
     """A gray robot before a blotchy wall of other colors."""
     rng = np.random.default_rng(0)
     found = []
-    with SilhouetteRenderer(posture.robot, max_width=160, max_height=120, cell_m=0.01) as renderer:
+    with SilhouetteRenderer(configuration.robot, max_width=160, max_height=120, cell_m=0.01) as renderer:
         for index in range(5):
             camera = recon_camera(0.5 * index)
             bodies, _ = renderer.draw(camera_in_world(S_WORLD_RECON, camera), JOINTS, 0.1)
@@ -54,73 +54,75 @@ def recon_camera(angle: float) -> Camera:
     return camera_in_world(S_RECON_WORLD, world)
 
 
-def box_on(posture: RobotPosture, camera: Camera) -> RobotBox:
-    pixels, _ = camera.project(apply(S_RECON_WORLD, posture.points_world()))
+def box_on(configuration: RobotConfiguration, camera: Camera) -> RobotBox:
+    pixels, _ = camera.project(apply(S_RECON_WORLD, configuration.points_world()))
     pixels = np.clip(pixels, 0, SIZE)
     return RobotBox(camera_recon=camera, box_px=np.concatenate([pixels.min(0), pixels.max(0)]))
 
 
-def test_a_box_cut_by_the_border_holds_what_the_picture_shows(posture: RobotPosture) -> None:
+def test_a_box_cut_by_the_border_holds_what_the_picture_shows(configuration: RobotConfiguration) -> None:
     """The upper arm is out of the picture; the box ends where the picture does, and its sides are the rest's."""
     boxes = []
     for angle in (0.3, 1.6):
         whole = recon_camera(angle)
         camera = replace(whole, cy=whole.cy - 65.0)
-        pixels, _ = camera.project(apply(S_RECON_WORLD, posture.points_world()))
+        pixels, _ = camera.project(apply(S_RECON_WORLD, configuration.points_world()))
         shown = pixels[((pixels >= 0) & (pixels <= SIZE)).all(1)]
         boxes.append(RobotBox(camera_recon=camera, box_px=np.concatenate([shown.min(0), shown.max(0)])))
         assert pixels[:, 1].min() < -10
-    found = places(posture, boxes)
-    good = found.misfits <= np.quantile(found.misfits, 0.25)
-    assert off_m(found.Ss_world_recon[good], posture).min() < 0.05
+    found = places(configuration, boxes)
+    good = found.scores >= np.quantile(found.scores, 0.75)
+    assert off_m(found.Ss_world_recon[good], configuration).min() < 0.05
 
 
-def off_m(Ss_world_recon: Array, posture: RobotPosture) -> Array:
+def off_m(Ss_world_recon: Array, configuration: RobotConfiguration) -> Array:
     """Mean distance (H,) of the robot from where it stands, [m]."""
-    points = posture.points_world(100)
+    points = configuration.points_world(100)
     placed = [apply(S @ S_RECON_WORLD, points) for S in Ss_world_recon]
     return np.array([np.linalg.norm(moved - points, axis=1).mean() for moved in placed])
 
 
-def places(posture: RobotPosture, boxes: list[RobotBox], count: int = 400):
+def places(configuration: RobotConfiguration, boxes: list[RobotBox], count: int = 400):
     points = apply(S_RECON_WORLD, np.random.default_rng(1).uniform(-1, 1, (300, 3)))
     return find_starting_poses(
-        boxes, posture.points_world(), [UP_RECON], points, np.random.default_rng(2), count
+        boxes, configuration.points_world(), [UP_RECON], points, np.random.default_rng(2), count
     )
 
 
-def test_two_boxes_leave_one_place_for_a_heading(posture):
-    found = places(posture, [box_on(posture, recon_camera(a)) for a in (0.0, 1.3)])
+def test_two_boxes_leave_one_place_for_a_heading(configuration):
+    found = places(configuration, [box_on(configuration, recon_camera(a)) for a in (0.0, 1.3)])
     # Every fourth guess keeps the boxes as they were drawn.
-    best = int(np.argmin(np.where(np.arange(400) % 4 == 0, found.misfits, 9)))
-    assert off_m(found.Ss_world_recon[[best]], posture)[0] < 0.03
-    assert found.misfits[best] < 0.01
+    best = int(np.argmax(np.where(np.arange(400) % 4 == 0, found.scores, -9)))
+    assert off_m(found.Ss_world_recon[[best]], configuration)[0] < 0.03
+    assert found.scores[best] > -0.01
 
 
-def test_one_box_leaves_the_depth_open(posture):
-    found = places(posture, [box_on(posture, recon_camera(0.0))])
-    good = found.Ss_world_recon[found.misfits < 0.03]
+def test_one_box_leaves_the_depth_open(configuration):
+    found = places(configuration, [box_on(configuration, recon_camera(0.0))])
+    good = found.Ss_world_recon[found.scores > -0.03]
     scales = np.cbrt(np.linalg.det(good[:, :3, :3]))
     assert len(good) > 60
     assert np.percentile(scales, 90) > 1.5 * np.percentile(scales, 10)
-    assert off_m(good, posture).min() < 0.1
+    assert off_m(good, configuration).min() < 0.1
 
 
-def test_a_side_on_the_border_lets_the_robot_reach_farther(posture):
+def test_a_side_on_the_border_lets_the_robot_reach_farther(configuration):
     """The box is cut to half of the robot; held to its sides, the robot would have to be smaller."""
     camera = recon_camera(0.0)
-    whole = box_on(posture, camera)
+    whole = box_on(configuration, camera)
     middle = round(float(whole.box_px[[0, 2]].mean()))
     cut = Camera(
         fx=130.0, fy=130.0, cx=80.0, cy=60.0, width=middle, height=120, T_world_cam=camera.T_world_cam
     )
     sides = np.append(whole.box_px[:2], [middle, whole.box_px[3]])
-    found = places(posture, [RobotBox(camera_recon=cut, box_px=sides), box_on(posture, recon_camera(1.3))])
-    assert off_m(found.Ss_world_recon[found.misfits < 0.05], posture).min() < 0.06
+    found = places(
+        configuration, [RobotBox(camera_recon=cut, box_px=sides), box_on(configuration, recon_camera(1.3))]
+    )
+    assert off_m(found.Ss_world_recon[found.scores > -0.05], configuration).min() < 0.06
 
 
-def test_colors_single_out_where_the_robot_stands(posture, views):
-    score = color_score(views, posture, np.random.default_rng(3))
+def test_colors_single_out_where_the_robot_stands(configuration, views):
+    score = color_score(views, configuration, np.random.default_rng(3))
     rng = np.random.default_rng(4)
     moved = []
     for _ in range(60):
@@ -128,13 +130,13 @@ def test_colors_single_out_where_the_robot_stands(posture, views):
         D[:3, 3] = rng.normal(0, 0.15, 3)
         moved.append(D @ S_WORLD_RECON)
     scores = score(np.array([S_WORLD_RECON, *moved]))
-    far = off_m(np.array(moved), posture) > 0.1
+    far = off_m(np.array(moved), configuration) > 0.1
     assert far.sum() > 20
     assert scores[0] > 2 * scores[1:][far].max()
 
 
-def test_a_robot_out_of_sight_scores_nothing(posture, views):
-    score = color_score(views, posture, np.random.default_rng(3))
+def test_a_robot_out_of_sight_scores_nothing(configuration, views):
+    score = color_score(views, configuration, np.random.default_rng(3))
     behind = S_WORLD_RECON.copy()
     behind[2, 3] += 30.0
     assert score(behind[None])[0] == 0.0
@@ -150,19 +152,19 @@ def test_few_counts_differ_by_chance_only():
 
 
 @pytest.mark.parametrize("careless", [False, True])
-def test_the_search_ends_near_the_robot(posture, views, careless):
-    boxes = [box_on(posture, views[index].camera_recon) for index in (0, 3)]
+def test_the_search_ends_near_the_robot(configuration, views, careless):
+    boxes = [box_on(configuration, views[index].camera_recon) for index in (0, 3)]
     if careless:
         boxes = [RobotBox(camera_recon=boxes[0].camera_recon, box_px=boxes[0].box_px + [4, 3, 4, 3])]
     rng = np.random.default_rng(6)
     points = apply(S_RECON_WORLD, rng.uniform(-1, 1, (300, 3)))
     found = search_poses(
         Scan(views=views, boxes=boxes, points_recon=points),
-        posture,
+        configuration,
         rng,
         SearchParams(guesses=1200 if len(boxes) > 1 else 2400),
     )
-    assert off_m(found.Ss_world_recon[:1], posture)[0] < 0.06
+    assert off_m(found.Ss_world_recon[:1], configuration)[0] < 0.06
 
 
 def test_places_returned_are_far_from_one_another():

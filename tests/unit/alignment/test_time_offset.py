@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from aomgen.alignment.time_offset import estimate_clock
-from aomgen.alignment.time_offset_frames import ClockParams
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import SyncError
@@ -101,5 +100,5 @@ def test_the_rendered_robot_gives_the_offset(robot: RobotModel) -> None:
         masks = masks_at(frames + 0.87, 160, 120)
         noisy = np.where(masks[..., None], 30, table) + rng.normal(size=(*masks.shape, 3)) * 3
         video = Video(times_s=frames, frames_srgb=np.clip(noisy, 0, 255).astype(np.uint8), fps=FPS)
-        estimate = estimate_clock(video, log.times_s, masks_at, ClockParams(fine_pairs=8))
+        estimate = estimate_clock(video, log.times_s, masks_at)
     assert estimate.offset_s == pytest.approx(0.87, abs=0.02)

@@ -12,11 +12,11 @@ from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
+from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
 from aomgen.twin.directional_shadow import DirectionalLight, cast_directional_shadow, remove_shadow
-from aomgen.twin.store import load_twin, save_twin
-from aomgen.twin.twin import posed, render_state, shadow_roles
+from aomgen.twin.twin import Twin, posed, render_state, shadow_roles
 
 SHADE = np.array([0.6, 0.58, 0.55])
 PLANE = np.eye(4)
@@ -105,7 +105,7 @@ def test_the_table_without_its_shadow_is_the_table_in_light(toy_scene):
     world = posed(scanned, toy_scene.robot, scanned.scan_state)
     away = cKDTree(world.means[dark > 0]).query(world.means)[0] > 2 * EDGE_M
     np.testing.assert_allclose(freed.gaussians.sh[away], scanned.gaussians.sh[away], atol=1e-6)
-    # Cast anew, the posture of the scan looks as it was scanned, but for blurred edges.
+    # Cast anew, the configuration of the scan looks as it was scanned, but for blurred edges.
     state = toy_scene.twin.scan_state
     was, now, lit = (
         render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb
@@ -153,8 +153,8 @@ def test_the_base_throws_no_shadow_that_moves(toy_scene):
 def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
     lamp = lamp_from(0.2, -0.3)
     for twin in (toy_scene.twin, replace(toy_scene.twin, directional_light=lamp)):
-        save_twin(tmp_path, twin)
-        again = load_twin(tmp_path).directional_light
+        save_artifact(tmp_path, "twin", twin)
+        again = load_artifact(tmp_path, "twin", Twin).directional_light
         assert (again is None) == (twin.directional_light is None)
         if again is not None:
             np.testing.assert_array_equal(again.direction, lamp.direction)
@@ -164,20 +164,20 @@ def test_a_lamp_is_stored_with_its_twin(toy_scene, tmp_path):
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda header: header.update(format=2),
-        lambda header: header.pop("lamp"),
-        lambda header: header["lamp"].update(shade=[2.0, 0.5, 0.5]),
-        lambda header: header["lamp"].update(direction=[0.0, 0.0, 2.0]),
-        lambda header: header["lamp"].update(T_world_plane=[1.0]),
+        lambda header: header.update(type="Scene"),
+        lambda header: header["value"].pop("directional_light"),
+        lambda header: header["value"]["directional_light"].update(shade=[2.0, 0.5, 0.5]),
+        lambda header: header["value"]["directional_light"].update(direction=[0.0, 0.0, 2.0]),
+        lambda header: header["value"]["directional_light"].update(T_world_plane=[1.0]),
     ],
 )
 def test_a_spoiled_lamp_is_refused(toy_scene, tmp_path, spoil):
-    save_twin(tmp_path, replace(toy_scene.twin, directional_light=lamp_from(0.2, -0.3)))
+    save_artifact(tmp_path, "twin", replace(toy_scene.twin, directional_light=lamp_from(0.2, -0.3)))
     header = read_json(tmp_path / "twin.json")
     spoil(header)
     write_json(tmp_path / "twin.json", header)
     with pytest.raises(MalformedFileError, match="twin"):
-        load_twin(tmp_path)
+        load_artifact(tmp_path, "twin", Twin)
 
 
 def test_a_lamp_needs_a_direction_and_a_shade():

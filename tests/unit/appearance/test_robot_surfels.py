@@ -12,9 +12,9 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0
 from aomgen.core.light import open_transfer, shaded_srgb
 from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.twin.relighting import ResidualAppearance, orientation_weights
-from aomgen.twin.store import load_twin, save_twin
-from aomgen.twin.twin import render_state
+from aomgen.twin.twin import Twin, render_state
 
 BEHIND = look_at((0.5, 1.1, 0.7), (0.2, 0.0, 0.3))
 EYES = [(-0.4, -0.9, 0.7), (0.4, -1.1, 0.5), (-0.7, -0.2, 0.6), (0.9, -0.8, 0.8), (-0.3, -1.0, 0.2)]
@@ -95,8 +95,8 @@ def test_dressing_repeats_itself(toy_scene, dressing):
 
 def test_a_dressed_twin_survives_storage(dressing, tmp_path):
     _, _, twin = dressing
-    save_twin(tmp_path, twin)
-    again = load_twin(tmp_path)
+    save_artifact(tmp_path, "twin", twin)
+    again = load_artifact(tmp_path, "twin", Twin)
     assert again.relit is not None
     assert twin.relit is not None
     np.testing.assert_array_equal(again.relit.light_of, twin.relit.light_of)

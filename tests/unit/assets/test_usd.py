@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.assets.archive import load_asset, save_asset
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.box_cover import box_cover
-from aomgen.assets.canonical import guess_handle
 from aomgen.assets.make import make_asset
-from aomgen.assets.usd_parse import parse_usd
+from aomgen.assets.usd_parse import guess_handle, parse_usd
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError, MalformedFileError, MissingFileError, UnsafePathError
+from aomgen.io.artifact import load_artifact, save_artifact
+from benchmarks.other_objects import make_object
 
 UsdGeom = pytest.importorskip("pxr.UsdGeom")
 from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade  # noqa: E402
@@ -80,7 +80,7 @@ def test_binary_round_trip_of_a_scaled_drawer(tmp_path: Path) -> None:
 )
 def test_round_trip_keeps_the_heading_of_every_kind(tmp_path: Path, category: str, seed: int) -> None:
     """A panel that slides sideways still faces -y, although its motion does not point there."""
-    asset = make_asset(category, seed)
+    asset = make_object(category, seed)
     write_usd(asset, tmp_path / "asset.usda")
     assert_same(asset, parse_usd(tmp_path / "asset.usda"))
 
@@ -122,9 +122,9 @@ def test_handle_is_guessed_from_shape_alone(category: str, seed: int) -> None:
     unnamed = replace(
         asset.moving, meshes=tuple(replace(m, name=f"part_{i}") for i, m in enumerate(asset.moving.meshes))
     )
-    guess = guess_handle(unnamed, asset.joint)
-    assert guess.point == pytest.approx(asset.handle_point, abs=0.008)
-    assert abs(guess.axis @ asset.handle_axis) > 0.99
+    point, axis = guess_handle(unnamed, asset.joint)
+    assert point == pytest.approx(asset.handle_point, abs=0.008)
+    assert abs(axis @ asset.handle_axis) > 0.99
 
 
 def test_boxes_are_made_where_none_are_authored(usd: Path) -> None:
@@ -226,9 +226,9 @@ def test_faces_out_of_range_are_malformed(usd: Path) -> None:
         read_usd(usd)
 
 
-def test_archive_is_exact_and_bounded(tmp_path: Path, microwave: ArticulatedAsset) -> None:
-    save_asset(microwave, tmp_path / "a.npz")
-    assert_same(microwave, load_asset(tmp_path / "a.npz"), tolerance=0.0)
+def test_artifact_of_an_asset_is_exact(tmp_path: Path, microwave: ArticulatedAsset) -> None:
+    save_artifact(tmp_path, "a", microwave)
+    assert_same(microwave, load_artifact(tmp_path, "a", ArticulatedAsset), tolerance=0.0)
     (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:1000])
     with pytest.raises(MalformedFileError):
-        load_asset(tmp_path / "a.npz")
+        load_artifact(tmp_path, "a", ArticulatedAsset)

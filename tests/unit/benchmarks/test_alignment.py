@@ -9,7 +9,7 @@ from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import matrix_from_rotvec, similarity, similarity_parts
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 from benchmarks.alignment import Outcome, summary
@@ -31,9 +31,9 @@ ROBOT_SRGB, WALL_SRGB = 200, 40
 @pytest.fixture(scope="module")
 def scene(robot: RobotModel) -> Scene:
     """A bright robot before a dark wall, seen by twelve cameras, boxes on two of them."""
-    posture = RobotPosture(robot=robot, joints=JOINTS, gripper=0.1)
+    configuration = RobotConfiguration(robot=robot, joints=JOINTS, gripper=0.1)
     views, boxes = [], []
-    with SilhouetteRenderer(posture.robot, max_width=120, max_height=90, cell_m=0.01) as renderer:
+    with SilhouetteRenderer(configuration.robot, max_width=120, max_height=90, cell_m=0.01) as renderer:
         for index in range(12):
             camera = recon_camera(0.25 * index)
             bodies, _ = renderer.draw(camera_in_world(S_WORLD_RECON, camera), JOINTS, 0.1)
@@ -49,7 +49,7 @@ def scene(robot: RobotModel) -> Scene:
         robot_boxes=boxes,
         other_boxes=[replace(boxes[0], box_px=np.array([5.0, 5.0, 20.0, 20.0]))],
         points_recon=np.zeros((10, 3)),
-        posture=posture,
+        configuration=configuration,
         S_world_recon=S_WORLD_RECON,
     )
 
@@ -69,12 +69,12 @@ def recon_camera(angle: float) -> Camera:
 
 
 def solvable(scene: Scene) -> bool:
-    return is_solvable(scene.views, scene.robot_boxes, scene.posture, scene.S_world_recon)
+    return is_solvable(scene.views, scene.robot_boxes, scene.configuration, scene.S_world_recon)
 
 
 def where_seen(scene: Scene) -> np.ndarray:
     """Where each view shows the robot's points: (views, points, 2), [px]."""
-    points = scene.posture.points_world(50)
+    points = scene.configuration.points_world(50)
     return np.array(
         [camera_in_world(scene.S_world_recon, v.camera_recon).project(points)[0] for v in scene.views]
     )
@@ -109,7 +109,7 @@ def test_unsolvable_kinds_take_away_what_the_answer_needs(scene, bare, kind):
     if kind in ("absent", "elsewhere"):
         assert not any((view.image_srgb > WALL_SRGB + 5).any() for view in case.scene.views)
     elif kind == "joints":
-        off_deg = np.degrees(np.abs(case.scene.posture.joints - JOINTS))
+        off_deg = np.degrees(np.abs(case.scene.configuration.joints - JOINTS))
         assert off_deg[0] == 0
         assert 10 <= off_deg.max() <= 40
     else:
@@ -135,7 +135,7 @@ def test_a_case_knows_its_answer(scene, bare):
     case = make_case(scene, bare, "solvable", np.random.default_rng(5)).scene
     for view in case.views:
         camera = camera_in_world(case.S_world_recon, view.camera_recon)
-        pixels, _ = camera.project(case.posture.points_world(400))
+        pixels, _ = camera.project(case.configuration.points_world(400))
         u, v = np.floor(pixels).astype(int).T
         inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
         assert (view.image_srgb[v[inside], u[inside], 0] == ROBOT_SRGB).mean() > 0.75

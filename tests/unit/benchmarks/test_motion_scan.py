@@ -7,10 +7,9 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.conditions import Conditions, scan_cameras
 from aomgen.synthetic.layout import SceneLayout, build_world, draw_layout
 from aomgen.synthetic.scene_renderer import SceneRenderer
-from aomgen.synthetic.viewpoints import scan_cameras
 from benchmarks.motion_scan import SPACING_M, Surface, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream
 
@@ -22,7 +21,7 @@ def scanned(robot: RobotModel) -> tuple[SceneLayout, Surface]:
     world = build_world(robot, layout, visual=True)
     conditions = Conditions(size=(160, 120), scan_views=6)
     cameras = scan_cameras(layout, conditions, rng)
-    with SceneRenderer(robot, world, *conditions.size) as painter:
+    with SceneRenderer(world, conditions.size) as painter:
         qpos = np.zeros(world.model.nq)
         surface, images = seen_surface(painter, cameras, qpos, layout.T_world_object[:3, 3], rng)
     assert [image.shape for image in images] == [(120, 160, 3)] * 6

@@ -16,7 +16,8 @@ from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.cli.app import main
 from aomgen.cli.run import find_project
-from aomgen.pipeline.project import Project, write_project
+from aomgen.core.project import Project
+from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.stages import PROJECT_FILE
 
 
@@ -190,3 +191,30 @@ def test_an_asset_without_a_joint(tmp_path):
 
 def test_no_ground_truth_no_score(sample, tmp_path):
     one_sentence(aomgen("bench", "accuracy", sample, folder=tmp_path), 3, "cannot be scored")
+
+
+def test_a_robot_is_drafted_once_and_for_a_person_to_read(write_urdf, tmp_path):
+    model = write_urdf()
+    result = aomgen("robot", "propose", model, folder=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "pads 90 mm apart when open, 10 mm when closed" in result.stdout
+    assert 'joints = ["shoulder", "elbow", "wrist"]' in (tmp_path / "robot.toml").read_text()
+    one_sentence(aomgen("robot", "propose", model, folder=tmp_path), 2, "exists already")
+    one_sentence(aomgen("robot", "propose", model, "--finger", "palm", folder=tmp_path), 2, "exists")
+
+
+def test_values_of_fingers_are_given_by_name(write_urdf, tmp_path):
+    model = write_urdf(mimic="")
+    values = (
+        "--open",
+        "slide_a=0.03",
+        "--open",
+        "slide_b=0.03",
+        "--closed",
+        "slide_a=0.01",
+        "--closed",
+        "slide_b",
+    )
+    one_sentence(aomgen("robot", "propose", model, *values, folder=tmp_path), 2, "NAME=VALUE")
+    assert aomgen("robot", "propose", model, *values[:-1], "slide_b=0.01", folder=tmp_path).returncode == 0
+    assert 'closed = { "slide_a" = 0.01, "slide_b" = 0.01 }' in (tmp_path / "robot.toml").read_text()

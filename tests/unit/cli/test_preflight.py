@@ -9,9 +9,9 @@ from unittest.mock import patch
 import pytest
 
 from aomgen.cli.app import main
+from aomgen.core.project import Project
 from aomgen.errors import BackendError, ConfigError, MalformedFileError, StorageError
 from aomgen.pipeline import preflight
-from aomgen.pipeline.project import Project
 from aomgen.pipeline.stages import run_pipeline
 from broken_captures import CAPTURES, write_tight_usd
 

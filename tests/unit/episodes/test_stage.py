@@ -10,11 +10,11 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisod
 from aomgen.core.verdict import SettingOutcome, Verdict
 from aomgen.episodes.render import Trajectory, render_frames, static_layers
 from aomgen.episodes.stage import run_episodes
-from aomgen.episodes.viewpoint import choose_viewpoint
 from aomgen.errors import CorruptArtifactError, MalformedFileError, ReconstructionError, StorageError
 from aomgen.io.atomic import STAGING_PREFIX
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import read_video
+from aomgen.replacement.viewpoint import choose_viewpoint
 from aomgen.twin.binding import with_object
 from aomgen.twin.directional_shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, render_state

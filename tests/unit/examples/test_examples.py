@@ -136,3 +136,7 @@ def test_make_asset(tmp_path: Path) -> None:
 def test_generate_episodes(tmp_path: Path) -> None:
     assert "1 episodes verified" in run("04_generate_episodes.py", tmp_path, "--episodes", 1)
     assert (tmp_path / "dataset" / "meta" / "info.json").is_file()
+
+
+def test_write_an_estimator() -> None:
+    assert "standard deviation" in run("05_write_an_estimator.py", "--seed", 3)

@@ -9,16 +9,17 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress, silent
+from aomgen.core.project import Project
 from aomgen.core.structure import Structure
 from aomgen.gaussians import train as module
 from aomgen.gaussians.dense_points import DensePoints
-from aomgen.gaussians.stage import CHECKPOINT_FILE, load_gaussians, run_gaussians
+from aomgen.gaussians.stage import CHECKPOINT_FILE, train_in
 from aomgen.gaussians.train import GaussiansParams, coarse
 from aomgen.io.images import write_image
-from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages
-from aomgen.pipeline.stage import Run, Stage
+from aomgen.pipeline.stage import Stage
 from aomgen.pipeline.stages import STAGES
+from aomgen.results import Results
 from aomgen.splatting.rasterizer import render
 
 VIEWS = 6
@@ -99,16 +100,15 @@ def test_a_killed_stage_continues_within_training(
 
     folder = tmp_path / "02_gaussians"
     with pytest.raises(StoppedError):
-        run_gaussians(*scan, folder, stop_late, PARAMS)
+        train_in(folder, *scan, stop_late, PARAMS)
     assert [path.name for path in folder.iterdir()] == [CHECKPOINT_FILE]
-    run_gaussians(*scan, folder, lambda share, text: seen.append(text), PARAMS)
+    train_in(folder, *scan, lambda share, text: seen.append(text), PARAMS)
     assert sum("loss" in text for text in seen) == 3  # iterations 210, 220 and 230
     assert CHECKPOINT_FILE not in {path.name for path in folder.iterdir()}
 
-    run_gaussians(*scan, tmp_path / "whole", silent, PARAMS)
+    train_in(tmp_path / "whole", *scan, silent, PARAMS)
     for file in folder.iterdir():
         assert file.read_bytes() == (tmp_path / "whole" / file.name).read_bytes(), file.name
-    assert len(load_gaussians(folder).gaussians_recon) > 0
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 500])
@@ -119,9 +119,9 @@ def test_a_checkpoint_that_cannot_be_used_is_left_out_and_told(
     folder.mkdir()
     (folder / CHECKPOINT_FILE).write_bytes(content)
     seen: list[str] = []
-    run_gaussians(*scan, folder, recorder(seen), PARAMS)
+    train_in(folder, *scan, recorder(seen), PARAMS)
     assert any("starts over" in text and CHECKPOINT_FILE in text for text in seen)
-    run_gaussians(*scan, tmp_path / "whole", silent, PARAMS)
+    train_in(tmp_path / "whole", *scan, silent, PARAMS)
     assert (folder / "gaussians.ply").read_bytes() == (tmp_path / "whole" / "gaussians.ply").read_bytes()
 
 
@@ -131,8 +131,8 @@ def test_the_runner_keeps_what_a_killed_stage_left(
     """The stage of the pipeline's own list, with the runner's rules for continuing."""
     listed = next(stage for stage in STAGES if stage.name == "gaussians")
 
-    def work(run: Run, folder: Path, progress: Progress) -> dict[str, object]:
-        return {"gaussians": len(run_gaussians(*scan, folder, progress, PARAMS).gaussians_recon)}
+    def work(results: Results, folder: Path, progress: Progress) -> dict[str, object]:
+        return {"gaussians": len(train_in(folder, *scan, progress, PARAMS).gaussians_recon)}
 
     def go(out: str, *, seed: int, stop: bool) -> list[str]:
         stage = replace(listed, needs=("capture",), settings=("seed",), function=work)

@@ -15,7 +15,7 @@ from aomgen.generalization import generate
 from aomgen.generalization.attempts import FOLDER, AttemptStore, read_attempt
 from aomgen.generalization.generate import GenerationParams, generate_episodes
 from aomgen.generalization.ik import ik_solver
-from aomgen.generalization.stage import load_generalization, run_generalization
+from aomgen.generalization.stage import generate_in, load_generalization
 from aomgen.generalization.variations import PoseRanges
 from aomgen.robots.robot import RobotModel
 from toy_drawer import SUPPORT, fitted_drawer, opening
@@ -37,7 +37,7 @@ def demo(robot: RobotModel, fitted: FittedAsset) -> Demonstration:
 def whole(robot: RobotModel, demo: Demonstration, fitted: FittedAsset, tmp_path_factory) -> Path:
     """What an undisturbed run leaves."""
     folder = tmp_path_factory.mktemp("whole")
-    run_generalization([fitted], demo, robot, SUPPORT, PARAMS, folder, lambda share, text: None)
+    generate_in(folder, [fitted], demo, robot, SUPPORT, PARAMS, lambda share, text: None)
     return folder
 
 
@@ -64,11 +64,11 @@ def test_a_run_that_stops_anywhere_continues_to_the_same_bytes(robot, demo, fitt
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_generalization([fitted], demo, robot, SUPPORT, PARAMS, tmp_path, stop)
+        generate_in(tmp_path, [fitted], demo, robot, SUPPORT, PARAMS, stop)
     assert made == [0]
     # As if the process had died between the two files of an attempt.
     (tmp_path / FOLDER / "5-00001.npz").write_bytes(b"half")
-    run_generalization([fitted], demo, robot, SUPPORT, PARAMS, tmp_path, lambda share, text: None)
+    generate_in(tmp_path, [fitted], demo, robot, SUPPORT, PARAMS, lambda share, text: None)
     assert made == [0, 1]
     assert tree(tmp_path) == tree(whole)
 
@@ -77,7 +77,7 @@ def test_an_attempt_does_not_depend_on_those_before_it(robot, demo, fitted, whol
     shutil.copytree(whole, tmp_path / "run")
     for path in (tmp_path / "run" / FOLDER).glob("5-00001.*"):
         path.unlink()
-    run_generalization([fitted], demo, robot, SUPPORT, PARAMS, tmp_path / "run", lambda share, text: None)
+    generate_in(tmp_path / "run", [fitted], demo, robot, SUPPORT, PARAMS, lambda share, text: None)
     assert made == [1], "the second attempt alone, with a solver and a scene of its own"
     assert tree(tmp_path / "run") == tree(whole)
 
@@ -85,7 +85,7 @@ def test_an_attempt_does_not_depend_on_those_before_it(robot, demo, fitted, whol
 def test_fewer_are_taken_from_what_is_there(robot, demo, fitted, whole, tmp_path, made):
     folder = Path(shutil.copytree(whole, tmp_path / "run"))
     one = replace(PARAMS, count=1)
-    run_generalization([fitted], demo, robot, SUPPORT, one, folder, lambda share, text: None)
+    generate_in(folder, [fitted], demo, robot, SUPPORT, one, lambda share, text: None)
     assert made == []
     assert sorted(tree(folder / FOLDER)) == ["5-00000.json", "5-00000.npz"]
     (episode,) = load_generalization(folder, [fitted])
@@ -99,7 +99,7 @@ def test_attempts_stay_when_there_are_too_few_episodes(robot, demo, fitted, tmp_
         with pytest.raises(
             NotEnoughEpisodesError, match=r"2 target_too_small.*those that are verified are kept"
         ):
-            run_generalization([short], demo, robot, SUPPORT, params, tmp_path, lambda share, text: None)
+            generate_in(tmp_path, [short], demo, robot, SUPPORT, params, lambda share, text: None)
         assert made == [0, 1]
         assert sorted(tree(tmp_path)) == [f"{FOLDER}/5-00000.json", f"{FOLDER}/5-00001.json"]
 

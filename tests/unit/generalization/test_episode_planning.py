@@ -14,16 +14,14 @@ from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.episode_planning import PlanParams, plan_episode
 from aomgen.generalization.generate import GenerationParams, generate_episodes
-from aomgen.generalization.grasps import Grasp, HandConventions, grasps, orientations
+from aomgen.generalization.grasps import Grasp, grasps, orientations
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
-from aomgen.generalization.stage import load_generalization, run_generalization
+from aomgen.generalization.stage import generate_in, load_generalization
 from aomgen.generalization.variations import PoseRanges, in_view, variations, worth_trying
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from toy_drawer import SUPPORT, fitted_drawer, opening
-
-PINCH = HandConventions(approach=np.array([0.0, 0.0, 1.0]), closing=np.array([0.0, 1.0, 0.0]))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +41,7 @@ def demo(robot: RobotModel, solver: IkSolver, fitted: FittedAsset) -> Demonstrat
 
 def grasp_of(demo: Demonstration, fitted: FittedAsset) -> Grasp:
     R = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[demo.contact_frames[0], :3, :3]
-    return next(iter(grasps(fitted, R, 0.0, demo.ee_turn_ratio, PINCH)))
+    return next(iter(grasps(fitted, R, 0.0, demo.ee_turn_ratio)))
 
 
 def test_variations_depend_on_seed_and_index_and_stay_in_range() -> None:
@@ -82,9 +80,9 @@ def test_ik_refuses_what_is_out_of_reach_and_jumps(solver: IkSolver, demo: Demon
 def test_fingers_close_across_the_handle_and_the_nearest_way_comes_first() -> None:
     R = matrix_from_rotvec(np.array([0.1, -0.2, 0.3]))
     for axis in np.eye(3):
-        options = [R_hand for _, R_hand in orientations(R, axis, PINCH, (0.0, 20.0))]
+        options = [R_hand for _, R_hand in orientations(R, axis, (0.0, 20.0))]
         for R_hand in options:
-            assert abs((R_hand @ PINCH.closing) @ axis) < 1e-9
+            assert abs(R_hand[:, 1] @ axis) < 1e-9
         turns = [np.arccos(np.clip((np.trace(R.T @ Q) - 1) / 2, -1, 1)) for Q in options]
         assert int(np.argmin(turns)) in (0, 1)
         assert turns[0] <= np.pi / 2 + 1e-9
@@ -102,7 +100,7 @@ def test_gripper_command_closes_fully_around_a_bar(demo: Demonstration) -> None:
 def test_same_object_at_the_same_place_gives_the_demonstrated_motion(
     demo: Demonstration, fitted: FittedAsset
 ) -> None:
-    motion = retarget(demo, fitted, fitted.T_world_asset, grasp_of(demo, fitted), PINCH, 10.0)
+    motion = retarget(demo, fitted, fitted.T_world_asset, grasp_of(demo, fitted), 10.0)
     assert len(motion.thetas) == len(demo.times_s)
     assert 1000 * np.abs(motion.Ts_world_ee[:, :3, 3] - demo.Ts_world_ee[:, :3, 3]).max() < 12
     np.testing.assert_allclose(motion.Ts_world_ee[:, :3, :3], demo.Ts_world_ee[:, :3, :3], atol=1e-3)
@@ -112,8 +110,8 @@ def test_contact_segment_moves_rigidly_with_the_object(demo: Demonstration, fitt
     variation = Variation(seed=0, index=0, x=0.04, y=-0.03, yaw=0.3)
     T = variation.placed(fitted)
     grasp = grasp_of(demo, fitted)
-    there = retarget(demo, fitted, T, grasp, PINCH, 10.0)
-    here = retarget(demo, fitted, fitted.T_world_asset, grasp, PINCH, 10.0)
+    there = retarget(demo, fitted, T, grasp, 10.0)
+    here = retarget(demo, fitted, fitted.T_world_asset, grasp, 10.0)
     moved = T @ invert(fitted.T_world_asset) @ here.Ts_world_ee[here.phases == CONTACT]
     times = here.demo_times_s[here.phases == CONTACT]
     same = np.abs(there.demo_times_s[:, None] - times[None]).min(1) < 1e-9
@@ -158,7 +156,7 @@ def test_generation_is_reproducible_and_survives_its_folder(
     robot: RobotModel, demo: Demonstration, fitted: FittedAsset, tmp_path
 ) -> None:
     params = GenerationParams(count=2, seed=5, ranges=PoseRanges(x_m=(-0.02, 0.05), yaw_deg=(-15, 15)))
-    made = run_generalization([fitted], demo, robot, SUPPORT, params, tmp_path, lambda share, text: None)
+    made = generate_in(tmp_path, [fitted], demo, robot, SUPPORT, params, lambda share, text: None)
     assert len(made.episodes) == 2
     loaded = load_generalization(tmp_path, [fitted])
     for a, b in zip(made.episodes, loaded, strict=True):

@@ -85,16 +85,8 @@ def test_no_hinge_is_farther_away_than_the_object_reaches() -> None:
     shape = measure_shape(BODY, DOOR)
     farthest = np.linalg.norm(np.concatenate([BODY, DOOR]) - HANDLE, axis=1).max()
     assert shape.reach_m(HANDLE) == pytest.approx(farthest, rel=0.1)
-    path = EePath(
-        Ts_world_ee=np.repeat(np.eye(4)[None], 4, 0), hold=GraspGuess(point_ee=np.zeros(3)), length_m=0.1
-    )
-    door = Revolute(
-        path=path,
-        turns_world=np.zeros((4, 3)),
-        start=R[:, 2],
-        middle=HANDLE,
-        reach_m=shape.reach_m(HANDLE),
-    )
+    path = EePath.of(np.repeat(np.eye(4)[None], 4, 0), GraspGuess(point_ee=np.zeros(3)))
+    door = Revolute(path=path, start=R[:, 2], reach_m=shape.reach_m(HANDLE))
     x = door.first()
     x[4] = 0.9 * door.reach_m
     assert door.beliefs(x)[-1] == 0

@@ -1,6 +1,5 @@
 """Contact patches of the real gripper on hand-made parts, and the stage's file."""
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,9 @@ from aomgen.core.joint import Joint
 from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
-from aomgen.errors import CorruptArtifactError, InputError, MissingFileError
-from aomgen.io.atomic import write_json
-from aomgen.motion.contact import Contacts, PartPath, find_contacts
-from aomgen.motion.stage import FILE_NAME, load_motion
+from aomgen.errors import InputError
+from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.motion.contact import Contacts, carry_part, find_contacts
 from aomgen.robots.robot import RobotModel
 
 JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
@@ -36,8 +34,10 @@ def bar(length_m: float, radius_m: float, along_m: float, lean: float = 0.0) -> 
     return points @ matrix_from_rotvec([0, -lean, 0]).T + [0, 0, along_m]
 
 
-def resting(robot: RobotModel, log: JointLog, at_s: float = 0.5) -> PartPath:
-    return PartPath.carried(robot, log, at_s, at_s + np.linspace(0, 0.3, 4))
+def find(robot: RobotModel, log: JointLog, points: np.ndarray, axes: np.ndarray = AXES) -> Contacts:
+    """Contacts of a hand that carries the part from 0.5 s on."""
+    times = 0.5 + np.linspace(0, 0.3, 4)
+    return find_contacts(robot, log, (points, axes), times, carry_part(robot, log, 0.5, times))
 
 
 def middle_ee(robot: RobotModel, contacts: Contacts) -> np.ndarray:
@@ -49,11 +49,11 @@ def middle_ee(robot: RobotModel, contacts: Contacts) -> np.ndarray:
 def test_both_fingers_touch_the_bar_where_it_is(robot: RobotModel, along_m: float) -> None:
     points = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, along_m))
     log = still_log(robot, 0.857)
-    contacts = find_contacts(robot, log, points, AXES, resting(robot, log))
+    contacts = find(robot, log, points)
     assert {patch.finger for patch in contacts.patches} == {"left", "right"}
     assert middle_ee(robot, contacts) == pytest.approx([0, 0, along_m], abs=0.006)
     assert contacts.grasp_ee == pytest.approx(middle_ee(robot, contacts), abs=1e-9)
-    assert 0.002 < contacts.grasp_sd_m < 0.008
+    assert all(0.004 < patch.spread_m < 0.014 for patch in contacts.patches)
     middle = np.mean([patch.point for patch in contacts.patches], axis=0)
     for patch in contacts.patches:
         assert patch.normal @ (middle - patch.point) > 0
@@ -64,7 +64,7 @@ def test_a_leaning_bar_is_pressed_where_the_pads_come_nearest(robot: RobotModel)
     """Loaded in MuJoCo, this gripper's pads meet tips first: at (-10, 4) mm for a round bar leaning by 20 deg."""
     points = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, 0.0, lean=-np.radians(20)))
     log = still_log(robot, 0.857)
-    middle = middle_ee(robot, find_contacts(robot, log, points, AXES, resting(robot, log)))
+    middle = middle_ee(robot, find(robot, log, points))
     assert middle[0] < -0.004
     assert middle[2] > 0.003
 
@@ -74,7 +74,7 @@ def test_a_bar_of_few_points_is_followed_across_the_pads(robot: RobotModel) -> N
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
     sparse = bar(0.1, 0.003, 0.0, lean=-np.radians(20))[::120]
     sparse = sparse[np.abs(sparse[:, 0]) > 0.005]
-    middle = middle_ee(robot, find_contacts(robot, log, apply(T_world_ee, sparse), AXES, resting(robot, log)))
+    middle = middle_ee(robot, find(robot, log, apply(T_world_ee, sparse)))
     assert middle[0] < -0.003
     assert abs(middle[2] + np.tan(np.radians(20)) * middle[0]) < 0.005
 
@@ -89,8 +89,8 @@ def test_what_a_bar_is_mounted_on_is_not_taken_for_it(robot: RobotModel) -> None
     wall = np.stack([u, v, np.full(len(u), 0.035)], 1)
     points = apply(T_world_ee, np.concatenate([seen, wall]) @ lean.T)
     axes = (T_world_ee[:3, :3] @ lean).T
-    middle = middle_ee(robot, find_contacts(robot, log, points, axes, resting(robot, log)))
-    bare = middle_ee(robot, find_contacts(robot, log, points[:9], axes, resting(robot, log)))
+    middle = middle_ee(robot, find(robot, log, points, axes))
+    bare = middle_ee(robot, find(robot, log, points[:9], axes))
     assert middle == pytest.approx(bare, abs=1e-3)
     # Pressed where the pads come nearest: at the end and on the side of the bar that are nearest to the tips.
     assert middle[0] < -0.004
@@ -103,7 +103,7 @@ def test_a_bar_goes_on_where_it_was_not_seen(robot: RobotModel) -> None:
     lean = matrix_from_rotvec([0, np.radians(20), 0])
     half = np.stack([np.linspace(-0.001, 0.05, 30), np.zeros(30), np.zeros(30)], 1) @ lean.T
     axes = (T_world_ee[:3, :3] @ lean).T
-    contacts = find_contacts(robot, log, apply(T_world_ee, half), axes, resting(robot, log))
+    contacts = find(robot, log, apply(T_world_ee, half), axes)
     assert middle_ee(robot, contacts)[0] < -0.004
 
 
@@ -112,11 +112,11 @@ def test_what_the_scan_did_not_see_is_held_all_over_the_pads(robot: RobotModel) 
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
     part = np.random.default_rng(0).uniform([0.08, 0.05, -0.1], [0.3, 0.06, -0.05], (500, 3))
     away = transform(np.eye(3), T_world_ee[:3, :3] @ [-0.01, 0, 0])
-    path = PartPath(times_log_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([np.eye(4), away]))
-    contacts = find_contacts(robot, log, apply(T_world_ee, part), AXES, path)
+    path = np.array([0.5, 0.6]), np.stack([np.eye(4), away])
+    contacts = find_contacts(robot, log, (apply(T_world_ee, part), AXES), *path)
     assert {patch.finger for patch in contacts.patches} == {"left", "right"}
     assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.01)
-    assert contacts.grasp_sd_m > 0.005
+    assert min(patch.spread_m for patch in contacts.patches) > 0.008
 
 
 def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
@@ -125,7 +125,7 @@ def test_a_plate_between_the_pads_is_no_bar(robot: RobotModel) -> None:
     u, v, w = (grid.ravel() for grid in np.meshgrid(
         np.linspace(-0.1, 0.1, 81), [-0.006, 0.006], np.linspace(-0.008, 0.1, 44)
     ))  # fmt: skip
-    contacts = find_contacts(robot, log, apply(T_world_ee, np.stack([u, v, w], 1)), AXES, resting(robot, log))
+    contacts = find(robot, log, apply(T_world_ee, np.stack([u, v, w], 1)))
     assert middle_ee(robot, contacts)[:2] == pytest.approx([0, 0], abs=0.002)
     assert middle_ee(robot, contacts)[2] > 0.005
 
@@ -148,7 +148,7 @@ def touches_ee(robot: RobotModel, points_ee: np.ndarray, axes_ee: np.ndarray) ->
     """Where each finger touches, end-effector frame."""
     log, T_world_ee = still_log(robot, 0.857), robot.ee_poses(JOINTS[None])[0]
     axes = axes_ee @ T_world_ee[:3, :3].T
-    contacts = find_contacts(robot, log, apply(T_world_ee, points_ee), axes, resting(robot, log))
+    contacts = find(robot, log, apply(T_world_ee, points_ee), axes)
     return {patch.finger: apply(invert(T_world_ee), patch.point) for patch in contacts.patches}
 
 
@@ -190,7 +190,7 @@ def test_strays_behind_the_bar_draw_nothing(robot: RobotModel) -> None:
     points = bar(0.1, 0.006, 0.0)
     strays = np.random.default_rng(1).uniform([-0.01, -0.004, 0.012], [0.01, 0.004, 0.018], (12, 3))
     clean, dirty = (
-        middle_ee(robot, find_contacts(robot, log, apply(T_world_ee, item), AXES, resting(robot, log)))
+        middle_ee(robot, find(robot, log, apply(T_world_ee, item)))
         for item in (points, np.concatenate([points, strays]))
     )
     assert dirty == pytest.approx(clean, abs=0.004)
@@ -202,11 +202,10 @@ def test_the_part_is_sought_where_it_is_and_not_where_it_was(robot: RobotModel) 
     log = still_log(robot, 0.857)
     gone = transform(np.eye(3), T_world_ee[:3, :3] @ [0, 0, -0.015])
     scanned = apply(invert(gone), apply(T_world_ee, bar(0.1, 0.006, 0.0)))
-    path = PartPath(times_log_s=np.array([0.5, 0.6]), Ts_world_part=np.stack([gone, gone]))
-    assert middle_ee(robot, find_contacts(robot, log, scanned, AXES, path)) == pytest.approx(
-        [0, 0, 0], abs=0.006
-    )
-    held = find_contacts(robot, log, scanned, AXES, resting(robot, log))
+    path = np.array([0.5, 0.6]), np.stack([gone, gone])
+    contacts = find_contacts(robot, log, (scanned, AXES), *path)
+    assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.006)
+    held = find(robot, log, scanned)
     assert middle_ee(robot, held)[2] > 0.01
 
 
@@ -221,7 +220,7 @@ def test_a_hand_turned_in_the_world_takes_its_patches_along(robot: RobotModel) -
         )  # fmt: skip
         T_world_ee = robot.ee_poses(joints[None])[0]
         axes = axes_ee @ T_world_ee[:3, :3].T
-        contacts = find_contacts(robot, log, apply(T_world_ee, points), axes, resting(robot, log))
+        contacts = find(robot, log, apply(T_world_ee, points), axes)
         found.append([apply(invert(T_world_ee), patch.point) for patch in contacts.patches])
     assert np.array(found[0]) == pytest.approx(np.array(found[1]), abs=1e-5)
 
@@ -246,9 +245,7 @@ def test_a_closed_gripper_pushes_with_its_tips(robot: RobotModel) -> None:
     tip = tip_m(robot)
     door = np.stack([u, v, np.full(len(u), tip + 0.002)], 1)
     log = moving_log(robot, 1.0, np.array([0, 0, 0.02]))
-    contacts = find_contacts(
-        robot, log, apply(robot.ee_poses(JOINTS[None])[0], door), AXES, resting(robot, log)
-    )
+    contacts = find(robot, log, apply(robot.ee_poses(JOINTS[None])[0], door))
     assert {patch.finger for patch in contacts.patches} == {"left", "right"}
     assert contacts.grasp_ee == pytest.approx([0, 0, tip], abs=0.006)
     assert min(patch.gap_m for patch in contacts.patches) < 0.005
@@ -273,7 +270,7 @@ def test_closed_fingers_hook_a_bar_with_their_side(robot: RobotModel, side: floa
     )
     points = np.concatenate([post, door + [0, 0, tip + 0.004]])
     points = apply(robot.ee_poses(JOINTS[None])[0], points)
-    contacts = find_contacts(robot, log, points, AXES, resting(robot, log))
+    contacts = find(robot, log, points)
     assert {patch.finger for patch in contacts.patches} <= {"left", "right"}
     assert contacts.grasp_ee == pytest.approx([side * 0.012, 0, tip - 0.012], abs=0.006)
     normal_ee = robot.ee_poses(JOINTS[None])[0, :3, :3].T @ contacts.patches[0].normal
@@ -288,9 +285,7 @@ def test_a_hook_pulls_with_the_finger_that_faces_its_way(robot: RobotModel, way:
     T_ee_world = invert(robot.ee_poses(JOINTS[None])[0])
     faces = {pad.finger: apply(T_ee_world @ bodies[pad.body], pad.face_body)[1] for pad in robot.pads}
     posts = [bar(0.1, 0.005, 0.0) + [0, y + np.sign(y) * 0.03, 0] for y in faces.values()]
-    contacts = find_contacts(
-        robot, log, apply(invert(T_ee_world), np.concatenate(posts)), AXES, resting(robot, log)
-    )
+    contacts = find(robot, log, apply(invert(T_ee_world), np.concatenate(posts)))
     assert [patch.finger for patch in contacts.patches] == [finger]
     assert np.sign(faces[finger]) == np.sign(way)
 
@@ -298,9 +293,9 @@ def test_a_hook_pulls_with_the_finger_that_faces_its_way(robot: RobotModel, way:
 def test_a_gap_shows_how_far_the_alignment_is_off(robot: RobotModel) -> None:
     far = apply(robot.ee_poses(JOINTS[None])[0], bar(0.1, 0.006, 0.06))
     log = still_log(robot, 0.857)
-    contacts = find_contacts(robot, log, far, AXES, resting(robot, log))
+    contacts = find(robot, log, far)
     assert min(patch.gap_m for patch in contacts.patches) > 0.01
-    assert contacts.grasp_sd_m > 0.005
+    assert min(patch.spread_m for patch in contacts.patches) > 0.008
 
 
 def estimate() -> MotionEstimate:
@@ -325,21 +320,13 @@ def estimate() -> MotionEstimate:
 
 
 def test_an_estimate_survives_the_disk(tmp_path: Path) -> None:
-    write_json(tmp_path / FILE_NAME, asdict(estimate()))
-    loaded = load_motion(tmp_path)
+    save_artifact(tmp_path, "motion", estimate())
+    loaded = load_artifact(tmp_path, "motion", MotionEstimate)
     assert loaded.contacts[0].finger == "left"
     assert loaded.direction == "closing"
     assert loaded.joint.axis == pytest.approx([0, 0, -1])
     assert loaded.thetas == pytest.approx(estimate().thetas)
     assert loaded.theta_at([0.05, 9.0]) == pytest.approx([0.1, 0.8])
-
-
-def test_a_missing_or_foreign_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError):
-        load_motion(tmp_path)
-    write_json(tmp_path / FILE_NAME, {"joint": {}})
-    with pytest.raises(CorruptArtifactError, match="not a motion estimate"):
-        load_motion(tmp_path)
 
 
 def test_a_part_without_points_is_named() -> None:

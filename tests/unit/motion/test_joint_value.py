@@ -6,20 +6,30 @@ import pytest
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.motion.joint_value import (
+    LEAVE_M,
     LEAVE_RAD,
+    TouchObservation,
     ValueTrajectory,
     compute_path_values,
+    follow_pushed_part,
     refine_interval,
     sample_at_frames,
     select_resting,
     smooth_within,
 )
+from aomgen.motion.keyframes import Departures
+from aomgen.motion.onset import Detectability
 
 HINGE = np.array([0.6, 0.2, 0.0])
 NORMAL = np.array([-1.0, 0, 0])
 # The handle sits 0.31 m along the face and 0.05 m in front of it.
 HANDLE = HINGE + [-0.05, -0.31, 0.22]
 DOOR = Joint(type="revolute", axis=[0, 0, -1], origin=HINGE, lower=0, upper=2)
+TIMES = np.arange(0.0, 8.0, 0.01, dtype=np.float64)
+FRAMES = np.arange(0.0, 8.0, 0.1, dtype=np.float64)
+# The hand comes by 3 cm until 1 s, waits until 2 s, pushes 10 cm until 6 s and goes back from 6.5 s.
+HAND = np.interp(TIMES, [0, 1, 2, 6, 6.5, 8], [-0.03, 0, 0, 0.1, 0.1, 0.02])
+PART = np.interp(FRAMES, [2, 6], [0, 0.1])
 
 
 def poses_at(points: np.ndarray, turn: np.ndarray) -> np.ndarray:
@@ -38,7 +48,7 @@ def opened(values: np.ndarray, slide: np.ndarray) -> np.ndarray:
 def test_the_value_does_not_depend_on_the_hands_turn(turn_share: float) -> None:
     values = np.linspace(0, 1.3, 80)
     poses = poses_at(opened(values, np.zeros(80)), turn_share * values)
-    assert compute_path_values(DOOR, poses, np.zeros(3), 0).values == pytest.approx(values, abs=1e-9)
+    assert compute_path_values(DOOR, poses, np.zeros(3), 0) == pytest.approx(values, abs=1e-9)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -49,16 +59,14 @@ def test_sliding_along_the_face_does_not_change_the_value(mirrored: bool) -> Non
         type="revolute", axis=DOOR.axis * (-1 if mirrored else 1), origin=flip @ HINGE, lower=0, upper=2
     )
     poses = poses_at(opened(values, slide) @ flip, np.zeros(60))
-    result = compute_path_values(joint, poses, np.zeros(3), 0, NORMAL)
-    assert result.values == pytest.approx(values, abs=1e-9)
-    assert result.slip_m[-1] == pytest.approx(0.08, abs=0.002)
+    assert compute_path_values(joint, poses, np.zeros(3), 0, NORMAL) == pytest.approx(values, abs=1e-9)
 
 
 def test_a_drawers_value_is_its_travel() -> None:
     drawer = Joint(type="prismatic", axis=[0, -1, 0], origin=HANDLE, lower=0, upper=0.4)
     travel = np.linspace(0, 0.3, 40)
     points = HANDLE + travel[:, None] * np.array([0, -1.0, 0]) + [0, 0, 0.001]
-    values = compute_path_values(drawer, poses_at(points, np.zeros(40)), np.zeros(3), 5).values
+    values = compute_path_values(drawer, poses_at(points, np.zeros(40)), np.zeros(3), 5)
     assert values == pytest.approx(travel - travel[5], abs=1e-12)
 
 
@@ -167,3 +175,49 @@ def test_a_real_motion_back_stays() -> None:
     values = _course((0, 0), (1, 1), (1.5, 0.7), (2.5, 1.2))
     smoothed = smooth_within(values, 0.01, 0.2, LEAVE_RAD)
     assert smoothed[150] < 0.75
+
+
+def push_course(
+    left: np.ndarray,
+    ahead: np.ndarray,
+    seen_s: tuple[float, float],
+    values: np.ndarray = HAND,
+    aside_m: np.ndarray | None = None,
+) -> ValueTrajectory:
+    along, aside = (np.zeros((len(TIMES), 3)) for _ in range(2))
+    along[:, 0] = values
+    aside[:, 2] = 0.0 if aside_m is None else aside_m
+    picture = TouchObservation(
+        times_s=FRAMES, seen=Departures(left=left, ahead=ahead), sight=Detectability(noise=0.004, pixel_m=0.0)
+    )
+    return follow_pushed_part(TIMES, values, (along + aside, aside), seen_s, LEAVE_M, picture)
+
+
+@pytest.mark.parametrize("seen_s", [(2.0, 6.0), (1.0, 8.0)])
+def test_only_the_push_moves_the_part(seen_s: tuple[float, float]) -> None:
+    found = push_course(PART * 6, 0.6 - PART * 6, seen_s)
+    # 2 mm are gone after 0.08 s.
+    assert found.interval == pytest.approx((2.08, 5.92), abs=0.1)
+    assert found.levels == pytest.approx((0.0, 0.1), abs=0.003)
+    assert np.all(np.diff(found.values) >= 0)
+
+
+def test_a_shadow_that_leaves_with_the_hand_is_no_motion() -> None:
+    shadow = np.interp(FRAMES, [6.5, 7.5], [0.08, 0.0])
+    found = push_course(PART * 6, 0.6 - PART * 6 + shadow, (2.0, 7.4))
+    assert found.interval[1] == pytest.approx(5.92, abs=0.15)
+
+
+def test_a_hook_that_leaves_upward_and_onward_does_not_take_the_part_along() -> None:
+    onward = HAND + np.interp(TIMES, [6.5, 7.0], [0.0, 0.05])
+    shadow = np.interp(FRAMES, [6.5, 7.5], [0.08, 0.0])
+    upward = np.interp(TIMES, [6.45, 7.0], [0.0, 0.08])
+    found = push_course(PART * 6, 0.6 - PART * 6 + shadow, (2.0, 7.4), onward, upward)
+    assert found.interval[1] == pytest.approx(5.92, abs=0.15)
+    assert found.levels[1] == pytest.approx(0.1, abs=0.003)
+
+
+def test_a_fist_that_slides_along_the_part_still_pushes_it() -> None:
+    sliding = 0.3 * (HAND - HAND[0])
+    found = push_course(PART * 6, 0.6 - PART * 6, (2.0, 6.0), aside_m=sliding)
+    assert found.levels == pytest.approx((0.0, 0.1), abs=0.003)

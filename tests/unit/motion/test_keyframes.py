@@ -164,3 +164,14 @@ def test_the_parts_pixels_are_filled_between_its_points() -> None:
     points = np.stack([rng.uniform(-0.2, 0.2, 900), np.zeros(900), rng.uniform(-0.1, 0.1, 900)], 1)
     region = find_part_region(points, camera)
     assert region.sum() == pytest.approx(40 * 20, rel=0.1)
+
+
+def test_a_way_to_and_fro_is_longer_than_its_distance() -> None:
+    times = np.arange(0.0, 3.0, 0.01, dtype=np.float64)
+    points = np.zeros((300, 3))
+    points[:, 0] = np.interp(times, [0, 1, 2], [0, 0.05, 0.01])
+    points[:, 1] = 2e-4 * np.sin(40 * times)
+    way = GripperPath(times_s=times, points=points)
+    assert way.travel[-1] == pytest.approx(0.05, abs=1e-3)
+    assert way.length[-1] == pytest.approx(0.09, abs=3e-3)
+    assert way.length[-1] - way.length[210] < 1e-3

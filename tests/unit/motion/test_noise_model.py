@@ -5,8 +5,8 @@ import pytest
 
 from aomgen.motion.noise_model import (
     SCALES,
-    PathNodes,
-    compute_covariances,
+    NoisePrior,
+    PathNoise,
     compute_give_rate,
     compute_held_rate,
 )
@@ -21,9 +21,9 @@ def test_a_direction_is_held_as_far_as_the_fingers_close_in_it() -> None:
 
 
 def test_a_firm_direction_varies_less() -> None:
-    path_nodes = PathNodes.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0])
-    held, loose = (compute_covariances(path_nodes, SIZES, firm)["straight"] for firm in (1.0, 0.0))
-    np.testing.assert_allclose(loose, compute_covariances(path_nodes, SIZES)["bar"])
+    noise = PathNoise.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0], NoisePrior())
+    held, loose = (noise.covariance("straight", SIZES, firm) for firm in (1.0, 0.0))
+    np.testing.assert_allclose(loose, noise.covariance("bar", SIZES, 1.0))
     assert held[-1, -1] == pytest.approx((0.001 * 0.1) ** 2 + 0.0002**2, rel=1e-6)
 
 
@@ -33,3 +33,22 @@ def test_a_hand_that_slides_gives_way_unless_its_fingers_close_along_the_way() -
     for joint_type in ("prismatic", "revolute"):
         assert compute_give_rate(joint_type, SIZES, 1.0) == compute_give_rate(joint_type, calm, 0.0)
         assert compute_give_rate(joint_type, SIZES, 0.0) > compute_give_rate(joint_type, SIZES, 0.9)
+
+
+def test_a_hand_that_holds_nothing_slides_evenly_without_telling() -> None:
+    noise = NoisePrior()
+    free = noise.loosened()
+    usual, loose = (dict(zip(SCALES, item.medians, strict=True)) for item in (noise, free))
+    assert loose["straight"] > 10 * usual["straight"]
+    assert loose["bar"] > 5 * usual["bar"]
+    assert free.spreads[-1] < 0.2 < noise.spreads[-1]
+    assert all(loose[name] == usual[name] for name in ("place", "turn", "tilt", "pivot"))
+
+
+def test_white_residuals_have_the_covariance_of_their_kind() -> None:
+    noise = PathNoise.of(np.linspace(0, 0.1, 8)[:, None] * [1.0, 0, 0], NoisePrior())
+    steps = np.zeros(len(SCALES))
+    (white,), log_det = noise.whiten(["face"], steps, 1.0)
+    covariance = noise.covariance("face", noise.prior.scales(steps), 1.0)
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(8), atol=1e-9)
+    assert log_det == pytest.approx(np.linalg.slogdet(covariance)[1])

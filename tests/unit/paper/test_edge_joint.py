@@ -9,8 +9,7 @@ from aomgen.core.boxes import OrientedBox
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import angle_between
 from aomgen.errors import InputError
-from aomgen.motion.box_edges import measure_edge_pairs
-from aomgen.paper.edge_joint import PairWeights, box_joint, pair_costs
+from aomgen.paper.edge_joint import PairWeights, box_joint, measure_edge_pairs, pair_costs
 from aomgen.paper.mask_keyframes import Variant
 
 # Two unit boxes side by side along y: the moving one in front, its handle at x = 0.4.

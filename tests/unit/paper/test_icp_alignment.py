@@ -15,7 +15,7 @@ from aomgen.paper import icp_alignment as paper_alignment
 from aomgen.paper.icp_alignment import align_as_paper, model_points, robot_points
 from aomgen.paper.link_boxes import bodies_in_boxes
 from aomgen.paper.rigid_icp import rigid_icp, weighted_rigid
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from benchmarks.alignment_methods import methods_table, paper_figures
 
@@ -25,14 +25,14 @@ OFF = transform(matrix_from_rotvec([0.05, -0.04, 0.12]), [0.03, -0.02, 0.02])
 
 
 @pytest.fixture(scope="module")
-def posture(robot: RobotModel) -> RobotPosture:
+def configuration(robot: RobotModel) -> RobotConfiguration:
     joints = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])
-    return RobotPosture(robot=robot, joints=joints, gripper=0.1)
+    return RobotConfiguration(robot=robot, joints=joints, gripper=0.1)
 
 
 @pytest.fixture(scope="module")
-def model(posture: RobotPosture) -> np.ndarray:
-    return model_points(posture, 8_000, np.random.default_rng(0))
+def model(configuration: RobotConfiguration) -> np.ndarray:
+    return model_points(configuration, 8_000, np.random.default_rng(0))
 
 
 def cameras_recon() -> list[Camera]:
@@ -52,8 +52,8 @@ def views() -> list[AlignmentImage]:
     ]
 
 
-def boxes(posture: RobotPosture) -> list[RobotBox]:
-    robot = apply(S_RECON_WORLD, posture.points_world())
+def boxes(configuration: RobotConfiguration) -> list[RobotBox]:
+    robot = apply(S_RECON_WORLD, configuration.points_world())
     found = []
     for camera in cameras_recon()[:2]:
         pixels = camera.project(robot)[0]
@@ -125,67 +125,71 @@ def test_mirrored_points_are_not_mirrored() -> None:
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
 
 
-def test_a_scan_of_the_right_size_is_aligned(posture, model, monkeypatch) -> None:
+def test_a_scan_of_the_right_size_is_aligned(configuration, model, monkeypatch) -> None:
     near_right(monkeypatch)
-    found = align_as_paper(views(), boxes(posture), scan(model[::3]), posture, np.random.default_rng(0))
-    moved = apply(found.S_world_recon @ S_RECON_WORLD, posture.ee_world)
-    assert np.linalg.norm(moved - posture.ee_world) < 0.005
+    found = align_as_paper(
+        views(), boxes(configuration), scan(model[::3]), configuration, np.random.default_rng(0)
+    )
+    moved = apply(found.S_world_recon @ S_RECON_WORLD, configuration.ee_world)
+    assert np.linalg.norm(moved - configuration.ee_world) < 0.005
     assert found.support > 0.8
     assert 0 < found.ee_sd_m < 0.01
 
 
-def test_a_wrong_size_stays_wrong(posture, model, monkeypatch) -> None:
+def test_a_wrong_size_stays_wrong(configuration, model, monkeypatch) -> None:
     near_right(monkeypatch, scale=1.06)
-    found = align_as_paper(views(), boxes(posture), scan(model[::3]), posture, np.random.default_rng(0))
+    found = align_as_paper(
+        views(), boxes(configuration), scan(model[::3]), configuration, np.random.default_rng(0)
+    )
     assert similarity_parts(found.S_world_recon)[0] == pytest.approx(1.06 * 0.37, rel=1e-6)
 
 
-def test_the_table_is_not_robot(posture, model, monkeypatch) -> None:
+def test_the_table_is_not_robot(configuration, model, monkeypatch) -> None:
     surface = np.asarray(scan(model[::3]).means, np.float64)
     up = S_RECON_WORLD[:3, 2] / np.linalg.norm(S_RECON_WORLD[:3, 2])
-    points = robot_points(surface, boxes(posture), up, np.random.default_rng(0))
+    points = robot_points(surface, boxes(configuration), up, np.random.default_rng(0))
     monkeypatch.setattr(paper_alignment, "_without_support", lambda points, *_: points)
-    everything = robot_points(surface, boxes(posture), up, np.random.default_rng(0))
+    everything = robot_points(surface, boxes(configuration), up, np.random.default_rng(0))
     low, low_of_all = (np.mean(apply(S_WORLD_RECON, found)[:, 2] < 0.01) for found in (points, everything))
     assert low < 0.06
     assert low < 0.4 * low_of_all
     assert len(points) > 500
 
 
-def test_refusals_say_why(posture, model, monkeypatch) -> None:
+def test_refusals_say_why(configuration, model, monkeypatch) -> None:
     near_right(monkeypatch)
     rng, scene = np.random.default_rng(0), scan(model[::3])
     with pytest.raises(AlignmentError, match="1 prompts give a box"):
-        align_as_paper(views(), boxes(posture)[:1], scene, posture, rng)
+        align_as_paper(views(), boxes(configuration)[:1], scene, configuration, rng)
     faint = replace(scene, opacities=np.full(len(scene), 0.1, np.float32))
     with pytest.raises(AlignmentError, match="lie in all robot boxes"):
-        align_as_paper(views(), boxes(posture), faint, posture, rng)
+        align_as_paper(views(), boxes(configuration), faint, configuration, rng)
     elsewhere = scan(np.random.default_rng(5).uniform([-0.9, -0.5, 0.1], [0.3, 0.5, 0.9], (4000, 3)))
     with pytest.raises(AlignmentError, match="lie on the model"):
-        align_as_paper(views(), boxes(posture), elsewhere, posture, rng, min_matched=0.6)
+        align_as_paper(views(), boxes(configuration), elsewhere, configuration, rng, min_matched=0.6)
 
 
-def test_link_boxes_hold_their_links_and_nothing_far(posture) -> None:
-    poses = posture.robot.link_poses(posture.joints[None], posture.gripper)[0]
-    points = np.concatenate([apply(poses[m.body], m.vertices_body[::20]) for m in posture.robot.meshes])
-    owners = np.concatenate([np.full(len(m.vertices_body[::20]), m.body) for m in posture.robot.meshes])
-    found = bodies_in_boxes(points, posture)
+def test_link_boxes_hold_their_links_and_nothing_far(configuration) -> None:
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    points = np.concatenate([apply(poses[m.body], m.vertices_body[::20]) for m in configuration.robot.meshes])
+    owners = np.concatenate([np.full(len(m.vertices_body[::20]), m.body) for m in configuration.robot.meshes])
+    found = bodies_in_boxes(points, configuration)
     assert np.all(found >= 0)
     assert np.mean(found == owners) > 0.7
-    assert np.all(bodies_in_boxes(points + [0, 0, 3.0], posture) == -1)
+    assert np.all(bodies_in_boxes(points + [0, 0, 3.0], configuration) == -1)
     # What stands in a box is taken as robot, also in front of the surface.
-    corner = poses[posture.robot.meshes[0].body]
+    corner = poses[configuration.robot.meshes[0].body]
     vertices = np.concatenate(
-        [m.vertices_body for m in posture.robot.meshes if m.body == posture.robot.meshes[0].body]
+        [m.vertices_body for m in configuration.robot.meshes if m.body == configuration.robot.meshes[0].body]
     )
-    assert bodies_in_boxes(apply(corner, vertices.max(0)[None]), posture)[0] >= 0
+    assert bodies_in_boxes(apply(corner, vertices.max(0)[None]), configuration)[0] >= 0
 
 
-def test_link_boxes_move_with_the_robot(posture) -> None:
-    turned = replace(posture, joints=posture.joints + [0.7, 0, 0, 0, 0, 0])
-    points = posture.points_world(400)
+def test_link_boxes_move_with_the_robot(configuration) -> None:
+    turned = replace(configuration, joints=configuration.joints + [0.7, 0, 0, 0, 0, 0])
+    points = configuration.points_world(400)
     T = transform(matrix_from_rotvec([0, 0, 0.7]), [0, 0, 0])
-    before, after = bodies_in_boxes(points, posture), bodies_in_boxes(apply(T, points), turned)
+    before, after = bodies_in_boxes(points, configuration), bodies_in_boxes(apply(T, points), turned)
     upper = before > 1
     assert np.mean(before[upper] == after[upper]) > 0.99
 

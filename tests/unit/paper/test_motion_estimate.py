@@ -5,6 +5,7 @@ import pytest
 
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
+from aomgen.core.clock import Clock
 from aomgen.core.gaussians import gaussians_of
 from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionCurve
@@ -55,7 +56,7 @@ def demonstration(robot: RobotModel) -> MotionInput:
     return MotionInput(
         video=Video(times_s=TIMES_S, frames_srgb=np.zeros((FRAMES, 12, 16, 3), np.uint8), fps=20.0),
         camera=Camera(fx=15, fy=15, cx=8, cy=6, width=16, height=12, T_world_cam=pose),
-        log=drawing_log(robot),
+        log=drawing_log(robot).shifted(OFFSET_S),
         robot=robot,
         scene=gaussians_of(
             means=means,
@@ -65,8 +66,7 @@ def demonstration(robot: RobotModel) -> MotionInput:
             sh=np.zeros((count, 1, 3)),
         ),
         labels=np.repeat(np.array([MOVING, STATIC], np.uint8), len(door)),
-        clock_offset_s=OFFSET_S,
-        clock_sd_s=0.0,
+        clock=Clock(offset_s=OFFSET_S),
     )
 
 

@@ -7,18 +7,8 @@ from scipy.spatial.transform import Rotation
 from aomgen.core.boxes import fit_box
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, similarity
-from aomgen.errors import MalformedFileError
-from aomgen.parts.coverage import (
-    Coverage,
-    Survey,
-    coverage_of,
-    load_survey,
-    object_sides,
-    save_survey,
-    survey,
-    table_sides,
-)
-from aomgen.robots.configuration import RobotPosture
+from aomgen.parts.coverage import Coverage, Survey, coverage_of, object_sides, survey, table_sides
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 
 MIDDLE = np.array([0.45, -0.05, 0.15])
@@ -47,9 +37,9 @@ def ring() -> list[Camera]:
 
 
 def survey_of(scene, cameras: list[Camera]) -> Survey:
-    posture = RobotPosture(robot=scene.robot, joints=scene.twin.scan_state.joints, gripper=0.0)
+    configuration = RobotConfiguration(robot=scene.robot, joints=scene.twin.scan_state.joints, gripper=0.0)
     views = view_depths(scene.gaussians, cameras)
-    return survey(scene.gaussians, scene.labels, posture, views, np.random.default_rng(0))
+    return survey(scene.gaussians, scene.labels, configuration, views, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -147,26 +137,6 @@ def test_sides_are_named_as_the_robot_sees_them():
     assert middles["the table behind the object"][1] < -1.1
     assert middles["the table right of the object"][0] < -0.2
     assert middles["the table before the object"][2] == pytest.approx(0.0, abs=0.01)
-
-
-def test_a_survey_survives_the_disk(tmp_path, full: Survey):
-    save_survey(tmp_path, full)
-    again = load_survey(tmp_path)
-    assert again.figures() == full.figures()
-    assert np.array_equal(again.points_world, full.points_world)
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 nothing"])
-def test_a_damaged_survey_is_refused(tmp_path, content: bytes):
-    (tmp_path / "coverage.npz").write_bytes(content)
-    with pytest.raises(MalformedFileError, match=r"coverage\.npz"):
-        load_survey(tmp_path)
-
-
-def test_a_survey_with_missing_arrays_is_refused(tmp_path):
-    np.savez(tmp_path / "coverage.npz", names=np.array(["a"]))
-    with pytest.raises(MalformedFileError, match="survey"):
-        load_survey(tmp_path)
 
 
 def test_a_side_seen_in_part_says_so():

@@ -8,8 +8,9 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians, gaussians_of
+from aomgen.core.parts import no_cut
 from aomgen.core.transforms import matrix_from_quat, transform
-from aomgen.parts.cutting import MIN_SHARE, cut_at_faces, no_cut
+from aomgen.parts.cutting import MIN_SHARE, cut_at_faces
 from aomgen.parts.panel import Panel
 from aomgen.splatting.rasterizer import render
 

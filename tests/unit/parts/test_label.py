@@ -9,13 +9,13 @@ from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.parts import Parts, no_cut
 from aomgen.core.recording import Prompt
 from aomgen.core.transforms import apply
 from aomgen.errors import BackendError, MalformedFileError, WrongPromptError
+from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.images import read_labels, write_image
-from aomgen.parts.cutting import no_cut
 from aomgen.parts.label import (
-    Parts,
     PromptedScan,
     cut_scan,
     find_parts,
@@ -24,8 +24,7 @@ from aomgen.parts.label import (
 )
 from aomgen.parts.prompted_images import ScanView, segment_prompts
 from aomgen.parts.robot_labels import label_robot, nearest_links
-from aomgen.parts.stage import load_parts, save_parts
-from aomgen.robots.configuration import RobotPosture
+from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 from aomgen.segmentation.interface import clean
@@ -37,34 +36,36 @@ JOINTS = np.array([0.3, -1.6, 1.9, -0.4, 1.2, 0.1])
 
 
 @pytest.fixture(scope="module")
-def posture(robot: RobotModel) -> RobotPosture:
-    return RobotPosture(robot=robot, joints=JOINTS, gripper=0.0)
+def configuration(robot: RobotModel) -> RobotConfiguration:
+    return RobotConfiguration(robot=robot, joints=JOINTS, gripper=0.0)
 
 
 def robot_points(
-    posture: RobotPosture, rng: np.random.Generator, count: int
+    configuration: RobotConfiguration, rng: np.random.Generator, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    poses = posture.robot.link_poses(JOINTS[None], 0.0)[0]
+    poses = configuration.robot.link_poses(JOINTS[None], 0.0)[0]
     points, owners = [], []
-    areas = np.array([face_normals_areas(m.vertices_body, m.faces)[1].sum() for m in posture.robot.meshes])
-    for mesh, share in zip(posture.robot.meshes, areas / areas.sum(), strict=True):
+    areas = np.array(
+        [face_normals_areas(m.vertices_body, m.faces)[1].sum() for m in configuration.robot.meshes]
+    )
+    for mesh, share in zip(configuration.robot.meshes, areas / areas.sum(), strict=True):
         chosen, _, _ = sample_surface(mesh.vertices_body, mesh.faces, int(count * share) + 1, rng)
         points.append(apply(poses[mesh.body], chosen))
         owners.append(np.full(len(chosen), mesh.body))
     return np.concatenate(points), np.concatenate(owners)
 
 
-def test_points_near_a_link_are_bound_to_it(posture):
+def test_points_near_a_link_are_bound_to_it(configuration):
     rng = np.random.default_rng(0)
-    points, owners = robot_points(posture, rng, 2000)
-    bodies, distances = nearest_links(points + rng.normal(0, 0.001, points.shape), posture, rng)
+    points, owners = robot_points(configuration, rng, 2000)
+    bodies, distances = nearest_links(points + rng.normal(0, 0.001, points.shape), configuration, rng)
     assert np.mean(bodies == owners) > 0.9
     assert np.quantile(distances, 0.95) < 0.006
 
 
-def test_points_away_from_the_robot_are_bound_to_nothing(posture):
-    points, _ = robot_points(posture, np.random.default_rng(1), 500)
-    bodies, distances = nearest_links(points + [0, 0, 5.0], posture, np.random.default_rng(1))
+def test_points_away_from_the_robot_are_bound_to_nothing(configuration):
+    points, _ = robot_points(configuration, np.random.default_rng(1), 500)
+    bodies, distances = nearest_links(points + [0, 0, 5.0], configuration, np.random.default_rng(1))
     assert np.all(bodies == -1)
     assert np.all(np.isinf(distances))
 
@@ -76,13 +77,13 @@ def grid_box(low: list[float], high: list[float], step: float) -> np.ndarray:
     return points[faces]
 
 
-def toy_scene(posture: RobotPosture) -> tuple[Gaussians, np.ndarray]:
+def toy_scene(configuration: RobotConfiguration) -> tuple[Gaussians, np.ndarray]:
     """A box with a colored door on a table, beside the robot, as round Gaussians."""
     rng = np.random.default_rng(2)
     body = grid_box([0.5, 0.6, 0.0], [0.8, 0.9, 0.25], 0.012)
     door = grid_box([0.5, 0.57, 0.0], [0.8, 0.588, 0.25], 0.009)
     table = grid_box([0.2, 0.3, -0.02], [1.1, 1.2, -0.02], 0.02)
-    robot, _ = robot_points(posture, rng, 14000)
+    robot, _ = robot_points(configuration, rng, 14000)
     sets = [(body, STATIC, 0.4), (door, MOVING, 0.8), (table, BACKGROUND, 0.1), (robot, ROBOT, 0.6)]
     means = np.concatenate([points for points, _, _ in sets])
     labels = np.concatenate([np.full(len(points), value) for points, value, _ in sets])
@@ -94,10 +95,12 @@ def toy_scene(posture: RobotPosture) -> tuple[Gaussians, np.ndarray]:
     ), labels  # fmt: skip
 
 
-def toy_views(gaussians: Gaussians, labels: np.ndarray, posture: RobotPosture, folder) -> list[ScanView]:
+def toy_views(
+    gaussians: Gaussians, labels: np.ndarray, configuration: RobotConfiguration, folder
+) -> list[ScanView]:
     """Views with exact label images on disk."""
     views = []
-    with SilhouetteRenderer(posture.robot, max_width=320, max_height=240) as renderer:
+    with SilhouetteRenderer(configuration.robot, max_width=320, max_height=240) as renderer:
         for index, angle in enumerate(np.linspace(-2.6, 0.2, 8)):
             eye = [0.65 + 1.5 * np.cos(angle), 0.7 + 1.5 * np.sin(angle), 0.9]
             camera = Camera(
@@ -124,9 +127,9 @@ def tight_prompt(part: str, index: int, folder) -> Prompt:
     return Prompt(part=part, image=f"{index}.jpg", points=np.zeros((0, 3)), box=box)
 
 
-def segmented(gaussians, views, prompts, folder, posture) -> PromptedScan:
+def segmented(gaussians, views, prompts, folder, configuration) -> PromptedScan:
     prompted = segment_prompts(views, prompts, MasksOnDisk(folders={"hand": folder}))
-    bodies = label_robot(gaussians, views, posture, np.random.default_rng(0))
+    bodies = label_robot(gaussians, views, configuration, np.random.default_rng(0))
     return segment_scan(gaussians, views, bodies, prompted)
 
 
@@ -134,11 +137,11 @@ def labelled(scan: PromptedScan) -> Parts:
     return find_parts(scan, part_evidence(scan))
 
 
-def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
-    gaussians, labels = toy_scene(posture)
-    views = toy_views(gaussians, labels, posture, tmp_path)
+def test_labels_of_a_known_scene_are_recovered(configuration, tmp_path):
+    gaussians, labels = toy_scene(configuration)
+    views = toy_views(gaussians, labels, configuration, tmp_path)
     prompts = tuple(prompt(part, f"{i}.jpg") for part in ("static", "moving") for i in (2, 4))
-    parts = labelled(segmented(gaussians, views, prompts, tmp_path, posture))
+    parts = labelled(segmented(gaussians, views, prompts, tmp_path, configuration))
     votes = np.zeros(len(gaussians))
     for view in views:
         ids = np.asarray(render(gaussians, view.camera, with_ids=True).max_id)
@@ -147,31 +150,27 @@ def test_labels_of_a_known_scene_are_recovered(posture, tmp_path):
     for value, least in ((ROBOT, 0.95), (STATIC, 0.97), (MOVING, 0.97), (BACKGROUND, 0.97)):
         assert np.mean(parts.labels[seen & (labels == value)] == value) > least, value
     assert np.all((parts.robot_bodies >= 0) == (parts.labels == ROBOT))
-    save_parts(parts, tmp_path)
-    stored = load_parts(tmp_path)
-    assert np.array_equal(stored.labels, parts.labels)
-    assert (stored.method, stored.box_misfit) == (parts.method, parts.box_misfit)
 
 
-def test_cut_parts_are_stored_with_their_pieces(posture, tmp_path):
-    gaussians, labels = toy_scene(posture)
-    views = toy_views(gaussians, labels, posture, tmp_path)
+def test_cut_parts_are_stored_with_their_pieces(configuration, tmp_path):
+    gaussians, labels = toy_scene(configuration)
+    views = toy_views(gaussians, labels, configuration, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    scan = segmented(gaussians, views, prompts, tmp_path, posture)
+    scan = segmented(gaussians, views, prompts, tmp_path, configuration)
     parts = find_parts(*cut_scan(scan, part_evidence(scan), None))
     assert len(parts.cut.sources) > 0
     assert len(parts.labels) == len(parts.cut.applied(gaussians)) > len(gaussians)
-    save_parts(parts, tmp_path)
-    stored = load_parts(tmp_path).cut
+    save_artifact(tmp_path, "parts", parts)
+    stored = load_artifact(tmp_path, "parts", Parts).cut
     assert np.array_equal(stored.sources, parts.cut.sources)
     assert np.array_equal(stored.pieces.means, parts.cut.pieces.means)
 
 
-def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
-    gaussians, labels = toy_scene(posture)
-    views = toy_views(gaussians, labels, posture, tmp_path)
+def test_boxes_around_the_parts_give_a_panel(configuration, tmp_path):
+    gaussians, labels = toy_scene(configuration)
+    views = toy_views(gaussians, labels, configuration, tmp_path)
     prompts = tuple(tight_prompt(part, i, tmp_path) for part in ("static", "moving") for i in (2, 4))
-    parts = labelled(segmented(gaussians, views, prompts, tmp_path, posture))
+    parts = labelled(segmented(gaussians, views, prompts, tmp_path, configuration))
     assert parts.method == "boxes"
     assert parts.box_misfit < 0.1
     drawn = render(gaussians, views[3].camera, with_ids=True)
@@ -184,9 +183,9 @@ def test_boxes_around_the_parts_give_a_panel(posture, tmp_path):
         assert (agreeing[0] & agreeing[1]).sum() / (agreeing[0] | agreeing[1]).sum() > least, value
 
 
-def test_parts_of_different_objects_are_refused(posture, tmp_path):
+def test_parts_of_different_objects_are_refused(configuration, tmp_path):
     """The static prompts show a crate half a metre from the door."""
-    gaussians, labels = toy_scene(posture)
+    gaussians, labels = toy_scene(configuration)
     crate = gaussians.means[labels == STATIC] + [0.55, 0.1, 0.0]
     both = Gaussians(
         means=np.concatenate([gaussians.means, crate]),
@@ -196,12 +195,12 @@ def test_parts_of_different_objects_are_refused(posture, tmp_path):
         sh=np.concatenate([gaussians.sh, np.full((len(crate), *gaussians.sh.shape[1:]), 0.5, np.float32)]),
     )
     wrong = np.concatenate([np.where(labels == STATIC, BACKGROUND, labels), np.full(len(crate), STATIC)])
-    views = toy_views(both, wrong, posture, tmp_path)
+    views = toy_views(both, wrong, configuration, tmp_path)
     shown = [k for k in range(8) if (read_labels(tmp_path / f"{k}.png") == STATIC).sum() > 500][:2]
     prompts = tuple(tight_prompt("static", k, tmp_path) for k in shown)
     prompts += tuple(tight_prompt("moving", k, tmp_path) for k in (2, 4))
     with pytest.raises(WrongPromptError, match=r"away from the moving part.*another object.*around the body"):
-        labelled(segmented(both, views, prompts, tmp_path, posture))
+        labelled(segmented(both, views, prompts, tmp_path, configuration))
 
 
 def nothing_found() -> Parts:
@@ -229,12 +228,6 @@ def test_doubtful_labels_are_warned_about():
     assert (
         "labels of the moving part are doubtful: they overlap with its masks by 55 %, want 60 %" in sentence
     )
-
-
-def test_stored_parts_that_are_damaged_are_refused(tmp_path):
-    (tmp_path / "parts.npz").write_bytes(b"PK\x03\x04 nothing")
-    with pytest.raises(MalformedFileError, match=r"parts\.npz"):
-        load_parts(tmp_path)
 
 
 def test_color_cut_finds_a_colored_rectangle():

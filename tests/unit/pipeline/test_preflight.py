@@ -10,6 +10,7 @@ from aomgen.assets.make import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.capture import capture_check
 from aomgen.capture.read import read_capture
+from aomgen.core.project import Project
 from aomgen.errors import (
     AssetError,
     ConfigError,
@@ -19,8 +20,7 @@ from aomgen.errors import (
 )
 from aomgen.io.video import VideoInfo
 from aomgen.pipeline import environment, preflight
-from aomgen.pipeline.asset_choice import assets_digest
-from aomgen.pipeline.project import Project
+from aomgen.pipeline.stages import assets_digest
 from broken_captures import CAPTURES, TOML, edit, write_tight_usd
 
 SHARED = Path(__file__).parents[4] / "shared" / "captures"

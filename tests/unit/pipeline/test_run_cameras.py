@@ -2,15 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from aomgen.alignment.calibrated_cameras import CalibratedCamera
 from aomgen.core.camera import Camera
+from aomgen.core.fixed_camera import FixedCamera
+from aomgen.core.project import Project
 from aomgen.errors import ConfigError
 from aomgen.pipeline import run_cameras
-from aomgen.pipeline.project import Project
 
 VIDEO = Camera(fx=600, fy=600, cx=320, cy=240, width=640, height=480, T_world_cam=np.eye(4))
 EPISODES = VIDEO.resized(320, 240)
@@ -20,10 +21,13 @@ SCAN = replace(VIDEO, fx=500)
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     (tmp_path / "07_replacement").mkdir()
-    monkeypatch.setattr(run_cameras, "scan_cameras_world", lambda run: {"0001.jpg": SCAN, "0000.jpg": SCAN})
-    monkeypatch.setattr(run_cameras, "stored_cameras", lambda run: {"front": EPISODES, "side": EPISODES})
-    calibrated = {"front": CalibratedCamera(camera=VIDEO, clock=None)}
-    monkeypatch.setattr(run_cameras, "load_calibrated_cameras", lambda folder: calibrated)
+    results = SimpleNamespace(
+        folders={"replacement": tmp_path / "07_replacement"},
+        scan_cameras={"0001.jpg": SCAN, "0000.jpg": SCAN},
+        episode_scene=SimpleNamespace(cameras={"front": EPISODES, "side": EPISODES}),
+        alignment=SimpleNamespace(cameras={"front": FixedCamera(camera=VIDEO, clock=None)}),
+    )
+    monkeypatch.setattr(run_cameras, "results_of", lambda project, stages: results)
     return Project(capture=tmp_path, out=tmp_path)
 
 

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from aomgen.core.project import Project
 from aomgen.errors import AomgenError, CorruptArtifactError, InputError, LockedError
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.pipeline.manifest import MANIFEST, read_manifest, verify
-from aomgen.pipeline.project import Project
 from aomgen.pipeline.runner import run_stages, stage_states
-from aomgen.pipeline.stage import WARNINGS, Run, Stage
+from aomgen.pipeline.stage import WARNINGS, Stage
+from aomgen.results import Results
 
 
 class Heard:
@@ -33,13 +34,13 @@ class Heard:
         self.warned.append((stage.name, sentence))
 
 
-def write_seed(run: Run, folder: Path, progress) -> dict:
-    write_text(folder / "a.txt", f"seed {run.project.seed}")
+def write_seed(results: Results, folder: Path, progress) -> dict:
+    write_text(folder / "a.txt", f"seed {results.project.seed}")
     return {"size": 1}
 
 
-def copy_a(run: Run, folder: Path, progress) -> dict:
-    write_bytes(folder / "b.txt", (run.folders["a"] / "a.txt").read_bytes() * 2)
+def copy_a(results: Results, folder: Path, progress) -> dict:
+    write_bytes(folder / "b.txt", (results.folders["a"] / "a.txt").read_bytes() * 2)
     return {}
 
 
@@ -106,7 +107,7 @@ def test_a_flipped_byte_is_found(tmp_path):
 
 
 def test_a_refusal_leaves_nothing_half_written(tmp_path):
-    def refuse(run, folder, progress):
+    def refuse(results, folder, progress):
         write_text(folder / "half.txt", "half")
         raise InputError("b", "no")
 
@@ -120,11 +121,11 @@ def test_an_incremental_stage_continues(tmp_path):
     class Killed(Exception):
         pass
 
-    def first(run, folder, progress):
+    def first(results, folder, progress):
         write_text(folder / "item-0", "0")
         raise Killed
 
-    def second(run, folder, progress):
+    def second(results, folder, progress):
         assert (folder / "item-0").read_text() == "0"
         write_text(folder / "item-1", "1")
         return {}
@@ -137,9 +138,9 @@ def test_an_incremental_stage_continues(tmp_path):
 
 
 def test_an_incremental_stage_starts_over_for_other_inputs(tmp_path):
-    def item(run, folder, progress):
-        assert not (folder / f"seed-{1 - run.project.seed}").exists()
-        write_text(folder / f"seed-{run.project.seed}", "")
+    def item(results, folder, progress):
+        assert not (folder / f"seed-{1 - results.project.seed}").exists()
+        write_text(folder / f"seed-{results.project.seed}", "")
         return {}
 
     go(tmp_path, b=item, incremental=True)
@@ -147,7 +148,7 @@ def test_an_incremental_stage_starts_over_for_other_inputs(tmp_path):
 
 
 def test_two_runs_in_one_folder(tmp_path):
-    def nested(run, folder, progress):
+    def nested(results, folder, progress):
         if os.fork() == 0:
             try:
                 go(tmp_path)
@@ -165,8 +166,8 @@ def test_two_runs_in_one_folder(tmp_path):
 
 
 def test_warnings_are_told_kept_and_told_again(tmp_path):
-    def warns(run: Run, folder: Path, progress) -> dict:
-        return {**write_seed(run, folder, progress), WARNINGS: ["the far side was not seen"]}
+    def warns(results: Results, folder: Path, progress) -> dict:
+        return {**write_seed(results, folder, progress), WARNINGS: ["the far side was not seen"]}
 
     project = Project(capture=tmp_path, out=tmp_path / "out")
     first, second = Heard(), Heard()
@@ -183,12 +184,12 @@ def test_warnings_are_told_kept_and_told_again(tmp_path):
 def test_items_stay_when_only_their_number_changes(tmp_path):
     made = []
 
-    def items(run: Run, folder: Path, progress) -> dict:
+    def items(results: Results, folder: Path, progress) -> dict:
         assert not (folder / MANIFEST).exists(), "it says complete while the stage works"
-        for number in range(run.project.poses):
+        for number in range(results.project.poses):
             if not (folder / f"{number}.txt").is_file():
                 made.append(number)
-                write_text(folder / f"{number}.txt", f"{run.project.seed}")
+                write_text(folder / f"{number}.txt", f"{results.project.seed}")
         return {}
 
     (stage,) = stages(b=items, incremental=True)[1:]

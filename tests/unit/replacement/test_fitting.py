@@ -17,6 +17,7 @@ from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import frontal, held_point_of, mirror_asset
 from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
 from aomgen.replacement.recorded_motion import recorded_contact, smooth_rise
+from benchmarks.other_objects import make_object
 
 YAW = np.deg2rad(-70.0)
 SCALE = 1.15
@@ -82,7 +83,7 @@ ODD = [
 
 @pytest.mark.parametrize(("category", "seed"), ODD)
 def test_every_kind_of_object_is_found_again(category: str, seed: int) -> None:
-    asset = make_asset(category, seed)
+    asset = make_object(category, seed)
     demo, recorded = recording(asset, noise_m=0.001)
     contact = recorded_contact(demo, recorded)
     assert np.rad2deg(abs(contact.front.yaw - YAW)) < 2.0
@@ -111,7 +112,7 @@ def test_a_panel_that_slides_the_other_way_is_mirrored() -> None:
 
 @pytest.mark.parametrize(("category", "seed"), [("drawer", 1), ("toolbox", 1), ("laptop", 1), ("oven", 1)])
 def test_what_a_mirror_leaves_as_it_is_is_never_mirrored(category: str, seed: int) -> None:
-    asset = make_asset(category, seed)
+    asset = make_object(category, seed)
     demo, recorded = recording(asset)
     result = fit_asset(
         mirror_asset(asset), recorded_contact(demo, recorded), demo.joint.type, "object", FitParams()

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aomgen.core.project import Project
 from aomgen.errors import MalformedFileError
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video, read_frames
-from aomgen.pipeline.project import Project
-from aomgen.pipeline.stage import Run
 from aomgen.pipeline.stages import STAGES
 from aomgen.report import episodes
 from aomgen.report.episodes import episodes_section
 from aomgen.report.rejects import reasons, rejects_section
 from aomgen.report.summary import provenance_table
+from aomgen.results import Results
 from drawer_episode import corner_camera, drawer_episode
 
 FRAMES, SIZE = 6, (64, 48)
@@ -35,13 +35,13 @@ def video() -> bytes:
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
+def results(tmp_path: Path) -> Results:
     (tmp_path / "07_replacement" / "assets").mkdir(parents=True)
     folders = {stage.name: tmp_path / stage.folder for stage in STAGES}
-    return Run(project=Project(capture=tmp_path, out=tmp_path, seed=5), out=tmp_path, folders=folders)
+    return Results(project=Project(capture=tmp_path, out=tmp_path, seed=5), out=tmp_path, folders=folders)
 
 
-def commit(run: Run, count: int, video: bytes) -> None:
+def commit(results: Results, count: int, video: bytes) -> None:
     """Episodes that are fully open in their fourth frame."""
     camera = corner_camera(*SIZE)
     cameras = {"front": camera, "side": camera}
@@ -54,7 +54,7 @@ def commit(run: Run, count: int, video: bytes) -> None:
     }
     for index in range(count):
         episode = drawer_episode(index, np.zeros((FRAMES, 6)), thetas, cameras, verdict, {})
-        commit_episode(run.folders["episodes"], episode, {"front": video, "side": video})
+        commit_episode(results.folders["episodes"], episode, {"front": video, "side": video})
 
 
 def test_the_frames_asked_for_are_read(tmp_path: Path, video: bytes) -> None:
@@ -66,9 +66,9 @@ def test_the_frames_asked_for_are_read(tmp_path: Path, video: bytes) -> None:
         read_frames(path, [99])
 
 
-def test_both_cameras_play_side_by_side_and_load_nothing_before(run: Run, video: bytes) -> None:
-    commit(run, 1, video)
-    page = "".join(episodes_section(run))
+def test_both_cameras_play_side_by_side_and_load_nothing_before(results: Results, video: bytes) -> None:
+    commit(results, 1, video)
+    page = "".join(episodes_section(results))
     (card,) = re.findall(r"<figure class=.card.>.*?</figure>", page)
     assert re.findall(r' src="([^"]+)"', card) == [
         "09_episodes/000000/front.mp4",
@@ -80,9 +80,9 @@ def test_both_cameras_play_side_by_side_and_load_nothing_before(run: Run, video:
     assert "+2 cm, +0 cm, +20 deg" in card
 
 
-def test_the_verdicts_show_the_worst_setting_and_the_limits(run: Run, video: bytes) -> None:
-    commit(run, 1, video)
-    page = "".join(episodes_section(run))
+def test_the_verdicts_show_the_worst_setting_and_the_limits(results: Results, video: bytes) -> None:
+    commit(results, 1, video)
+    page = "".join(episodes_section(results))
     row = re.findall(r'<td class="n">([^<]+)</td>', page)
     assert row == ["99.0", "95.0", "2.0", "102", "12"]
     assert "at least 90% of the planned opening" in page
@@ -91,14 +91,14 @@ def test_the_verdicts_show_the_worst_setting_and_the_limits(run: Run, video: byt
 
 
 def test_many_episodes_are_listed_and_only_the_first_decoded(
-    run: Run, video: bytes, monkeypatch: pytest.MonkeyPatch
+    results: Results, video: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    commit(run, 30, video)
+    commit(results, 30, video)
     decoded = []
     monkeypatch.setattr(
         episodes, "read_frames", lambda path, _: decoded.append(path) or [np.zeros((48, 64, 3), np.uint8)]
     )
-    page = "".join(episodes_section(run))
+    page = "".join(episodes_section(results))
     assert len(decoded) == 48
     assert page.count("<video") == 48
     assert page.count('href="09_episodes/') == 60
@@ -106,14 +106,14 @@ def test_many_episodes_are_listed_and_only_the_first_decoded(
     assert "<details><summary>all 30 episodes" in page
 
 
-def test_rejects_are_grouped_by_reason_with_pair_and_limit(run: Run) -> None:
+def test_rejects_are_grouped_by_reason_with_pair_and_limit(results: Results) -> None:
     detail = "penetration_mm is 52.0, limit 1.0 (gripper_base and object_moving_door)"
     collision = {"asset": "drawer-1", "reason": "collision", "detail": detail, "variation": VARIATION}
     missed = {**collision, "reason": "unreachable", "detail": "7.8 mm and 0.8 deg from the asked pose"}
-    run.folders["plans"].mkdir()
+    results.folders["plans"].mkdir()
     content = {"reasons": {"unreachable": 1, "collision": 25}, "rejected": [missed, *([collision] * 25)]}
-    (run.folders["plans"] / "rejected.json").write_text(json.dumps(content))
-    page = "".join(rejects_section(run))
+    (results.folders["plans"] / "rejected.json").write_text(json.dumps(content))
+    page = "".join(rejects_section(results))
     assert re.findall(r"<h3>([^<]+)</h3>", page) == [
         "25 collision: robot and scene overlap by more than 1 mm",
         "1 unreachable: the arm misses an asked pose by more than 1 mm or 0.5 deg",
@@ -128,11 +128,11 @@ def test_every_reason_of_planning_is_explained() -> None:
     assert set(REASONS) <= set(reasons())
 
 
-def test_the_head_says_what_made_the_run_or_that_nobody_knows(run: Run) -> None:
-    assert provenance_table(run).count("not recorded") == 2
+def test_the_head_says_what_made_the_run_or_that_nobody_knows(results: Results) -> None:
+    assert provenance_table(results).count("not recorded") == 2
     record = {"command": "aomgen demo 'my out'", "version": "9.9", "finished": "2030-01-02T03:04:05+01:00"}
-    (run.out / "run.json").write_text(json.dumps(record))
-    table = provenance_table(run)
+    (results.out / "run.json").write_text(json.dumps(record))
+    table = provenance_table(results)
     for words in (
         "9.9",
         "2030-01-02 03:04:05+01:00",

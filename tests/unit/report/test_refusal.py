@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from aomgen.core.motion import MotionCurve
-from aomgen.motion.stage import load_curve, save_curve
-from aomgen.pipeline.estimates import REFUSED_MOTION, forget_refusal
+from aomgen.io.artifact import save_artifact
+from aomgen.motion.estimates_file import REFUSED_MOTION, forget_refusal
 from aomgen.report.refusal import write_refusal
 
 
@@ -23,9 +23,8 @@ def curve() -> MotionCurve:
     )
 
 
-def test_the_score_comes_back_and_is_drawn_beside_the_reason(tmp_path: Path) -> None:
-    save_curve(tmp_path / REFUSED_MOTION, curve())
-    assert np.array_equal(load_curve(tmp_path / REFUSED_MOTION).scores, curve().scores)
+def test_the_score_is_drawn_beside_the_reason(tmp_path: Path) -> None:
+    save_artifact(tmp_path, REFUSED_MOTION, curve())
     page = write_refusal(tmp_path, "the part does not move")
     assert page is not None
     text = page.read_text()
@@ -35,7 +34,7 @@ def test_the_score_comes_back_and_is_drawn_beside_the_reason(tmp_path: Path) -> 
 
 def test_a_run_refused_elsewhere_or_forgotten_has_no_page(tmp_path: Path) -> None:
     assert write_refusal(tmp_path, "no images") is None
-    save_curve(tmp_path / REFUSED_MOTION, curve())
+    save_artifact(tmp_path, REFUSED_MOTION, curve())
     write_refusal(tmp_path, "the part does not move")
     forget_refusal(tmp_path)
     assert list(tmp_path.iterdir()) == []

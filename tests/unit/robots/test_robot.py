@@ -7,7 +7,7 @@ import pytest
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.transforms import apply, invert
 from aomgen.errors import BackendError, ConfigError, MissingFileError
-from aomgen.robots.robot import load_robot
+from aomgen.robots.loading import load_robot
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 JOINTS = np.array([3.2, -1.9, 2.1, 0.3, 1.2, 0.4])

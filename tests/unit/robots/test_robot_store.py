@@ -8,7 +8,7 @@ import pytest
 
 from aomgen.core.robot_choice import HandChoice, RobotChoice
 from aomgen.errors import MalformedFileError, MissingFileError, UnsafePathError
-from aomgen.robots.robot import choose_robot
+from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot_store import load_robot_description, save_robot
 
 
@@ -56,7 +56,7 @@ def test_damaged_headers_are_refused(choice, tmp_path):
     with pytest.raises(MissingFileError):
         stored(file="robot/absent.urdf")
     with pytest.raises(MalformedFileError, match="not complete"):
-        stored(hand={"thumb": 1})
+        stored(joints=3)
     header.write_text("{}")
     with pytest.raises(MalformedFileError, match="not complete"):
         load_robot_description(tmp_path)

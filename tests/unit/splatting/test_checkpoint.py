@@ -11,9 +11,14 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
 from aomgen.errors import CorruptArtifactError, LimitExceededError, MissingFileError
 from aomgen.splatting import checkpoint as module
-from aomgen.splatting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, training_digest
+from aomgen.splatting.checkpoint import (
+    Checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+    state_arrays,
+    training_digest,
+)
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.state import state_arrays
 from aomgen.splatting.training import TrainingParams, start_training, train
 
 # Growth, a change of resolution, exposure and random backgrounds all happen within these iterations.
@@ -23,7 +28,6 @@ PARAMS = TrainingParams(
     max_gaussians=420,
     grow_every=8,
     downsampling=((0.0, 2), (0.4, 1)),
-    error_views=2,
     refine_poses=True,
 )
 
@@ -165,7 +169,7 @@ def test_a_checkpoint_of_other_inputs_is_refused_and_kept(tmp_path: Path, what: 
     elif what == "initial":
         initial = initial.select(np.arange(len(initial) - 1))
     elif what == "params":
-        params = replace(params, rate_means=params.rate_means * 1.0001)
+        params = replace(params, rates={**params.rates, "means": 8.001e-4})
     elif what == "size":
         views, pictures = views[:-1], pictures[:-1]
     else:
@@ -187,7 +191,7 @@ def test_every_part_of_the_state_is_stored() -> None:
     """Whoever adds a field to the state must store it: the bytes differ when a field does."""
     state = start_training(scene(), cameras(), PARAMS, np.random.default_rng(0))
     stored = state_arrays(state)
-    named = {"values", "averages", "squares", "reach", "exposure", "poses", "order", "counters"}
+    named = {"values", "averages", "squares", "reach", "Exposure", "PoseIncrements", "order", "counters"}
     assert {name.split(".")[0] for name in stored} == named
     assert set(type(state).__slots__) == {"parameters", "exposure", "poses", "order", "iteration", "rng"}
     assert set(type(state.parameters).__slots__) == {"values", "averages", "squares", "reach", "steps"}

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from aomgen.core.camera import Camera
+from aomgen.splatting.compute import image_loss
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
-from aomgen.splatting.loss import image_loss
 
 CAMERA = Camera(width=40, height=30, fx=35.0, fy=35.0, cx=20.0, cy=15.0, T_world_cam=np.eye(4))
 COUNT = 300

@@ -137,8 +137,8 @@ SIZES = [(0, 5), (5, 0), (0, 0), (-1, 5), (5, -7), (16385, 1), (10**6, 10**6), (
 def _impossible_images(sizes: Sequence[tuple[int, int]]) -> None:
     import torch
 
+    from aomgen.splatting.compute import image_loss
     from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
-    from aomgen.splatting.loss import image_loss
     from aomgen.splatting.rasterizer import contribution_weights, render
     from aomgen.splatting.session import RenderSession
 
@@ -163,7 +163,7 @@ def _tensors_of_another_kind() -> None:
     """The engine reads by address: another type would be read beyond its end."""
     import torch
 
-    from aomgen.splatting.loss import image_loss
+    from aomgen.splatting.compute import image_loss
 
     x = torch.zeros(3, 300, 400)
     for bad in (x.half(), x.double(), x.to(torch.uint8)):

@@ -6,10 +6,9 @@ import torch
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.splatting.density import relocate_and_grow
-from aomgen.splatting.optimizer import parameters_of
+from aomgen.splatting.optimizer import parameters_of, relocate_and_grow
 from aomgen.splatting.surfaces import ViewDepth, in_free_space, view_depths
-from aomgen.splatting.training import TrainingParams, _clears, _grows
+from aomgen.splatting.training import CLEAR_AT, TrainingParams, _clears, _grows
 
 WALL_Z = 4.0
 
@@ -102,11 +101,6 @@ def test_a_faint_blob_before_the_wall_is_found_and_dropped():
 def test_free_space_is_cleared_once_for_every_share(iterations):
     params = TrainingParams(iterations=iterations)
     cleared = [i for i in range(iterations) if _grows(params, i) and _clears(params, i)]
-    assert len(cleared) == len(params.clear_at)
-    for iteration, share in zip(cleared, params.clear_at, strict=True):
+    assert len(cleared) == len(CLEAR_AT)
+    for iteration, share in zip(cleared, CLEAR_AT, strict=True):
         assert 0 <= iteration - share * iterations <= params.grow_every
-
-
-def test_nothing_is_cleared_when_nothing_is_asked():
-    params = TrainingParams(clear_at=())
-    assert not any(_clears(params, i) for i in range(params.iterations))

@@ -10,10 +10,9 @@ import torch
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
 from aomgen.splatting.compute import Compute, NativeCompute, TorchCompute
-from aomgen.splatting.density import error_shares, relocate_and_grow
 from aomgen.splatting.differentiable import CpuRasterizer
 from aomgen.splatting.metrics import psnr, ssim
-from aomgen.splatting.optimizer import gaussians_of, parameters_of
+from aomgen.splatting.optimizer import RATES, error_shares, gaussians_of, parameters_of, relocate_and_grow
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.training import (
     TrainingParams,
@@ -35,15 +34,13 @@ def held_out_psnr(trained: Gaussians, scene: Gaussians) -> float:
 
 # Colors start far off and there is little time: higher rates than for a scene seeded from its images.
 PARAMS = TrainingParams(
-    rate_color=0.03,
-    rate_sh=0.003,
+    rates={**RATES, "color": 0.03, "sh": 0.003},
     iterations=240,
     sh_degree=1,
     max_gaussians=2500,
     grow_every=30,
     background=(0, 0, 0),
     downsampling=((0.0, 2), (0.3, 1)),
-    error_views=4,
 )
 
 
@@ -95,9 +92,8 @@ def test_exposure_gains_take_up_brightness() -> None:
             sh_degree=0,
             max_gaussians=1000,
             background=(0, 0, 0),
-            rate_color=0.03,
+            rates={**RATES, "color": 0.03, "gain": 0.01},
             exposure=exposure,
-            rate_gain=0.01,
             downsampling=((0.0, 1),),
         )
         seen: list[float] = []
@@ -121,12 +117,14 @@ def test_clipped_highlights_neither_bend_gains_nor_colors() -> None:
         np.clip(render(scene, camera).rgb * gain * 255, 0, 255).round().astype(np.uint8)
         for camera, gain in zip(cameras, true_gains, strict=True)
     ]
-    params = replace(PARAMS, iterations=400, sh_degree=0, rate_gain=0.02, downsampling=((0.0, 1),))
+    params = replace(
+        PARAMS, iterations=400, sh_degree=0, rates={**PARAMS.rates, "gain": 0.02}, downsampling=((0.0, 1),)
+    )
     initial = start(scene, 1500)
     state = start_training(initial, cameras, params, np.random.default_rng(0))
     for _ in learning(state, cameras, images, params, scene_extent(initial, cameras)):
         pass
-    red = state.exposure.log_gains[:, 0].numpy()
+    red = state.exposure.values[:, 0].numpy()
     assert red[1::2].mean() - red[::2].mean() == pytest.approx(np.log(1.25 / 0.8), abs=0.015)
     view = ring(1, height=0.9, shift=0.37)[0]
     drawn, true = render(finish_training(state, params), view).rgb[..., 0], render(scene, view).rgb[..., 0]

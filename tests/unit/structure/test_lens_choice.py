@@ -171,7 +171,11 @@ def test_two_stills_place_a_camera_better_than_one():
     for seed in range(8):
         first, camera = _links(plain, seed, count=120)
         second, _ = _links(plain, 100 + seed, count=120)
-        for links, errors in ((first, one), (first.with_links(second), both)):
+        together = Links(
+            pixels=np.concatenate([first.pixels, second.pixels]),
+            points_recon=np.concatenate([first.points_recon, second.points_recon]),
+        )
+        for links, errors in ((first, one), (together, both)):
             placed = resect(links, plain, focal_known=True, seed=0)
             assert placed is not None
             errors.append(np.linalg.norm(placed.camera_recon.center - camera.center))

@@ -14,15 +14,14 @@ from aomgen.core.progress import silent
 from aomgen.core.recording import Intrinsics
 from aomgen.core.structure import Structure
 from aomgen.core.transforms import apply, umeyama
-from aomgen.errors import MalformedFileError, ReconstructionError
+from aomgen.errors import ReconstructionError
 from aomgen.io.images import read_image, write_image
 from aomgen.splatting.rasterizer import render
 from aomgen.structure.fixed_cameras import DemoView
 from aomgen.structure.mapping import Workspace
 from aomgen.structure.outlier_rejection import InlierModel, is_better
-from aomgen.structure.reconstruct import Photographs, StructureParams
+from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
 from aomgen.structure.sparse_model import SparseModel
-from aomgen.structure.stage import POINTS_FILE, load_structure, run_structure, save_structure
 
 # Enough for boards full of print, and quick.
 FEW_FEATURES = StructureParams(max_features=1000)
@@ -53,14 +52,13 @@ def _scene(seed: int = 3) -> Gaussians:
 
 def _run(
     images: dict[str, Path],
-    folder: Path,
     *,
     intrinsics: Intrinsics | None = INTRINSICS,
     demo: dict[str, DemoView] | None = None,
     params: StructureParams = FEW_FEATURES,
 ) -> Structure:
     photographs = Photographs(images=images, intrinsics=intrinsics, demo=demo or {})
-    return run_structure(photographs, {}, folder, silent, params)
+    return reconstruct_structure(photographs, params, silent)
 
 
 def _camera(angle: float, height: float) -> Camera:
@@ -89,14 +87,12 @@ def photographs(tmp_path_factory) -> tuple[dict[str, Path], dict[str, Camera], D
     return {name: folder / name for name in cameras}, cameras, view, fixed
 
 
-def test_cameras_and_the_fixed_camera_are_recovered_and_read_back(photographs, tmp_path):
+def test_cameras_and_the_fixed_camera_are_recovered(photographs):
     images, cameras, view, fixed = photographs
-    made = _run(images, tmp_path, demo={"front": view})
-    structure = load_structure(tmp_path)
+    structure = _run(images, demo={"front": view})
     assert list(structure.cameras_recon) == sorted(images)
     assert structure.dropped == {}
     assert structure.reprojection_error_px < 1.0
-    assert np.array_equal(structure.observations, made.observations)
     found = np.array([camera.center for camera in structure.cameras_recon.values()])
     true = np.array([camera.center for camera in cameras.values()])
     S = umeyama(found, true)
@@ -125,7 +121,7 @@ def test_foreign_and_repeated_images_are_listed_and_unused(photographs, tmp_path
     again = tmp_path / "again.jpg"
     write_image(again, read_image(images["05.png"]))
     images["again.jpg"] = again
-    structure = _run(images, tmp_path / "out", demo={"front": view})
+    structure = _run(images, demo={"front": view})
     assert set(structure.dropped) == {"foreign0.png", "foreign1.png", "again.jpg"}
     assert "shows the same as" in structure.dropped["again.jpg"]
     assert "too few matches" in structure.dropped["foreign0.png"]
@@ -137,7 +133,7 @@ def test_a_few_places_photographed_again_and_again_are_refused(photographs, tmp_
     images, *_ = photographs
     few = {f"{i}{name}": path for name, path in list(images.items())[:4] for i in range(3)}
     with pytest.raises(ReconstructionError, match="12 images, 8 of them twice"):
-        _run(few, tmp_path)
+        _run(few)
 
 
 def _half_blind(images: dict[str, Path]):
@@ -158,7 +154,7 @@ def _half_blind(images: dict[str, Path]):
 def test_global_mapping_helps_where_incremental_mapping_stops(photographs, tmp_path, monkeypatch):
     images, cameras, view, _ = photographs
     monkeypatch.setattr(Workspace, "map", _half_blind(images))
-    structure = _run(images, tmp_path, demo={"front": view, "side": view})
+    structure = _run(images, demo={"front": view, "side": view})
     assert structure.figures["mapper"] == "global"
     assert structure.figures["tried"]["incremental"]["registered"] == 6
     assert structure.dropped == {}
@@ -170,7 +166,7 @@ def test_global_mapping_finds_the_focal_length(photographs, tmp_path, monkeypatc
     images, cameras, view, _ = photographs
     monkeypatch.setattr(Workspace, "map", lambda work, group: None)
     demo = {"front": replace(view, intrinsics=None)}
-    structure = _run(images, tmp_path, intrinsics=None, demo=demo)
+    structure = _run(images, intrinsics=None, demo=demo)
     assert structure.figures["mapper"] == "global"
     scan = next(iter(structure.cameras_recon.values()))
     assert scan.fx == pytest.approx(320, rel=0.02)
@@ -184,7 +180,7 @@ def test_a_result_of_half_the_images_is_refused(photographs, tmp_path, monkeypat
     monkeypatch.setattr(Workspace, "map", _half_blind(images))
     monkeypatch.setattr(Workspace, "map_globally", _half_blind(images))
     with pytest.raises(ReconstructionError, match=r"6 of 12 images"):
-        _run(images, tmp_path)
+        _run(images)
 
 
 def _inlier_model(count: int, error_px: float) -> InlierModel:
@@ -208,10 +204,10 @@ def test_more_images_win_then_less_error_and_never_one_beyond_the_limit():
     assert is_better(_inlier_model(2, 0.5), _inlier_model(10, float("nan")), 1.5)
 
 
-def test_too_few_images_are_refused(photographs, tmp_path):
+def test_too_few_images_are_refused(photographs):
     images, *_ = photographs
     with pytest.raises(ReconstructionError, match="at least 8"):
-        _run(dict(list(images.items())[:5]), tmp_path)
+        _run(dict(list(images.items())[:5]))
 
 
 def test_images_of_nothing_are_refused(tmp_path):
@@ -221,7 +217,7 @@ def test_images_of_nothing_are_refused(tmp_path):
         images[f"{index}.png"] = tmp_path / f"{index}.png"
         write_image(images[f"{index}.png"], rng.integers(0, 255, (120, 160, 3)).astype(np.uint8))
     with pytest.raises(ReconstructionError, match="scan"):
-        _run(images, tmp_path, intrinsics=None, params=StructureParams(max_features=500))
+        _run(images, intrinsics=None, params=StructureParams(max_features=500))
 
 
 def test_a_fixed_camera_that_shows_something_else_is_refused(photographs, tmp_path):
@@ -229,21 +225,4 @@ def test_a_fixed_camera_that_shows_something_else_is_refused(photographs, tmp_pa
     noise = np.random.default_rng(1).integers(0, 255, (240, 320, 3)).astype(np.uint8)
     view = DemoView(first_srgb=noise, median_srgb=noise, intrinsics=INTRINSICS)
     with pytest.raises(ReconstructionError, match="front"):
-        _run(images, tmp_path, demo={"front": view})
-
-
-def test_a_damaged_structure_is_named(tmp_path):
-    structure = Structure(
-        cameras_recon={"00.png": _camera(0.3, 1.0)},
-        demo_cameras_recon={},
-        dropped={"01.png": "not registered"},
-        points_recon=np.zeros((2, 3)),
-        colors_srgb=np.zeros((2, 3), np.uint8),
-        observations=np.zeros((2, 2), np.int32),
-        reprojection_error_px=0.5,
-    )
-    save_structure(structure, tmp_path)
-    assert load_structure(tmp_path).dropped == structure.dropped
-    (tmp_path / POINTS_FILE).write_bytes(b"PK not a zip")
-    with pytest.raises(MalformedFileError, match=r"points\.npz"):
-        load_structure(tmp_path)
+        _run(images, demo={"front": view})

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.assets.archive import load_asset
 from aomgen.assets.make import MAKERS, make_asset
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
@@ -16,16 +15,16 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
+from aomgen.io.artifact import load_artifact
 from aomgen.io.images import read_labels
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.capture_writer import find_moved_range, make_prompt
 from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demonstration_search import Performance, find_demonstration
+from aomgen.synthetic.demonstration_search import Performance, find_demonstration, simulate
 from aomgen.synthetic.grasp_selection import draw_usual_style
 from aomgen.synthetic.layout import build_world, draw_layout
-from aomgen.synthetic.simulated_demonstration import simulate
 from aomgen.synthetic.style import draw_style
 from aomgen.synthetic.tabletop_objects import SIZES
 from aomgen.synthetic.world import make_capture
@@ -84,7 +83,7 @@ def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performan
     for name in no_handle:
         world.model.geom(name).contype = 0
         world.model.geom(name).conaffinity = 0
-    shown = simulate(robot, world, open_hand)
+    shown = simulate(world, open_hand)
     start, goal = performance.script.theta_start, performance.script.theta_goal
     assert abs(shown.theta[-1] - start) < 0.05 * goal
 
@@ -167,7 +166,7 @@ def _visible_share(asset: ArticulatedAsset, T: Array, camera: Camera, labels: Ar
 def test_known_points_project_onto_their_masks(capture: Path) -> None:
     known = read_truth(capture)
     data = read_json(capture / "truth" / "truth.json")
-    asset = load_asset(capture / "truth" / "asset.npz")
+    asset = load_artifact(capture / "truth", "asset", ArticulatedAsset)
     fx, fy, cx, cy = data["intrinsics"]["scan"]
 
     def camera(T_world_cam: Array) -> Camera:
@@ -270,7 +269,7 @@ def test_things_beside_a_laptop_are_in_the_way_and_hide_none_of_it(robot: RobotM
 def test_a_capture_of_a_drawer_shows_a_dresser(capture: Path) -> None:
     stated = tomllib.loads((capture / "capture.toml").read_text("utf-8"))
     assert stated["category"] == "drawer"
-    asset = load_asset(capture / "truth" / "asset.npz")
+    asset = load_artifact(capture / "truth", "asset", ArticulatedAsset)
     assert sum(box.name.endswith("handle_bar") for box in asset.static.colliders) >= 1
 
 

@@ -3,15 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aomgen.core.gaussians import gaussians_of
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import angle_between, apply, invert, matrix_from_rotvec, transform
 from aomgen.errors import MalformedFileError, MissingFileError
+from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.binding import object_frame, with_object
 from aomgen.twin.layers import moving_layer, static_layer
 from aomgen.twin.shadow import cast_shadow
-from aomgen.twin.store import load_twin, save_twin
-from aomgen.twin.twin import PART, body_poses, posed, render_state, rig
+from aomgen.twin.twin import PART, Twin, body_poses, posed, render_state, rig
 
 
 def test_the_scanned_state_gives_the_scan_back(toy_scene):
@@ -137,12 +138,21 @@ def test_lit_surfaces_move_as_the_rig_moves_them(toy_scene):
 
 def test_a_box_casts_its_shadow_away_from_the_light(toy_scene):
     rng = np.random.default_rng(0)
-    box = rng.uniform((-0.1, -0.1, 0), (0.1, 0.1, 0.2), (20_000, 3))
+    points = rng.uniform((-0.1, -0.1, 0), (0.1, 0.1, 0.2), (20_000, 3))
+    box = gaussians_of(
+        means=points,
+        quats=np.tile([1.0, 0, 0, 0], (len(points), 1)),
+        scales=np.full((len(points), 3), 0.005),
+        opacities=np.full(len(points), 0.9),
+        sh=np.zeros((len(points), 1, 3)),
+    )
     radiance = np.zeros((9, 3))
     radiance[0], radiance[3], radiance[2] = 1.0, -0.6, 0.4  # bright from +x and above
     light = replace(toy_scene.light, radiance_sh=radiance)
     places = np.array([[-0.13, 0, 0], [0.13, 0, 0], [-2.0, 0, 0], [-0.13, 0, 0.1]])
-    factor = cast_shadow(box, np.eye(4), light).at(places, (0.0, 0.0, 2.0))
+    lower, upper = box.select(points[:, 2] < 0.1), box.select(points[:, 2] >= 0.1)
+    (shadow,) = cast_shadow(lower, [upper], np.eye(4), light)
+    factor = shadow.at(places, (0.0, 0.0, 2.0))
     assert factor[0] < factor[1] < 1
     assert factor[0] < 0.8
     assert factor[2] == 1  # far away
@@ -156,9 +166,9 @@ def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):
     )
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    save_twin(tmp_path / "a", twin)
-    again = load_twin(tmp_path / "a")
-    save_twin(tmp_path / "b", again)
+    save_artifact(tmp_path / "a", "twin", twin)
+    again = load_artifact(tmp_path / "a", "twin", Twin)
+    save_artifact(tmp_path / "b", "twin", again)
     for name in ("twin.json", "twin.npz"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     np.testing.assert_array_equal(again.gaussians.sh, twin.gaussians.sh)
@@ -167,14 +177,14 @@ def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):
 
 def test_damaged_twins_are_refused(toy_scene, tmp_path):
     with pytest.raises(MissingFileError):
-        load_twin(tmp_path)
-    save_twin(tmp_path, toy_scene.twin)
+        load_artifact(tmp_path, "twin", Twin)
+    save_artifact(tmp_path, "twin", toy_scene.twin)
     data = (tmp_path / "twin.npz").read_bytes()
     (tmp_path / "twin.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(MalformedFileError):
-        load_twin(tmp_path)
+        load_artifact(tmp_path, "twin", Twin)
     (tmp_path / "twin.npz").write_bytes(data)
     text = (tmp_path / "twin.json").read_text().replace('"part"', '"lid"').replace('"object",', "")
     (tmp_path / "twin.json").write_text(text)
     with pytest.raises(MalformedFileError):
-        load_twin(tmp_path)
+        load_artifact(tmp_path, "twin", Twin)

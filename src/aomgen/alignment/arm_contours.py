@@ -1,0 +1,208 @@
+"""Contours of the arm in scan views and in the frames of fixed cameras, rendered once and then moved along.
+
+A contour rendered from the joint log differs from the observed one when the camera pose is wrong, when
+the clock offset is wrong, or when images show every contour a little too wide or too narrow (blur, tone
+curve, simplified meshes). The three can be separated because the arm moves along many directions: a
+clock error scales with the velocity of the arm, a contour bias depends on neither pose nor velocity.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.alignment.contours import AlignmentImage, Contour, edge_sds, edge_shifts
+from aomgen.alignment.silhouette_fit import EDGE_KERNEL, RobotDrawing, gray_levels, render_robot
+from aomgen.core.camera import Camera, camera_in_world
+from aomgen.core.clock import Clock
+from aomgen.core.joint_log import JointLog
+from aomgen.core.least_squares import Kernel
+from aomgen.core.transforms import invert
+from aomgen.core.values import Array, freeze
+from aomgen.io.images import resize
+from aomgen.io.video import Video
+from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.silhouette import SilhouetteRenderer
+
+# Readings within this time to either side are averaged against encoder noise, [s].
+_READING_S = 0.02
+# Half of the time over which velocities are differentiated, [s]: twice the averaging time, against encoder
+# noise.
+_SPEED_S = 0.05
+# Contour points a scan view, and a frame that validates; errors of closer points are correlated.
+_SCAN_POINTS, _CHECK_POINTS = 400, 300
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GrayFrames:
+    """Chosen frames of a video: video times (F,) and gray levels (F, H, W), 0..1."""
+
+    times_s: Array
+    grays: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        freeze(self, "times_s", self.times_s, (len(self.grays),))
+
+
+NO_FRAMES = GrayFrames(times_s=np.zeros(0), grays=np.zeros((0, 1, 1), np.float32))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoggedRobot:
+    """The robot, its joint log, the joint zeros (J,) that are added to it [rad], and its renderer."""
+
+    robot: RobotModel
+    log: JointLog
+    renderer: SilhouetteRenderer
+    zeros_rad: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "zeros_rad", self.zeros_rad, (self.log.joints.shape[1],))
+
+    def states(self, log_times_s: Array) -> tuple[Array, Array]:
+        """Joints (T, J) and gripper (T,) at log times (T,), encoder noise averaged."""
+        offsets = np.linspace(-_READING_S, _READING_S, 5)
+        readings = [self.log.at(log_times_s + offset) for offset in offsets]
+        return np.mean([q for q, _ in readings], 0) + self.zeros_rad, np.mean([g for _, g in readings], 0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmContour:
+    """The contour of the arm as rendered for one image, and how its C points move with J joints and time.
+
+    Attributes:
+        index: Of the frame, or of the scan view.
+        gray: Gray levels (H, W) of the image.
+        contour: World frame.
+        turns: (C, J, 3), [m/rad].
+        velocities: (C, 3), per second of the log; 0 in the scan, [m/s].
+        zeros_rad, log_time_s: Joint zeros (J,) and log time it was rendered with.
+    """
+
+    index: int
+    gray: NDArray[np.float32]
+    contour: Contour
+    turns: Array
+    velocities: Array
+    zeros_rad: Array
+    log_time_s: float = 0.0
+
+    def at(self, camera: Camera, zeros_rad: Array, log_time_s: float = 0.0) -> Contour:
+        """The contour for a nearby camera pose, joint zeros and log time, to first order."""
+        turned = np.einsum("j,cjd->cd", zeros_rad - self.zeros_rad, self.turns)
+        points = self.contour.points + (log_time_s - self.log_time_s) * self.velocities + turned
+        return self.contour.moved(points, camera)
+
+
+def read_gray_frames(video: Video, frames: NDArray[np.int64], width: int) -> GrayFrames:
+    """Gray levels of some frames, at most `width` wide."""
+    if not len(frames):
+        return NO_FRAMES
+    full = video.frames_srgb.shape[2]
+    size = (min(full, width), round(video.frames_srgb.shape[1] * min(1.0, width / full)))
+    grays = [gray_levels(resize(video.frames_srgb[k], *size)) for k in frames]
+    return GrayFrames(times_s=video.times_s[frames], grays=np.stack(grays))
+
+
+def choose_frames(video: Video, arm: LoggedRobot, clock: Clock, count: int) -> NDArray[np.int64]:
+    """At most `count` frames, evenly along the end effector's path, that the log covers."""
+    covered = np.flatnonzero(arm.log.covers(clock.log_times(video.times_s)))
+    if not len(covered):
+        return covered
+    places = arm.robot.ee_poses(arm.states(clock.log_times(video.times_s[covered]))[0])[:, :3, 3]
+    # Where the arm rests, time alone parts the frames a little.
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1) + 1e-4
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    marks = (np.arange(count) + 0.5) / count * path[-1]
+    return covered[np.unique(np.searchsorted(path, marks))]
+
+
+def trace(
+    frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot, points: int
+) -> list[ArmContour]:
+    """Contours in the frames that show enough of the arm, at most `points` points each."""
+    if not len(frames.times_s):
+        return []
+    times = clock.log_times(frames.times_s)
+    joints, gripper = arm.states(times)
+    before, after = (arm.robot.link_poses(*arm.states(times + step)) for step in (-_SPEED_S, _SPEED_S))
+    motions = (after - before) @ invert(arm.robot.link_poses(joints, gripper)) / (2 * _SPEED_S)
+    contours = []
+    for k in range(len(times)):
+        configuration = RobotConfiguration(robot=arm.robot, joints=joints[k], gripper=float(gripper[k]))
+        drawn = render_robot(arm.renderer, configuration, camera, points)
+        if drawn is None:
+            continue
+        own, moves = drawn.contour.points, motions[k][drawn.bodies]
+        contours.append(
+            ArmContour(
+                index=k,
+                gray=frames.grays[k],
+                contour=drawn.contour,
+                turns=configuration.turns(own, drawn.bodies),
+                velocities=np.einsum("cij,cj->ci", moves[:, :3, :3], own) + moves[:, :3, 3],
+                zeros_rad=arm.zeros_rad,
+                log_time_s=float(times[k]),
+            )
+        )
+    return contours
+
+
+def trace_scan(
+    views: list[AlignmentImage],
+    grays: list[NDArray[np.float32]],
+    drawing: RobotDrawing,
+    S_world_recon: Array,
+    zeros_rad: Array,
+) -> list[ArmContour]:
+    """Contours of the robot as scanned, with joint zeros, in the views (with gray levels) that show enough of it."""
+    configuration = replace(drawing.configuration, joints=drawing.configuration.joints + zeros_rad)
+    contours = []
+    for index, view in enumerate(views):
+        camera = camera_in_world(S_world_recon, view.camera_recon)
+        drawn = render_robot(drawing.fine, configuration, camera, _SCAN_POINTS)
+        if drawn is not None:
+            contours.append(
+                ArmContour(
+                    index=index,
+                    gray=grays[index],
+                    contour=drawn.contour,
+                    turns=configuration.turns(drawn.contour.points, drawn.bodies),
+                    velocities=np.zeros_like(drawn.contour.points),
+                    zeros_rad=zeros_rad,
+                )
+            )
+    return contours
+
+
+def common_bias(shifts: Array, sds: Array, kernel: Kernel) -> float:
+    """By how much contours are rendered too narrow, in the mean, [px]."""
+    bias = 0.0
+    for _ in range(5):
+        weights = kernel.weights(shifts - bias) / sds**2
+        bias = float((weights * shifts).sum() / max(weights.sum(), 1e-9))
+    return bias
+
+
+def misfits(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot, reach: int = 4) -> Array:
+    """Mean robust distance (F,), 0..1, between image edges and rendered contour in each frame; one bias is free.
+
+    NaN for frames that do not show the arm.
+    """
+    contours = trace(frames, camera, clock, arm, _CHECK_POINTS)
+    costs = np.full(len(frames.times_s), np.nan)
+    if not contours:
+        return costs
+    found = [edge_shifts(item.contour, item.gray, reach) for item in contours]
+    shifts, strength = (np.concatenate(part) for part in zip(*found, strict=True))
+    bias = common_bias(shifts, edge_sds(strength), EDGE_KERNEL)
+    for item, (own, clear) in zip(contours, found, strict=True):
+        costs[item.index] = np.average(EDGE_KERNEL.costs(own - bias), weights=edge_sds(clear) ** -2.0)
+    return costs
+
+
+def misfit(frames: GrayFrames, camera: Camera, clock: Clock, arm: LoggedRobot) -> float:
+    """Mean of `misfits` over the frames; infinite when none shows the arm."""
+    costs = misfits(frames, camera, clock, arm)
+    return float(np.nanmean(costs)) if np.isfinite(costs).any() else float("inf")

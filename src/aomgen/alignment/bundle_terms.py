@@ -1,0 +1,309 @@
+"""Evidence of the bundle adjustment as terms: what each says about similarity, joint zeros, cameras and clocks.
+
+Unknown are a correction of `S_world_recon`, the zero of each arm joint, and for each fixed camera its
+pose, the offset and drift of its clock and the bias of its contours. Evidence are the contours of the arm in
+videos and scan views (`arm_contours`), the pose that structure from motion gave each camera, and hand-eye
+calibrations.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from aomgen.alignment.arm_contours import ArmContour, GrayFrames, LoggedRobot, trace, trace_scan
+from aomgen.alignment.contours import AlignmentImage, Contour, edge_sds, edge_shifts, shift_jacobian
+from aomgen.alignment.silhouette_fit import RobotDrawing, gray_levels, move_similarity
+from aomgen.core.camera import Camera, camera_in_world
+from aomgen.core.clock import Clock
+from aomgen.core.least_squares import Kernel, ResidualTerm
+from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
+from aomgen.core.values import Array, freeze
+
+# Unknowns of a camera: rotation and translation of the robot before it, clock offset, drift, bias.
+_POSE, OFFSET, RATE, _BIAS, _COLUMNS = slice(0, 6), 6, 7, 8, 9
+# Errors of neighbouring contour points are correlated: ten points count as one.
+_TOGETHER = 10.0
+# Edges are trusted to a tenth of a pixel at best, [px].
+_EDGE_SD_PX = 0.1
+# How far blur, tone curves and simple meshes widen all contours of one camera, [px].
+_BIAS_SD_PX = 1.0
+# Segments of a video that are left out in turn (jackknife).
+_SEGMENTS = 8
+# Standard deviation of what is known, in the unit of the unknown: far below that of any data.
+KNOWN_SD = 1e-6
+# Points that carry the pose of a camera in the structure; six degrees of freedom need no more.
+_STRUCTURE_POINTS = 300
+# How far a camera placed in the structure is off, in its own image, [px]: about half the reprojection error
+# of a single image.
+_STRUCTURE_SD_PX = 0.25
+# Standard deviations assumed of a hand-eye calibration: position [m] and rotation [rad], 0.2 degrees.
+CALIBRATION_SD_M, CALIBRATION_SD_RAD = 0.003, 0.0035
+# Names of the terms that are left out in turn begin so.
+SEGMENT: Final = "segment of "
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BundleParams:
+    """Priors and effort.
+
+    Attributes:
+        frames: Frames of each video; 0 leaves cameras where the scan placed them.
+        width: Images wider than this are reduced, [px].
+        points: Contour points a frame.
+        zero_sd_rad: How far the zero of a joint of a mastered arm is off; next to 0 keeps the log's.
+    """
+
+    frames: int = 32
+    width: int = 640
+    points: int = 300
+    zero_sd_rad: float = float(np.radians(0.3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraEvidence:
+    """Data of one fixed camera.
+
+    Attributes:
+        camera_recon: As structure from motion placed it, recon frame, at the size of the frames.
+        frames, held_out: Frames to fit, and frames that validate the result; empty when there are none to use.
+        clock: First guess; its `sd_s` 0 means that it is known.
+        T_world_cam: Hand-eye calibration to use as a prior, or None.
+        rejected: Why the video is not used; empty otherwise.
+    """
+
+    camera_recon: Camera
+    frames: GrayFrames
+    held_out: GrayFrames
+    clock: Clock
+    T_world_cam: Array | None = None
+    rejected: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BundleProblem:
+    """Data and initial values of the bundle adjustment.
+
+    Attributes:
+        S_world_recon: Aligned similarity (4, 4).
+        views: Scan views at the size they are rendered at.
+        drawing: The robot as scanned.
+        points_recon: The structure's points (P, 3).
+        arm: Robot, log and renderer.
+        cameras: By name.
+        params: Priors and effort.
+    """
+
+    S_world_recon: Array
+    views: list[AlignmentImage]
+    drawing: RobotDrawing
+    points_recon: Array
+    arm: LoggedRobot
+    cameras: dict[str, CameraEvidence]
+    params: BundleParams = field(default_factory=BundleParams)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraState:
+    """Unknowns of one camera: pose, clock, bias of the contours [px]."""
+
+    camera: Camera
+    clock: Clock
+    bias_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BundleSolution:
+    """Similarity (4, 4), joint zeros (J,) to add to the log's with their deviations, cameras by name.
+
+    Contours of the scan are `scan_bias_px` wider than rendered.
+    """
+
+    S_world_recon: Array
+    zeros_rad: Array
+    zero_sds_rad: Array
+    cameras: dict[str, CameraState]
+    scan_bias_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
+        freeze(self, "zeros_rad", self.zeros_rad, (None,))
+        freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
+
+
+class Bundle:
+    """Terms of a problem; a step holds similarity (7), joint zeros (J), bias of the scan, _COLUMNS a camera."""
+
+    def __init__(self, problem: BundleProblem) -> None:
+        self.problem, self.pivot = problem, problem.drawing.pivot
+        self.grays = [gray_levels(view.image_srgb) for view in problem.views]
+        self.zeros = slice(7, 7 + len(problem.arm.zeros_rad))
+        self.scan_bias = self.zeros.stop
+        self.first = {name: self.scan_bias + 1 + _COLUMNS * k for k, name in enumerate(problem.cameras)}
+        self.dimension = self.scan_bias + 1 + _COLUMNS * len(self.first)
+
+    def move(self, x: BundleSolution, step: Array) -> BundleSolution:
+        """After the robot was found to stand a step away before each camera, and the clocks likewise."""
+        cameras = {}
+        for name, item in x.cameras.items():
+            own = step[self.first[name] :][:_COLUMNS]
+            pose = np.clip(own[_POSE], -0.05, 0.05)
+            R = matrix_from_rotvec(pose[:3])
+            D = transform(R, self.pivot + pose[3:] - R @ self.pivot)
+            clock = replace(
+                item.clock,
+                offset_s=item.clock.offset_s + float(np.clip(own[OFFSET], -0.1, 0.1)),
+                rate=item.clock.rate + float(np.clip(own[RATE], -0.02, 0.02)),
+            )
+            camera = item.camera.moved(invert(D) @ item.camera.T_world_cam)
+            cameras[name] = CameraState(camera=camera, clock=clock, bias_px=item.bias_px + float(own[_BIAS]))
+        return replace(
+            x,
+            S_world_recon=move_similarity(x.S_world_recon, step[:7], self.pivot),
+            zeros_rad=x.zeros_rad + step[self.zeros],
+            scan_bias_px=x.scan_bias_px + float(step[self.scan_bias]),
+            cameras=cameras,
+        )
+
+    def priors(self) -> list[ResidualTerm[BundleSolution]]:
+        """What is known without any contour."""
+        terms: list[ResidualTerm[BundleSolution]] = [
+            ResidualTerm(
+                name="joint zeros", residual=lambda x: x.zeros_rad, sd=self.problem.params.zero_sd_rad
+            ),
+            ResidualTerm(name="scan bias", residual=lambda x: np.array([x.scan_bias_px]), sd=_BIAS_SD_PX),
+        ]
+        for name, item in self.problem.cameras.items():
+            terms += _camera_priors(name, item, self.problem.points_recon)
+        return terms
+
+    def contours(self, x: BundleSolution, reach: int, kernel: Kernel) -> list[ResidualTerm[BundleSolution]]:
+        """Contours rendered now: of the scan, and of each segment of each video."""
+        problem, S = self.problem, x.S_world_recon
+        scan = trace_scan(problem.views, self.grays, problem.drawing, S, x.zeros_rad)
+        if scan:
+            terms = self._edges(None, x, [scan], reach, kernel)
+        else:
+            terms = [
+                ResidualTerm(name="scan", residual=lambda x: (x.S_world_recon - S)[:3].ravel(), sd=KNOWN_SD)
+            ]
+        arm = replace(problem.arm, zeros_rad=x.zeros_rad)
+        for name, item in problem.cameras.items():
+            count, state = len(item.frames.times_s), x.cameras[name]
+            drawn = trace(item.frames, state.camera, state.clock, arm, problem.params.points)
+            parts = [[one for one in drawn if one.index * _SEGMENTS // count == k] for k in range(_SEGMENTS)]
+            terms += self._edges(name, x, [part for part in parts if part], reach, kernel)
+        return terms
+
+    def _edges(
+        self, name: str | None, x: BundleSolution, parts: list[list[ArmContour]], reach: int, kernel: Kernel
+    ) -> list[ResidualTerm[BundleSolution]]:
+        """Shifts of contours to image edges, less their common bias, [px]: in parts of a video, or in the scan.
+
+        Their standard deviation is that of what is left of them now.
+        """
+        if not parts:
+            return []
+        found = [edge_shifts(one.contour, one.gray, reach) for part in parts for one in part]
+        shifts, strength = (np.concatenate(values) for values in zip(*found, strict=True))
+        residuals = shifts - self._bias(name, x)
+        weights = kernel.weights(residuals) / edge_sds(strength) ** 2
+        sd = max(_EDGE_SD_PX, float(np.sqrt(np.average(residuals**2, weights=weights))))
+        sds = np.sqrt(_TOGETHER) * sd * edge_sds(strength)
+        ends = np.cumsum([sum(len(one.turns) for one in part) for part in parts])
+
+        def residual(part: list[ArmContour], x: BundleSolution) -> Array:
+            found = [edge_shifts(self._see(name, x, one)[1], one.gray, reach)[0] for one in part]
+            return np.concatenate(found) - self._bias(name, x)
+
+        return [
+            ResidualTerm(
+                name=f"{SEGMENT}{name} {k}" if name else "scan",
+                residual=partial(residual, part),
+                sd=own,
+                kernel=kernel,
+                jacobian=partial(self._jacobian, name, part),
+            )
+            for k, (part, own) in enumerate(zip(parts, np.split(sds, ends[:-1]), strict=True))
+        ]
+
+    def _bias(self, name: str | None, x: BundleSolution) -> float:
+        return x.cameras[name].bias_px if name else x.scan_bias_px
+
+    def _see(self, name: str | None, x: BundleSolution, one: ArmContour) -> tuple[Camera, Contour]:
+        """A contour where a state puts it, in the camera that sees it."""
+        if name is None:
+            camera = camera_in_world(x.S_world_recon, self.problem.views[one.index].camera_recon)
+            return camera, one.at(camera, x.zeros_rad)
+        state, times_s = x.cameras[name], self.problem.cameras[name].frames.times_s
+        log_time_s = float(state.clock.log_times(times_s[one.index]))
+        return state.camera, one.at(state.camera, x.zeros_rad, log_time_s)
+
+    def _jacobian(self, name: str | None, part: list[ArmContour], x: BundleSolution) -> Array:
+        rows = []
+        for one in part:
+            camera, contour = self._see(name, x, one)
+            motion = shift_jacobian(camera, contour, self.pivot)
+            J = np.zeros((len(motion), self.dimension))
+            J[:, self.zeros] = np.einsum("cd,cjd->cj", motion[:, 3:6], one.turns)
+            if name is None:
+                J[:, :7], J[:, self.scan_bias] = motion, 1.0
+            else:
+                first, clock = self.first[name], x.cameras[name].clock
+                time_s = self.problem.cameras[name].frames.times_s[one.index]
+                J[:, first : first + 6], J[:, first + _BIAS] = motion[:, :6], 1.0
+                J[:, first + OFFSET] = np.einsum("cd,cd->c", motion[:, 3:6], one.velocities)
+                J[:, first + RATE] = J[:, first + OFFSET] * (time_s - clock.middle_s)
+            rows.append(-J)
+        return np.concatenate(rows)
+
+
+def _camera_priors(
+    name: str, item: CameraEvidence, points_recon: Array
+) -> list[ResidualTerm[BundleSolution]]:
+    """Where structure and calibration put a camera, its bias, and its clock if that is known."""
+    terms: list[ResidualTerm[BundleSolution]] = [
+        ResidualTerm(
+            name=f"{name} bias", residual=lambda x: np.array([x.cameras[name].bias_px]), sd=_BIAS_SD_PX
+        )
+    ]
+    pixels, depths = item.camera_recon.project(points_recon)
+    size = np.array([item.camera_recon.width, item.camera_recon.height])
+    seen = np.flatnonzero((depths > 0) & np.all((pixels > 0) & (pixels < size), axis=1))
+    chosen = seen[:: max(1, len(seen) // _STRUCTURE_POINTS)]
+
+    def moved_px(x: BundleSolution) -> Array:
+        points = apply(x.S_world_recon, points_recon[chosen])
+        return (x.cameras[name].camera.project(points)[0] - pixels[chosen]).ravel()
+
+    if len(chosen):
+        # Six degrees of freedom, each known to `_STRUCTURE_SD_PX`.
+        sd = _STRUCTURE_SD_PX * np.sqrt(2 * len(chosen) / 6)
+        terms.append(ResidualTerm(name=f"{name} in structure", residual=moved_px, sd=sd))
+    if item.T_world_cam is not None:
+        T = item.T_world_cam
+        sds = np.repeat([CALIBRATION_SD_RAD, CALIBRATION_SD_M], 3)
+        terms.append(
+            ResidualTerm(
+                name=f"{name} calibrated",
+                residual=lambda x: pose_difference(x.cameras[name].camera, T),
+                sd=sds,
+            )
+        )
+    if not item.clock.sd_s > 0:
+        known = np.array([item.clock.offset_s, item.clock.rate])
+        terms.append(
+            ResidualTerm(name=f"{name} clock", residual=lambda x: _clock(x, name) - known, sd=KNOWN_SD)
+        )
+    return terms
+
+
+def pose_difference(camera: Camera, T_world_cam: Array) -> Array:
+    """Rotation vector [rad] and translation [m] (6,) from a pose (4, 4) to a camera, world axes."""
+    turn = rotvec_from_matrix(camera.T_world_cam[:3, :3] @ T_world_cam[:3, :3].T)
+    return np.concatenate([turn, camera.center - T_world_cam[:3, 3]])
+
+
+def _clock(x: BundleSolution, name: str) -> Array:
+    return np.array([x.cameras[name].clock.offset_s, x.cameras[name].clock.rate])

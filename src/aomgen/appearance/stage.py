@@ -1,0 +1,146 @@
+"""Every Gaussian bound to the body that carries it, and everything fitted to scan and video. [paper 4.2.4]"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.appearance.directional_light import find_directional_light, remove_baked_shadow
+from aomgen.appearance.drawer_interior import add_drawer_interior
+from aomgen.appearance.refine import refine_twin
+from aomgen.appearance.robot_surfels import replace_robot_gaussians
+from aomgen.appearance.surfel_observations import PosedImages, match_exposure
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.held_out import held_out
+from aomgen.core.joint import Joint
+from aomgen.core.part_points import surface_points
+from aomgen.core.parts import Parts
+from aomgen.core.progress import Progress
+from aomgen.errors import ReconstructionError
+from aomgen.io.artifact import save_artifact
+from aomgen.io.images import read_image
+from aomgen.results import Results
+from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot_store import save_robot
+from aomgen.twin.binding import bind, object_frame
+from aomgen.twin.directional_shadow import DirectionalLight
+from aomgen.twin.support import find_support
+from aomgen.twin.twin import Twin, TwinState, posed, render_state
+
+# More images tell little more, and take as long again.
+MAX_SCAN_IMAGES = 80
+# Frames of the video for each image of the scan: more from one place make all other views worse.
+DEMO_SHARE = 0.5
+# Fewer frames skip parts of the motion.
+MIN_DEMO_FRAMES = 16
+
+
+def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Bind the scan to its bodies, fit the twin to all images, and write it with its robot."""
+    scanned = bind_scan(results.scene, results.parts, results.motion.joint, results.configuration)
+    video = pose_demo_video(results, scanned)
+    bound = add_drawer_interior(scanned, results.robot, video)
+    views = [*pose_scan_images(results, bound), video]
+    twin = refine_appearance(bound, results.robot, views, progress)
+    save_artifact(folder, "twin", twin)
+    save_robot(folder, results.capture.robot)
+    return {
+        "gaussians": len(twin.gaussians),
+        "moving": int(np.sum(twin.moves)),
+        "tray": len(bound.gaussians) - len(scanned.gaussians),
+    }
+
+
+def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, configuration: RobotConfiguration) -> Twin:
+    """The scan bound to the bodies that carry it, in the scan's state.
+
+    Args:
+        scene: Gaussians, world frame.
+        parts: Of these Gaussians.
+        joint: Of the moving part.
+        configuration: The robot during the scan.
+    """
+    static, moving = (surface_points(scene, parts.labels, label) for label in (STATIC, MOVING))
+    state = TwinState(
+        joints=configuration.joints,
+        gripper=configuration.gripper,
+        theta=0.0,
+        T_world_object=object_frame(static, joint, moving),
+    )
+    return bind(scene, parts.labels, parts.robot_bodies, configuration.robot, joint, state)
+
+
+def pose_scan_images(results: Results, twin: Twin) -> list[PosedImages]:
+    """Scan images that are not held out, evenly chosen."""
+    withheld = set(held_out(list(results.scan_images)))
+    usable = [name for name in results.scan_images if name in results.scan_cameras and name not in withheld]
+    chosen = np.unique(np.linspace(0, max(len(usable) - 1, 0), MAX_SCAN_IMAGES).astype(int))
+    return [
+        PosedImages(
+            camera=results.scan_cameras[name],
+            images_srgb=(read_image(results.scan_images[name]),),
+            states=(twin.scan_state,),
+        )
+        for name in (usable[i] for i in chosen[: len(usable)])
+    ]
+
+
+def select_training_frames(images: int, frames: int) -> NDArray[np.int64]:
+    """Which of the first fixed camera's frames the twin is fitted to, beside so many images of the scan."""
+    count = max(int(DEMO_SHARE * min(images, MAX_SCAN_IMAGES)), MIN_DEMO_FRAMES)
+    return np.unique(np.linspace(0, frames - 1, count).astype(np.int64))
+
+
+def pose_demo_video(results: Results, twin: Twin) -> PosedImages:
+    """The first fixed camera's video, as the scan would have exposed it, evenly chosen."""
+    video = results.videos[results.demo_camera]
+    camera = results.fixed_camera.camera
+    chosen = select_training_frames(len(results.scan_images), len(video.times_s))
+    states = results.states_at(video.times_s[chosen], twin.T_world_object)
+    images = tuple(video.frames_srgb[i] for i in chosen)
+    view = PosedImages(camera=camera, images_srgb=images, states=states)
+    still = (~twin.moves)[:, None] * 1.0
+    first = render_state(twin, results.robot, states[0], camera, features=still)
+    return match_exposure(view, np.asarray(first.rgb, np.float64), np.asarray(first.features)[..., 0] > 0.95)
+
+
+def refine_appearance(
+    twin: Twin, robot: RobotModel, views: Sequence[PosedImages], progress: Progress
+) -> Twin:
+    """The twin as all pictures show it.
+
+    The robot's Gaussians are replaced by surfels of its model, the moving shadow is separated from the
+    surface it falls on, then everything is fitted.
+
+    Args:
+        twin: The scan bound to its bodies.
+        robot: Its robot.
+        views: Of the scan, and last of a fixed camera.
+        progress: Told how far it has come.
+    """
+    rng = np.random.default_rng(0)
+    progress(0.1, "the robot's surface")
+    with_surfels = replace_robot_gaussians(twin, robot, views, rng)
+    progress(0.3, "the lamp that throws its shadow")
+    lamp = _lamp(with_surfels, robot, views[-1])
+    lit = with_surfels if lamp is None else remove_baked_shadow(with_surfels, robot, lamp)
+    progress(0.4, "pictures in every configuration")
+    return refine_twin(lit, robot, views, rng)
+
+
+def _lamp(twin: Twin, robot: RobotModel, view: PosedImages) -> DirectionalLight | None:
+    """The lamp that throws shadows on what the object stands on; None when there is none or it stands on nothing."""
+    world = posed(twin, robot, twin.scan_state)
+    of_object = np.isin(twin.labels, (STATIC, MOVING))
+    scene = (twin.labels == BACKGROUND) & (twin.bodies == 0)
+    try:
+        support = find_support(
+            world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
+        )
+    except ReconstructionError:
+        return None
+    return find_directional_light(twin, robot, view, support.T_world_plane)

@@ -1,0 +1,295 @@
+"""Furniture of boards: a drawer under a table top, dressers of equal fronts, cabinets with a sliding panel."""
+
+from itertools import product
+from types import SimpleNamespace
+
+import numpy as np
+
+from aomgen.assets.procedural import textures
+from aomgen.assets.procedural.builder import (
+    LEVEL,
+    OUTWARD,
+    UPRIGHT,
+    BarHandle,
+    Color,
+    LinkBuilder,
+    Span,
+    assemble,
+    carcass,
+    draw_sizes,
+    feet,
+    make_bar,
+    pick,
+    slide,
+)
+from aomgen.assets.procedural.shapes import AlignedBox, Material, box, merge_meshes, rod
+from aomgen.assets.procedural.textures import COLORS
+from aomgen.core.asset import ArticulatedAsset
+
+# Free space between a body and what slides in it, [m].
+GAP = 0.003
+# A bar nearer to the table leaves no room for a gripper, [m].
+LEAST_BAR_Z = 0.105
+# Share of dressers that are dark all over, and of those whose fronts are of the body's wood.
+DARK_SHARE, ONE_WOOD_SHARE = 0.4, 0.3
+# A drawer stays in its body by this much, [m].
+KEPT_IN = 0.09
+# Sizes [m], masses [kg], shares; a cabinet is drawn with the sliding panel on the left (-x).
+SIZES = {
+    "drawer": {
+        "height": (0.22, 0.32),
+        "depth": (0.34, 0.40),
+        "width": (0.36, 0.44),
+        "feet": (0.012, 0.025),
+        "board": (0.014, 0.018),
+        "drawer_height": (0.12, 0.15),
+        "side": (0.009, 0.012),
+        "travel": (0.22, 0.30),
+        "bar_length": (0.13, 0.18),
+        "bar_thickness": (0.011, 0.015),
+        "bar_clearance": (0.028, 0.034),
+        "body_mass": (9.0, 12.0),
+        "part_mass": (1.6, 2.4),
+    },
+    "dresser": {
+        "feet": (0.03, 0.05),
+        "board": (0.014, 0.018),
+        "side": (0.009, 0.012),
+        "travel": (0.20, 0.28),
+        "bar_length": (0.09, 0.15),
+        "bar_thickness": (0.006, 0.010),
+        "bar_clearance": (0.024, 0.032),
+        "body_mass": (9.0, 14.0),
+        "part_mass": (1.4, 2.2),
+    },
+    "cabinet": {
+        "width": (0.50, 0.62),
+        "height": (0.27, 0.35),
+        "depth": (0.24, 0.30),
+        "feet": (0.015, 0.030),
+        "board": (0.013, 0.017),
+        "rail": (0.018, 0.024),
+        "door": (0.012, 0.016),
+        "overlap": (0.015, 0.030),
+        "bar_share": (0.45, 0.62),
+        "bar_thickness": (0.011, 0.015),
+        "bar_clearance": (0.028, 0.034),
+        "body_mass": (9.0, 12.0),
+        "part_mass": (0.9, 1.5),
+        "side": (0, 1),
+    },
+}
+# Depth of a dresser, width and height of each of its fronts, [m], by columns and rows.
+GRIDS = {
+    (1, 2): {"depth": (0.30, 0.36), "pitch_x": (0.34, 0.42), "pitch_z": (0.12, 0.14)},
+    (1, 3): {"depth": (0.30, 0.36), "pitch_x": (0.34, 0.42), "pitch_z": (0.12, 0.14)},
+    (2, 1): {"depth": (0.30, 0.36), "pitch_x": (0.24, 0.28), "pitch_z": (0.16, 0.20)},
+    (2, 2): {"depth": (0.30, 0.36), "pitch_x": (0.24, 0.28), "pitch_z": (0.12, 0.14)},
+}
+# Plywood, sRGB 0..1.
+PLY = (0.86, 0.77, 0.62)
+FELT = Material(color_srgb=(0.10, 0.09, 0.08))
+
+
+def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
+    """A body with one drawer, above a shelf where there is room."""
+    s = draw_sizes(rng, SIZES["drawer"])
+    w, y0, y1, z0, z1 = s.width / 2, -s.depth / 2, s.depth / 2, s.feet, s.height
+    top = z1 - s.board
+    low = top - s.drawer_height
+    wood = _wood(rng, COLORS["wood"], 0.55)
+    front = _wood(rng, COLORS["wood"], 0.5) if rng.random() < 0.5 else _paint(rng, pick(rng, COLORS["paint"]))
+    plate = Material(texture_srgb=textures.label(rng))
+    boards = carcass(w, (y0, y1), (z0, z1), s.board)
+    if low - s.board > z0 + s.board + 0.02:
+        boards["shelf"] = box(-w + s.board, w - s.board, y0, y1 - s.board, low - s.board, low, "xXY")
+    body = LinkBuilder("cabinet")
+    body.boxes("boards", boards, wood)
+    body.boxes("feet", feet(w, (y0, y1), z0, inset=0.05, half=0.02), FELT)
+    x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, 0.02)
+    body.print("label", "top", (x, y, z1), (0.10, 0.0625), plate)
+    body.print("label_side", "right", (w, -0.03, z0 + 0.06), (0.08, 0.05), plate)
+
+    start = y0 - GAP
+    face = box(-w + 0.002, w - 0.002, start - s.board, start, low - 0.004, top + 0.008)
+    inner = w - s.board - GAP
+    ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
+    metal = _metal(rng)
+    bar = make_bar(s, np.array([0.0, face.lower[1], (low + top) / 2]), LEVEL, s.bar_length)
+    drawer = LinkBuilder("drawer")
+    drawer.boxes("front", {"front": face}, front)
+    depth = (start, y1 - s.board - 0.01)
+    drawer.boxes("tray", tray((-inner, inner), depth, (low + GAP, top - 0.03), s.side), ply)
+    sign = Material(texture_srgb=textures.nameplate(rng, (0.93, 0.92, 0.88), 64))
+    drawer.print("sign", "front", (-w + 0.02, face.lower[1], face.upper[2] - 0.034), (0.06, 0.015), sign)
+    drawer.bar(bar, metal)
+    joint = slide(OUTWARD, bar, min(s.travel, s.depth - KEPT_IN))
+    return assemble("drawer", body.link(s.body_mass), drawer.link(s.part_mass), joint, bar)
+
+
+def make_dresser(rng: np.random.Generator) -> ArticulatedAsset:
+    """Equal fronts with equal thin bars, of which only one slides out."""
+    columns, rows = pick(rng, list(GRIDS))
+    s = draw_sizes(rng, {**GRIDS[columns, rows], **SIZES["dresser"]})
+    s.width, s.height = columns * s.pitch_x, s.feet + rows * s.pitch_z
+    faces = {cell: _dresser_front(s, cell) for cell in product(range(columns), range(rows))}
+    bars = {cell: _dresser_bar(s, face) for cell, face in faces.items()}
+    moving = pick(rng, [cell for cell, bar in bars.items() if bar.middle[2] > LEAST_BAR_Z])
+    wood, front, metal = _dresser_surfaces(rng)
+
+    w, depth, board = s.width / 2, (-s.depth / 2, s.depth / 2), s.board
+    boards = carcass(w, depth, (s.feet, s.height), board)
+    across = (-w + board, w - board, depth[0], depth[1] - board)
+    # Of the boards between drawers.
+    thin = 0.008
+    for row in range(1, rows):
+        z = s.feet + row * s.pitch_z
+        boards[f"shelf_{row}"] = box(*across, z - thin / 2, z + thin / 2, "xXY")
+    if columns == 2:
+        inside = (s.feet + board, s.height - board)
+        boards["upright"] = box(-thin / 2, thin / 2, depth[0], depth[1] - board, *inside, "zZY")
+    body = LinkBuilder("dresser")
+    body.boxes("boards", boards, wood)
+    body.boxes("feet", feet(w, depth, s.feet, inset=0.05, half=0.02), FELT)
+    fixed = {f"front_{column}_{row}": (column, row) for column, row in faces if (column, row) != moving}
+    for key, cell in fixed.items():
+        body.boxes(key, {key: faces[cell]}, front)
+    body.meshes.append(merge_meshes("handles", [bars[cell].mesh(metal) for cell in fixed.values()]))
+    for key, cell in fixed.items():
+        body.colliders += bars[cell].colliders(f"{key}_")
+
+    (x0, _, z0), (x1, start, z1) = faces[moving].lower, faces[moving].upper
+    room = board + GAP
+    ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
+    drawer = LinkBuilder("drawer")
+    drawer.boxes("front", {"front": faces[moving]}, front)
+    inner = (start, depth[1] - board - 0.01)
+    drawer.boxes("tray", tray((x0 + room, x1 - room), inner, (z0 + room, z1 - 0.035), s.side), ply)
+    drawer.bar(bars[moving], metal)
+    joint = slide(OUTWARD, bars[moving], min(s.travel, s.depth - KEPT_IN))
+    return assemble("drawer", body.link(s.body_mass), drawer.link(s.part_mass), joint, bars[moving])
+
+
+def _dresser_front(s: SimpleNamespace, cell: tuple[int, int]) -> AlignedBox:
+    """The front of a cell; it covers the body's boards."""
+    back, margin = -s.depth / 2 - GAP, GAP / 2
+    x, z = cell[0] * s.pitch_x - s.width / 2, s.feet + cell[1] * s.pitch_z
+    return box(x + margin, x + s.pitch_x - margin, back - s.board, back, z + margin, z + s.pitch_z - margin)
+
+
+def _dresser_bar(s: SimpleNamespace, face: AlignedBox) -> BarHandle:
+    middle = (np.array(face.lower) + face.upper) / 2
+    return make_bar(s, np.array([middle[0], face.lower[1], middle[2]]), LEVEL, s.bar_length)
+
+
+def _dresser_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
+    """Of the body, of all fronts and of all bars."""
+    kind = rng.random()
+    body = _wood(rng, COLORS["dark"] if kind < DARK_SHARE else COLORS["wood"], 0.55)
+    front = _paint(rng, pick(rng, COLORS["paint"])) if kind > DARK_SHARE + ONE_WOOD_SHARE else body
+    return body, front, _metal(rng)
+
+
+def make_cabinet(rng: np.random.Generator) -> ArticulatedAsset:
+    """A fixed panel and, before an open shelf, one that slides sideways."""
+    s = draw_sizes(rng, SIZES["cabinet"])
+    body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("cabinet", "door"))
+    w, front = s.width / 2, -s.depth / 2
+    wood, paint = _wood(rng, COLORS["wood"], 0.55), pick(rng, COLORS["paint"])
+    z = (s.feet + s.rail + GAP, s.height - s.rail - GAP)
+    slab = box(-s.width / 2 + GAP, s.overlap, front - GAP - s.door, front - GAP, *z)
+    middle = np.array([body.across(-s.width / 2 + 0.055), slab.lower[1], (z[0] + z[1]) / 2])
+    bar = make_bar(s, middle, UPRIGHT, s.bar_share * (z[1] - z[0]))
+    _add_cabinet_body(body, s, wood, paint, rng)
+    _add_sliding_panel(door, s, slab, paint, bar, rng)
+    joint = slide([body.across(1.0), 0.0, 0.0], bar, w - s.overlap - GAP)
+    return assemble("cabinet", body.link(s.body_mass), door.link(s.part_mass), joint, bar)
+
+
+def _add_cabinet_body(
+    body: LinkBuilder, s: SimpleNamespace, wood: Material, paint: Color, rng: np.random.Generator
+) -> None:
+    w, y0, y1, z0, z1, board = s.width / 2, -s.depth / 2, s.depth / 2, s.feet, s.height, s.board
+    lip, middle = y0 - 2 * GAP - s.door, (z0 + z1) / 2
+    plate = Material(texture_srgb=textures.label(rng))
+    art = Material(texture_srgb=textures.stickers(rng, paint, count=5), roughness=0.6)
+    x, y = rng.uniform(-0.12, 0.02), rng.uniform(-0.10, -0.02)
+    boards = {
+        **carcass(w, (y0, y1), (z0, z1), board),
+        "shelf": box(-w + board, w - board, y0 + 0.03, y1 - board, middle - 0.005, middle + 0.005, "xXY"),
+        "rail_top": box(-w, w, lip, y0, z1 - s.rail, z1, "Y"),
+        "rail_bottom": box(-w, w, lip, y0, z0, z0 + s.rail, "Y"),
+    }
+    panel = box(0.0, w - board, y0, y0 + 0.010, z0 + board, z1 - board, "XzZ")
+    body.boxes("boards", boards, wood, symmetric=True)
+    body.boxes("fixed_panel", {"fixed_panel": panel}, _paint(rng, paint))
+    body.boxes("feet", feet(w, (y0, y1), z0, inset=0.05, half=0.02), FELT, symmetric=True)
+    left, right = sorted((body.across(0.05), body.across(w - board - 0.02)))
+    body.print("label", "top", (x, y, z1), (0.10, 0.0625), plate)
+    body.print("label_side", "right", (w, -0.03, z0 + 0.06), (0.08, 0.05), plate)
+    body.print("fixed_print", "front", (left, y0, z0 + 0.06), (right - left, 0.7 * (right - left)), art)
+    _add_cans(body, s, (z0 + board, middle + 0.005), rng)
+
+
+def _add_cans(body: LinkBuilder, s: SimpleNamespace, levels: Span, rng: np.random.Generator) -> None:
+    """Jars and cans on the floor and on the shelf behind the sliding panel."""
+    for level, z in enumerate(levels):
+        for place in range(3):
+            x = body.across(-s.width / 2 + 0.07 + 0.075 * place + rng.uniform(-0.008, 0.008))
+            y, height = rng.uniform(-0.03, 0.04), rng.uniform(0.06, 0.09)
+            print_srgb = textures.stickers(rng, rng.uniform(0.15, 0.85, 3), 256, 128, 4)
+            paper = Material(texture_srgb=print_srgb, tile_m=height)
+            radius = rng.uniform(0.022, 0.03)
+            body.meshes.append(rod(f"can_{level}_{place}", (x, y, z), (x, y, z + height), radius, paper, 18))
+
+
+def _add_sliding_panel(
+    door: LinkBuilder,
+    s: SimpleNamespace,
+    slab: AlignedBox,
+    paint: Color,
+    bar: BarHandle,
+    rng: np.random.Generator,
+) -> None:
+    face = _wood(rng, COLORS["wood"], 0.5) if rng.random() < 0.5 else _paint(rng, paint)
+    metal = _metal(rng)
+    art = textures.stickers(rng, face.texture_srgb.mean((0, 1)) / 255, 320, 320, 5)
+    door.boxes("door", {"door": slab}, face)
+    (x0, _, z0), (x1, _, z1) = slab.lower, slab.upper
+    size = min(0.5 * (x1 - x0), 0.6 * (z1 - z0))
+    # The print stands on the half of the panel without the handle.
+    left = -x1 + 0.015 if door.mirrored else x1 - 0.015 - size
+    corner = (left, slab.lower[1], (z0 + z1 - size) / 2)
+    door.print("print", "front", corner, (size, size), Material(texture_srgb=art, roughness=0.6))
+    door.bar(bar, metal)
+
+
+def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, AlignedBox]:
+    """The open box behind a drawer's front: floor, two sides and back.
+
+    Args:
+        sides: Outer planes across, asset frame x, [m].
+        depth: From the front's back side to the tray's end, asset frame y, [m].
+        heights: Of the floor's lower side and of the rim, [m].
+        thin: Thickness of all four, [m].
+    """
+    (x0, x1), (start, end), (floor, rim) = sides, depth, heights
+    return {
+        "tray_bottom": box(x0, x1, start, end, floor, floor + thin, "y"),
+        "tray_left": box(x0, x0 + thin, start, end, floor + thin, rim, "yz"),
+        "tray_right": box(x1 - thin, x1, start, end, floor + thin, rim, "yz"),
+        "tray_back": box(x0 + thin, x1 - thin, end - thin, end, floor + thin, rim, "xXz"),
+    }
+
+
+def _wood(rng: np.random.Generator, colors: tuple[Color, ...], roughness: float) -> Material:
+    return Material(texture_srgb=textures.wood(rng, pick(rng, colors)), roughness=roughness)
+
+
+def _paint(rng: np.random.Generator, color: Color) -> Material:
+    return Material(texture_srgb=textures.speckled(rng, color), roughness=0.5)
+
+
+def _metal(rng: np.random.Generator) -> Material:
+    brushed = textures.brushed_metal(rng, pick(rng, COLORS["metal"]), 256)
+    return Material(texture_srgb=brushed, metallic=0.8, roughness=0.3)

@@ -1,0 +1,249 @@
+"""Boxes with a lid hinged at the back: toolboxes with a bar in front, laptops held at the lid's rim."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from aomgen.assets.procedural import textures
+from aomgen.assets.procedural.builder import (
+    LEVEL,
+    SEAL,
+    BarHandle,
+    Color,
+    LinkBuilder,
+    Span,
+    assemble,
+    draw_sizes,
+    hinge,
+    make_bar,
+    pick,
+)
+from aomgen.assets.procedural.shapes import PRINT_GAP, AlignedBox, Material, box, merge_meshes, panel, rod
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.joint import Joint
+
+# Sizes [m], masses [kg], opening [deg]; the notch is a recess in the base's front, in which the lid stands out.
+SIZES = {
+    "toolbox": {
+        "width": (0.36, 0.46),
+        "depth": (0.19, 0.24),
+        "seam": (0.11, 0.15),
+        "lid": (0.055, 0.080),
+        "wall": (0.006, 0.010),
+        "bar_length": (0.12, 0.16),
+        "bar_thickness": (0.011, 0.015),
+        "bar_clearance": (0.028, 0.034),
+        "opening": (100, 108),
+        "body_mass": (4.0, 7.0),
+        "lid_mass": (0.5, 0.9),
+    },
+    "laptop": {
+        "width": (0.28, 0.38),
+        "depth_share": (0.66, 0.72),
+        "base": (0.012, 0.020),
+        "lid": (0.005, 0.009),
+        "notch_width": (0.066, 0.080),
+        "notch_depth": (0.012, 0.015),
+        "bezel": (0.006, 0.012),
+        "opening": (115, 135),
+        "body_mass": (1.2, 2.2),
+        "lid_mass": (0.4, 0.7),
+    },
+}
+# Colors, sRGB 0..1; the maker's taste.
+COLORS = {
+    "toolbox": ((0.16, 0.17, 0.18), (0.30, 0.31, 0.33), (0.12, 0.16, 0.24), (0.24, 0.20, 0.17)),
+    # Brighter than the boxes: red, yellow, blue, green, orange.
+    "lid": (
+        (0.72, 0.13, 0.10),
+        (0.86, 0.62, 0.10),
+        (0.12, 0.32, 0.60),
+        (0.20, 0.46, 0.26),
+        (0.80, 0.38, 0.10),
+    ),
+    # Of tools: orange, blue, yellow.
+    "grip": ((0.80, 0.30, 0.08), (0.10, 0.42, 0.70), (0.85, 0.70, 0.10)),
+    # Silver, black, blue, copper.
+    "laptop": ((0.66, 0.67, 0.69), (0.20, 0.21, 0.23), (0.34, 0.40, 0.48), (0.72, 0.62, 0.54)),
+}
+# Height of the rubber strips below a laptop, depth of its lid's rim, and how far inside of the edge it is held, [m].
+STRIPS, RIM, HELD = 0.002, 0.016, 0.004
+IRON = Material(color_srgb=(0.62, 0.63, 0.66), metallic=0.8, roughness=0.35)
+BLACK = Material(color_srgb=(0.06, 0.06, 0.07))
+BEZEL = Material(color_srgb=(0.05, 0.05, 0.06))
+
+
+def make_toolbox(rng: np.random.Generator) -> ArticulatedAsset:
+    """A hollow body with a tray of tools, latches, and a lid with a carrying handle."""
+    s = draw_sizes(rng, SIZES["toolbox"])
+    body_color, lid_color = pick(rng, COLORS["toolbox"]), pick(rng, COLORS["lid"])
+    s.low = s.seam + SEAL
+    bar = make_bar(s, [0.0, -s.depth / 2, s.low + s.lid / 2], LEVEL, s.bar_length)
+    body, lid = LinkBuilder("body"), LinkBuilder("lid")
+    _add_toolbox_body(body, s, body_color, lid_color, rng)
+    _add_tools(body, s, rng)
+    _add_toolbox_lid(lid, s, lid_color, bar, rng)
+    return assemble("toolbox", body.link(s.body_mass), lid.link(s.lid_mass), _back_hinge(s), bar)
+
+
+def _back_hinge(s: SimpleNamespace) -> Joint:
+    """Behind the back by half a seal, so that the lid's back swings clear of the body's."""
+    return hinge([-1.0, 0.0, 0.0], [0.0, s.depth / 2 + SEAL / 2, s.seam + SEAL / 2], s.opening)
+
+
+def _add_toolbox_body(
+    body: LinkBuilder, s: SimpleNamespace, color: Color, lid_color: Color, rng: np.random.Generator
+) -> None:
+    w, front = s.width / 2, -s.depth / 2
+    plastic = _tread_plate(rng, color, roughness=0.5, metallic=0.2)
+    steel = _steel(rng)
+    sticker = Material(texture_srgb=textures.label(rng), roughness=0.5)
+    brand = Material(texture_srgb=textures.nameplate(rng, lid_color), roughness=0.4)
+    x, z = rng.uniform(-0.13, -0.10), rng.uniform(0.012, 0.022)
+    body.boxes("body", _walls(s, 0.0, s.seam, open_above=True), plastic)
+    body.boxes("catches", _latches(s, s.seam - 0.034, s.seam), steel)
+    body.print("label", "front", (x, front, z), (0.10, 0.0625), sticker)
+    body.print("brand", "front", (0.03, front, z), (0.11, 0.024), brand)
+    body.print("label_left", "left", (-w, 0.05, z), (0.09, 0.056), sticker)
+    body.print("label_right", "right", (w, -0.05, z), (0.09, 0.056), sticker)
+
+
+def _add_tools(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) -> None:
+    """What lies inside: a tray with a screwdriver, a hammer and a wrench."""
+    w, y0, y1, wall, z = s.width / 2, -s.depth / 2, s.depth / 2, s.wall, s.seam - 0.035
+    felt = Material(texture_srgb=textures.speckled(rng, (0.52, 0.50, 0.46), 256), roughness=0.7)
+    size = (2 * (w - wall), 0, 0), (0, y1 - y0 - 2 * wall, 0)
+    body.meshes.append(panel("tray", (-w + wall, y0 + wall, z), *size, felt))
+    half = 0.30 * s.width
+    for number, share in enumerate((0.22, 0.5, 0.78)):
+        y, x = y0 + share * (y1 - y0), rng.uniform(-0.05, 0.02)
+        colored = Material(texture_srgb=textures.plastic(rng, pick(rng, COLORS["grip"]), 64))
+        end = x + half
+        body.meshes.append(rod(f"grip_{number}", (x - half, y, z + 0.012), (x, y, z + 0.012), 0.012, colored))
+        shaft = rod("shaft", (x, y, z + 0.010), (end, y, z + 0.010), 0.006, IRON)
+        head = rod("head", (end, y - 0.02, z + 0.012), (end, y + 0.02, z + 0.012), 0.010, IRON)
+        body.meshes.append(merge_meshes(f"iron_{number}", [shaft, head]))
+
+
+def _add_toolbox_lid(
+    lid: LinkBuilder, s: SimpleNamespace, color: Color, bar: BarHandle, rng: np.random.Generator
+) -> None:
+    w, low, top = s.width / 2, s.low, s.low + s.lid
+    plastic, steel = _tread_plate(rng, color, roughness=0.45), _steel(rng)
+    rubber = Material(texture_srgb=textures.plastic(rng, (0.10, 0.10, 0.11), 128))
+    stickers = Material(texture_srgb=textures.stickers(rng, color), roughness=0.5)
+    brand = Material(texture_srgb=textures.nameplate(rng, color), roughness=0.4)
+    lid.boxes("lid", _walls(s, low, top, open_above=False), plastic)
+    lid.boxes("latches", _latches(s, low, low + 0.030), steel)
+    grip = 0.16 * s.width
+    arch = [
+        rod("arch", (-grip, 0, top + 0.03), (grip, 0, top + 0.03), 0.010, rubber),
+        *(rod("post", (x, 0, top), (x, 0, top + 0.03), 0.008, rubber, 10) for x in (-grip, grip)),
+    ]
+    lid.meshes.append(merge_meshes("carry", arch))
+    lid.solid("carry", box(-grip - 0.01, grip + 0.01, -0.01, 0.01, top, top + 0.04))
+    inset = 0.03
+    corner = (grip + 0.02, -s.depth / 2 + inset, top)
+    lid.print("stickers", "top", corner, (w - grip - 0.02 - inset, s.depth - 2 * inset), stickers)
+    lid.print("name", "top", (-w + inset, -0.02, top), (0.10, 0.035), brand)
+    lid.bar(bar, steel)
+
+
+def _walls(s: SimpleNamespace, z0: float, z1: float, *, open_above: bool) -> dict[str, AlignedBox]:
+    """A box open above or below: its bottom or top, and its four sides."""
+    w, y0, y1, wall = s.width / 2, -s.depth / 2, s.depth / 2, s.wall
+    low, high = (z0 + wall, z1) if open_above else (z0, z1 - wall)
+    skip = "z" if open_above else "Z"
+    return {
+        "plate": box(-w, w, y0, y1, z0, low) if open_above else box(-w, w, y0, y1, high, z1),
+        "left": box(-w, -w + wall, y0, y1, low, high, skip),
+        "right": box(w - wall, w, y0, y1, low, high, skip),
+        "front": box(-w + wall, w - wall, y0, y0 + wall, low, high, f"xX{skip}"),
+        "back": box(-w + wall, w - wall, y1 - wall, y1, low, high, f"xX{skip}"),
+    }
+
+
+def _latches(s: SimpleNamespace, z0: float, z1: float) -> dict[str, AlignedBox]:
+    """Plates on the front, left and right of the handle."""
+    x, front = 0.36 * s.width, -s.depth / 2
+    return {
+        f"latch_{name}": box(sign * x - 0.018, sign * x + 0.018, front - 0.009, front, z0, z1, "Y")
+        for name, sign in (("left", -1.0), ("right", 1.0))
+    }
+
+
+def _tread_plate(
+    rng: np.random.Generator, color: Color, *, roughness: float, metallic: float = 0.0
+) -> Material:
+    sheet = textures.tread_plate(rng, color)
+    return Material(texture_srgb=sheet, tile_m=0.45, roughness=roughness, metallic=metallic)
+
+
+def _steel(rng: np.random.Generator) -> Material:
+    return Material(texture_srgb=textures.brushed_metal(rng, (0.70, 0.70, 0.72), 256), metallic=0.8)
+
+
+def make_laptop(rng: np.random.Generator) -> ArticulatedAsset:
+    """A closed laptop that lies flat: thin base with a notch in front, thin lid held by its front edge."""
+    s = draw_sizes(rng, SIZES["laptop"])
+    s.depth, s.seam = s.width * s.depth_share, STRIPS + s.base
+    color = pick(rng, COLORS["laptop"])
+    base, lid = LinkBuilder("base"), LinkBuilder("lid")
+    _add_base(base, s, color, rng)
+    _add_laptop_lid(lid, s, color, rng)
+    held = np.array([0.0, HELD - s.depth / 2, s.seam + SEAL + s.lid / 2])
+    return assemble("laptop", base.link(s.body_mass), lid.link(s.lid_mass), _back_hinge(s), held)
+
+
+def _add_base(base: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.random.Generator) -> None:
+    w, d, half = s.width / 2, s.depth / 2, s.notch_width / 2
+    inner, z = s.notch_depth - d, (STRIPS, s.seam)
+    slabs = {
+        "base": box(-w, w, inner, d, *z),
+        "front_left": box(-w, -half, -d, inner, *z, "Y"),
+        "front_right": box(half, w, -d, inner, *z, "Y"),
+    }
+    strips = {
+        f"foot_{name}": box(-0.8 * w, 0.8 * w, y - 0.004, y + 0.004, 0.0, STRIPS, "Z")
+        for name, y in (("front", 0.03 - d), ("back", d - 0.02))
+    }
+    base.boxes("base", slabs, _case(rng, color))
+    base.boxes("feet", strips, BLACK)
+    front = inner + 0.003
+    keys = Material(texture_srgb=textures.keyboard(rng, color), roughness=0.6)
+    base.print("keys", "top", (-w + 0.006, front, s.seam), (2 * w - 0.012, d - 0.006 - front), keys)
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        x, y, z_hinge = 0.66 * sign * w, d, s.seam + SEAL / 2
+        ends = (x - 0.03, y, z_hinge), (x + 0.03, y, z_hinge)
+        base.meshes.append(rod(f"hinge_{side}", *ends, 0.003, BLACK))
+
+
+def _add_laptop_lid(lid: LinkBuilder, s: SimpleNamespace, color: Color, rng: np.random.Generator) -> None:
+    w, d, low = s.width / 2, s.depth / 2, s.seam + SEAL
+    top = low + s.lid
+    slab, rim = box(-w, w, RIM - d, d, low, top, "y"), box(-w, w, -d, RIM - d, low, top, "Y")
+    case = _case(rng, color)
+    display = Material(texture_srgb=textures.screen(rng), roughness=0.2)
+    lid.boxes("lid", {"lid": slab, "handle_rim": rim}, case)
+    _add_cover_print(lid, (w, d), color, top, rng)
+    # Upright for the user once the lid is open: its top is the free edge.
+    lid.meshes.append(panel("bezel", (-w, d, low - PRINT_GAP / 2), (2 * w, 0, 0), (0, -2 * d, 0), BEZEL))
+    corner, size = (-w + s.bezel, d - s.bezel, low - PRINT_GAP), (2 * (w - s.bezel), 2 * d - 2 * s.bezel)
+    lid.meshes.append(panel("screen", corner, (size[0], 0, 0), (0, -size[1], 0), display))
+
+
+def _add_cover_print(
+    lid: LinkBuilder, half: Span, color: Color, top: float, rng: np.random.Generator
+) -> None:
+    """On the lid: the maker's name alone, upright once the lid is open, or stickers all over it."""
+    if rng.random() < 0.5:
+        name = Material(texture_srgb=textures.nameplate(rng, color, 64), roughness=0.4)
+        lid.meshes.append(panel("name", (0.04, -0.01, top + PRINT_GAP), (-0.08, 0, 0), (0, -0.02, 0), name))
+        return
+    w, d = half[0] - 0.012, half[1] - 0.012
+    art = Material(texture_srgb=textures.stickers(rng, color, count=int(rng.integers(2, 8))), roughness=0.5)
+    lid.print("stickers", "top", (-w, -d, top), (2 * w, 2 * d), art)
+
+
+def _case(rng: np.random.Generator, color: Color) -> Material:
+    return Material(texture_srgb=textures.brushed_metal(rng, color), roughness=0.4, metallic=0.4)

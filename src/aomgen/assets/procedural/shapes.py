@@ -1,0 +1,195 @@
+"""Boxes, rods, discs and printed panels with texture coordinates, from which makers build links."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aomgen.core.asset import BoxCollider
+from aomgen.core.mesh import Mesh
+from aomgen.core.transforms import transform
+from aomgen.core.values import Array
+
+# Prints lie this far in front of the surface they are on, [m]: neither renderer lets them flicker, and nobody sees the gap.
+PRINT_GAP = 0.0006
+# The two in-plane axes (u, v) of a face whose normal is axis x, y or z.
+_PLANE_AXES = ((1, 2), (0, 2), (0, 1))
+_NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """What a mesh is covered with.
+
+    Attributes:
+        texture_srgb: (H, W, 3) uint8; empty where `color_srgb` holds.
+        color_srgb: (3,), 0..1.
+        tile_m: Length of the texture's edge on planar-mapped parts, [m].
+        roughness, metallic: UsdPreviewSurface's parameters.
+    """
+
+    texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: _NO_TEXTURE)
+    color_srgb: tuple[float, float, float] = (0.8, 0.8, 0.8)
+    tile_m: float = 0.6
+    roughness: float = 0.6
+    metallic: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignedBox:
+    """Axis-aligned box between two corners (3,), [m]; `skip` names faces that stay unseen.
+
+    Face names: "x" "y" "z" for the low side, "X" "Y" "Z" for the high side.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    skip: str = ""
+
+    def mirrored(self) -> "AlignedBox":
+        """Its image behind the plane x = 0."""
+        (x0, y0, z0), (x1, y1, z1) = self.lower, self.upper
+        return box(-x1, -x0, y0, y1, z0, z1, self.skip.translate(str.maketrans("xX", "Xx")))
+
+    def collider(self, name: str) -> BoxCollider:
+        """The same box for physics."""
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        pose = transform(np.eye(3), (lower + upper) / 2)
+        return BoxCollider(name=name, T_asset_box=pose, half_extents=(upper - lower) / 2)
+
+
+def box(x0: float, x1: float, y0: float, y1: float, z0: float, z1: float, skip: str = "") -> AlignedBox:
+    """An `AlignedBox` from its six planes, [m]."""
+    return AlignedBox(lower=(x0, y0, z0), upper=(x1, y1, z1), skip=skip)
+
+
+def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mesh:
+    """One mesh of several boxes, planar-mapped: u runs along x (or y), v along z (or y).
+
+    Coordinates start at the mesh's lowest corner and never leave 0..1: a mesh larger than the
+    tile stretches the texture instead of repeating it.
+    """
+    quads, normals = [], []
+    for item in boxes:
+        for axis in range(3):
+            for high in (False, True):
+                if ("XYZ" if high else "xyz")[axis] in item.skip:
+                    continue
+                quads.append(_box_face(item, axis, high))
+                normals.append(axis)
+    corners = np.array(quads)
+    low = corners.min((0, 1))
+    tile = max(surface.tile_m, float((corners.max((0, 1)) - low).max()))
+    uvs = np.stack(
+        [(quad - low)[:, _PLANE_AXES[axis]] / tile for quad, axis in zip(corners, normals, strict=True)]
+    )
+    return _quads_mesh(name, corners, uvs, surface)
+
+
+def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface: Material) -> Mesh:
+    """A print: one rectangle seen from the side `right x up`, its texture upright and whole.
+
+    Args:
+        corner: Lower left corner as seen from outside (3,), [m].
+        right, up: Edges (3,), [m].
+    """
+    corner, right, up = (np.asarray(v, np.float64) for v in (corner, right, up))
+    quad = np.stack([corner, corner + right, corner + right + up, corner + up])
+    uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float64)
+    return _quads_mesh(name, quad[None], uvs[None], surface)
+
+
+def rod(
+    name: str, start: ArrayLike, end: ArrayLike, radius: float, surface: Material, sides: int = 14
+) -> Mesh:
+    """A closed cylinder between two points (3,), [m], texture wrapped once around it."""
+    start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    along = (end - start) / np.linalg.norm(end - start)
+    first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    first /= np.linalg.norm(first)
+    second = np.cross(along, first)
+    angles = np.arange(sides + 1) * 2 * np.pi / sides
+    ring = radius * (np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second)
+    share = angles / (2 * np.pi)
+    length = min(1.0, float(np.linalg.norm(end - start)) / surface.tile_m)
+    triangles, uvs = [], []
+    for i in range(sides):
+        a, b, c, d = start + ring[i], start + ring[i + 1], end + ring[i + 1], end + ring[i]
+        # u runs along the rod, so that a brushed or grained texture does too.
+        uv_a, uv_b, uv_c, uv_d = (0, share[i]), (0, share[i + 1]), (length, share[i + 1]), (length, share[i])
+        triangles += [(a, b, c), (a, c, d), (start, b, a), (end, d, c)]
+        middle = (0.0, 0.5)
+        uvs += [(uv_a, uv_b, uv_c), (uv_a, uv_c, uv_d), (middle, uv_b, uv_a), (middle, uv_d, uv_c)]
+    return _triangles_mesh(name, np.array(triangles), np.array(uvs), surface)
+
+
+def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material, sides: int = 20) -> Mesh:
+    """Upper half of an ellipsoid on a plane z, texture seen from above.
+
+    Args:
+        center: Of its flat side (3,), [m].
+        radii: Along x, y and z (3,), [m].
+    """
+    around = np.arange(sides + 1) * 2 * np.pi / sides
+    up = np.linspace(0.0, np.pi / 2, sides // 4 + 1)
+    unit = np.stack(
+        [
+            np.cos(up)[:, None] * np.cos(around),
+            np.cos(up)[:, None] * np.sin(around),
+            np.broadcast_to(np.sin(up)[:, None], (len(up), len(around))),
+        ],
+        -1,
+    )
+    quads = np.stack([unit[:-1, :-1], unit[:-1, 1:], unit[1:, 1:], unit[1:, :-1]], 2).reshape(-1, 4, 3)
+    uvs = 0.5 + 0.5 * quads[..., :2]
+    return _quads_mesh(name, np.asarray(center) + quads * np.asarray(radii), uvs, surface)
+
+
+def merge_meshes(name: str, meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh of several that share the first one's surface."""
+    offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
+    first = meshes[0]
+    return Mesh(
+        name=name,
+        vertices=np.concatenate([m.vertices for m in meshes]),
+        faces=np.concatenate([m.faces + offset for m, offset in zip(meshes, offsets, strict=True)]),
+        uvs=np.concatenate([m.uvs for m in meshes]),
+        texture_srgb=first.texture_srgb,
+        color_srgb=first.color_srgb,
+        roughness=first.roughness,
+        metallic=first.metallic,
+    )
+
+
+def _box_face(item: AlignedBox, axis: int, high: bool) -> Array:
+    """Corners (4, 3) of one face, counter-clockwise seen from outside."""
+    low, top = np.array(item.lower), np.array(item.upper)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    quad = np.empty((4, 3))
+    quad[:, axis] = top[axis] if high else low[axis]
+    quad[:, i] = [low[i], top[i], top[i], low[i]]
+    quad[:, j] = [low[j], low[j], top[j], top[j]]
+    return quad if high else quad[::-1]
+
+
+def _quads_mesh(name: str, corners: Array, uvs: Array, surface: Material) -> Mesh:
+    halves = [[0, 1, 2], [0, 2, 3]]
+    return _triangles_mesh(
+        name, corners[:, halves].reshape(-1, 3, 3), uvs[:, halves].reshape(-1, 3, 2), surface
+    )
+
+
+def _triangles_mesh(name: str, triangles: Array, uvs: Array, surface: Material) -> Mesh:
+    vertices, inverse = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    textured = surface.texture_srgb.size > 0
+    return Mesh(
+        name=name,
+        vertices=vertices,
+        faces=inverse.reshape(-1, 3),
+        uvs=uvs if textured else np.zeros((0, 3, 2)),
+        texture_srgb=surface.texture_srgb,
+        color_srgb=np.asarray(surface.texture_srgb.mean((0, 1)) / 255 if textured else surface.color_srgb),
+        roughness=surface.roughness,
+        metallic=surface.metallic,
+    )

@@ -1,0 +1,173 @@
+"""Nonlinear least squares over a list of terms.
+
+A term is one kind of evidence: residuals in their own unit, and the standard deviation of one residual in
+that unit. What it weighs against other evidence follows from that alone.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from aomgen.core.values import Array
+
+StateT = TypeVar("StateT")
+# Step of central differences, in the unit of an unknown: near the cube root of the machine's precision.
+_STEP = 1e-6
+# First damping of Levenberg and Marquardt: next to none, starts are near the answer.
+_DAMPING = 1e-6
+# Damping with which a refused step is as short as rounding, so that the descent ends.
+_MAX_DAMPING = 1e8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kernel:
+    """Weight `(1 + (r / scale)^2)^-power` of a residual r: Huber-like 1/2, Cauchy 1, Geman and McClure 2.
+
+    Source: Barron, "A general and adaptive robust loss function", 2019.
+    """
+
+    scale: float
+    power: float = 2.0
+
+    def weights(self, residuals: Array) -> Array:
+        return (1 + (residuals / self.scale) ** 2) ** -self.power
+
+    def costs(self, residuals: Array) -> Array:
+        """Costs (m,) with these weights: `r^2` for small residuals."""
+        u = 1 + (residuals / self.scale) ** 2
+        grown = np.log(u) if self.power == 1 else (u ** (1 - self.power) - 1) / (1 - self.power)
+        return self.scale**2 * grown
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualTerm(Generic[StateT]):
+    """One kind of evidence.
+
+    Attributes:
+        name: To find it again in the solution.
+        residual: State -> residuals (m,).
+        sd: Standard deviation of one residual, or of each (m,), in their unit.
+        kernel: Of outliers, in the unit of the residuals; None: there are none.
+        jacobian: State -> change of the residuals (m, d) with a step; None: by central differences.
+    """
+
+    name: str
+    residual: Callable[[StateT], Array]
+    sd: float | Array = 1.0
+    kernel: Kernel | None = None
+    jacobian: Callable[[StateT], Array] | None = None
+
+    def cost(self, residuals: Array) -> float:
+        """Robust sum of squares, in standard deviations."""
+        costs = residuals**2 if self.kernel is None else self.kernel.costs(residuals)
+        return float(np.sum(costs / np.square(self.sd)))
+
+    def normal(self, residuals: Array, J: Array) -> tuple[Array, Array]:
+        """Information (d, d) and its pull (d,) on a step."""
+        weights = np.ones_like(residuals) if self.kernel is None else self.kernel.weights(residuals)
+        weighted = J.T * (weights / np.square(self.sd))
+        return weighted @ J, -weighted @ residuals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solution(Generic[StateT]):
+    """State at the optimum, and there the information (d, d) and pull (d,) of each term by its name."""
+
+    state: StateT
+    normals: dict[str, tuple[Array, Array]]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (d, d) of a step from the optimum; unknowns without evidence get 0."""
+        A = np.sum([A for A, _ in self.normals.values()], axis=0)
+        scale = 1 / np.sqrt(np.where(np.diag(A) > 0, np.diag(A), 1.0))
+        return np.linalg.pinv(A * scale[:, None] * scale, hermitian=True) * scale[:, None] * scale
+
+    def step_without(self, *names: str) -> Array:
+        """Step (d,) to the optimum without some terms, to first order."""
+        return _step([normal for key, normal in self.normals.items() if key not in names], 0.0)
+
+
+def add(state: Array, step: Array) -> Array:
+    """Move a plain vector."""
+    return state + step
+
+
+def solve(
+    terms: Sequence[ResidualTerm[StateT]],
+    start: StateT,
+    *,
+    retract: Callable[[StateT, Array], StateT],
+    dimension: int,
+    max_iterations: int = 50,
+    tolerance: float = 1e-9,
+) -> Solution[StateT]:
+    """Minimize the sum of robust squares of all terms, whose names are unique.
+
+    Args:
+        terms: All evidence.
+        start: Where the descent begins.
+        retract: Moves a state by a step (d,); `add` for plain vectors.
+        dimension: d.
+        max_iterations: Steps tried at most.
+        tolerance: Relative decrease of the cost that ends the descent.
+
+    Source: Levenberg-Marquardt, damping scaled by the diagonal.
+    """
+    state, damping = start, _DAMPING
+    residuals = [term.residual(state) for term in terms]
+    cost, normals = _cost(terms, residuals), _linearize(terms, state, residuals, retract, dimension)
+    for _ in range(max_iterations):
+        moved = retract(state, _step(normals, damping))
+        there = [term.residual(moved) for term in terms]
+        lower = _cost(terms, there)
+        if lower <= cost:
+            done = cost - lower <= tolerance * cost
+            state, residuals, cost, damping = moved, there, lower, damping / 10
+            normals = _linearize(terms, state, residuals, retract, dimension)
+        else:
+            damping *= 10
+            done = damping > _MAX_DAMPING
+        if done:
+            break
+    return Solution(state=state, normals={term.name: own for term, own in zip(terms, normals, strict=True)})
+
+
+def jackknife_covariance(answers: Array) -> Array:
+    """Covariance (d, d) from n answers (n, d), each without one of n groups. Source: Tukey, 1958."""
+    apart = answers - answers.mean(0)
+    return (len(answers) - 1) / len(answers) * apart.T @ apart
+
+
+def _cost(terms: Sequence[ResidualTerm[StateT]], residuals: Sequence[Array]) -> float:
+    return sum(term.cost(own) for term, own in zip(terms, residuals, strict=True))
+
+
+def _linearize(
+    terms: Sequence[ResidualTerm[StateT]],
+    state: StateT,
+    residuals: Sequence[Array],
+    retract: Callable[[StateT, Array], StateT],
+    dimension: int,
+) -> list[tuple[Array, Array]]:
+    """Information and pull of each term; a moved state serves all numeric ones."""
+    Js = [
+        np.zeros((len(own), dimension)) if term.jacobian is None else term.jacobian(state)
+        for term, own in zip(terms, residuals, strict=True)
+    ]
+    numeric = [(term, J) for term, J in zip(terms, Js, strict=True) if term.jacobian is None]
+    for column in range(dimension if numeric else 0):
+        step = _STEP * np.eye(dimension)[column]
+        after, before = retract(state, step), retract(state, -step)
+        for term, J in numeric:
+            J[:, column] = (term.residual(after) - term.residual(before)) / (2 * _STEP)
+    return [term.normal(own, J) for term, own, J in zip(terms, residuals, Js, strict=True)]
+
+
+def _step(normals: Sequence[tuple[Array, Array]], damping: float) -> Array:
+    """Damped step (d,); unknowns that nothing determines stay."""
+    A, b = np.sum([A for A, _ in normals], axis=0), np.sum([b for _, b in normals], axis=0)
+    diagonal = np.where(np.diag(A) > 0, np.diag(A), 1.0)
+    return np.linalg.solve(A + max(damping, 1e-12) * np.diag(diagonal), b)

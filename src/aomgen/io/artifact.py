@@ -1,0 +1,140 @@
+"""Any frozen value on disk, by its annotations: `NAME.json`, and its large arrays in `NAME.npz`.
+
+Equal values give equal bytes. What is read is bounded, holds no code, and has to fit the annotations.
+"""
+
+import types
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.errors import MalformedFileError
+from aomgen.io.arrays import npz_bytes, read_npz
+from aomgen.io.atomic import write_bytes, write_json
+from aomgen.io.jsonfile import read_json
+
+# Arrays of at most so many elements stand in the JSON, where people can read them.
+INLINE_ELEMENTS = 64
+T = TypeVar("T")
+
+
+def save_artifact(folder: Path, name: str, value: Any) -> None:
+    """Write a dataclass of arrays, numbers, texts, None, tuples, mappings and dataclasses.
+
+    Raises:
+        StorageError: The disk refuses.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    content = _pack(value, "", arrays)
+    if arrays:
+        write_bytes(folder / f"{name}.npz", npz_bytes(arrays))
+    write_json(folder / f"{name}.json", {"type": type(value).__name__, "value": content})
+
+
+def load_artifact(folder: Path, name: str, kind: type[T]) -> T:
+    """Read back what `save_artifact` wrote.
+
+    Args:
+        folder: Of a finished stage.
+        name: Of the files, without suffix.
+        kind: Class of the value.
+
+    Raises:
+        MissingFileError, LimitExceededError: As their names say.
+        MalformedFileError: The files hold something else.
+    """
+    path = folder / f"{name}.json"
+    stored = read_json(path)
+    remedy = "run the stage again"
+    if not isinstance(stored, dict) or stored.get("type") != kind.__name__:
+        raise MalformedFileError(path, f"holds no {kind.__name__}", remedy)
+    arrays_file = folder / f"{name}.npz"
+    arrays = read_npz(arrays_file) if arrays_file.is_file() else {}
+    try:
+        return _unpack(kind, stored.get("value"), arrays)
+    except (TypeError, ValueError) as error:
+        raise MalformedFileError(path, f"holds no {kind.__name__} ({error})", remedy) from error
+
+
+def _pack(value: Any, key: str, arrays: dict[str, NDArray[Any]]) -> Any:
+    if isinstance(value, np.ndarray):
+        # Infinities and empty shapes have no JSON.
+        if value.ndim and 0 < value.size <= INLINE_ELEMENTS and np.isfinite(value).all():
+            return value.tolist()
+        name = key.removesuffix(".")
+        arrays[name] = value
+        return {"array": name}
+    if is_dataclass(value):
+        return {
+            item.name: _pack(getattr(value, item.name), f"{key}{item.name}.", arrays)
+            for item in fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {name: _pack(item, f"{key}{name}.", arrays) for name, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_pack(item, f"{key}{index}.", arrays) for index, item in enumerate(value)]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _unpack(kind: Any, data: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    origin, args = get_origin(kind), get_args(kind)
+    if kind in (Any, object):
+        return data
+    if origin in (Union, types.UnionType):
+        return _unpack_optional(args, data, arrays)
+    if origin is np.ndarray or kind is np.ndarray:
+        return _unpack_array(kind, data, arrays)
+    if is_dataclass(kind):
+        return _unpack_dataclass(kind, data, arrays)
+    if origin is tuple:
+        _require(isinstance(data, list), kind, data)
+        kinds = [args[0]] * len(data) if args[-1] is Ellipsis else args
+        return tuple(_unpack(item, value, arrays) for item, value in zip(kinds, data, strict=True))
+    if origin is not None and issubclass(origin if isinstance(origin, type) else object, Mapping):
+        _require(isinstance(data, dict), kind, data)
+        return {name: _unpack(args[1], value, arrays) for name, value in data.items()}
+    if origin is Literal:
+        _require(data in args, kind, data)
+        return data
+    if kind is float:
+        _require(isinstance(data, int | float) and not isinstance(data, bool), kind, data)
+        return float(data)
+    _require(type(data) is kind, kind, data)
+    return data
+
+
+def _unpack_optional(kinds: tuple[Any, ...], data: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    if data is None and type(None) in kinds:
+        return None
+    (kind,) = (item for item in kinds if item is not type(None))
+    return _unpack(kind, data, arrays)
+
+
+def _unpack_array(kind: Any, data: Any, arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    # NDArray[np.uint8] is ndarray[shape, dtype[np.uint8]].
+    dtype = get_args(get_args(kind)[1])[0]
+    if isinstance(data, dict):
+        _require(data.get("array") in arrays, kind, data)
+        return np.asarray(arrays[data["array"]], None if dtype is Any else dtype)
+    _require(isinstance(data, list), kind, data)
+    return np.asarray(data, dtype)
+
+
+def _unpack_dataclass(kind: Any, data: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    hints = get_type_hints(kind)
+    names = [item.name for item in fields(kind)]
+    _require(isinstance(data, dict), kind, data)
+    if set(data) != set(names):
+        differing = ", ".join(sorted(set(data) ^ set(names)))
+        raise ValueError(f"{kind.__name__} has other fields: {differing}")
+    return kind(**{name: _unpack(hints[name], data[name], arrays) for name in names})
+
+
+def _require(fits: bool, kind: Any, data: Any) -> None:
+    if not fits:
+        wanted = getattr(kind, "__name__", str(kind))
+        raise ValueError(f"{str(data)[:60]} is no {wanted}")

@@ -1,0 +1,102 @@
+"""The stages that a project may have done as the paper does them, chosen by its `*_method`s."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.alignment.bundle_terms import BundleParams
+from aomgen.alignment.stage import boxes_of, calibrate_cameras, views_of
+from aomgen.core.alignment import Alignment
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.progress import Progress, part
+from aomgen.motion.estimate import estimate_motion
+from aomgen.motion.stage import OnCurve, motion_input, recover_motion
+from aomgen.paper.affinity_features import AffinityParams
+from aomgen.paper.affinity_parts import affinity_evidence
+from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
+from aomgen.paper.icp_alignment import align_as_paper
+from aomgen.paper.link_boxes import bodies_in_boxes
+from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
+from aomgen.paper.true_part_masks import part_masks
+from aomgen.parts import stage as parts_stage
+from aomgen.parts.label import SEED
+from aomgen.parts.moving_parts import MotionEvidence
+from aomgen.parts.posterior import PartEvidence
+from aomgen.parts.prompted_images import PromptedImage, ScanView
+from aomgen.results import Results
+from aomgen.segmentation.interface import Segmenter
+
+
+def run_alignment(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Rigid ICP and link boxes; the paper leaves fixed cameras where the scan has them."""
+    return calibrate_cameras(results, align_scan(results), folder, progress, BundleParams(frames=0))
+
+
+def align_scan(results: Results) -> Alignment:
+    """The paper's alignment, see `align_as_paper`."""
+    capture, structure = results.pinhole_capture, results.structure
+    return align_as_paper(
+        views_of(structure, results.scan_images, {}),
+        boxes_of(structure, capture.prompts, ("robot",)),
+        results.gaussians_recon,
+        results.configuration_in(capture),
+        np.random.default_rng(0),
+    )
+
+
+def run_parts(
+    results: Results, folder: Path, progress: Progress, motion_evidence: MotionEvidence
+) -> dict[str, Any]:
+    """Link boxes for the robot where the paper's alignment is asked for, affinity features where "saga" is."""
+    project = results.project
+    robot = label_robot_by_boxes if project.alignment_method == "paper" else parts_stage.label_robot_by_links
+    evidence = partial(learn_affinity, folder) if project.parts_method == "saga" else parts_stage.no_evidence
+    return parts_stage.run(results, folder, progress, motion_evidence, robot, evidence)
+
+
+def label_robot_by_boxes(results: Results, views: list[ScanView]) -> NDArray[np.int32]:
+    """The link whose bounding box holds a Gaussian."""
+    return bodies_in_boxes(results.gaussians.means, results.configuration)
+
+
+def learn_affinity(
+    folder: Path,
+    results: Results,
+    views: list[ScanView],
+    prompted: Sequence[PromptedImage],
+    segmenter: Segmenter,
+    progress: Progress,
+) -> PartEvidence:
+    """Automatic masks, and affinity features learned from them; masks are kept in the stage's folder."""
+    params, rng = AffinityParams(), np.random.default_rng(SEED)
+    masks = segment_views(
+        results.gaussians,
+        views,
+        prompted,
+        segmenter,
+        part(progress, 0.0, 0.5),
+        params.views,
+        folder / MASKS_FOLDER,
+    )
+    return affinity_evidence(results.gaussians, views, masks, prompted, part(progress, 0.5, 1.0), params, rng)
+
+
+def run_motion(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """The paper's AOMotion, formulas as printed.
+
+    The paper takes the joint's type as known; here it is the one that our own estimator finds, so both
+    have to answer.
+    """
+
+    def estimate(results: Results, progress: Progress, on_curve: OnCurve) -> MotionEstimate:
+        demonstration = motion_input(results, results.scene, results.parts.labels)
+        masks = part_masks(results.capture, results.capture.cameras[0], demonstration)
+        ours = estimate_motion(demonstration, None, part(progress, 0.0, 0.7), on_curve)
+        params = PaperMotionParams(joint_type=ours.joint.type)
+        return estimate_motion_paper(demonstration, masks, params, part(progress, 0.7, 1.0), on_curve)
+
+    return recover_motion(results, folder, progress, estimate)

@@ -1,0 +1,101 @@
+"""The project file: every choice of a run, spelled out, on disk."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from aomgen.core.project import Project
+from aomgen.errors import ConfigError, MissingFileError
+from aomgen.io.atomic import write_text
+from aomgen.io.overrides import flatten
+from aomgen.io.schema import complaint
+
+TEMPLATE = """\
+# AOMGen project: what to make out of one capture. Run it with `aomgen run project.toml`.
+format = 1
+capture = {capture}          # folder with capture.toml
+out = {out}                  # where results go
+
+seed = {seed}                  # same seed, same episodes
+assets = {assets}              # category:seed of a made asset, or the path of a USD file
+poses = {poses}                # verified episodes wanted for each asset
+adapt = {adapt}              # "trajectory": the asset keeps its size; "object": it is scaled to the motion
+
+image_size = {image_size}      # width and height of the episodes' images [px]
+iterations = {iterations}      # training steps of the scene's Gaussians
+gaussians = {gaussians}        # cap on their number
+segmenter = {segmenter}    # "auto": the capture's masks, else MobileSAM; or the name of SAM 2 weights
+alignment_method = {alignment_method}    # "outlines", or "paper": rigid ICP and link boxes, to compare with
+motion_method = {motion_method}    # "aomotion", or "paper": its four estimators as printed, to compare with
+parts_method = {parts_method}    # "closed_form", or "saga" for affinity features (minutes more)
+"""
+
+
+def read_project(path: Path) -> Project:
+    """Load a project file; relative paths are taken from its folder.
+
+    Raises:
+        MissingFileError: No such file.
+        ConfigError: Not TOML, an unknown key, a value outside its range.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "write one with `aomgen init CAPTURE`")
+    try:
+        data: dict[str, Any] = tomllib.loads(path.read_text("utf-8-sig"))
+        project = Project.model_validate(data)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(path, f"is not valid TOML ({error})", "correct that line") from error
+    except ValidationError as error:
+        raise ConfigError(path, *complaint(error, Project)) from error
+    base = path.parent.resolve()
+    assets = tuple(str((base / item).resolve()) if Path(item).suffix else item for item in project.assets)
+    return project.model_copy(
+        update={
+            "capture": (base / project.capture).resolve(),
+            "out": (base / project.out).resolve(),
+            "assets": assets,
+        }
+    )
+
+
+def write_project(path: Path, project: Project) -> None:
+    """Write a project file with every choice and a comment beside it.
+
+    What lies below the file's folder is named relative to it, so that both can be moved together.
+
+    Raises:
+        ConfigError: A path is not Unicode text.
+        StorageError: The disk refuses.
+    """
+    base = path.parent.resolve()
+    values = project.model_dump(mode="json")
+    values["capture"], values["out"] = (_below(base, item) for item in (project.capture, project.out))
+    values["assets"] = [
+        _below(base, Path(item)) if Path(item).is_absolute() else item for item in project.assets
+    ]
+    params = flatten(values.pop("params"))
+    text = TEMPLATE.format(**{name: _toml(value) for name, value in values.items()})
+    if params:
+        text += "\n[params]\n" + "".join(f"{name} = {_toml(value)}\n" for name, value in params.items())
+    write_text(path, text)
+
+
+def _below(base: Path, path: Path) -> str:
+    return path.relative_to(base).as_posix() if path.is_relative_to(base) else str(path)
+
+
+def _toml(value: Any) -> str:
+    """A text, a number or a list of them in TOML, whose strings are JSON's but for the delete character.
+
+    Raises:
+        ConfigError: A text that UTF-8 cannot hold.
+    """
+    text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise ConfigError(ascii(value), "is not a Unicode name", "rename the file or folder") from error
+    return text

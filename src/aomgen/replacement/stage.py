@@ -1,0 +1,164 @@
+"""The scene without its object, its light, and every asset fitted to the motion. [paper 4.3]"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import binary_closing
+
+from aomgen.assets.choice import open_asset
+from aomgen.assets.usd_write import write_usd
+from aomgen.conventions import MOVING, STATIC
+from aomgen.core.camera import Camera
+from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
+from aomgen.core.episode import NEW_CAMERA
+from aomgen.core.light import Light
+from aomgen.core.motion import Direction
+from aomgen.core.part_points import surface_points
+from aomgen.core.plan import FittedAsset
+from aomgen.core.progress import Progress
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
+from aomgen.core.verdict import Rejection
+from aomgen.errors import EstimationError
+from aomgen.io.artifact import save_artifact
+from aomgen.replacement.fitting import FitParams, fit_asset
+from aomgen.replacement.free_space import free_rectangle
+from aomgen.replacement.light_estimation import estimate_light
+from aomgen.replacement.recorded_motion import recorded_contact
+from aomgen.replacement.removal import Cleared, clear_object
+from aomgen.replacement.viewpoint import choose_viewpoint
+from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
+from aomgen.splatting.surfels import surfels_of
+from aomgen.twin.binding import with_object
+from aomgen.twin.support import seen_from_above
+from aomgen.twin.twin import Twin, TwinState
+
+# Surfels of an asset, half on each link: one every 7 mm on a surface of 1.5 m2.
+SURFELS = 30_000
+# How far around the object the table is looked for, in which cells, and what counts as seen.
+TABLE_REACH_M = 1.0
+# Cell of the image in which the table is found, [m]: finer than its outline has to be known.
+TABLE_CELL_M = 0.01
+# A cell with less accumulated alpha than this was not seen.
+SURFACE_ALPHA = 0.15
+# Holes of this many cells between Gaussians are closed.
+GAP_CELLS = 3
+# Folder of the twin without its object.
+BACKGROUND_FOLDER = "background"
+
+
+def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Take the object away, fit the project's assets, and choose the cameras of the episodes."""
+    project, demo = results.project, results.demonstration
+    if project.assets:
+        require_opening(results.motion.direction)
+    progress(0.0, "removing the object")
+    cleared = clear_object(results.twin, results.robot, np.random.default_rng(project.seed))
+    (folder / BACKGROUND_FOLDER).mkdir()
+    save_artifact(folder / BACKGROUND_FOLDER, "twin", cleared.twin)
+    progress(0.3, "light")
+    light = estimate_light(results.twin, results.robot, np.random.default_rng(project.seed))
+    support = support_plane(cleared)
+    moving, static = (
+        surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
+    )
+    recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
+    contact = recorded_contact(demo, recorded)
+    names, residuals = [], []
+    params = results.params("replacement", FitParams())
+    for index, spec in enumerate(project.assets):
+        progress(0.4 + 0.5 * index / len(project.assets), f"asset {spec}")
+        fitted = fit_asset(open_asset(spec), contact, demo.joint.type, project.adapt, params)
+        if isinstance(fitted, Rejection):
+            raise EstimationError(
+                f"asset {spec}", fitted.detail, "choose an asset that opens like the recorded object"
+            )
+        target = folder / ASSETS_FOLDER / f"{index:02d}"
+        target.mkdir(parents=True)
+        save_artifact(target, FITTED, fitted)
+        write_usd(fitted.asset, target / ASSET_USD)
+        save_artifact(target, "twin", asset_twin(cleared.twin, fitted, light.light, project.seed + index))
+        names.append(fitted.asset.name)
+        residuals.append(fitted.residual_mm)
+    progress(0.9, "new viewpoint")
+    scene = EpisodeScene(
+        support=support,
+        T_world_plane=cleared.support.T_world_plane,
+        light=light.light,
+        light_source=light.source,
+        cameras=episode_cameras(results),
+    )
+    save_artifact(folder, "scene", scene)
+    return {
+        "assets": ", ".join(names),
+        "light": light.source,
+        "removed": cleared.removed,
+        "filled": cleared.filled,
+        "fit_residual_mm": float(np.max(residuals)) if residuals else 0.0,
+    }
+
+
+def require_opening(direction: Direction) -> None:
+    """Refuse to make episodes from a demonstration that closes its object.
+
+    Raises:
+        EstimationError: It does; assets are put in place closed, and are opened.
+    """
+    if direction != "opening":
+        raise EstimationError(
+            "demonstration video",
+            "closes the object; episodes are made from demonstrations that open it",
+            "record one that opens it, or leave `assets` empty: twin and motion of this one are complete",
+        )
+
+
+def episode_cameras(results: Results) -> dict[str, Camera]:
+    """The demonstration's camera and a new viewpoint, at the size of the episodes' images."""
+    demo, T_world_object = results.demonstration, results.twin.T_world_object
+    first = results.fixed_camera.camera.resized(*results.project.image_size)
+    frames = np.linspace(0, len(demo.times_s) - 1, 4).astype(int)
+    held = apply(demo.Ts_world_ee[demo.contact_frames[0]], demo.grasp_ee)
+    states = [
+        TwinState(
+            joints=demo.joints[t],
+            gripper=float(demo.gripper[t]),
+            theta=float(demo.thetas[t]),
+            T_world_object=T_world_object,
+        )
+        for t in frames
+    ]
+    key_points = [
+        np.stack([demo.Ts_world_ee[t][:3, 3], apply(demo.joint.motion(demo.thetas[t]), held)]) for t in frames
+    ]
+    chosen = choose_viewpoint(results.scan_cameras, first, results.twin, results.robot, states, key_points)
+    return {results.demo_camera: first, NEW_CAMERA: chosen.camera}
+
+
+def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:
+    """The cleared scene with a fitted asset where the recorded object stood."""
+    rng = np.random.default_rng(seed)
+    static, moving = (
+        surfels_of(link.meshes, SURFELS // 2, rng) for link in (fitted.asset.static, fitted.asset.moving)
+    )
+    return with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)
+
+
+def support_plane(cleared: Cleared) -> SupportPlane:
+    """The table as physics sees it: its height, and the rectangle that is there and free."""
+    support = cleared.support
+    low, high = support.low - TABLE_REACH_M, support.high + TABLE_REACH_M
+    world = cleared.twin.gaussians.select(cleared.twin.bodies == 0)
+    _, alpha = seen_from_above(world, support, low, high, TABLE_CELL_M)
+    rows, columns = np.nonzero(binary_closing(alpha > SURFACE_ALPHA, iterations=GAP_CELLS))
+    xy = low + (np.stack([columns, rows], -1) + 0.5) * TABLE_CELL_M
+    xy_corners = [
+        [x, y] for x in (support.low[0], support.high[0]) for y in (support.low[1], support.high[1])
+    ]
+
+    def in_world(plane_xy: Array) -> Array:
+        return apply(support.T_world_plane, np.column_stack([plane_xy, np.zeros(len(plane_xy))]))[:, :2]
+
+    footprint = in_world(np.array(xy_corners))
+    free_low, free_high = free_rectangle(in_world(xy), footprint.min(0), footprint.max(0))
+    return SupportPlane(height=float(support.T_world_plane[2, 3]), low_xy=free_low, high_xy=free_high)

@@ -1,0 +1,272 @@
+"""What a run has found so far: every value is read once, when somebody asks for it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aomgen.capture.capture_check import read_demo_videos
+from aomgen.capture.read import read_capture
+from aomgen.core.alignment import Alignment
+from aomgen.core.camera import Camera, camera_in_world
+from aomgen.core.demonstration import Demonstration, EpisodeScene
+from aomgen.core.fixed_camera import FixedCamera
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.joint_log import JointLog
+from aomgen.core.motion import MotionEstimate
+from aomgen.core.parts import Parts
+from aomgen.core.plan import FittedAsset
+from aomgen.core.project import Project
+from aomgen.core.recording import Capture
+from aomgen.core.structure import Structure
+from aomgen.io.artifact import load_artifact
+from aomgen.io.overrides import override
+from aomgen.io.ply import read_gaussians
+from aomgen.io.video import Video, probe_video
+from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.loading import choose_robot
+from aomgen.robots.robot import RobotModel
+from aomgen.twin.twin import Twin, TwinState
+
+# Where stages leave their values: `save_artifact(folder, <name of the stage>, value)`, and these files.
+GAUSSIANS_FILE = "gaussians.ply"
+T = TypeVar("T")
+ASSETS_FOLDER, FITTED, ASSET_USD = "assets", "fitted", "asset.usda"
+
+
+@dataclass(frozen=True)
+class Results:
+    """Inputs and results of a run.
+
+    A value is there once the stage that makes it has finished; asking earlier raises `MissingFileError`.
+
+    Attributes:
+        project: The choices of this run.
+        out: The run's folder.
+        folders: Final folder of every stage, by stage name.
+    """
+
+    project: Project
+    out: Path
+    folders: Mapping[str, Path]
+
+    def params(self, stage: str, defaults: T) -> T:
+        """Parameters of a stage: its defaults, and what the project changes of them."""
+        return override(defaults, self.project.params.get(stage, {}), stage)
+
+    # The capture.
+
+    @cached_property
+    def recorded(self) -> Capture:
+        """The capture as it was recorded."""
+        return read_capture(self.project.capture)
+
+    @cached_property
+    def recorded_videos(self) -> dict[str, Video]:
+        """Decoded videos of the fixed cameras, as recorded."""
+        return read_demo_videos(self.recorded)
+
+    @cached_property
+    def robot(self) -> RobotModel:
+        """The capture's robot, in the capture's world frame."""
+        return choose_robot(self.recorded.robot)
+
+    @property
+    def demo_camera(self) -> str:
+        """Name of the fixed camera whose video shows the motion: the first one."""
+        return self.recorded.cameras[0].name
+
+    # After structure.
+
+    @cached_property
+    def structure(self) -> Structure:
+        """Cameras and sparse points, recon frame."""
+        return load_artifact(self.folders["structure"], "structure", Structure)
+
+    @cached_property
+    def pinhole_capture(self) -> Capture:
+        """The capture as stills and videos of pinhole cameras; an ordinary capture stays as it is."""
+        found, folder = self.structure, self.folders["structure"]
+        cameras = tuple(
+            replace(camera, lens=found.demo_lenses.get(camera.name)) for camera in self.recorded.cameras
+        )
+        capture = replace(self.recorded, cameras=cameras)
+        if found.pinhole is None:
+            return capture
+        scan, masks = found.pinhole, capture.mask_folders
+        if scan.masks is not None:
+            masks = {name: folder / file for name, file in scan.masks.items()}
+        images = tuple(folder / file for file in scan.images)
+        return replace(capture, scan_images=images, prompts=scan.prompts, mask_folders=masks)
+
+    @cached_property
+    def scan_images(self) -> dict[str, Path]:
+        """Images of the scan by name, of a pinhole camera."""
+        return {path.name: path for path in self.pinhole_capture.scan_images}
+
+    @cached_property
+    def videos(self) -> dict[str, Video]:
+        """Decoded videos of the fixed cameras, undistorted."""
+        bent = any(camera.lens for camera in self.pinhole_capture.cameras)
+        return read_demo_videos(self.pinhole_capture) if bent else self.recorded_videos
+
+    # After Gaussians.
+
+    @cached_property
+    def gaussians_recon(self) -> Gaussians:
+        """The trained Gaussians, recon frame."""
+        return read_gaussians(self.folders["gaussians"] / GAUSSIANS_FILE)
+
+    # After alignment.
+
+    @cached_property
+    def alignment(self) -> Alignment:
+        """Reconstruction to world, joint zeros, fixed cameras."""
+        return load_artifact(self.folders["alignment"], "alignment", Alignment)
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The capture as stages after alignment see it: joints of log and scan are the robot's own."""
+        capture, zeros_rad = self.pinhole_capture, self.alignment.joint_zeros_rad
+        log, robot = capture.joint_log, capture.robot
+        return replace(
+            capture,
+            joint_log=replace(log, joints=log.joints + zeros_rad),
+            robot=replace(robot, scan_joints=robot.scan_joints + zeros_rad),
+        )
+
+    def configuration_in(self, capture: Capture) -> RobotConfiguration:
+        """The robot as it stood during the scan of a capture."""
+        return RobotConfiguration(
+            robot=self.robot, joints=capture.robot.scan_joints, gripper=capture.robot.scan_gripper
+        )
+
+    @cached_property
+    def configuration(self) -> RobotConfiguration:
+        """The robot as it stood during the scan."""
+        return self.configuration_in(self.capture)
+
+    @property
+    def fixed_camera(self) -> FixedCamera:
+        """The first fixed camera, as calibrated."""
+        return self.alignment.cameras[self.demo_camera]
+
+    @cached_property
+    def demo_log(self) -> JointLog:
+        """The robot's joint log on the clock of the first fixed camera's video.
+
+        Raises:
+            SyncError: The clock offset is unknown.
+        """
+        return self.capture.joint_log.shifted(self.fixed_camera.require_clock().offset_s)
+
+    @cached_property
+    def scan_cameras(self) -> dict[str, Camera]:
+        """Registered scan cameras by image name, world frame."""
+        cameras = self.structure.cameras_recon
+        return {name: camera_in_world(self.alignment.S_world_recon, item) for name, item in cameras.items()}
+
+    @cached_property
+    def gaussians(self) -> Gaussians:
+        """The trained Gaussians, world frame."""
+        return self.gaussians_recon.transformed(self.alignment.S_world_recon)
+
+    # After parts.
+
+    @cached_property
+    def parts(self) -> Parts:
+        """Part labels of `scene`."""
+        return load_artifact(self.folders["parts"], "parts", Parts)
+
+    @cached_property
+    def scene(self) -> Gaussians:
+        """The trained Gaussians as the parts stage cut them, world frame."""
+        return self.parts.cut.applied(self.gaussians)
+
+    # After motion.
+
+    @cached_property
+    def motion(self) -> MotionEstimate:
+        """When, where and how the part moved."""
+        return load_artifact(self.folders["motion"], "motion", MotionEstimate)
+
+    @cached_property
+    def fps(self) -> float:
+        """Rate of the first fixed camera's video, [1/s]; episodes have the same."""
+        return float(round(probe_video(self.recorded.cameras[0].video).fps))
+
+    @cached_property
+    def demonstration(self) -> Demonstration:
+        """Robot and part from the first to the last video frame, at the video's rate."""
+        return resample_demonstration(self.motion, self.demo_log, self.robot, self.fps)
+
+    def states_at(self, times_s: ArrayLike, T_world_object: ArrayLike) -> tuple[TwinState, ...]:
+        """What robot and part did at video times (N,), for an object at a pose (4, 4)."""
+        times = np.asarray(times_s, np.float64)
+        joints, gripper = self.demo_log.at(times)
+        pose = np.asarray(T_world_object, np.float64)
+        return tuple(
+            TwinState(joints=q, gripper=float(g), theta=float(theta), T_world_object=pose)
+            for q, g, theta in zip(joints, gripper, self.motion.theta_at(times), strict=True)
+        )
+
+    # After twin and replacement.
+
+    @cached_property
+    def twin(self) -> Twin:
+        """The recorded scene, posable."""
+        return load_artifact(self.folders["twin"], "twin", Twin)
+
+    @cached_property
+    def episode_scene(self) -> EpisodeScene:
+        """Table, light and cameras of new episodes."""
+        return load_artifact(self.folders["replacement"], "scene", EpisodeScene)
+
+    def asset_folder(self, index: int) -> Path:
+        """Where the fit, USD and twin of one of the project's assets lie."""
+        return self.folders["replacement"] / ASSETS_FOLDER / f"{index:02d}"
+
+    @cached_property
+    def fitted_assets(self) -> list[FittedAsset]:
+        """Fitted assets in the project's order."""
+        count = len(self.project.assets)
+        return [load_artifact(self.asset_folder(index), FITTED, FittedAsset) for index in range(count)]
+
+
+def resample_demonstration(
+    motion: MotionEstimate, log: JointLog, robot: RobotModel, fps: float
+) -> Demonstration:
+    """Sample the recorded demonstration at a constant rate.
+
+    Args:
+        motion: Recovered motion; brings the video's times.
+        log: On the clock of that video; its noise is averaged over a sample's length.
+        robot: For the end effector's poses.
+        fps: Samples a second.
+
+    Returns:
+        Samples from the first to the last video frame.
+    """
+    first, last = float(motion.times_s[0]), float(motion.times_s[-1])
+    times = first + np.arange(int((last - first) * fps + 1e-6) + 1) / fps
+    # Five readings about each sample, within half a sample, take most of the log's noise away.
+    offsets = np.linspace(-0.25, 0.25, 5) / fps
+    readings = [log.at(times + offset) for offset in offsets]
+    joints = np.mean([joints for joints, _ in readings], 0)
+    gripper = np.clip(np.mean([gripper for _, gripper in readings], 0), 0.0, 1.0)
+    return Demonstration(
+        times_s=times,
+        joints=joints,
+        gripper=gripper,
+        Ts_world_ee=robot.ee_poses(joints),
+        thetas=motion.theta_at(times),
+        start_s=motion.start_s,
+        end_s=motion.end_s,
+        joint=motion.joint,
+        grasp_ee=motion.grasp_ee,
+        ee_turn_ratio=motion.ee_turn_ratio,
+    )

@@ -1,0 +1,237 @@
+"""`robot.toml`: what the joints, bodies and sites of a robot's model are for."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+from aomgen.errors import ConfigError, MalformedFileError
+from aomgen.io.paths import find_inside
+from aomgen.io.robot_xml import RobotXml, read_robot_xml
+from aomgen.io.schema import read_toml
+
+FILE_NAME: Final = "robot.toml"
+# Descriptions of the robots that are known by name.
+MODELS: Final = Path(__file__).parent / "models"
+PACKAGE: Final = "package://"
+Three = Annotated[tuple[FiniteFloat, ...], Field(min_length=3, max_length=3)]
+Four = Annotated[tuple[FiniteFloat, ...], Field(min_length=4, max_length=4)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PadSection(_Section):
+    """The face with which a finger holds, as a box behind it: its z axis points to the other finger."""
+
+    body: str
+    center: Three
+    quat_wxyz: Four
+    half_extents: Three
+
+
+class ActuatorSection(_Section):
+    """The model's own actuator that closes the gripper, and its control at gripper 0 and 1."""
+
+    name: str
+    open: FiniteFloat
+    closed: FiniteFloat
+
+
+class EndEffectorSection(_Section):
+    """A site of the model, or a pose on a body: z out of the palm, y from the left to the right finger."""
+
+    site: str = ""
+    body: str = ""
+    position: Three = (0.0, 0.0, 0.0)
+    quat_wxyz: Four = (1.0, 0.0, 0.0, 0.0)
+
+
+class GripperSection(_Section):
+    """How the gripper closes.
+
+    Attributes:
+        model, attach, prefix: Its own file, the arm's site that it is attached to, and what is put before
+            its names; empty when the arm's file holds it.
+        open, closed: Values of the joints that drive it at gripper 0 and 1, [rad] or [m]. The joint log's
+            gripper value measures the first; the others follow it.
+        actuator: When given, the model's own actuators and contact shapes are used as they are.
+        left, right: The pads.
+    """
+
+    model: str = ""
+    attach: str = ""
+    prefix: str = ""
+    open: dict[str, FiniteFloat] = Field(min_length=1)
+    closed: dict[str, FiniteFloat] = Field(min_length=1)
+    actuator: ActuatorSection | None = None
+    left: PadSection
+    right: PadSection
+
+    @property
+    def pads(self) -> Mapping[str, PadSection]:
+        return {"left": self.left, "right": self.right}
+
+    @property
+    def strokes(self) -> Mapping[str, tuple[float, float]]:
+        """Value of every driving joint at gripper 0 and 1."""
+        return {name: (self.open[name], self.closed[name]) for name in self.open}
+
+
+class RobotDescription(_Section):
+    """What a robot.toml says; see `docs/capture.md`."""
+
+    format: Literal[1] = 1
+    name: str = Field(min_length=1)
+    model: str
+    joints: tuple[str, ...] = Field(min_length=1)
+    end_effector: EndEffectorSection
+    gripper: GripperSection | None = None
+
+
+def read_description(path: Path) -> RobotDescription:
+    """Read a robot.toml.
+
+    Raises:
+        InputError: Of the kind that fits.
+    """
+    found = read_toml(path, RobotDescription, "write it with `aomgen robot propose`")
+    gripper = found.gripper
+    if gripper is not None and set(gripper.open) != set(gripper.closed):
+        raise MalformedFileError(
+            path, "gripper.open and .closed name different joints", "give both values for each joint"
+        )
+    if bool(found.end_effector.site) == bool(found.end_effector.body):
+        raise MalformedFileError(path, "end_effector needs a site or a body", "give one of them")
+    return found
+
+
+def known_description(name: str) -> Path:
+    """The file that describes a robot known by name.
+
+    Raises:
+        ConfigError: Unknown.
+    """
+    known = {path.stem: path for path in MODELS.glob("*.toml")}
+    if name not in known:
+        raise ConfigError("robot.model", f"'{name}' is unknown", f"known: {', '.join(sorted(known))}")
+    return known[name]
+
+
+def find_description(model_file: Path) -> Path | None:
+    """The robot.toml beside a model.
+
+    Raises:
+        MalformedFileError: It describes another model.
+    """
+    path = model_file.parent / FILE_NAME
+    if not path.is_file():
+        return None
+    named = read_description(path).model
+    if (path.parent / named).resolve() != model_file.resolve():
+        raise MalformedFileError(
+            path, f"describes {named}, not {model_file.name}", "keep each robot in a folder of its own"
+        )
+    return path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotFiles:
+    """The files of the arm and, if it has its own, of the gripper.
+
+    Attributes:
+        arm, gripper: Read and checked.
+        attach: Site of the arm that the gripper is attached to.
+        prefix: Put before the gripper's names.
+    """
+
+    arm: RobotXml
+    gripper: RobotXml | None = None
+    attach: str = ""
+    prefix: str = ""
+
+
+def read_models(description: RobotDescription, path: Path, root: Path) -> RobotFiles:
+    """Read the files that a description names.
+
+    Args:
+        description: Its models are named relative to `path`; those of known robots in Python packages.
+        path: The robot.toml, or where it would be.
+        root: Folder that all references stay in.
+
+    Raises:
+        ConfigError, InputError: A package or file is missing or unusable.
+    """
+    arm, gripper = _model(description.model, path, root), description.gripper
+    if gripper is None or not gripper.model:
+        return RobotFiles(arm=arm)
+    own = _model(gripper.model, path, root)
+    return RobotFiles(arm=arm, gripper=own, attach=gripper.attach, prefix=gripper.prefix)
+
+
+def _model(reference: str, path: Path, root: Path) -> RobotXml:
+    if path.parent != MODELS:
+        return read_robot_xml(find_inside(root, [path.parent], [reference], named_by=path), root)
+    package, _, rest = reference.removeprefix(PACKAGE).partition("/")
+    found = find_spec(package)
+    if found is None or found.origin is None:
+        remedy = f"pip install {package.replace('_', '-')}"
+        raise ConfigError("robot.model", f"'{path.stem}' needs the package {package}", remedy)
+    file = Path(found.origin).parent / rest
+    return read_robot_xml(file, file.parent)
+
+
+def robot_references(model_file: Path, root: Path) -> tuple[Path, ...]:
+    """All files beside the model itself that a robot needs, its robot.toml included.
+
+    Raises:
+        InputError: One of them is missing or unusable.
+    """
+    path = find_description(model_file)
+    if path is None:
+        return read_robot_xml(model_file, root).references
+    files = read_models(read_description(path), path, root)
+    parts = [] if files.gripper is None else [files.gripper.path, *files.gripper.references]
+    return (*files.arm.references, *parts, path)
+
+
+def description_toml(description: RobotDescription) -> str:
+    """The text of a robot.toml."""
+    end = description.end_effector
+    lines = [
+        "# What the parts of this robot are for. Lengths in meters, angles in radians; check every line.",
+        "format = 1",
+        f'name = "{description.name}"',
+        f'model = "{description.model}"  # beside this file',
+        f"joints = {_words(description.joints)}  # the arm, from the base on",
+        "",
+        "[end_effector]  # z out of the palm, y from the left to the right finger",
+    ]
+    if end.site:
+        lines.append(f'site = "{end.site}"')
+    else:
+        lines += [f'body = "{end.body}"', f"position = {list(end.position)}"]
+        lines.append(f"quat_wxyz = {list(end.quat_wxyz)}")
+    gripper = description.gripper
+    if gripper is not None:
+        lines += [
+            "",
+            "[gripper]",
+            "# Values of the joints that drive it; the log's gripper column measures the first.",
+        ]
+        for key, values in (("open", gripper.open), ("closed", gripper.closed)):
+            pairs = ", ".join(f'"{name}" = {value}' for name, value in values.items())
+            lines.append(f"{key} = {{ {pairs} }}")
+        for side, pad in gripper.pads.items():
+            lines += ["", f"[gripper.{side}]  # a box behind the face that holds, z towards the other finger"]
+            lines += [f'body = "{pad.body}"', f"center = {list(pad.center)}"]
+            lines += [f"quat_wxyz = {list(pad.quat_wxyz)}", f"half_extents = {list(pad.half_extents)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _words(names: tuple[str, ...]) -> str:
+    return "[" + ", ".join(f'"{name}"' for name in names) + "]"

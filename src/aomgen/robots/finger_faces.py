@@ -1,0 +1,181 @@
+"""The two fingers of a hand and the faces with which they hold, guessed from its shape and motion.
+
+The fingers are the two bodies that come closest of those that move most towards each other; a
+gripper with one moving jaw holds against its own palm.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.transforms import apply, invert, transform
+from aomgen.core.values import Array
+from aomgen.robots.geom_meshes import find_visible_geoms, geom_surface
+from aomgen.robots.gripper import MIN_TRAVEL_M
+from aomgen.robots.gripper_surface import POINTS
+from aomgen.robots.reading import ArmChain, ancestors
+from aomgen.robots.robot import body_poses
+
+# A pair of fingers moves at least this share of what the pair that moves most does.
+TRAVEL_SHARE = 0.7
+# What touches when the fingers close lies within this of the first contact: rubber gives way, [m].
+SOFT_M = 0.002
+# A face looks at the other finger when it is turned less than 45 degrees away.
+FACING = 0.7
+# Least half size of the box behind a face, [m]; less than the half thickness of any finger.
+HALF_THICKNESS_M = 0.002
+# Fewer sample points are no face.
+MIN_FACE_POINTS = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceSamples:
+    """Points (N, 3) and outward normals (N, 3) all over bodies that are rigidly joined, root's frame."""
+
+    points: Array
+    normals: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Travel:
+    """How two bodies approach each other between two states of the hand.
+
+    Attributes:
+        bodies: Root ids of the fingers.
+        way_m: How much nearer they come from the first state to the second; negative if farther.
+        gap_m: What is left between them where they are nearest.
+    """
+
+    bodies: tuple[int, int]
+    way_m: float
+    gap_m: float
+
+
+def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamples]:
+    """The surface of every rigid group of the hand's bodies, by the id of its root; what is seen if anything is."""
+    shown, rng = find_visible_geoms(model), np.random.default_rng(0)
+    Ts = body_poses(model, model.qpos0[None])[0]
+    bodies = (chain.last_body, *chain.hand_bodies)
+    result = {}
+    for root in sorted({int(model.body_weldid[body]) for body in bodies} & set(bodies)):
+        geoms = np.flatnonzero(model.body_weldid[model.geom_bodyid] == root)
+        meshes = []
+        for geom in [g for g in geoms if shown[g]] or geoms:
+            surface = geom_surface(model, int(geom))
+            if surface is not None:
+                meshes.append((apply(invert(Ts[root]) @ Ts[model.geom_bodyid[geom]], surface[0]), surface[1]))
+        if meshes:
+            vertices = np.concatenate([corners for corners, _ in meshes])
+            first = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
+            faces = np.concatenate([part + start for (_, part), start in zip(meshes, first, strict=False)])
+            points, owners, _ = sample_surface(vertices, faces, POINTS, rng)
+            result[root] = SurfaceSamples(
+                points=points, normals=face_normals_areas(vertices, faces)[0][owners]
+            )
+    return result
+
+
+def find_travel(
+    model: mujoco.MjModel, chain: ArmChain, skins: Mapping[int, SurfaceSamples], Ts: Array
+) -> Travel | None:
+    """The pair of bodies that are the fingers; None if nothing moves.
+
+    Args:
+        model: Of the robot.
+        chain: Its hand.
+        skins: From `sample_hand`.
+        Ts: Poses (K, B, 4, 4) from one end of the fingers' way to the other.
+    """
+    palm = int(model.body_weldid[chain.last_body])
+    branch = {body: _branch(model, body, palm) for body in skins if body != palm}
+    pairs = [(a, b) for a, b in combinations(branch, 2) if branch[a] != branch[b]]
+    if not pairs:
+        pairs = [(body, palm) for body in branch if palm in skins]
+    found = []
+    for a, b in pairs:
+        before, after = (_distances(skins, T, a, b) for T in (Ts[0], Ts[-1]))
+        nearer = before - after
+        far = int(np.argmax(np.abs(nearer)))
+        moving = nearer * np.sign(nearer[far]) >= 0.5 * abs(nearer[far])
+        gap = np.minimum(before, after)[moving].min()
+        found.append(Travel(bodies=(a, b), way_m=float(nearer[far]), gap_m=float(gap)))
+    most = max((abs(travel.way_m) for travel in found), default=0.0)
+    if not most >= MIN_TRAVEL_M:
+        return None
+    return min((t for t in found if abs(t.way_m) >= TRAVEL_SHARE * most), key=lambda t: t.gap_m)
+
+
+def _branch(model: mujoco.MjModel, body: int, palm: int) -> int:
+    """The child of the palm through which a body hangs on it."""
+    line = [body, *ancestors(model, body)]
+    return next((b for b in line if model.body_weldid[model.body_parentid[b]] == palm), line[-1])
+
+
+def _distances(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> Array:
+    """Distance of a's points (N,) to b, [m]."""
+    return cKDTree(skins[b].points).query(apply(invert(Ts[b]) @ Ts[a], skins[a].points))[0]
+
+
+def find_contact_row(skins: Mapping[int, SurfaceSamples], Ts: Array, pair: tuple[int, int]) -> int:
+    """The first state (of K, opening to closing) in which the fingers touch; else the nearest one."""
+    a, b = pair
+    moving = _moving(skins, Ts, a, b)
+    gaps = np.array([_distances(skins, T, a, b)[moving].min() for T in Ts])
+    return int(np.flatnonzero(gaps <= gaps.min() + SOFT_M / 4)[0])
+
+
+def _moving(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
+    """Points of a that come nearer to b by at least half of what any does."""
+    nearer = _distances(skins, Ts[0], a, b) - _distances(skins, Ts[-1], a, b)
+    return nearer > 0.5 * nearer.max()
+
+
+def find_face(
+    skins: Mapping[int, SurfaceSamples], Ts: Array, row: int, a: int, b: int
+) -> tuple[Array, Array] | None:
+    """The face of finger a that meets finger b; None when no side of it looks there.
+
+    Args:
+        skins: From `sample_hand`.
+        Ts: Poses (K, B, 4, 4) from open to closed.
+        row: State in which the fingers touch.
+        a, b: Root ids.
+
+    Returns:
+        Pose of the box behind it (4, 4) in a's frame, z towards b, and its half extents (3,), [m].
+    """
+    skin = skins[a]
+    earlier = max(row - max(len(Ts) // 8, 1), 0)
+    near = _distances(skins, Ts[row], a, b)
+    moving = _moving(skins, Ts, a, b)
+    middle = skin.points[moving][np.argsort(near[moving])[:MIN_FACE_POINTS]].mean(0)
+    # What lies against a at the end, carried by b to where it was before.
+    T_a_a = invert(Ts[earlier, a]) @ Ts[earlier, b] @ invert(Ts[row, b]) @ Ts[row, a]
+    towards = apply(T_a_a, middle) - middle
+    length = float(np.linalg.norm(towards))
+    if not length > 0:
+        return None
+    looking = moving & (skin.normals @ (towards / length) > FACING)
+    face = looking & (near <= near[looking].min(initial=np.inf) + SOFT_M)
+    if not face.sum() >= MIN_FACE_POINTS:
+        return None
+    return _box(skin.points[face], skin.normals[face].mean(0))
+
+
+def _box(points: Array, normal: Array) -> tuple[Array, Array]:
+    """The box behind a face, its sides along the body's axes as far as the normal allows."""
+    z = normal / np.linalg.norm(normal)
+    axis = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = axis - (axis @ z) * z
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z], 1)
+    low, high = np.quantile(points @ R, [0.02, 0.98], axis=0)
+    middle = np.array([*(low + high)[:2] / 2, high[2] - HALF_THICKNESS_M])
+    half = np.array([*np.maximum((high - low)[:2] / 2, HALF_THICKNESS_M), HALF_THICKNESS_M])
+    return transform(R, R @ middle), half

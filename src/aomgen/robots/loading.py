@@ -1,0 +1,243 @@
+"""Loading a robot: what its robot.toml says, or a guess, made one model for kinematics and physics."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.transforms import apply, matrix_from_quat, transform
+from aomgen.errors import ConfigError, MalformedFileError
+from aomgen.robots.actuation import add_actuation, drop_visual
+from aomgen.robots.description import (
+    FILE_NAME,
+    ActuatorSection,
+    EndEffectorSection,
+    GripperSection,
+    PadSection,
+    RobotDescription,
+    RobotFiles,
+    find_description,
+    known_description,
+    read_description,
+    read_models,
+)
+from aomgen.robots.geom_meshes import visual_meshes
+from aomgen.robots.gripper import MIN_TRAVEL_M, GripperTable, no_fingers, settle_fingers
+from aomgen.robots.propose import propose_description
+from aomgen.robots.reading import ancestors, arm_chain, compile_model, read_finished_spec, read_robot_spec
+from aomgen.robots.robot import FingerPad, HandDrive, RobotModel, body_poses, site_poses
+
+GRASP_SITE = "grasp_point"
+# The end effector's y axis may be off the line from the left to the right pad by 25 degrees.
+MIN_COSINE = 0.9
+
+
+def load_robot(
+    model: str | Path,
+    base_frame: str = "base_link",
+    *,
+    joints: Sequence[str] = (),
+    hand: HandChoice | None = None,
+    root: Path | None = None,
+) -> RobotModel:
+    """Load a robot known by name, or a URDF or MJCF file.
+
+    What its parts are for is read from the robot.toml beside the file; without one it is guessed.
+
+    Args:
+        model: "ur5e_2f85", or the path of a file.
+        base_frame: World frame of the returned model: "base_link", or "ur_base", which is turned
+            by 180 degrees about z.
+        joints: Arm joints in the order wanted; empty takes the model's own.
+        hand: What the capture states about the gripper of a file without robot.toml.
+        root: Folder that all references of a file stay in; None takes the file's own.
+
+    Raises:
+        ConfigError: Unknown name, base frame or joint, or the asset package is missing.
+        InputError: A file cannot be used; of the kind that fits.
+    """
+    if base_frame not in ("base_link", "ur_base"):
+        raise ConfigError("robot.base_frame", f"'{base_frame}' is unknown", "use base_link or ur_base")
+    if isinstance(model, str) and not Path(model).suffix:
+        path = known_description(model)
+        description = read_description(path)
+    else:
+        file = Path(model)
+        root = root or file.parent
+        path = find_description(file) or file.parent / FILE_NAME
+        description = describe_file(file, root, joints, hand or HandChoice())
+    if joints and sorted(joints) != sorted(description.joints):
+        raise ConfigError(
+            "robot.joints",
+            f"do not name the joints of {description.name}",
+            f"list these: {', '.join(description.joints)}",
+        )
+    return _assemble(
+        description.model_copy(update={"joints": tuple(joints) or description.joints}),
+        read_models(description, path, root or path.parent),
+        path,
+        turned=base_frame == "ur_base",
+    )
+
+
+def describe_file(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
+    """What the robot.toml beside a URDF or MJCF says; without one, what is guessed.
+
+    Args:
+        As `load_robot`.
+
+    Raises:
+        InputError: A file cannot be used, or does not tell enough.
+    """
+    path = find_description(file)
+    if path is None:
+        return propose_description(file, root, joints, hand)
+    if hand != HandChoice():
+        raise MalformedFileError(path, "stands beside a capture's [robot.hand]", "keep one of them")
+    return read_description(path)
+
+
+def choose_robot(choice: RobotChoice) -> RobotModel:
+    """The robot of a capture, in the capture's world frame and joint order.
+
+    Raises:
+        As `load_robot`.
+    """
+    return load_robot(
+        choice.model_file or choice.model,
+        choice.base_frame,
+        joints=choice.joints,
+        hand=choice.hand,
+        root=choice.root,
+    )
+
+
+def _assemble(description: RobotDescription, files: RobotFiles, path: Path, *, turned: bool) -> RobotModel:
+    gripper = description.gripper
+    own = gripper.actuator if gripper is not None else None
+    spec = read_finished_spec(files, turned=turned) if own else read_robot_spec(files, turned=turned)[0]
+    model = compile_model(spec, files.arm.path)
+    chain = arm_chain(model, description.joints, files.arm.path)
+    _check_names(description, model, path)
+    ee_site = description.end_effector.site or _add_end_effector(spec, description.end_effector)
+    table, pads, way_m = no_fingers(), (), 0.0
+    pad_geoms: dict[str, tuple[str, ...]] = {}
+    if gripper is not None:
+        table = settle_fingers(spec, chain, gripper.strokes, path)
+        pads = tuple(_finger_pad(model, side, pad) for side, pad in gripper.pads.items())
+        pad_geoms = {pad.finger: _colliders(model, pad.body + 1) for pad in pads}
+        way_m = _closing_way(compile_model(spec.copy(), path), ee_site, table, pads, path)
+    actuator = own
+    if own is None:
+        actuator = add_actuation(spec, chain, ee_site, gripper, way_m, path)
+        pad_geoms = {side: (f"pad_{side}", *geoms) for side, geoms in pad_geoms.items()}
+    bare = spec.copy()
+    drop_visual(bare)
+    compiled = compile_model(spec.copy(), path)
+    joints = [compiled.joint(name) for name in chain.joints]
+    return RobotModel(
+        name=description.name,
+        joint_names=chain.joints,
+        body_names=tuple(compiled.body(b).name for b in range(1, compiled.nbody)),
+        joint_limits=np.array([item.range if item.limited[0] else (-np.inf, np.inf) for item in joints]),
+        slides=np.array([int(item.type[0]) == mujoco.mjtJoint.mjJNT_SLIDE for item in joints]),
+        gripper_table=table,
+        meshes=visual_meshes(compiled),
+        pads=pads,
+        pad_geoms=pad_geoms,
+        drive=None if gripper is None or actuator is None else _hand_drive(gripper, actuator),
+        hand_bodies=tuple(compiled.body(b).name for b in chain.hand_bodies),
+        ee_site=ee_site,
+        _model=compiled,
+        _full=spec,
+        _bare=bare,
+    )
+
+
+def _check_names(description: RobotDescription, model: mujoco.MjModel, path: Path) -> None:
+    """Refuse bodies, joints, sites and actuators that the model does not have."""
+    end, gripper = description.end_effector, description.gripper
+    wanted = [("site", end.site, "end_effector.site"), ("body", end.body, "end_effector.body")]
+    if gripper is not None:
+        wanted += [("body", pad.body, f"gripper.{side}.body") for side, pad in gripper.pads.items()]
+        wanted += [("joint", name, "gripper.open") for name in gripper.open]
+        if gripper.actuator is not None:
+            wanted.append(("actuator", gripper.actuator.name, "gripper.actuator.name"))
+    counts = {"site": model.nsite, "body": model.nbody, "joint": model.njnt, "actuator": model.nu}
+    for kind, name, key in wanted:
+        known = [getattr(model, kind)(number).name for number in range(counts[kind])]
+        if name and name not in known:
+            raise MalformedFileError(
+                path,
+                f"names {kind} '{name}' as {key}, which the model does not have",
+                f"known: {', '.join(known) or 'none'}",
+            )
+
+
+def _add_end_effector(spec: mujoco.MjSpec, end: EndEffectorSection) -> str:
+    name, taken = GRASP_SITE, [site.name for site in spec.sites]
+    while name in taken:
+        name += "_"
+    spec.body(end.body).add_site(name=name, pos=end.position, quat=end.quat_wxyz)
+    return name
+
+
+def _finger_pad(model: mujoco.MjModel, side: str, pad: PadSection) -> FingerPad:
+    return FingerPad(
+        finger=side,
+        body=model.body(pad.body).id - 1,
+        T_body_pad=transform(matrix_from_quat(pad.quat_wxyz), pad.center),
+        half_extents=np.array(pad.half_extents),
+    )
+
+
+def _colliders(model: mujoco.MjModel, body: int) -> tuple[str, ...]:
+    """Colliding shapes of a body and of what is rigidly attached to it."""
+    rigid = [
+        number
+        for number in range(body, model.nbody)
+        if body in (number, *ancestors(model, number))
+        and model.body_weldid[number] == model.body_weldid[body]
+    ]
+    colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return tuple(
+        model.geom(int(geom)).name for geom in np.flatnonzero(colliding & np.isin(model.geom_bodyid, rigid))
+    )
+
+
+def _closing_way(
+    model: mujoco.MjModel, ee_site: str, table: GripperTable, pads: tuple[FingerPad, ...], path: Path
+) -> float:
+    """How much nearer the pads come from open to closed, [m]; refuses a gripper that does not close along y."""
+    gaps = []
+    states = np.repeat(model.qpos0[None], 2, 0)
+    states[:, [model.joint(name).qposadr[0] for name in table.joint_names]] = table.positions[[0, -1]]
+    for Ts, T_world_ee in zip(body_poses(model, states), site_poses(model, states, ee_site), strict=True):
+        left, right = (apply(Ts[pad.body + 1], pad.face_body) for pad in pads)
+        gaps.append(T_world_ee[:3, :3].T @ (right - left))
+    way_m = float(np.linalg.norm(gaps[0]) - np.linalg.norm(gaps[1]))
+    if not way_m >= MIN_TRAVEL_M:
+        raise MalformedFileError(
+            path,
+            f"brings the pads {1000 * way_m:.1f} mm nearer from open to closed, want {1000 * MIN_TRAVEL_M:.0f} mm",
+            "exchange gripper.open and .closed, or correct the pads",
+        )
+    if not gaps[0][1] >= MIN_COSINE * np.linalg.norm(gaps[0]):
+        raise MalformedFileError(
+            path,
+            "has an end effector whose y axis does not point from the left to the right pad",
+            "turn end_effector.quat_wxyz, or exchange left and right",
+        )
+    return way_m
+
+
+def _hand_drive(gripper: GripperSection, actuator: ActuatorSection) -> HandDrive:
+    (driver, ends), *_ = gripper.strokes.items()
+    return HandDrive(
+        driver=driver,
+        driver_range=ends,
+        actuator=actuator.name,
+        control_range=(actuator.open, actuator.closed),
+    )

@@ -1,0 +1,278 @@
+"""A first draft of robot.toml, guessed from the joints and shapes of any URDF or MJCF.
+
+A person checks it; nothing else in AOMGen guesses what a robot's parts are for.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from aomgen.core.robot_choice import HandChoice
+from aomgen.core.transforms import apply, invert, quat_from_matrix, transform
+from aomgen.core.values import Array
+from aomgen.errors import MalformedFileError
+from aomgen.io.robot_xml import read_robot_xml
+from aomgen.robots.description import (
+    EndEffectorSection,
+    GripperSection,
+    PadSection,
+    RobotDescription,
+    RobotFiles,
+)
+from aomgen.robots.finger_faces import (
+    SurfaceSamples,
+    Travel,
+    find_contact_row,
+    find_face,
+    find_travel,
+    sample_hand,
+)
+from aomgen.robots.gripper import settle_fingers
+from aomgen.robots.reading import ArmChain, ancestors, arm_chain, compile_model, read_robot_spec
+from aomgen.robots.robot import body_poses
+
+# Sites that makers of arms without gripper put at the end, best first.
+EE_SITES = ("pinch", "ee", "attachment_site")
+REMEDY = "say at which joint values the gripper is open and closed: `aomgen robot propose --help`"
+# Digits that a person reads: 10 um, far below what pads are known to; of quaternions 1e-5 rad.
+DIGITS = 5
+
+
+def propose_description(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
+    """Guess what the parts of a robot are for.
+
+    The arm are the joints before the fingers branch. The gripper's driving joints go through their
+    ranges; closed is where two of its bodies are nearer, and what meets of them are the pads. The end
+    effector lies between the pads.
+
+    Args:
+        file: URDF or MJCF.
+        root: Folder that all its references stay in.
+        joints: Arm joints in the order of the log, when known.
+        hand: What is known of the gripper.
+
+    Raises:
+        InputError: The file cannot be used, or does not tell enough.
+    """
+    xml = read_robot_xml(file, root)
+    spec, actuated = read_robot_spec(RobotFiles(arm=xml), turned=False)
+    model = compile_model(spec, file)
+    names = tuple(joints) or _unbranched(model)
+    if not names:
+        raise MalformedFileError(file, "branches before its first joint", "name the arm's joints")
+    chain = arm_chain(model, names, file)
+    sites = [site.name for site in spec.sites]
+    if hand.ee_site and hand.ee_site not in sites:
+        raise MalformedFileError(
+            file, f"has no site '{hand.ee_site}'", f"sites: {', '.join(sites) or 'none; leave it out'}"
+        )
+    gripper = None
+    known = [name for name in (hand.ee_site, *EE_SITES) if name in sites]
+    end = EndEffectorSection(body="" if known else model.body(chain.last_body).name, site=(*known, "")[0])
+    if chain.hand_joints:
+        gripper, T_body_ee = _guess_gripper(
+            _Hand(spec=spec, model=model, chain=chain, file=file), actuated, hand
+        )
+        if hand.ee_site:
+            T_body_ee = transform(T_body_ee[:3, :3], _place(model, chain, hand.ee_site))
+        end = EndEffectorSection(
+            body=model.body(chain.last_body).name,
+            position=_rounded(T_body_ee[:3, 3]),
+            quat_wxyz=_rounded(quat_from_matrix(T_body_ee[:3, :3])),
+        )
+    elif hand.open or hand.fingers:
+        raise MalformedFileError(file, "has no finger joints, but values of some are given", "check the file")
+    return RobotDescription(
+        name=xml.name, model=file.name, joints=chain.joints, end_effector=end, gripper=gripper
+    )
+
+
+def _unbranched(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Joints from the base on while only one of a body's branches moves; of a fork none."""
+    moving = {int(body) for body in model.jnt_bodyid}
+    moving |= {body for j in model.jnt_bodyid for body in ancestors(model, int(j))}
+    names: list[str] = []
+    body = 0
+    while True:
+        branches = [int(b) for b in np.flatnonzero(model.body_parentid == body) if b and int(b) in moving]
+        if len(branches) != 1:
+            return tuple(names)
+        body = branches[0]
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        names += [model.joint(j).name for j in range(first, first + count)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Hand:
+    """The robot whose gripper is looked at."""
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    chain: ArmChain
+    file: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Closing:
+    """One way to close: driving joints from open to closed, poses (K, B, 4, 4), and what the fingers do."""
+
+    strokes: Mapping[str, tuple[float, float]]
+    Ts: Array
+    travel: Travel
+
+
+def _guess_gripper(hand: _Hand, actuated: Sequence[str], choice: HandChoice) -> tuple[GripperSection, Array]:
+    """The gripper, and the pose (4, 4) of the point between its pads on the last arm body."""
+    model, file = hand.model, hand.file
+    skins = sample_hand(model, hand.chain)
+    closing = _find_closing(hand, skins, actuated, choice)
+    pair = _named_pair(model, choice, file) if choice.fingers else _sides(model, closing.travel.bodies)
+    row = find_contact_row(skins, closing.Ts, pair)
+    faces = [find_face(skins, closing.Ts, row, a, b) for a, b in (pair, pair[::-1])]
+    if faces[0] is None or faces[1] is None:
+        names = " and ".join(model.body(body).name for body in pair)
+        raise MalformedFileError(file, f"fingers {names} have no faces that meet", "name other fingers")
+    left, right = (
+        PadSection(
+            body=model.body(body).name,
+            center=_rounded(T[:3, 3]),
+            quat_wxyz=_rounded(quat_from_matrix(T[:3, :3])),
+            half_extents=_rounded(half),
+        )
+        for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True)
+    )
+    Ts_pad = [
+        invert(closing.Ts[row, hand.chain.last_body]) @ closing.Ts[row, body] @ T @ _raised(half[2])
+        for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True)
+    ]
+    section = GripperSection(
+        open={name: start for name, (start, _) in closing.strokes.items()},
+        closed={name: end for name, (_, end) in closing.strokes.items()},
+        left=left,
+        right=right,
+    )
+    return section, _between(*Ts_pad)
+
+
+def _raised(height: float) -> Array:
+    return transform(np.eye(3), [0.0, 0.0, height])
+
+
+def _between(T_left: Array, T_right: Array) -> Array:
+    """The grasp point between two faces: z out of the palm, y from the left to the right one."""
+    closing = T_left[:3, 2] - T_right[:3, 2]
+    closing /= np.linalg.norm(closing)
+    middle = (T_left[:3, 3] + T_right[:3, 3]) / 2
+    approach = middle - (middle @ closing) * closing
+    approach /= np.linalg.norm(approach)
+    return transform(np.stack([np.cross(closing, approach), closing, approach], 1), middle)
+
+
+def _find_closing(
+    hand: _Hand, skins: Mapping[int, SurfaceSamples], actuated: Sequence[str], choice: HandChoice
+) -> _Closing:
+    """The way from open to closed on which the fingers come nearer by most."""
+    if set(choice.open) != set(choice.closed):
+        raise MalformedFileError(
+            hand.file, "open and closed values name different joints", "give both values for each joint"
+        )
+    if choice.open:
+        _check_fingers(hand, choice.open)
+        candidates = [{name: (choice.open[name], choice.closed[name]) for name in choice.open}]
+    else:
+        up = {name: _range(hand, name) for name in _drivers(hand, actuated)}
+        candidates = [up]
+        if len(up) == 2:
+            (first, ends), (last, (low, high)) = up.items()
+            candidates.append({first: ends, last: (high, low)})
+    found: list[_Closing] = []
+    for strokes in candidates:
+        table = settle_fingers(hand.spec, hand.chain, strokes, hand.file)
+        states = np.repeat(hand.model.qpos0[None], len(table.values), 0)
+        states[:, [hand.model.joint(name).qposadr[0] for name in table.joint_names]] = table.positions
+        Ts = body_poses(hand.model, states)
+        travel = find_travel(hand.model, hand.chain, skins, Ts)
+        if travel is not None and travel.way_m < 0 and not choice.open:
+            strokes = {name: (end, start) for name, (start, end) in strokes.items()}
+            Ts, travel = Ts[::-1], replace(travel, way_m=-travel.way_m)
+        if travel is not None:
+            found.append(_Closing(strokes=strokes, Ts=Ts, travel=travel))
+    if not found:
+        raise MalformedFileError(hand.file, "has no two fingers that close on each other", REMEDY)
+    best = max(found, key=lambda closing: closing.travel.way_m)
+    if not best.travel.way_m > 0:
+        raise MalformedFileError(
+            hand.file, "fingers are farther apart when closed", "exchange open and closed"
+        )
+    return best
+
+
+def _check_fingers(hand: _Hand, given: Mapping[str, float]) -> None:
+    unknown = [name for name in given if name not in hand.chain.hand_joints]
+    if unknown:
+        raise MalformedFileError(
+            hand.file,
+            f"has no finger joint '{unknown[0]}'",
+            f"finger joints: {', '.join(hand.chain.hand_joints)}",
+        )
+
+
+def _drivers(hand: _Hand, actuated: Sequence[str]) -> list[str]:
+    """The finger joints that follow none; with closed loops, those of them that actuators drive."""
+    model = hand.model
+    follows = {}
+    for equality in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
+        source = int(model.eq_obj2id[equality])
+        follows[model.joint(model.eq_obj1id[equality]).name] = model.joint(source).name if source >= 0 else ""
+    free = [name for name in hand.chain.hand_joints if name not in follows]
+    loops = np.isin(model.eq_type, (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)).any()
+    if loops:
+        sources = {_source(name, follows) for name in actuated}
+        free = [name for name in free if name in sources]
+    if not free or len(free) > (1 if loops else 2):
+        said = f"how the finger joints {', '.join(free)} move together" if free else "what drives its fingers"
+        raise MalformedFileError(hand.file, f"does not tell {said}", REMEDY)
+    return free
+
+
+def _source(name: str, follows: Mapping[str, str]) -> str:
+    for _ in follows:
+        name = follows.get(name, name)
+    return name
+
+
+def _range(hand: _Hand, name: str) -> tuple[float, float]:
+    joint = hand.model.joint(name)
+    low, high = joint.range
+    if not (joint.limited[0] and high > low):
+        raise MalformedFileError(hand.file, f"finger joint '{name}' has no limits", REMEDY)
+    return float(low), float(high)
+
+
+def _named_pair(model: mujoco.MjModel, choice: HandChoice, file: Path) -> tuple[int, int]:
+    known = [model.body(b).name for b in range(1, model.nbody)]
+    for name in choice.fingers:
+        if name not in known:
+            raise MalformedFileError(file, f"has no body '{name}'", f"bodies: {', '.join(known)}")
+    left, right = (int(model.body_weldid[model.body(name).id]) for name in choice.fingers)
+    return left, right
+
+
+def _sides(model: mujoco.MjModel, pair: tuple[int, int]) -> tuple[int, int]:
+    """Left and right finger: as their names have it, else in the order of the file."""
+    names = [model.body(body).name.lower() for body in pair]
+    return (pair[1], pair[0]) if "right" in names[0] or "left" in names[1] else pair
+
+
+def _place(model: mujoco.MjModel, chain: ArmChain, site: str) -> Array:
+    """Where a site is (3,) on the last arm body."""
+    Ts = body_poses(model, model.qpos0[None])[0]
+    T_last_body = invert(Ts[chain.last_body]) @ Ts[model.site_bodyid[model.site(site).id]]
+    return apply(T_last_body, model.site_pos[model.site(site).id])
+
+
+def _rounded(values: Array) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.round(values, DIGITS) + 0.0)

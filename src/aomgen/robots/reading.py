@@ -1,0 +1,280 @@
+"""A robot's files as one editable MuJoCo model that holds the robot and nothing else."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from aomgen.errors import MalformedFileError
+from aomgen.io.robot_xml import RobotXml
+from aomgen.robots.description import RobotFiles
+
+# Every name of the file carries this while it is taken over, then loses it again.
+TAKEOVER = "file/"
+# What links without mass get: less than any real link, enough for the solver, [kg] and [kg m^2].
+LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6
+# The file's scene may have set others.
+TIMESTEP_S, GRAVITY = 0.002, (0.0, 0.0, -9.81)
+SCENE_SIZES = ("nuser_actuator", "nuser_body", "nuser_cam", "nuser_geom", "nuser_jnt", "nuser_sensor",
+               "nuser_site", "nuser_tendon", "njmax", "nconmax")  # fmt: skip
+BASE_BODY = "robot_base"
+
+
+def set_options(spec: mujoco.MjSpec) -> None:
+    """Angles in radians and the solver settings that every model of ours shares."""
+    spec.compiler.degree = False
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = 10.0
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # MuJoCo 4.0.0 factorises sparse Newton systems wrongly; dense is also faster at this size.
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+
+
+def read_finished_spec(files: RobotFiles, *, turned: bool) -> mujoco.MjSpec:
+    """A robot whose own actuators and contact shapes are used; its files hold nothing else.
+
+    Args:
+        files: What is read.
+        turned: World is turned by 180 degrees about z against the file's root frame.
+
+    Raises:
+        MalformedFileError: MuJoCo cannot read a file, or it states angles in degrees.
+    """
+    spec = _parsed(files.arm)
+    parts = [spec] if files.gripper is None else [spec, _parsed(files.gripper)]
+    for part in parts:
+        if part.compiler.degree:
+            raise MalformedFileError(
+                files.arm.path, "states angles in degrees", 'save it with angle="radian"'
+            )
+        for item in (*part.keys, *part.lights):
+            part.delete(item)
+        set_options(part)
+    if files.gripper is not None:
+        _attach(spec, parts[1], files)
+    if turned:
+        for body in spec.worldbody.bodies:
+            body.set_frame(spec.worldbody.add_frame(quat=[0.0, 0.0, 0.0, 1.0]))
+    return spec
+
+
+def _attach(spec: mujoco.MjSpec, part: mujoco.MjSpec, files: RobotFiles) -> None:
+    if files.attach not in [item.name for item in spec.sites]:
+        raise MalformedFileError(
+            files.arm.path, f"has no site '{files.attach}' (gripper.attach)", "name one that it has"
+        )
+    spec.attach(part, site=files.attach, prefix=files.prefix)
+
+
+def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+    """The robot of any file in radians, with named bodies, without actuators, sensors, lights and floor.
+
+    Only the tree of bodies that holds most joints is kept; whatever else the file's scene has
+    (tables, objects, mocap targets) goes. Shapes that stand in the world itself, floors left out,
+    become the body "robot_base".
+
+    Args:
+        files: What is read.
+        turned: World is turned by 180 degrees about z against the file's root frame.
+
+    Returns:
+        The description, and the joints that the file's actuators drove.
+
+    Raises:
+        MalformedFileError: MuJoCo cannot read the file, or it holds no hinge or slide joint.
+    """
+    arm, source = files.arm, _parsed(files.arm)
+    if files.gripper is not None:
+        _attach(source, _parsed(files.gripper), files)
+    actuated = _actuated_joints(source, arm)
+    for kind in ("keys", "lights", "cameras", "sensors", "actuators", "tendons", "pairs"):
+        for item in list(getattr(source, kind)):
+            source.delete(item)
+    for equality in list(source.equalities):
+        if equality.type in (mujoco.mjtEq.mjEQ_TENDON, mujoco.mjtEq.mjEQ_FLEX):
+            source.delete(equality)
+    _keep_robot_tree(source, arm)
+    spec = mujoco.MjSpec()
+    for compiler in (spec.compiler, source.compiler):
+        compiler.boundmass, compiler.boundinertia = LEAST_MASS, LEAST_INERTIA
+        compiler.balanceinertia = True
+    # What the file's scene chose for the solver is not the robot's; MuJoCo tells of each difference.
+    for name in SCENE_SIZES:
+        setattr(source, name, getattr(spec, name))
+    for name in dir(spec.option):
+        if not name.startswith("_"):
+            setattr(source.option, name, getattr(spec.option, name))
+    spec.compiler.degree = False
+    spec.compiler.conflict = mujoco.mjtConflict.mjCONFLICT_MERGE
+    home = spec.worldbody
+    if source.worldbody.geoms or source.worldbody.sites:
+        home = home.add_body(name=BASE_BODY)
+    turn = [0.0, 0.0, 0.0, 1.0] if turned else [1.0, 0.0, 0.0, 0.0]
+    spec.attach(source, prefix=TAKEOVER, frame=home.add_frame(quat=turn))
+    _rename(spec)
+    set_options(spec)
+    spec.option.timestep, spec.option.gravity = TIMESTEP_S, GRAVITY
+    return spec, actuated
+
+
+def _parsed(xml: RobotXml) -> mujoco.MjSpec:
+    try:
+        if xml.kind == "mjcf":
+            return mujoco.MjSpec.from_file(str(xml.path))
+        meshes = {name: file.read_bytes() for name, file in xml.meshes.items()}
+        return mujoco.MjSpec.from_string(xml.text, assets=meshes)
+    except (ValueError, RuntimeError) as error:
+        raise MalformedFileError(xml.path, f"cannot be read by MuJoCo ({error})", "correct it") from error
+
+
+def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """The compiled model.
+
+    Raises:
+        MalformedFileError: MuJoCo refuses it.
+    """
+    try:
+        return spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise MalformedFileError(path, f"cannot be used by MuJoCo ({error})", "correct it") from error
+
+
+def _actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:
+    names = [actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    pulled = [
+        actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON
+    ]
+    if pulled:
+        model = compile_model(spec.copy(), xml.path)
+        for tendon in pulled:
+            number = model.tendon(tendon).id
+            start, count = model.tendon_adr[number], model.tendon_num[number]
+            wraps = range(start, start + count)
+            joints = [w for w in wraps if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT]
+            names += [model.joint(model.wrap_objid[w]).name for w in joints]
+    return tuple(dict.fromkeys(names))
+
+
+def _keep_robot_tree(spec: mujoco.MjSpec, xml: RobotXml) -> None:
+    moving = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+
+    def joints(root: mujoco.MjsBody) -> int:
+        found = root.find_all("joint")
+        return len(found) if all(joint.type in moving for joint in found) else 0
+
+    roots = list(spec.worldbody.bodies)
+    counts = [joints(root) for root in roots]
+    if not max(counts, default=0) > 0:
+        raise MalformedFileError(
+            xml.path, "holds no robot (no body with hinge or slide joints)", "give the file of the arm"
+        )
+    robot = int(np.argmax(counts))
+    for number, root in enumerate(roots):
+        if number != robot:
+            _delete_references(spec, root)
+            spec.delete(root)
+    for geom in list(spec.worldbody.geoms):
+        if geom.type in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
+            spec.delete(geom)
+
+
+def _delete_references(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> None:
+    """Drop what names a body or joint of a tree that goes."""
+    gone = {root.name, *(body.name for body in root.find_all("body"))}
+    gone |= {joint.name for joint in root.find_all("joint")}
+    for equality in list(spec.equalities):
+        if equality.name1 in gone or equality.name2 in gone:
+            spec.delete(equality)
+    for exclude in list(spec.excludes):
+        if exclude.bodyname1 in gone or exclude.bodyname2 in gone:
+            spec.delete(exclude)
+
+
+def _rename(spec: mujoco.MjSpec) -> None:
+    """Give bodies, joints, sites and geoms their own names back, and names to those without."""
+    for kind, label in (
+        (spec.bodies, "body"),
+        (spec.joints, "joint"),
+        (spec.sites, "site"),
+        (spec.geoms, "geom"),
+    ):
+        taken = {item.name.removeprefix(TAKEOVER) for item in kind}
+        for number, item in enumerate(kind):
+            name = item.name.removeprefix(TAKEOVER)
+            if not name:
+                name = f"{label}_{number}"
+                while name in taken:
+                    name += "_"
+            if item.name != name:
+                item.name = name
+    for equality in spec.equalities:
+        equality.name1 = equality.name1.removeprefix(TAKEOVER)
+        equality.name2 = equality.name2.removeprefix(TAKEOVER)
+    for exclude in spec.excludes:
+        exclude.bodyname1 = exclude.bodyname1.removeprefix(TAKEOVER)
+        exclude.bodyname2 = exclude.bodyname2.removeprefix(TAKEOVER)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmChain:
+    """Which joints of a model are the arm's, and what hangs on its end.
+
+    Attributes:
+        joints: Names in the order asked for.
+        last_body: Id of the body that the last arm joint moves.
+        hand_bodies: Ids of the bodies beyond it.
+        hand_joints: Names of the joints beyond the arm's.
+    """
+
+    joints: tuple[str, ...]
+    last_body: int
+    hand_bodies: tuple[int, ...]
+    hand_joints: tuple[str, ...]
+
+
+def arm_chain(model: mujoco.MjModel, joints: Sequence[str], path: Path) -> ArmChain:
+    """The arm that these joints make.
+
+    Raises:
+        MalformedFileError: A name is unknown, the joints lie on more than one branch, or a joint
+            between them is not listed.
+    """
+    known = [model.joint(j).name for j in range(model.njnt)]
+    absent = [name for name in joints if name not in known]
+    if absent:
+        raise MalformedFileError(
+            path, f"has no joint '{absent[0]}'", f"name its own in robot.joints: {', '.join(known)}"
+        )
+    bodies = [int(model.jnt_bodyid[known.index(name)]) for name in joints]
+    last = max(bodies, key=lambda body: len(ancestors(model, body)))
+    line = {last, *ancestors(model, last)}
+    aside = [name for name, body in zip(joints, bodies, strict=True) if body not in line]
+    if aside:
+        raise MalformedFileError(
+            path,
+            f"has joint '{aside[0]}' on another branch than the other arm joints",
+            "list one arm's joints",
+        )
+    hand = tuple(body for body in range(1, model.nbody) if last in ancestors(model, body))
+    below = {last, *hand}
+    hand_joints = tuple(
+        known[j] for j in range(model.njnt) if model.jnt_bodyid[j] in below and known[j] not in joints
+    )
+    left = [name for name in known if name not in joints and name not in hand_joints]
+    if left:
+        raise MalformedFileError(
+            path,
+            f"has joint '{left[0]}', which is neither listed in robot.joints nor part of the hand",
+            "log it too, or fix it in the file",
+        )
+    return ArmChain(joints=tuple(joints), last_body=last, hand_bodies=hand, hand_joints=hand_joints)
+
+
+def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
+    """Bodies between a body and the world, nearest first."""
+    result = []
+    while body := int(model.body_parentid[body]):
+        result.append(body)
+    return result
