@@ -33,7 +33,7 @@ def fit_hinge(points: Array) -> tuple[Array, Array]:
 
     # A slip of the grasp is an outlier: beyond three standard deviations it counts less and less.
     slips = Kernel(scale=3 * POSITION_SD_M, power=1.0)
-    terms = [
+    terms: list[ResidualTerm[Array]] = [
         ResidualTerm(name="circle", residual=lambda s: offsets(s)[0] - s[4], sd=POSITION_SD_M, kernel=slips),
         ResidualTerm(name="plane", residual=lambda s: offsets(s)[1], sd=POSITION_SD_M, kernel=slips),
         ResidualTerm(name="hinges are upright", residual=lambda s: s[:2], sd=LEAN_SD_RAD),

@@ -3,13 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from aomgen.core.robot_choice import HandChoice
-from aomgen.core.transforms import apply
 from aomgen.errors import ConfigError
-from aomgen.robots.robot import RobotModel
 
 robot_app = typer.Typer(no_args_is_help=True, help="Describe an arm of your own (robot.toml).")
 Values = list[str] | None
@@ -44,10 +40,11 @@ def propose(
     Where the file does not tell enough, the error says what is missing: usually the values of the
     finger joints, `--open left_joint=0 --closed left_joint=0.8`.
     """
+    from aomgen.core.robot_choice import HandChoice
     from aomgen.io.atomic import write_text
     from aomgen.robots.description import FILE_NAME, description_toml
     from aomgen.robots.loading import load_robot
-    from aomgen.robots.propose import propose_description
+    from aomgen.robots.propose import describe_sizes, propose_description
 
     path = file.parent / FILE_NAME
     if path.exists():
@@ -58,28 +55,7 @@ def propose(
         )
     hand = HandChoice(open=_values(opened), closed=_values(closed), fingers=tuple(finger or ()))
     write_text(path, description_toml(propose_description(file, root or file.parent, joint or [], hand)))
-    print(f"wrote {path}; read it and correct it\n{_sizes(load_robot(file, root=root))}")
-
-
-def _sizes(robot: RobotModel) -> str:
-    """Lines by which a person sees whether gripper and end effector are the right ones."""
-    arm = f"arm            {len(robot.joint_names)} joints: {', '.join(robot.joint_names)}"
-    if not robot.pads:
-        return f"{arm}\ngripper        none: such a robot can be followed, but not verified"
-    middle = np.clip(robot.joint_limits, -np.pi, np.pi).mean(1)[None]
-    faces = np.array(
-        [
-            [apply(Ts[pad.body], pad.face_body) for pad in robot.pads]
-            for Ts in robot.link_poses(np.repeat(middle, 2, 0), np.array([0.0, 1.0]))
-        ]
-    )
-    opened, closed = 1000 * np.linalg.norm(faces[:, 0] - faces[:, 1], axis=1)
-    away = 1000 * np.linalg.norm(faces[1].mean(0) - robot.ee_poses(middle)[0, :3, 3])
-    sizes = " and ".join("{:.0f} x {:.0f} mm".format(*2000 * pad.half_extents[:2]) for pad in robot.pads)
-    return (
-        f"{arm}\ngripper        pads {opened:.0f} mm apart when open, {closed:.0f} mm when closed; {sizes}\n"
-        f"end effector   {away:.0f} mm from the point between the closed pads"
-    )
+    print(f"wrote {path}; read it and correct it\n{describe_sizes(load_robot(file, root=root))}")
 
 
 def _values(words: list[str] | None) -> dict[str, float]:

@@ -63,8 +63,9 @@ def merge(first: Nested, second: Nested) -> Nested:
     merged = dict(first)
     for name, value in second.items():
         old = merged.get(name)
-        both = isinstance(old, dict) and isinstance(value, dict)
-        merged[name] = merge(old, value) if both else value
+        if isinstance(old, dict) and isinstance(value, dict):
+            value = merge(old, value)
+        merged[name] = value
     return merged
 
 

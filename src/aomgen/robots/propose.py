@@ -32,7 +32,7 @@ from aomgen.robots.finger_faces import (
 )
 from aomgen.robots.gripper import settle_fingers
 from aomgen.robots.reading import ArmChain, ancestors, arm_chain, compile_model, read_robot_spec
-from aomgen.robots.robot import body_poses
+from aomgen.robots.robot import RobotModel, body_poses
 
 # Sites that makers of arms without gripper put at the end, best first.
 EE_SITES = ("pinch", "ee", "attachment_site")
@@ -276,3 +276,24 @@ def _place(model: mujoco.MjModel, chain: ArmChain, site: str) -> Array:
 
 def _rounded(values: Array) -> tuple[float, ...]:
     return tuple(float(value) for value in np.round(values, DIGITS) + 0.0)
+
+
+def describe_sizes(robot: RobotModel) -> str:
+    """Lines by which a person sees whether gripper and end effector are the right ones."""
+    arm = f"arm            {len(robot.joint_names)} joints: {', '.join(robot.joint_names)}"
+    if not robot.pads:
+        return f"{arm}\ngripper        none: such a robot can be followed, but not verified"
+    middle = np.clip(robot.joint_limits, -np.pi, np.pi).mean(1)[None]
+    faces = np.array(
+        [
+            [apply(Ts[pad.body], pad.face_body) for pad in robot.pads]
+            for Ts in robot.link_poses(np.repeat(middle, 2, 0), np.array([0.0, 1.0]))
+        ]
+    )
+    opened, closed = 1000 * np.linalg.norm(faces[:, 0] - faces[:, 1], axis=1)
+    away = 1000 * np.linalg.norm(faces[1].mean(0) - robot.ee_poses(middle)[0, :3, 3])
+    sizes = " and ".join("{:.0f} x {:.0f} mm".format(*2000 * pad.half_extents[:2]) for pad in robot.pads)
+    return (
+        f"{arm}\ngripper        pads {opened:.0f} mm apart when open, {closed:.0f} mm when closed; {sizes}\n"
+        f"end effector   {away:.0f} mm from the point between the closed pads"
+    )
