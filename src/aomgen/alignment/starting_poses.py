@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
-from aomgen.core.planes import find_plane
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze
 
@@ -141,15 +140,42 @@ def up_candidates(
     for _ in range(count):
         if len(left) < 50:
             break
-        plane, members = find_plane(left, 0.01 * extent, rng, mean_up)
-        normal = plane.normal * np.sign(plane.normal @ mean_up)
-        near = np.abs(plane.heights(left)) < 0.02 * extent
-        if not members.any() or near.sum() < 0.03 * len(points_recon):
+        normal, near = _largest_plane(left, mean_up, 0.01 * extent, rng)
+        if near.sum() < 0.03 * len(points_recon):
             break
         if all(normal @ up < np.cos(np.radians(2.0)) for up in ups):
             ups.append(normal)
         left = left[~near]
     return [*ups, mean_up]
+
+
+def _largest_plane(
+    points: Array, up: Array, tolerance: float, rng: np.random.Generator, trials: int = 1500
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Normal (3,) towards `up` and members (P,) of the plane that most points lie on."""
+    triples = points[rng.integers(0, len(points), (trials, 3))]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(lengths, 1e-12)[:, None]
+    normals *= np.sign(normals @ up)[:, None]
+    usable = (lengths > 1e-9) & (normals @ up > np.cos(np.radians(30.0)))
+    if not usable.any():
+        return up, np.zeros(len(points), bool)
+    normals, anchors = normals[usable], triples[usable, 0]
+    offsets = np.einsum("td,td->t", normals, anchors)
+    sample = points[rng.permutation(len(points))[:2000]]
+    counts = (np.abs(sample @ normals.T - offsets) < tolerance).sum(0)
+    best = int(np.argmax(counts))
+    normal, offset = normals[best], offsets[best]
+    for _ in range(3):
+        near = np.abs(points @ normal - offset) < tolerance
+        if near.sum() < 3:
+            break
+        center = points[near].mean(0)
+        normal = np.linalg.svd(points[near] - center, full_matrices=False)[2][2]
+        normal *= np.sign(normal @ up)
+        offset = normal @ center
+    return normal, np.abs(points @ normal - offset) < 2 * tolerance
 
 
 def _outline_points(points: Array, rng: np.random.Generator, count: int = 150) -> Array:

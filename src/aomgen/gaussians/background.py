@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from aomgen.core.planes import Plane, find_plane
 from aomgen.core.values import Array
 from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, join_samples, thin
 
@@ -36,38 +35,53 @@ RAYS_A_POINT = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SupportedPlane:
-    """A plane and points that lie on it (M, 3)."""
+class Plane:
+    """A plane `normal . x = offset` and points that lie on it (M, 3)."""
 
-    plane: Plane
+    normal: Array
+    offset: float
     support: Array
 
 
-def dominant_planes(
-    points: Array, rng: np.random.Generator, *, min_share: float = 0.03
-) -> list[SupportedPlane]:
-    """Up to `MAX_PLANES` planes that hold at least this share of the points, largest first.
+def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) -> list[Plane]:
+    """Up to `MAX_PLANES` planes that hold many points, largest first.
 
     Args:
         points: (P, 3); thin them evenly first, or near surfaces win.
-        rng: Of the draws.
+        seed: Of the draws.
         min_share: Share of all points a plane must hold.
+
+    Source: RANSAC (Fischler & Bolles, 1981), then least squares on the inliers.
     """
+    rng = np.random.default_rng(seed)
     reach = np.median(np.linalg.norm(points - np.median(points, 0), axis=1))
+    tolerance = 0.015 * reach
     rest = points[rng.permutation(len(points))[:8000]]
     wanted = max(30, int(min_share * len(rest)))
-    planes: list[SupportedPlane] = []
+    planes: list[Plane] = []
     while len(planes) < MAX_PLANES and len(rest) >= wanted:
-        plane, members = find_plane(rest, 0.015 * reach, rng)
-        if members.sum() < wanted:
+        triples = rest[rng.integers(0, len(rest), (400, 3))]
+        normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+        lengths = np.linalg.norm(normals, axis=1)
+        normals = normals[lengths > 0] / lengths[lengths > 0, None]
+        offsets = (normals * triples[lengths > 0, 0]).sum(1)
+        votes = (np.abs(rest @ normals.T - offsets) < tolerance).sum(0)
+        best = int(votes.argmax())
+        inliers = np.abs(rest @ normals[best] - offsets[best]) < tolerance
+        center, normal = np.zeros(3), normals[best]
+        for _ in range(3):
+            center = rest[inliers].mean(0)
+            normal = np.linalg.svd(rest[inliers] - center, full_matrices=False)[2][2]
+            inliers = np.abs((rest - center) @ normal) < tolerance
+        if inliers.sum() < wanted:
             break
-        planes.append(SupportedPlane(plane=plane, support=rest[members]))
-        rest = rest[~members]
+        planes.append(Plane(normal=normal, offset=float(normal @ center), support=rest[inliers]))
+        rest = rest[~inliers]
     return planes
 
 
 def explain(
-    maps: list[DepthMap], votes: list[NDArray[np.int32]], planes: list[SupportedPlane]
+    maps: list[DepthMap], votes: list[NDArray[np.int32]], planes: list[Plane]
 ) -> tuple[Samples, Samples]:
     """Samples for pixels that no neighbour confirmed: on planes, and rays to infinity.
 
@@ -92,8 +106,8 @@ def explain(
         rays = depth_map.camera.directions()[rows, columns]
         own = blurred[index][rows, columns]
         costs, depths = [], []
-        for item, tree in zip(planes, trees, strict=True):
-            depth = _depth_on(item.plane, depth_map, rays)
+        for plane, tree in zip(planes, trees, strict=True):
+            depth = _depth_on(plane, depth_map, rays)
             points = depth_map.camera.center + rays * depth[:, None]
             near = tree.query(points, distance_upper_bound=1.5 * reach)[0] < np.inf
             cost = _differences(points, own, depth_map, maps, blurred, votes)
@@ -117,7 +131,7 @@ def explain(
         beyond = undecided & (known[nearest[0], nearest[1]].reshape(-1) == 2)
         for target, which in ((on_planes, undecided & explained & np.isfinite(depth)), (far, beyond)):
             finite = depth[which] if target is on_planes else np.ones(int(which.sum()))
-            normals = np.stack([item.plane.normal for item in planes] + [np.zeros(3)])[best[which]]
+            normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best[which]]
             facing = (normals * rays[which]).sum(1, keepdims=True) > 0
             unit = rays[which] / np.linalg.norm(rays[which], axis=1, keepdims=True)
             points = depth_map.camera.center + rays[which] * finite[:, None] if target is on_planes else unit
@@ -137,7 +151,7 @@ def explain(
 def _depth_on(plane: Plane, depth_map: DepthMap, rays: Array) -> Array:
     """Depth (R,) at which rays from the camera meet the plane; negative behind or almost parallel."""
     slope = rays @ plane.normal
-    distance = -float(plane.heights(depth_map.camera.center))
+    distance = plane.offset - float(plane.normal @ depth_map.camera.center)
     steep = np.abs(slope) > 0.02 * np.linalg.norm(rays, axis=1)
     return np.where(steep, distance / np.where(steep, slope, 1.0), -1.0)
 

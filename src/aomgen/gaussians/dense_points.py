@@ -127,7 +127,7 @@ def densify(
         votes = list(pool.map(lambda one: count_confirmations(one, maps), maps))
     surfaces = confirmed_samples(maps, votes).with_points(_sparse(structure, names, views))
     progress(0.85, "continuing planes")
-    planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon, np.random.default_rng(0))
+    planes = dominant_planes(thin(surfaces, params.target_points // 8).points_recon)
     filled, rays = explain(maps, votes, planes)
     kept = thin(surfaces.with_points(filled), params.target_points)
     view_depths = [confirmed_depth(one, own) for one, own in zip(maps, votes, strict=True)]

@@ -25,8 +25,9 @@ from aomgen.paper.affinity_features import (
     train_affinity,
     unit,
 )
-from aomgen.parts.posterior import PartEvidence
-from aomgen.parts.prompted_images import PromptedImage, ScanView
+from aomgen.parts.likelihood import PartEvidence
+from aomgen.parts.prompted_images import PromptedImage
+from aomgen.parts.scan_views import ScanView
 from aomgen.splatting.rasterizer import contribution_weights, render
 
 # No feature is surer than this.

@@ -18,7 +18,8 @@ from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
 from aomgen.io.arrays import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes
-from aomgen.parts.prompted_images import PromptedImage, ScanView
+from aomgen.parts.prompted_images import PromptedImage
+from aomgen.parts.scan_views import ScanView
 from aomgen.segmentation.interface import PointMasks, Segmenter
 from aomgen.splatting.surfaces import seen_points
 

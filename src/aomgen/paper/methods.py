@@ -24,9 +24,10 @@ from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_pape
 from aomgen.paper.true_part_masks import part_masks
 from aomgen.parts import stage as parts_stage
 from aomgen.parts.label import SEED
+from aomgen.parts.likelihood import PartEvidence
 from aomgen.parts.moving_parts import MotionEvidence
-from aomgen.parts.posterior import PartEvidence
-from aomgen.parts.prompted_images import PromptedImage, ScanView
+from aomgen.parts.prompted_images import PromptedImage
+from aomgen.parts.scan_views import ScanView
 from aomgen.results import Results
 from aomgen.segmentation.interface import Segmenter
 

@@ -1,8 +1,7 @@
-"""Coverage of a scan: how many views see each place of object, robot and table, and from how different directions.
+"""Coverage of a scan: how many views see each place, and from how different directions.
 
-A view sees a place when it lies inside the image, faces the camera, and the surface drawn there is not in front
-of it. Sides are named as the robot sees them: the near side of the object faces the robot's base, left is the
-robot's left when it looks at the object.
+A place is anything with a position: a Gaussian, a point on the side of a box. A view sees it when
+it lies inside the image, faces the camera, and the surface drawn there is not in front of it.
 """
 
 from dataclasses import dataclass
@@ -10,24 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import MOVING, STATIC
-from aomgen.core.boxes import OrientedBox, find_upright_axes, fit_box
-from aomgen.core.gaussians import Gaussians
-from aomgen.core.mesh import face_normals_areas, sample_surface
-from aomgen.core.part_points import SOLID_OPACITY
-from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze
-from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
 # Views that a depth needs: one, and two that confirm it.
 MIN_VIEWS = 3
 # A side under a flatter angle than this shows nothing.
 MIN_COSINE = 0.25
-# Points along each edge of a side, and on the robot's surface.
-GRID, ROBOT_POINTS = 12, 6000
-# A side counts as seen when at least this share of its points is.
-MIN_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,179 +62,3 @@ def coverage_of(points: Array, views: list[ViewDepth], normals: Array | None = N
     middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-12)
     cosines = np.where(seen, np.einsum("vnk,nk->vn", directions, middle), 1.0).min(0, initial=1.0)
     return Coverage(views=seen.sum(0), spread_deg=2 * np.degrees(np.arccos(np.clip(cosines, -1, 1))))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Side:
-    """One side of a thing: its name, points (M, 3) [m] on it and outward normals (M, 3), world frame."""
-
-    name: str
-    points: Array
-    normals: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Survey:
-    """Coverage of all sides.
-
-    Attributes:
-        names: Of the sides.
-        points_world: Points on all sides (M, 3), [m].
-        sides: Index into `names` of each point (M,).
-        coverage: Of each point.
-    """
-
-    names: tuple[str, ...]
-    points_world: Array
-    sides: NDArray[np.int32]
-    coverage: Coverage
-
-    def __post_init__(self) -> None:
-        count = len(self.coverage.views)
-        freeze(self, "points_world", self.points_world, (count, 3))
-        freeze(self, "sides", self.sides, (count,), np.int32)
-
-    def figures(self) -> dict[str, dict[str, float]]:
-        """By side: median number of views and spread, and the share of points that were seen enough."""
-        result = {}
-        for index, name in enumerate(self.names):
-            mine = self.sides == index
-            result[name] = {
-                "views": float(np.median(self.coverage.views[mine])),
-                "spread_deg": round(float(np.median(self.coverage.spread_deg[mine])), 1),
-                "share": round(float(self.coverage.enough[mine].mean()), 3),
-            }
-        return result
-
-    def warnings(self) -> list[str]:
-        """A sentence for every side that the scan does not decide."""
-        sentences = []
-        for name, seen in self.figures().items():
-            if seen["share"] >= MIN_SHARE:
-                continue
-            views, spread = round(seen["views"]), seen["spread_deg"]
-            if views < MIN_VIEWS:
-                found = f"was seen by {views} view{'' if views == 1 else 's'}, want {MIN_VIEWS}"
-            elif spread < PARALLAX_DEG:
-                found = f"was seen from one direction (over {spread:.0f} deg, want {PARALLAX_DEG:.0f})"
-            else:
-                found = f"was seen to {100 * seen['share']:.0f} % only"
-            sentences.append(f"{name} {found}; what is there is guessed, add scan images that show it")
-        return sentences
-
-
-def survey(
-    gaussians_world: Gaussians,
-    labels: NDArray[np.uint8],
-    configuration: RobotConfiguration,
-    views: list[ViewDepth],
-    rng: np.random.Generator,
-) -> Survey:
-    """Measure the coverage of the sides of object, robot and table.
-
-    Args:
-        gaussians_world: The scene, [m].
-        labels: Part of each Gaussian (N,).
-        configuration: Robot as scanned.
-        views: What the training views see, world frame.
-        rng: Spreads points over the robot.
-    """
-    ours = np.isin(labels, (STATIC, MOVING)) & (gaussians_world.opacities > SOLID_OPACITY)
-    points = np.asarray(gaussians_world.means[ours], np.float64)
-    forward, box = _forward(points), fit_box(points, find_upright_axes(points))
-    sides = [
-        *object_sides(box, forward),
-        *table_sides(box, forward),
-        *robot_sides(configuration, forward, rng),
-    ]
-    places = np.concatenate([side.points for side in sides])
-    normals = np.concatenate([side.normals for side in sides])
-    return Survey(
-        names=tuple(side.name for side in sides),
-        points_world=places,
-        sides=np.repeat(np.arange(len(sides)), [len(side.points) for side in sides]),
-        coverage=coverage_of(places, views, normals),
-    )
-
-
-def object_sides(box: OrientedBox, forward: Array) -> list[Side]:
-    """Four sides and the top of the upright box around an object, which the robot looks at along `forward` (2,)."""
-    words = {"near": "near side", "far": "far side", "left": "left side", "right": "right side"}
-    # The rims belong to the neighbouring sides as well.
-    grid = np.stack(np.meshgrid(*[np.linspace(-0.9, 0.9, GRID)] * 2), -1).reshape(-1, 2)
-    result = []
-    for axis, sign in ((0, -1), (0, 1), (1, -1), (1, 1), (2, 1)):
-        local = np.insert(grid, axis, sign, axis=1) * box.half_extents
-        normal = sign * box.T_world_box[:3, axis]
-        word = "top" if axis == 2 else words[_bearing(normal[:2], forward)]
-        normals = np.tile(normal, (len(grid), 1))
-        places = apply(box.T_world_box, local)
-        result.append(Side(name=f"the {word} of the object", points=places, normals=normals))
-    return result
-
-
-def table_sides(box: OrientedBox, forward: Array) -> list[Side]:
-    """The surface on which an object stands, in a band around it half as wide as the object's upright box."""
-    words = {"near": "before", "far": "behind", "left": "left of", "right": "right of"}
-    half = box.half_extents
-    reach = float(np.linalg.norm(half[:2]))
-    across, outward = np.meshgrid(np.linspace(-0.9, 0.9, GRID), np.linspace(0.1, 1.0, GRID))
-    result = []
-    for axis, sign in ((0, -1), (0, 1), (1, -1), (1, 1)):
-        local = np.full((GRID * GRID, 3), -half[2])
-        local[:, axis] = sign * (half[axis] + reach * outward.reshape(-1))
-        local[:, 1 - axis] = half[1 - axis] * across.reshape(-1)
-        word = words[_bearing(sign * box.T_world_box[:2, axis], forward)]
-        normals = np.tile([0.0, 0.0, 1.0], (len(local), 1))
-        places = apply(box.T_world_box, local)
-        result.append(Side(name=f"the table {word} the object", points=places, normals=normals))
-    return result
-
-
-def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.random.Generator) -> list[Side]:
-    """Four sides and the top of the posed robot; undersides, which no table lets be seen, are left out.
-
-    Args:
-        configuration: Robot as scanned.
-        forward: Level unit direction (2,) in which it looks at the object.
-        rng: Spreads points over the meshes.
-    """
-    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
-    areas = [
-        face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in configuration.robot.meshes
-    ]
-    points, normals = [], []
-    for mesh, area in zip(configuration.robot.meshes, areas, strict=True):
-        count = round(ROBOT_POINTS * area / sum(areas))
-        if count:
-            vertices = apply(poses[mesh.body], mesh.vertices_body)
-            sampled, faces, _ = sample_surface(vertices, mesh.faces, count, rng)
-            points.append(sampled)
-            normals.append(face_normals_areas(vertices, mesh.faces)[0][faces])
-    places, directions = np.concatenate(points), np.concatenate(normals)
-    words = {"near": "back", "far": "front", "left": "left side", "right": "right side"}
-    steep = np.abs(directions[:, 2]) > np.sqrt(0.5)
-    kinds = np.array([_bearing(direction, forward) for direction in directions[:, :2]])
-    chosen = [("top", steep & (directions[:, 2] > 0))]
-    chosen += [(word, ~steep & (kinds == kind)) for kind, word in words.items()]
-    return [
-        Side(name=f"the {word} of the robot", points=places[which], normals=directions[which])
-        for word, which in chosen
-        if which.any()
-    ]
-
-
-def _forward(points: Array) -> Array:
-    """Level unit direction (2,) from the robot's base to points, +x where they are above it."""
-    middle = np.median(points[:, :2], axis=0)
-    length = float(np.linalg.norm(middle))
-    return middle / length if length > 1e-6 else np.array([1.0, 0.0])
-
-
-def _bearing(direction: Array, forward: Array) -> str:
-    """Where a level direction (2,) points, for who looks `forward` (2,)."""
-    along = float(direction @ forward)
-    across = float(direction @ [-forward[1], forward[0]])
-    if abs(along) >= abs(across):
-        return "far" if along > 0 else "near"
-    return "left" if across > 0 else "right"

@@ -31,33 +31,30 @@ def cut_at_faces(gaussians: Gaussians, panel: Panel, free: NDArray[np.bool_]) ->
     """
     origins = np.flatnonzero(free)
     pieces, cut = gaussians.select(origins), np.zeros(len(origins), bool)
-    covariances = _covariances(pieces)
-    for normal, offset in (*panel.moving.faces(), *panel.body.faces()):
-        widths = np.sqrt(np.maximum(normal @ (covariances @ normal).T, 1e-24))
-        least = norm.cdf(-np.abs(pieces.means @ normal - offset) / widths)
-        crossed = np.flatnonzero(least > MIN_SHARE)
+    for normal, offset in panel.faces():
+        crossed = np.flatnonzero(_least_share(pieces, normal, offset) > MIN_SHARE)
         above, below = (_half(pieces.select(crossed), side * normal, side * offset) for side in (1, -1))
-        apart = _labels(panel, above) != _labels(panel, below)
+        apart = panel.labels(above.means) != panel.labels(below.means)
         divided = crossed[apart]
-        if not len(divided):
-            continue
         whole = np.ones(len(pieces), bool)
         whole[divided] = False
-        halves = concatenate([above.select(apart), below.select(apart)])
-        pieces = concatenate([pieces.select(whole), halves])
-        covariances = np.concatenate([covariances[whole], _covariances(halves)])
+        pieces = concatenate([pieces.select(whole), above.select(apart), below.select(apart)])
         origins = np.concatenate([origins[whole], origins[divided], origins[divided]])
         cut = np.concatenate([cut[whole], np.ones(2 * len(divided), bool)])
     return Cut(sources=origins[cut], pieces=pieces.select(cut))
 
 
-def _labels(panel: Panel, gaussians: Gaussians) -> NDArray[np.uint8]:
-    return panel.labels(gaussians.means.astype(np.float64))
-
-
 def _covariances(gaussians: Gaussians) -> Array:
     axes = matrix_from_quat(gaussians.quats) * gaussians.scales[:, None, :].astype(np.float64)
     return axes @ np.swapaxes(axes, 1, 2)
+
+
+def _least_share(gaussians: Gaussians, normal: Array, offset: float) -> Array:
+    """Share (N,) of each Gaussian on the emptier side of the plane `normal @ x = offset`."""
+    widths = np.linalg.norm(
+        gaussians.scales * (normal @ matrix_from_quat(gaussians.quats)).astype(np.float64), axis=1
+    )
+    return norm.cdf(-np.abs(gaussians.means @ normal - offset) / np.maximum(widths, 1e-12))
 
 
 def _half(gaussians: Gaussians, normal: Array, offset: float) -> Gaussians:

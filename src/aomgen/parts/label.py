@@ -18,16 +18,17 @@ from aomgen.core.parts import Cut, Parts, no_cut
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError, WrongPromptError
 from aomgen.parts.cutting import cut_at_faces
-from aomgen.parts.posterior import (
+from aomgen.parts.likelihood import (
     LABELS,
     PartEvidence,
     SurfaceView,
     panel_evidence,
     prompted_evidence,
-    smooth_posterior,
     surface_views,
 )
-from aomgen.parts.prompted_images import PromptedImage, PromptFit, ScanView, spread
+from aomgen.parts.prompted_images import PromptedImage, PromptFit
+from aomgen.parts.scan_views import ScanView, spread
+from aomgen.parts.smoothing import smooth_posterior
 
 STAGE = "parts"
 # Of the robot's surface points and of the panel's search: the same draws in every round, so that rounds differ

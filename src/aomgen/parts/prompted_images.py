@@ -1,6 +1,5 @@
-"""Scan images, the boxes that people drew on some of them, and the masks that answer each box."""
+"""Prompted images with their surface points and the masks of each box."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -13,9 +12,10 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
+from aomgen.parts.panel_views import PromptedView, box_misfit, iou, share_inside
+from aomgen.parts.scan_views import ScanView, render_parts
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import MasksOnDisk
-from aomgen.splatting.rasterizer import contribution_weights, render
 from aomgen.splatting.surfaces import seen_points
 
 STAGE = "parts"
@@ -25,87 +25,6 @@ MAX_MISFIT = 0.1
 # far
 # as this share of it is inside the box.
 GRID, MIN_INSIDE = 6, 0.95
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanView:
-    """A scan image in the world frame, with the pixels where the aligned robot is drawn."""
-
-    name: str
-    camera: Camera
-    image_srgb: NDArray[np.uint8]
-    robot: Mask
-
-
-def spread(views: Sequence[ScanView], count: int) -> list[ScanView]:
-    """About so many of the views, evenly in their order."""
-    return list(views[:: max(1, len(views) // count)])
-
-
-def lift(gaussians: Gaussians, view: ScanView, masks: list[Mask]) -> NDArray[np.float32]:
-    """Blended weight (N, M) of every Gaussian in each mask of one view."""
-    return contribution_weights(gaussians, view.camera, np.stack(masks).astype(np.float32))
-
-
-def render_parts(gaussians: Gaussians, labels: NDArray[np.uint8], camera: Camera) -> dict[int, Mask]:
-    """Masks of static and moving part as their Gaussians paint them, occlusion included."""
-    features = np.stack([labels == STATIC, labels == MOVING], 1).astype(np.float32)
-    shares = np.asarray(render(gaussians, camera, features=features).features)
-    return {STATIC: shares[..., 0] > 0.5, MOVING: shares[..., 1] > 0.5}
-
-
-def box_misfit(mask: Mask, box: Array) -> float:
-    """How badly a mask (H, W) fits a box drawn around it: 0 when it touches all sides from inside.
-
-    The distances of the four sides, as shares of the box, and twice the share of the mask outside.
-    Single pixels do not make an extent. Without a mask it is 4: each side off by the whole box.
-    """
-    total = int(mask.sum())
-    width, height = box[2] - box[0], box[3] - box[1]
-    columns = np.flatnonzero(mask.sum(0) > max(1.0, 0.015 * height))
-    rows = np.flatnonzero(mask.sum(1) > max(1.0, 0.015 * width))
-    if not (total and len(columns) and len(rows)):
-        return 4.0
-    gaps = abs(columns[0] - box[0]) + abs(columns[-1] + 1 - box[2])
-    heights = abs(rows[0] - box[1]) + abs(rows[-1] + 1 - box[3])
-    return float(gaps / width + heights / height + 2 * (1 - share_inside(mask, box)))
-
-
-def within(box: Array, shape: tuple[int, ...]) -> Mask:
-    """Pixels (H, W) of a box x0, y0, x1, y1, [px]."""
-    rows, columns = np.arange(shape[0])[:, None] + 0.5, np.arange(shape[1]) + 0.5
-    return (columns > box[0]) & (columns < box[2]) & (rows > box[1]) & (rows < box[3])
-
-
-def share_inside(mask: Mask, box: Array) -> float:
-    """Share of a mask (H, W), not empty, that lies in a box x0, y0, x1, y1, [px]."""
-    x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
-    x1, y1 = np.ceil(box[2:]).astype(int)
-    return float(mask[y0:y1, x0:x1].sum() / mask.sum())
-
-
-def iou(first: Mask, second: Mask) -> float:
-    """Intersection over union of two masks."""
-    return float((first & second).sum() / max(1, (first | second).sum()))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PromptedView:
-    """A prompted image and the surface it shows.
-
-    Attributes:
-        part: `STATIC` or `MOVING`.
-        camera: World frame.
-        points_world: (H, W, 3) surface point at each pixel, NaN where there is none or the robot.
-        box: (4,) x0, y0, x1, y1 of the prompt, [px].
-        masks: Answers (H, W) of the segmenter, any number.
-    """
-
-    part: int
-    camera: Camera
-    points_world: Array
-    box: Array
-    masks: tuple[Mask, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,12 +13,13 @@ from aomgen.core.parts import Parts
 from aomgen.core.progress import Progress, part
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
-from aomgen.parts.coverage import Survey, survey
 from aomgen.parts.label import SEED, segment_scan
+from aomgen.parts.likelihood import PartEvidence
 from aomgen.parts.moving_parts import MotionEvidence, find_moving_parts
-from aomgen.parts.posterior import PartEvidence
-from aomgen.parts.prompted_images import PromptedImage, ScanView, segment_prompts
+from aomgen.parts.prompted_images import PromptedImage, segment_prompts
 from aomgen.parts.robot_labels import label_robot
+from aomgen.parts.scan_views import ScanView
+from aomgen.parts.survey import Survey, survey
 from aomgen.results import Results
 from aomgen.robots.silhouette import SilhouetteRenderer
 from aomgen.segmentation.interface import Segmenter

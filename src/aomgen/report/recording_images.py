@@ -9,8 +9,8 @@ from aomgen.core.held_out import held_out
 from aomgen.io.artifact import load_artifact
 from aomgen.io.images import read_image, resize
 from aomgen.io.video import probe_video, read_frames
-from aomgen.parts.coverage import Survey
 from aomgen.parts.stage import COVERAGE
+from aomgen.parts.survey import Survey
 from aomgen.pipeline.rendering import draw_twin
 from aomgen.report.drawing import map_from_above, overlay_labels, overlay_outline, sheet
 from aomgen.results import Results

@@ -115,12 +115,11 @@ def test_dominant_planes_are_found_in_clutter():
     rng = np.random.default_rng(2)
     floor = np.concatenate([rng.uniform(-2, 2, (3000, 2)), rng.normal(0, 0.004, (3000, 1))], 1)
     wall = np.stack([rng.uniform(-2, 2, 2000), rng.normal(2, 0.004, 2000), rng.uniform(0, 2, 2000)], 1)
-    clutter = rng.uniform(-2, 2, (1500, 3))
-    planes = [item.plane for item in dominant_planes(np.concatenate([floor, wall, clutter]), rng)]
+    planes = dominant_planes(np.concatenate([floor, wall, rng.uniform(-2, 2, (1500, 3))]))
     assert abs(planes[0].normal[2]) > 0.9999
     assert abs(planes[0].offset) < 0.005
     assert abs(planes[1].normal[1]) > 0.9999
-    assert dominant_planes(rng.normal(size=(2000, 3)), rng, min_share=0.2) == []
+    assert dominant_planes(rng.normal(size=(2000, 3)), min_share=0.2) == []
 
 
 def _rays(columns: np.ndarray, rows: np.ndarray, grey: np.ndarray, weight: float) -> Samples:

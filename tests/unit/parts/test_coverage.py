@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aomgen.core.boxes import fit_box
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, similarity
-from aomgen.parts.coverage import Coverage, Survey, coverage_of, object_sides, survey, table_sides
+from aomgen.parts.coverage import Coverage, coverage_of
+from aomgen.parts.survey import Survey, object_sides, survey, table_sides
 from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 
@@ -128,12 +128,12 @@ def test_sides_are_named_as_the_robot_sees_them():
     """A box before a robot that looks along -y: its left is +x."""
     rng = np.random.default_rng(0)
     points = rng.uniform([-0.2, -1.1, 0.0], [0.2, -0.9, 0.3], (4000, 3))
-    forward, box = np.array([0.0, -1.0]), fit_box(points, np.eye(3))
-    normals = {side.name: side.normals[0] for side in object_sides(box, forward)}
+    forward = np.array([0.0, -1.0])
+    normals = {side.name: side.normals[0] for side in object_sides(points, forward)}
     assert normals["the near side of the object"] == pytest.approx([0, 1, 0], abs=0.02)
     assert normals["the left side of the object"] == pytest.approx([1, 0, 0], abs=0.02)
     assert normals["the top of the object"] == pytest.approx([0, 0, 1])
-    middles = {side.name: side.points.mean(0) for side in table_sides(box, forward)}
+    middles = {side.name: side.points.mean(0) for side in table_sides(points, forward)}
     assert middles["the table behind the object"][1] < -1.1
     assert middles["the table right of the object"][0] < -0.2
     assert middles["the table before the object"][2] == pytest.approx(0.0, abs=0.01)

@@ -5,23 +5,19 @@ import pytest
 from scipy.stats import norm
 
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.parts import no_cut
-from aomgen.core.transforms import matrix_from_quat, transform
+from aomgen.core.transforms import matrix_from_quat
 from aomgen.parts.cutting import MIN_SHARE, cut_at_faces
 from aomgen.parts.panel import Panel
 from aomgen.splatting.rasterizer import render
 
 # A drawer's front in the left half of a body, both facing +z.
 PANEL = Panel(
-    moving=OrientedBox(
-        T_world_box=transform(np.eye(3), [-0.25, 0.0, 0.015]), half_extents=[0.25, 0.5, 0.035]
-    ),
-    body=OrientedBox(T_world_box=transform(np.eye(3), [0.0, 0.0, -0.25]), half_extents=[0.5, 0.5, 0.25]),
-    front_m=-0.015,
-)
+    T_world_panel=np.eye(4), low=[-0.5, -0.5, -0.02], high=[0.0, 0.5, 0.05],
+    T_panel_body=np.eye(4), body_low=[-0.5, -0.5, -0.5], body_high=[0.5, 0.5, 0.0],
+)  # fmt: skip
 
 
 def spread_gaussians(count: int, width: float, seed: int = 0) -> Gaussians:
@@ -53,7 +49,7 @@ def test_a_gaussian_across_a_seam_is_cut_and_one_beside_it_is_not():
     cut, pieces, origins = cut_all(both)
     assert list(cut.sources) == [0, 0]
     assert list(origins) == [1, 0, 0]
-    assert sorted(PANEL.labels(pieces.means[1:].astype(np.float64))) == [STATIC, MOVING]
+    assert sorted(PANEL.labels(pieces.means[1:])) == [STATIC, MOVING]
 
 
 def test_pieces_have_the_moments_of_their_gaussian():

@@ -22,8 +22,9 @@ from aomgen.parts.label import (
     part_evidence,
     segment_scan,
 )
-from aomgen.parts.prompted_images import ScanView, segment_prompts
+from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.robot_labels import label_robot, nearest_links
+from aomgen.parts.scan_views import ScanView
 from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer

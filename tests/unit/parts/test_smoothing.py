@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aomgen.parts.posterior import smooth_posterior
+from aomgen.parts.smoothing import smooth_posterior
 
 GRID = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0.0], indexing="ij"), -1).reshape(-1, 3) * 0.005
 LEFT = GRID[:, 0] < 0.05

@@ -1,0 +1,141 @@
+"""How well a panel (see `panel`) explains prompted images: the boxes people drew, and masks that fill them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aomgen.conventions import BACKGROUND, MOVING
+from aomgen.core.camera import Camera
+from aomgen.core.transforms import apply, invert
+from aomgen.core.values import Array
+from aomgen.parts.panel import Panel
+from aomgen.segmentation.interface import Mask
+
+# A mask whose own extent is this far from its box (see `box_misfit`) shows something else.
+MAX_MASK_MISFIT = 0.25
+# So does one of which less than this share is inside the box.
+MIN_SHARE_INSIDE = 0.5
+# So does one that is this much farther from it than another.
+MASK_SPREAD = 0.1
+# A mask beside a box: segmenters are wrong by whole faces, people by a few pixels.
+MASK_WEIGHT = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptedView:
+    """A prompted image and the surface it shows.
+
+    Attributes:
+        part: `STATIC` or `MOVING`.
+        camera: World frame.
+        points_world: (H, W, 3) surface point at each pixel, NaN where there is none or the robot.
+        box: (4,) x0, y0, x1, y1 of the prompt, [px].
+        masks: Answers (H, W) of the segmenter, any number.
+    """
+
+    part: int
+    camera: Camera
+    points_world: Array
+    box: Array
+    masks: tuple[Mask, ...]
+
+
+def box_misfit(mask: Mask, box: Array) -> float:
+    """How badly a mask (H, W) fits a box drawn around it: 0 when it touches all sides from inside.
+
+    The distances of the four sides, as shares of the box, and twice the share of the mask outside.
+    Single pixels do not make an extent. Without a mask it is 4: each side off by the whole box.
+    """
+    total = int(mask.sum())
+    width, height = box[2] - box[0], box[3] - box[1]
+    columns = np.flatnonzero(mask.sum(0) > max(1.0, 0.015 * height))
+    rows = np.flatnonzero(mask.sum(1) > max(1.0, 0.015 * width))
+    if not (total and len(columns) and len(rows)):
+        return 4.0
+    gaps = abs(columns[0] - box[0]) + abs(columns[-1] + 1 - box[2])
+    heights = abs(rows[0] - box[1]) + abs(rows[-1] + 1 - box[3])
+    return float(gaps / width + heights / height + 2 * (1 - share_inside(mask, box)))
+
+
+def within(box: Array, shape: tuple[int, ...]) -> Mask:
+    """Pixels (H, W) of a box x0, y0, x1, y1, [px]."""
+    rows, columns = np.arange(shape[0])[:, None] + 0.5, np.arange(shape[1]) + 0.5
+    return (columns > box[0]) & (columns < box[2]) & (rows > box[1]) & (rows < box[3])
+
+
+def share_inside(mask: Mask, box: Array) -> float:
+    """Share of a mask (H, W), not empty, that lies in a box x0, y0, x1, y1, [px]."""
+    x0, y0 = np.maximum(np.floor(box[:2]), 0).astype(int)
+    x1, y1 = np.ceil(box[2:]).astype(int)
+    return float(mask[y0:y1, x0:x1].sum() / mask.sum())
+
+
+def iou(first: Mask, second: Mask) -> float:
+    """Intersection over union of two masks."""
+    return float((first & second).sum() / max(1, (first | second).sum()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crop:
+    """Every n-th pixel of a prompted view around its box, panel frame.
+
+    `local` (H, W, 3) lies in memory one coordinate after the other, as it is compared.
+    """
+
+    part: int
+    local: Array
+    center: Array
+    box: Array
+    masks: tuple[Mask, ...]
+    inside_box: Mask
+
+    @staticmethod
+    def of(view: PromptedView, T_world_panel: Array, pixels: int) -> "Crop":
+        height, width = view.points_world.shape[:2]
+        margin = 0.25 * (view.box[2:] - view.box[:2])
+        x0, y0 = np.maximum(view.box[:2] - margin, 0).astype(int)
+        x1, y1 = np.minimum(view.box[2:] + margin, [width, height]).astype(int)
+        stride = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / pixels)))
+        window = (slice(y0, y1, stride), slice(x0, x1, stride))
+        inside = within(view.box, (height, width))
+        # Masks bleed over the border of what was boxed; one that is mostly elsewhere shows something else.
+        kept = [mask & inside for mask in view.masks if share_inside(mask, view.box) > MIN_SHARE_INSIDE]
+        misfits = [box_misfit(mask, view.box) for mask in kept]
+        limit = min([MAX_MASK_MISFIT, *(misfit + MASK_SPREAD for misfit in misfits)])
+        T_panel_world = invert(T_world_panel)
+        points = apply(T_panel_world, view.points_world[window].reshape(-1, 3)).T
+        planes = np.ascontiguousarray(points.astype(np.float32).astype(np.float64))
+        return Crop(
+            part=view.part,
+            local=np.moveaxis(planes.reshape(3, *view.points_world[window].shape[:2]), 0, -1),
+            center=apply(T_panel_world, view.camera.center[None])[0],
+            box=(view.box - [x0, y0, x0, y0]) / stride,
+            masks=tuple(m[window] for m, misfit in zip(kept, misfits, strict=True) if misfit < limit),
+            inside_box=inside[window],
+        )
+
+    def shown(self, panel: Panel) -> Mask:
+        return panel.labels_local(self.local, self.center) == self.part
+
+    def misfit(self, panel: Panel) -> float:
+        return box_misfit(self.shown(panel), self.box)
+
+    def loss(self, panel: Panel) -> float:
+        """Misfit of the box, and distance to the mask that agrees best."""
+        labels = panel.labels_local(self.local, self.center)
+        shown = labels == self.part
+        # Segmenters find whole objects best, also where a person boxed the body of one.
+        wanted = (shown,) if self.part == MOVING else (shown, labels != BACKGROUND)
+        apart = min(
+            (1 - iou(item & self.inside_box, mask) for mask in self.masks for item in wanted), default=0.0
+        )
+        return box_misfit(shown, self.box) + MASK_WEIGHT * apart
+
+    def inside(self, *, masked: bool) -> Array:
+        """Surface points (N, 3) in the mask that agrees with the box best, else in the box."""
+        if masked and self.masks:
+            points = self.local[min(self.masks, key=lambda mask: box_misfit(mask, self.box))]
+        else:
+            x0, y0, x1, y1 = np.maximum(np.rint(self.box), 0).astype(int)
+            points = self.local[y0:y1, x0:x1].reshape(-1, 3)
+        return points[np.isfinite(points[:, 0])]
