@@ -94,7 +94,7 @@ def _unpack(kind: Any, data: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
         _require(isinstance(data, list), kind, data)
         kinds = [args[0]] * len(data) if args[-1] is Ellipsis else args
         return tuple(_unpack(item, value, arrays) for item, value in zip(kinds, data, strict=True))
-    if origin is not None and issubclass(origin if isinstance(origin, type) else object, Mapping):
+    if origin in (dict, Mapping):
         _require(isinstance(data, dict), kind, data)
         return {name: _unpack(args[1], value, arrays) for name, value in data.items()}
     if origin is Literal:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.light import Light, shaded_srgb
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze, require_indices
 
 # Weights below this are as good as none.
 NEGLIGIBLE: Final = 1e-3
@@ -74,6 +74,9 @@ class Relit:
         freeze(self, "albedo_linear", self.albedo_linear, (count, 3), np.float32)
         freeze(self, "transfer", self.transfer, (count, 9), np.float32)
         freeze(self, "light_of", self.light_of, (count,), np.int32)
+        require_indices(self.light_of, len(self.lights))
+        for residual in self.residuals:
+            require_indices(residual.rows, count)
 
     def select(self, which: NDArray[np.bool_]) -> "Relit":
         """What is left when a twin keeps a part of its N Gaussians, boolean mask (N,)."""

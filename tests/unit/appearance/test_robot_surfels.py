@@ -10,10 +10,10 @@ from aomgen.appearance.surfel_observations import PosedImages, SurfelObservation
 from aomgen.conventions import MOVING, ROBOT
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import SH_C0
-from aomgen.core.light import open_transfer, shaded_srgb
+from aomgen.core.light import Light, open_transfer, shaded_srgb
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.io.artifact import load_artifact, save_artifact
-from aomgen.twin.relighting import ResidualAppearance, orientation_weights
+from aomgen.twin.relighting import Relit, ResidualAppearance, orientation_weights
 from aomgen.twin.twin import Twin, render_state
 
 BEHIND = look_at((0.5, 1.1, 0.7), (0.2, 0.0, 0.3))
@@ -255,3 +255,21 @@ def test_a_shadow_that_is_elsewhere_in_every_picture_is_not_learned(toy_scene):
     taught = refine_twin(twin, toy_scene.robot, [view], np.random.default_rng(0))
     difference = drawn(taught, toy_scene, twin.scan_state, camera).astype(float) - clean
     assert abs(difference.mean()) < 0.5 * abs(np.mean([i.astype(float) - clean for i in images]))
+
+
+@pytest.mark.parametrize("spoil", ["light_of", "rows"])
+def test_relit_surfaces_without_light_or_row_are_refused(spoil):
+    surfaces = np.zeros((2, 3), np.float32), np.zeros((2, 9), np.float32)
+    rows = [0, 2] if spoil == "rows" else [0, 1]
+    residual = ResidualAppearance(
+        body=1, rows=rows, Rs_world_body=np.eye(3)[None], difference_srgb=np.zeros((1, 2, 3)), reach_rad=0.1
+    )
+    with pytest.raises(ValueError, match="index"):
+        Relit(
+            indices=[0, 1],
+            albedo_linear=surfaces[0],
+            transfer=surfaces[1],
+            light_of=[0, 1] if spoil == "light_of" else [0, 0],
+            lights=(Light(radiance_sh=np.zeros((9, 3))),),
+            residuals=(residual,),
+        )
