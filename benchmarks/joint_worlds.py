@@ -4,12 +4,13 @@ One world in seven has a loose grasp. Geometry is off by what reconstructed part
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from benchmarks.joint_hands import LOG_HZ, hand_in_part, logged
 
 # Shares of worlds: a door rather than a drawer, a loose grasp, geometry that misleads.
@@ -38,24 +39,17 @@ class JointWorld:
     """
 
     joint: Joint
-    held_world: Array
-    Ts_world_ee: Array
-    thetas: Array
-    grasp_ee: Array
-    closing_ee: Array
-    points_moving: Array
-    points_static: Array
+    held_world: Vector3
+    Ts_world_ee: Annotated[Array, "T 4 4"]
+    thetas: Annotated[Array, "T"]
+    grasp_ee: Vector3
+    closing_ee: Vector3
+    points_moving: Annotated[Array, "_ 3"]
+    points_static: Annotated[Array, "_ 3"]
     loose: bool
     misled: bool
 
-    def __post_init__(self) -> None:
-        freeze(self, "held_world", self.held_world, (3,))
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (None, 4, 4))
-        freeze(self, "thetas", self.thetas, (len(self.Ts_world_ee),))
-        freeze(self, "grasp_ee", self.grasp_ee, (3,))
-        freeze(self, "closing_ee", self.closing_ee, (3,))
-        freeze(self, "points_moving", self.points_moving, (None, 3))
-        freeze(self, "points_static", self.points_static, (None, 3))
+    __post_init__ = freeze_arrays
 
 
 def draw_world(seed: int, joint_type: JointType | None = None, travel: float | None = None) -> JointWorld:

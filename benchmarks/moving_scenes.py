@@ -1,6 +1,7 @@
 """Scenes of which a part moves before a fixed camera, for render sessions."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.splatting.rasterizer import render
 from benchmarks.scenes import FIRST_OBJECT, ellipsoids, table_top, table_top_surfaces
 
@@ -31,15 +32,14 @@ class MovingScene:
 
     camera: Camera
     static: Gaussians
-    moving: Gaussians
-    parts: NDArray[np.int32]
-    swings_deg: Array
-    pivot: Array
+    moving: Annotated[Gaussians, "N"]
+    parts: Annotated[NDArray[np.int32], "N"]
+    swings_deg: Annotated[Array, "_"]
+    pivot: Vector3
 
     def __post_init__(self) -> None:
-        freeze(self, "parts", self.parts, (len(self.moving),), np.int32)
-        freeze(self, "swings_deg", self.swings_deg, (None,))
-        freeze(self, "pivot", self.pivot, (3,))
+        freeze_arrays(self)
+        freeze_arrays(self)
 
     def Ts_world_part(self, frame: int) -> Array:
         """Poses of the parts (P, 4, 4) relative to rest; no two neighbouring frames are alike."""

@@ -7,6 +7,7 @@ clock error scales with the velocity of the arm, a contour bias depends on neith
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from aomgen.core.clock import Clock
 from aomgen.core.joint_log import JointLog
 from aomgen.core.least_squares import Kernel
 from aomgen.core.transforms import invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.io.images import resize
 from aomgen.io.video import Video
 from aomgen.robots.configuration import RobotConfiguration
@@ -38,11 +39,10 @@ _SCAN_POINTS, _CHECK_POINTS = 400, 300
 class GrayFrames:
     """Chosen frames of a video: video times (F,) and gray levels (F, H, W), 0..1."""
 
-    times_s: Array
-    grays: NDArray[np.float32]
+    times_s: Annotated[Array, "T"]
+    grays: Annotated[NDArray[np.float32], "T H W"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "times_s", self.times_s, (len(self.grays),))
+    __post_init__ = freeze_arrays
 
 
 NO_FRAMES = GrayFrames(times_s=np.zeros(0), grays=np.zeros((0, 1, 1), np.float32))
@@ -55,10 +55,9 @@ class LoggedRobot:
     robot: RobotModel
     log: JointLog
     renderer: SilhouetteRenderer
-    zeros_rad: Array
+    zeros_rad: Annotated[Array, "J"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "zeros_rad", self.zeros_rad, (self.log.joints.shape[1],))
+    __post_init__ = freeze_arrays
 
     def states(self, log_times_s: Array) -> tuple[Array, Array]:
         """Joints (T, J) and gripper (T,) at log times (T,), encoder noise averaged."""

@@ -8,7 +8,7 @@ calibrations.
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 # Unknowns of a camera: rotation and translation of the robot before it, clock offset, drift, bias.
 _POSE, OFFSET, RATE, _BIAS, _COLUMNS = slice(0, 6), 6, 7, 8, 9
@@ -120,16 +120,13 @@ class BundleSolution:
     Contours of the scan are `scan_bias_px` wider than rendered.
     """
 
-    S_world_recon: Array
-    zeros_rad: Array
-    zero_sds_rad: Array
+    S_world_recon: Matrix4
+    zeros_rad: Annotated[Array, "N"]
+    zero_sds_rad: Annotated[Array, "N"]
     cameras: dict[str, CameraState]
     scan_bias_px: float = 0.0
 
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-        freeze(self, "zeros_rad", self.zeros_rad, (None,))
-        freeze(self, "zero_sds_rad", self.zero_sds_rad, (len(self.zeros_rad),))
+    __post_init__ = freeze_arrays
 
 
 class Bundle:

@@ -7,6 +7,7 @@ whose contour is confirmed by chance; so other rotations are rendered, too.
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from aomgen.alignment.silhouette_fit import (
     gray_levels,
 )
 from aomgen.core.camera import camera_in_world
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 # A point is confirmed by an edge this near and this strong, and by a color border this near.
 NEAR_EDGE_PX, MIN_STEP, NEAR_BORDER_PX = 2.0, 0.02, 3.0
@@ -65,26 +66,19 @@ class ViewEvidence:
     """
 
     name: str
-    segments: NDArray[np.int64]
+    segments: Annotated[NDArray[np.int64], "C"]
     confirmed: NDArray[np.bool_]
     by_chance: NDArray[np.bool_]
-    edge_px: Array
-    edge_weights: Array
-    border_px: Array
-    border_weights: Array
-    jacobian: Array
-    joint_jacobian: Array
-    camera_jacobian: Array
-    normals: Array
+    edge_px: Annotated[Array, "C"]
+    edge_weights: Annotated[Array, "C"]
+    border_px: Annotated[Array, "C"]
+    border_weights: Annotated[Array, "C"]
+    jacobian: Annotated[Array, "C 7"]
+    joint_jacobian: Annotated[Array, "C _"]
+    camera_jacobian: Annotated[Array, "C 6"]
+    normals: Annotated[Array, "C 2"]
 
-    def __post_init__(self) -> None:
-        count = len(self.segments)
-        for name in ("edge_px", "edge_weights", "border_px", "border_weights"):
-            freeze(self, name, getattr(self, name), (count,))
-        freeze(self, "jacobian", self.jacobian, (count, 7))
-        freeze(self, "joint_jacobian", self.joint_jacobian, (count, None))
-        freeze(self, "camera_jacobian", self.camera_jacobian, (count, 6))
-        freeze(self, "normals", self.normals, (count, 2))
+    __post_init__ = freeze_arrays
 
 
 def collect_evidence(

@@ -29,7 +29,7 @@ from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
 from aomgen.robots.configuration import RobotConfiguration
@@ -56,11 +56,9 @@ class FixedCameraVideo:
 
     video: Video
     camera_recon: Camera
-    T_world_cam: Array | None = None
+    T_world_cam: Matrix4 | None = None
 
-    def __post_init__(self) -> None:
-        if self.T_world_cam is not None:
-            freeze(self, "T_world_cam", self.T_world_cam, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ steps. Source: a plain evolution strategy, Beyer and Schwefel,
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from aomgen.alignment.starting_poses import PoseCandidates, RobotBox, find_start
 from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.configuration import RobotConfiguration
 
 
@@ -84,11 +85,10 @@ class Scan:
 
     views: list[AlignmentImage]
     boxes: list[RobotBox]
-    points_recon: Array
+    points_recon: Annotated[Array, "_ 3"]
     errors: CameraErrors | None = None
 
-    def __post_init__(self) -> None:
-        freeze(self, "points_recon", self.points_recon, (None, 3))
+    __post_init__ = freeze_arrays
 
     def seen_from(self, S_other_recon: Array) -> "Scan":
         """The same in another frame."""

@@ -5,13 +5,14 @@ the image border cuts leaves more. What boxes leave open keeps the value that wa
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 # A side of a box this close to the image border is cut by it, [px]: the accuracy of a hand-drawn box.
 BORDER_PX = 3.0
@@ -33,22 +34,19 @@ class RobotBox:
     """
 
     camera_recon: Camera
-    box_px: Array
+    box_px: Annotated[Array, "4"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "box_px", self.box_px, (4,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseCandidates:
     """Candidate poses of the robot: `S_world_recon` (H, 4, 4) and their scores (H,), larger is better."""
 
-    Ss_world_recon: Array
-    scores: Array
+    Ss_world_recon: Annotated[Array, "N 4 4"]
+    scores: Annotated[Array, "N"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "Ss_world_recon", self.Ss_world_recon, (None, 4, 4))
-        freeze(self, "scores", self.scores, (len(self.Ss_world_recon),))
+    __post_init__ = freeze_arrays
 
     def at_least(self, share: float) -> "PoseCandidates":
         """Those whose score is this share of the best one's."""

@@ -9,6 +9,7 @@ synthesis", 2000, sec. 6 (reduced camera system) and 9 (gauge).
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from aomgen.alignment.silhouette_fit import EDGE_KERNEL
 from aomgen.core.camera import Camera
 from aomgen.core.least_squares import ResidualTerm, add, jackknife_covariance, solve
 from aomgen.core.transforms import similarity_parts, skew
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 # Groups of views left out in turn (jackknife): each must still determine all joints.
 GROUPS = 8
@@ -42,10 +43,9 @@ class CameraErrors:
     """
 
     names: tuple[str, ...]
-    covariance: Array
+    covariance: Annotated[Array, "E E"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "covariance", self.covariance, (6 * len(self.names),) * 2)
+    __post_init__ = freeze_arrays
 
     def seen_from(self, S_other_frame: Array) -> "CameraErrors":
         """The same errors in the axes and units of another frame."""
@@ -186,13 +186,11 @@ class JointOffsets:
             the whole robot does the same: a turn about the axis of a round base moves next to nothing.
     """
 
-    offsets_rad: Array
-    sds_rad: Array
-    moves_px: Array
+    offsets_rad: Annotated[Array, "_"]
+    sds_rad: Annotated[Array, "_"]
+    moves_px: Annotated[Array, "_"]
 
-    def __post_init__(self) -> None:
-        for name in ("offsets_rad", "sds_rad", "moves_px"):
-            freeze(self, name, getattr(self, name), (None,))
+    __post_init__ = freeze_arrays
 
 
 def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:

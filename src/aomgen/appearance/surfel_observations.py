@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from scipy.ndimage import binary_erosion
 from aomgen.core.camera import Camera
 from aomgen.core.exposure import change_exposure, fit_gains
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.twin.layers import MovingLayer, moving_layer, static_layer
@@ -49,21 +49,14 @@ class SurfelObservations:
         Ts_world_body: Body poses in every image (V, B, 4, 4).
     """
 
-    disc: NDArray[np.int64]
-    image_index: NDArray[np.int64]
-    color_srgb: Array
-    pixels: Array
-    directions_body: Array
-    Ts_world_body: Array
+    disc: Annotated[NDArray[np.int64], "N"]
+    image_index: Annotated[NDArray[np.int64], "N"]
+    color_srgb: Annotated[Array, "N 3"]
+    pixels: Annotated[Array, "N"]
+    directions_body: Annotated[Array, "N 3"]
+    Ts_world_body: Annotated[Array, "_ _ 4 4"]
 
-    def __post_init__(self) -> None:
-        count = len(self.disc)
-        freeze(self, "disc", self.disc, (count,), np.int64)
-        freeze(self, "image_index", self.image_index, (count,), np.int64)
-        freeze(self, "color_srgb", self.color_srgb, (count, 3))
-        freeze(self, "pixels", self.pixels, (count,))
-        freeze(self, "directions_body", self.directions_body, (count, 3))
-        freeze(self, "Ts_world_body", self.Ts_world_body, (None, None, 4, 4))
+    __post_init__ = freeze_arrays
 
 
 def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:

@@ -1,11 +1,12 @@
 """The similarity between reconstruction and world, and how well it is known."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from aomgen.core.fixed_camera import FixedCamera
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,18 +27,15 @@ class Alignment:
         cameras: Fixed cameras by name; empty before they were calibrated.
     """
 
-    S_world_recon: Array
+    S_world_recon: Matrix4
     support: float
     chance: float
     runner_up_support: float
     residual_px: float
     residual_px_of_view: dict[str, float]
     ee_sd_m: float
-    joint_zeros_rad: Array = field(default_factory=lambda: np.zeros(0))
-    joint_zero_sds_rad: Array = field(default_factory=lambda: np.zeros(0))
+    joint_zeros_rad: Annotated[Array, "J"] = field(default_factory=lambda: np.zeros(0))
+    joint_zero_sds_rad: Annotated[Array, "J"] = field(default_factory=lambda: np.zeros(0))
     cameras: dict[str, FixedCamera] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        freeze(self, "S_world_recon", self.S_world_recon, (4, 4))
-        freeze(self, "joint_zeros_rad", self.joint_zeros_rad, (None,))
-        freeze(self, "joint_zero_sds_rad", self.joint_zero_sds_rad, (len(self.joint_zeros_rad),))
+    __post_init__ = freeze_arrays

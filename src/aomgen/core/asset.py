@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import apply, similarity_parts
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,12 +22,10 @@ class BoxCollider:
     """
 
     name: str
-    T_asset_box: Array
-    half_extents: Array
+    T_asset_box: Matrix4
+    half_extents: Vector3
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_asset_box", self.T_asset_box, (4, 4))
-        freeze(self, "half_extents", self.half_extents, (3,))
+    __post_init__ = freeze_arrays
 
     @property
     def corners(self) -> Array:
@@ -75,12 +73,10 @@ class ArticulatedAsset:
     static: AssetLink
     moving: AssetLink
     joint: Joint
-    handle_point: Array
-    handle_axis: Array
+    handle_point: Vector3
+    handle_axis: Vector3
 
-    def __post_init__(self) -> None:
-        freeze(self, "handle_point", self.handle_point, (3,))
-        freeze(self, "handle_axis", self.handle_axis, (3,))
+    __post_init__ = freeze_arrays
 
     @property
     def handle_bar(self) -> BoxCollider | None:

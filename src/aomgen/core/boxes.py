@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
 from aomgen.core.transforms import apply, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.errors import InputError
 
 # A box lies between these quantiles of the points, so that outliers do not stretch it.
@@ -28,12 +28,10 @@ class OrientedBox:
         half_extents: (3,), [m].
     """
 
-    T_world_box: Array
-    half_extents: Array
+    T_world_box: Matrix4
+    half_extents: Vector3
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_box", self.T_world_box, (4, 4))
-        freeze(self, "half_extents", self.half_extents, (3,))
+    __post_init__ = freeze_arrays
 
     @property
     def diagonal_m(self) -> float:

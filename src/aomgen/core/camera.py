@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.core.transforms import apply, invert, similarity_parts
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,10 +26,9 @@ class Camera:
     cy: float
     width: int
     height: int
-    T_world_cam: Array
+    T_world_cam: Matrix4
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_cam", self.T_world_cam, (4, 4))
+    __post_init__ = freeze_arrays
 
     @property
     def T_cam_world(self) -> Array:

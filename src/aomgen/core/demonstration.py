@@ -1,6 +1,7 @@
 """The recorded demonstration as later stages use it: hand, object and support in the world frame."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.light import Light
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,25 +29,18 @@ class Demonstration:
         ee_turn_ratio: Turn of the hand over turn of the part during contact.
     """
 
-    times_s: Array
-    joints: Array
-    gripper: Array
-    Ts_world_ee: Array
-    thetas: Array
+    times_s: Annotated[Array, "T"]
+    joints: Annotated[Array, "T _"]
+    gripper: Annotated[Array, "T"]
+    Ts_world_ee: Annotated[Array, "T 4 4"]
+    thetas: Annotated[Array, "T"]
     start_s: float
     end_s: float
     joint: Joint
-    grasp_ee: Array
+    grasp_ee: Vector3
     ee_turn_ratio: float
 
-    def __post_init__(self) -> None:
-        count = len(self.times_s)
-        freeze(self, "times_s", self.times_s, (count,))
-        freeze(self, "joints", self.joints, (count, None))
-        freeze(self, "gripper", self.gripper, (count,))
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "grasp_ee", self.grasp_ee, (3,))
+    __post_init__ = freeze_arrays
 
     @property
     def contact_frames(self) -> NDArray[np.int64]:
@@ -69,12 +63,10 @@ class SupportPlane:
     """
 
     height: float
-    low_xy: Array
-    high_xy: Array
+    low_xy: Annotated[Array, "2"]
+    high_xy: Annotated[Array, "2"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "low_xy", self.low_xy, (2,))
-        freeze(self, "high_xy", self.high_xy, (2,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,13 +82,12 @@ class EpisodeScene:
     """
 
     support: SupportPlane
-    T_world_plane: Array
+    T_world_plane: Matrix4
     light: Light
     light_source: str
     cameras: dict[str, Camera]
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_plane", self.T_world_plane, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,10 +100,8 @@ class RecordedObject:
         support: What the object stands on.
     """
 
-    moving_points_world: Array
-    static_points_world: Array
+    moving_points_world: Annotated[Array, "_ 3"]
+    static_points_world: Annotated[Array, "_ 3"]
     support: SupportPlane
 
-    def __post_init__(self) -> None:
-        freeze(self, "moving_points_world", self.moving_points_world, (None, 3))
-        freeze(self, "static_points_world", self.static_points_world, (None, 3))
+    __post_init__ = freeze_arrays

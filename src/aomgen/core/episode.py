@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 PHASES: Final = ("approach", "contact", "retreat")
 FINGERS: Final = ("left", "right")
@@ -29,19 +29,13 @@ class ContactLog:
         forces: (C,) normal force, [N].
     """
 
-    frames: NDArray[np.int64]
-    fingers: NDArray[np.int64]
-    points_world: Array
-    normals_world: Array
-    forces: Array
+    frames: Annotated[NDArray[np.int64], "C"]
+    fingers: Annotated[NDArray[np.int64], "C"]
+    points_world: Annotated[Array, "C 3"]
+    normals_world: Annotated[Array, "C 3"]
+    forces: Annotated[Array, "C"]
 
-    def __post_init__(self) -> None:
-        count = len(self.frames)
-        freeze(self, "frames", self.frames, (count,), np.int64)
-        freeze(self, "fingers", self.fingers, (count,), np.int64)
-        freeze(self, "points_world", self.points_world, (count, 3))
-        freeze(self, "normals_world", self.normals_world, (count, 3))
-        freeze(self, "forces", self.forces, (count,))
+    __post_init__ = freeze_arrays
 
 
 def no_contacts() -> ContactLog:
@@ -92,34 +86,26 @@ class Episode:
     robot: str
     asset: str
     asset_usd: str
-    joint_names: tuple[str, ...]
+    joint_names: Annotated[tuple[str, ...], "N"]
     fps: int
-    joints: Array
-    gripper: Array
-    action_joints: Array
-    action_gripper: Array
-    Ts_world_ee: Array
-    Ts_world_ee_action: Array
-    thetas: Array
-    phases: NDArray[np.int64]
+    joints: Annotated[Array, "T N"]
+    gripper: Annotated[Array, "T"]
+    action_joints: Annotated[Array, "T N"]
+    action_gripper: Annotated[Array, "T"]
+    Ts_world_ee: Annotated[Array, "T 4 4"]
+    Ts_world_ee_action: Annotated[Array, "T 4 4"]
+    thetas: Annotated[Array, "T"]
+    phases: Annotated[NDArray[np.int64], "T"]
     contacts: ContactLog
     joint: Joint
-    T_world_object: Array
+    T_world_object: Matrix4
     cameras: Mapping[str, Camera]
     verdict: Mapping[str, Any]
     simulation: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        count, names = len(self.thetas), len(self.joint_names)
-        freeze(self, "joints", self.joints, (count, names))
-        freeze(self, "gripper", self.gripper, (count,))
-        freeze(self, "action_joints", self.action_joints, (count, names))
-        freeze(self, "action_gripper", self.action_gripper, (count,))
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
-        freeze(self, "Ts_world_ee_action", self.Ts_world_ee_action, (count, 4, 4))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "phases", self.phases, (count,), np.int64)
-        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+        freeze_arrays(self)
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.thetas)

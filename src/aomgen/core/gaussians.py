@@ -1,13 +1,14 @@
 """A set of 3D Gaussians as a frozen value."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply, similarity_parts
-from aomgen.core.values import freeze
+from aomgen.core.values import freeze_arrays
 
 # Real spherical harmonic of degree 0, a constant: sqrt(1 / (4 pi)).
 SH_C0 = 0.28209479177387814
@@ -25,19 +26,13 @@ class Gaussians:
         sh: Spherical harmonics (N, K, 3) float32, K = 1, 4, 9 or 16; sRGB color = 0.5 + SH.
     """
 
-    means: NDArray[np.float32]
-    quats: NDArray[np.float32]
-    scales: NDArray[np.float32]
-    opacities: NDArray[np.float32]
-    sh: NDArray[np.float32]
+    means: Annotated[NDArray[np.float32], "N 3"]
+    quats: Annotated[NDArray[np.float32], "N 4"]
+    scales: Annotated[NDArray[np.float32], "N 3"]
+    opacities: Annotated[NDArray[np.float32], "N"]
+    sh: Annotated[NDArray[np.float32], "N _ 3"]
 
-    def __post_init__(self) -> None:
-        count = len(self.means)
-        freeze(self, "means", self.means, (count, 3), np.float32)
-        freeze(self, "quats", self.quats, (count, 4), np.float32)
-        freeze(self, "scales", self.scales, (count, 3), np.float32)
-        freeze(self, "opacities", self.opacities, (count,), np.float32)
-        freeze(self, "sh", self.sh, (count, None, 3), np.float32)
+    __post_init__ = freeze_arrays
 
     def __len__(self) -> int:
         return len(self.means)

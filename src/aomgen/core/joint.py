@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 
 JointType = Literal["revolute", "prismatic"]
 
@@ -24,14 +24,12 @@ class Joint:
     """
 
     type: JointType
-    axis: Array
-    origin: Array
+    axis: Vector3
+    origin: Vector3
     lower: float
     upper: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "axis", self.axis, (3,))
-        freeze(self, "origin", self.origin, (3,))
+    __post_init__ = freeze_arrays
 
     def motion(self, thetas: ArrayLike) -> Array:
         """Transforms (..., 4, 4) that carry the part from value 0 to `thetas` (...,).

@@ -1,11 +1,12 @@
 """The robot's joint log as a function of time."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,16 +20,14 @@ class JointLog:
         joint_names: J names.
     """
 
-    times_s: Array
-    joints: Array
-    gripper: Array
-    joint_names: tuple[str, ...]
+    times_s: Annotated[Array, "T"]
+    joints: Annotated[Array, "T N"]
+    gripper: Annotated[Array, "T"]
+    joint_names: Annotated[tuple[str, ...], "N"]
 
     def __post_init__(self) -> None:
-        count = len(self.times_s)
-        freeze(self, "times_s", self.times_s, (count,))
-        freeze(self, "joints", self.joints, (count, len(self.joint_names)))
-        freeze(self, "gripper", self.gripper, (count,))
+        freeze_arrays(self)
+        freeze_arrays(self)
 
     def at(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Joints (N, J) and gripper (N,) at log times (N,), linearly interpolated, ends held."""

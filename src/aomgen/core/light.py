@@ -9,14 +9,14 @@ Kautz & Snyder 2002 (precomputed transfer).
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.conventions import srgb_from_linear
 from aomgen.core.sh import rotate_sh, sh_basis
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 # Factors that turn radiance coefficients of bands 0, 1, 2 into irradiance coefficients.
 COSINE_BANDS: Final = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
@@ -31,10 +31,9 @@ class Light:
             surface under it sends back `irradiance / pi` of linear color, 1 = image white.
     """
 
-    radiance_sh: Array
+    radiance_sh: Annotated[Array, "9 3"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "radiance_sh", self.radiance_sh, (9, 3))
+    __post_init__ = freeze_arrays
 
     def irradiance(self, normals_world: ArrayLike) -> Array:
         """Irradiance over pi (N, 3) of unoccluded surfaces with unit normals (N, 3)."""

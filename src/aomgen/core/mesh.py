@@ -1,12 +1,13 @@
 """Triangle meshes with an optional texture."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,20 +25,15 @@ class Mesh:
     """
 
     name: str
-    vertices: Array
-    faces: NDArray[np.int64]
-    uvs: Array
-    texture_srgb: NDArray[np.uint8]
-    color_srgb: Array
+    vertices: Annotated[Array, "_ 3"]
+    faces: Annotated[NDArray[np.int64], "_ 3"]
+    uvs: Annotated[Array, "_ 3 2"]
+    texture_srgb: Annotated[NDArray[np.uint8], "_ _ 3"]
+    color_srgb: Vector3
     roughness: float = 0.6
     metallic: float = 0.0
 
-    def __post_init__(self) -> None:
-        freeze(self, "vertices", self.vertices, (None, 3))
-        freeze(self, "faces", self.faces, (None, 3), np.int64)
-        freeze(self, "uvs", self.uvs, (None, 3, 2))
-        freeze(self, "texture_srgb", self.texture_srgb, (None, None, 3), np.uint8)
-        freeze(self, "color_srgb", self.color_srgb, (3,))
+    __post_init__ = freeze_arrays
 
     def transformed(self, S: ArrayLike) -> "Mesh":
         """Moved by a rigid transform or a similarity (4, 4)."""

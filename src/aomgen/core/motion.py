@@ -1,13 +1,13 @@
 """What the demonstration tells about the object: when, where and how its part moved."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.core.joint import Joint
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 
 Direction = Literal["opening", "closing"]
 
@@ -25,14 +25,12 @@ class ContactPatch:
     """
 
     finger: str
-    point: Array
-    normal: Array
+    point: Vector3
+    normal: Vector3
     spread_m: float
     gap_m: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "point", self.point, (3,))
-        freeze(self, "normal", self.normal, (3,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,18 +47,15 @@ class MotionCurve:
         gripper: (T,), 0 open .. 1 closed.
     """
 
-    times_s: Array
-    scores: Array
-    smoothed: Array
+    times_s: Annotated[Array, "T"]
+    scores: Annotated[Array, "T"]
+    smoothed: Annotated[Array, "T"]
     threshold: float
-    distances_m: Array
-    speeds_m_s: Array
-    gripper: Array
+    distances_m: Annotated[Array, "T"]
+    speeds_m_s: Annotated[Array, "T"]
+    gripper: Annotated[Array, "T"]
 
-    def __post_init__(self) -> None:
-        count = len(self.times_s)
-        for name in ("times_s", "scores", "smoothed", "distances_m", "speeds_m_s", "gripper"):
-            freeze(self, name, getattr(self, name), (count,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +93,7 @@ class MotionEstimate:
     end_s: float
     curve: MotionCurve
     contacts: tuple[ContactPatch, ...]
-    grasp_ee: Array
+    grasp_ee: Vector3
     joint: Joint
     axis_sd_rad: float
     origin_sd_m: float
@@ -106,19 +101,15 @@ class MotionEstimate:
     origin_ci95_m: float
     type_margin: float
     ee_turn_ratio: float
-    times_s: Array
-    thetas: Array
-    theta_sd: Array
-    slip_m: Array
-    pivot_rad: Array
+    times_s: Annotated[Array, "T"]
+    thetas: Annotated[Array, "T"]
+    theta_sd: Annotated[Array, "T"]
+    slip_m: Annotated[Array, "T"]
+    pivot_rad: Annotated[Array, "T"]
     direction: Direction
     part_odds: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "grasp_ee", self.grasp_ee, (3,))
-        count = len(self.times_s)
-        for name in ("times_s", "thetas", "theta_sd", "slip_m", "pivot_rad"):
-            freeze(self, name, getattr(self, name), (count,))
+    __post_init__ = freeze_arrays
 
     def theta_at(self, times_s: ArrayLike) -> Array:
         """Joint values at video times (N,), linearly interpolated, ends held."""

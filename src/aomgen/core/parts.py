@@ -1,12 +1,13 @@
 """Which part of the scene each Gaussian belongs to."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.gaussians import Gaussians, concatenate
-from aomgen.core.values import freeze
+from aomgen.core.values import freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,11 +19,10 @@ class Cut:
         pieces: M of them.
     """
 
-    sources: NDArray[np.int64]
-    pieces: Gaussians
+    sources: Annotated[NDArray[np.int64], "N"]
+    pieces: Annotated[Gaussians, "N"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "sources", self.sources, (len(self.pieces),), np.int64)
+    __post_init__ = freeze_arrays
 
     def applied(self, gaussians: Gaussians) -> Gaussians:
         """All that is whole, in order, then the pieces."""
@@ -65,18 +65,15 @@ class Parts:
         static_agreement, moving_agreement: IoU of the drawn part with its masks in the prompted images, 0..1.
     """
 
-    labels: NDArray[np.uint8]
-    robot_bodies: NDArray[np.int32]
+    labels: Annotated[NDArray[np.uint8], "N"]
+    robot_bodies: Annotated[NDArray[np.int32], "N"]
     cut: Cut
     method: str
     box_misfit: float
     static_agreement: float
     moving_agreement: float
 
-    def __post_init__(self) -> None:
-        count = len(self.labels)
-        freeze(self, "labels", self.labels, (count,), np.uint8)
-        freeze(self, "robot_bodies", self.robot_bodies, (count,), np.int32)
+    __post_init__ = freeze_arrays
 
     def warnings(self) -> list[str]:
         """Sentences about parts that may be wrong."""

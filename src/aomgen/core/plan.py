@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import ContactLog
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.core.verdict import Verdict
 
 Adaptation = Literal["object", "trajectory"]
@@ -33,20 +33,16 @@ class FittedAsset:
     """
 
     asset: ArticulatedAsset
-    T_world_asset: Array
-    contact_asset: Array
-    shares: Array
-    thetas: Array
+    T_world_asset: Matrix4
+    contact_asset: Vector3
+    shares: Annotated[Array, "K"]
+    thetas: Annotated[Array, "K"]
     scale: float
     mirrored: bool
     mode: Adaptation
     residual_mm: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_asset", self.T_world_asset, (4, 4))
-        freeze(self, "contact_asset", self.contact_asset, (3,))
-        freeze(self, "shares", self.shares, (None,))
-        freeze(self, "thetas", self.thetas, (len(self.shares),))
+    __post_init__ = freeze_arrays
 
     @property
     def target_theta(self) -> float:
@@ -105,24 +101,20 @@ class EpisodePlan:
 
     variation: Variation
     fitted: FittedAsset
-    T_world_object: Array
+    T_world_object: Matrix4
     fps: float
-    joints: Array
-    gripper: Array
-    thetas: Array
-    phases: NDArray[np.int64]
-    Ts_world_ee: Array
+    joints: Annotated[Array, "T _"]
+    gripper: Annotated[Array, "T"]
+    thetas: Annotated[Array, "T"]
+    phases: Annotated[NDArray[np.int64], "T"]
+    Ts_world_ee: Annotated[Array, "T 4 4"]
     grasp: str
     metrics: Mapping[str, float]
 
-    def __post_init__(self) -> None:
-        count = len(self.thetas)
-        freeze(self, "T_world_object", self.T_world_object, (4, 4))
-        freeze(self, "joints", self.joints, (count, None))
-        freeze(self, "gripper", self.gripper, (count,))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "phases", self.phases, (count,), np.int64)
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
+    __post_init__ = freeze_arrays
+
+    def __len__(self) -> int:
+        return len(self.thetas)
 
     @property
     def times_s(self) -> Array:
@@ -144,17 +136,12 @@ class VerifiedEpisode:
         verdict: Margins of all settings.
     """
 
-    plan: EpisodePlan
-    joints: Array
-    gripper: Array
-    thetas: Array
-    Ts_world_ee: Array
+    plan: Annotated[EpisodePlan, "T"]
+    joints: Annotated[Array, "T J"]
+    gripper: Annotated[Array, "T"]
+    thetas: Annotated[Array, "T"]
+    Ts_world_ee: Annotated[Array, "T 4 4"]
     contacts: ContactLog
     verdict: Verdict
 
-    def __post_init__(self) -> None:
-        count = len(self.plan.thetas)
-        freeze(self, "joints", self.joints, (count, None))
-        freeze(self, "gripper", self.gripper, (count,))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
+    __post_init__ = freeze_arrays

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from aomgen.core.joint_log import JointLog
 from aomgen.core.lens import Lens
 from aomgen.core.robot_choice import RobotChoice
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 # Error of a focal length from a data sheet, standard deviation as a share: lenses differ by sample and focus.
 STATED_FOCAL_SD = 0.02
@@ -54,12 +55,10 @@ class Prompt:
 
     part: str
     image: str
-    points: Array
-    box: Array
+    points: Annotated[Array, "_ 3"]
+    box: Annotated[Array, "_"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "points", self.points, (None, 3))
-        freeze(self, "box", self.box, (None,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,12 +76,10 @@ class DemoCamera:
     name: str
     video: Path
     intrinsics: Intrinsics | None
-    T_world_cam: Array | None
+    T_world_cam: Matrix4 | None
     lens: Lens | None = None
 
-    def __post_init__(self) -> None:
-        if self.T_world_cam is not None:
-            freeze(self, "T_world_cam", self.T_world_cam, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,10 +45,9 @@ class RobotChoice:
     root: Path
     references: tuple[Path, ...]
     base_frame: str
-    joints: tuple[str, ...]
+    joints: Annotated[tuple[str, ...], "J"]
     hand: HandChoice
-    scan_joints: Array
+    scan_joints: Annotated[Array, "J"]
     scan_gripper: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "scan_joints", self.scan_joints, (len(self.joints),))
+    __post_init__ = freeze_arrays

@@ -1,6 +1,7 @@
 """What structure from motion gives: cameras and sparse points of a scan."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 Figures = dict[str, object]
 
@@ -50,17 +51,13 @@ class Structure:
     cameras_recon: dict[str, Camera]
     demo_cameras_recon: dict[str, Camera]
     dropped: dict[str, str]
-    points_recon: Array
-    colors_srgb: NDArray[np.uint8]
-    observations: NDArray[np.int32]
+    points_recon: Annotated[Array, "P 3"]
+    colors_srgb: Annotated[NDArray[np.uint8], "P 3"]
+    observations: Annotated[NDArray[np.int32], "_ 2"]
     reprojection_error_px: float
     scan_lens: Lens | None = None
     demo_lenses: dict[str, Lens] = field(default_factory=dict)
     pinhole: PinholeScan | None = None
     figures: Figures = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        count = len(self.points_recon)
-        freeze(self, "points_recon", self.points_recon, (count, 3))
-        freeze(self, "colors_srgb", self.colors_srgb, (count, 3), np.uint8)
-        freeze(self, "observations", self.observations, (None, 2), np.int32)
+    __post_init__ = freeze_arrays

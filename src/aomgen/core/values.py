@@ -1,11 +1,19 @@
-"""What all frozen values share: arrays that cannot be changed after construction."""
+"""What all frozen values share: arrays of a declared shape that cannot be changed after construction.
 
-from typing import Any
+A field says its shape in its annotation: `points: Annotated[Array, "N 3"]`. A letter stands for one length in
+the whole value, `_` for any length.
+"""
+
+import types
+from dataclasses import fields
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Vector3 = Annotated[Array, "3"]
+Matrix4 = Annotated[Array, "4 4"]
 
 
 def require_indices(indices: NDArray[np.integer], count: int) -> None:
@@ -18,24 +26,44 @@ def require_indices(indices: NDArray[np.integer], count: int) -> None:
         raise ValueError(f"an index is outside 0..{count - 1}")
 
 
-def freeze(value: Any, name: str, array: Any, shape: tuple[int | None, ...], dtype: Any = np.float64) -> None:
-    """Store `array` on a frozen dataclass as a read-only, C-contiguous array.
+def freeze_arrays(value: Any) -> None:
+    """Make every array of a dataclass read-only and C-contiguous, of the type and shape that its field declares.
 
-    Args:
-        value: The dataclass under construction (called from `__post_init__`).
-        name: Field to set.
-        array: Anything numpy understands.
-        shape: Expected shape; None where any length will do.
-        dtype: Element type.
+    A field that holds no array may declare its length. Fields may also hold None. To be called from, or set as,
+    `__post_init__`.
 
     Raises:
-        ValueError: The shape differs; a programming error, so not an `AomgenError`.
+        ValueError: A shape differs; a programming error, so not an `AomgenError`.
     """
-    result = np.array(array, dtype=dtype, order="C")
-    fits = result.ndim == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, result.shape, strict=True)
+    lengths: dict[str, int] = {}
+    for field in fields(value):
+        held = getattr(value, field.name)
+        optional = get_origin(field.type) in (Union, types.UnionType)
+        kinds = get_args(field.type) if optional else (field.type,)
+        for kind in kinds:
+            if get_origin(kind) is not Annotated or held is None:
+                continue
+            shape, wanted = (len(held),), kind.__metadata__[0]
+            if get_origin(kind.__origin__) is np.ndarray:
+                array = _frozen(held, kind.__origin__)
+                object.__setattr__(value, field.name, array)
+                shape = array.shape
+            if not _fits(shape, wanted.split(), lengths):
+                raise ValueError(f"{type(value).__name__}.{field.name} has shape {shape}, want ({wanted})")
+
+
+def _frozen(array: Any, kind: Any) -> NDArray[Any]:
+    # NDArray[np.uint8] is ndarray[shape, dtype[np.uint8]].
+    frozen = np.asarray(array, dtype=get_args(get_args(kind)[1])[0], order="C")
+    # What is frozen already need not be copied; anything else its owner could go on changing.
+    if frozen.flags.writeable:
+        frozen = frozen.copy()
+    frozen.flags.writeable = False
+    return frozen
+
+
+def _fits(shape: tuple[int, ...], wanted: list[str], lengths: dict[str, int]) -> bool:
+    return len(shape) == len(wanted) and all(
+        want == "_" or have == (int(want) if want.isdigit() else lengths.setdefault(want, have))
+        for have, want in zip(shape, wanted, strict=True)
     )
-    if not fits:
-        raise ValueError(f"{type(value).__name__}.{name} has shape {result.shape}, want {shape}")
-    result.flags.writeable = False
-    object.__setattr__(value, name, result)

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import draw_sessions
@@ -35,17 +35,12 @@ class Trajectory:
         T_world_object: Object pose (4, 4).
     """
 
-    joints: Array
-    gripper: Array
-    thetas: Array
-    T_world_object: Array
+    joints: Annotated[Array, "T _"]
+    gripper: Annotated[Array, "T"]
+    thetas: Annotated[Array, "T"]
+    T_world_object: Matrix4
 
-    def __post_init__(self) -> None:
-        count = len(self.thetas)
-        freeze(self, "joints", self.joints, (count, None))
-        freeze(self, "gripper", self.gripper, (count,))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 def static_layers(

@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.progress import Progress
 from aomgen.core.structure import Structure
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ReconstructionError
 from aomgen.gaussians.background import dominant_planes, explain, far_shell
 from aomgen.gaussians.depth_fusion import (
@@ -58,19 +59,13 @@ class DensePoints:
         shell: (P,) True for points of the far shell.
     """
 
-    points_recon: Array
-    normals_recon: Array
-    colors_srgb: NDArray[np.uint8]
-    sizes: Array
-    shell: NDArray[np.bool_]
+    points_recon: Annotated[Array, "P 3"]
+    normals_recon: Annotated[Array, "P 3"]
+    colors_srgb: Annotated[NDArray[np.uint8], "P 3"]
+    sizes: Annotated[Array, "P"]
+    shell: Annotated[NDArray[np.bool_], "P"]
 
-    def __post_init__(self) -> None:
-        count = len(self.points_recon)
-        freeze(self, "points_recon", self.points_recon, (count, 3))
-        freeze(self, "normals_recon", self.normals_recon, (count, 3))
-        freeze(self, "colors_srgb", self.colors_srgb, (count, 3), np.uint8)
-        freeze(self, "sizes", self.sizes, (count,))
-        freeze(self, "shell", self.shell, (count,), np.bool_)
+    __post_init__ = freeze_arrays
 
 
 def densify(

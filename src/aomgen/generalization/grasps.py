@@ -6,12 +6,13 @@ bar lies along x.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 
 # Rotations of the gripper about the handle that are tried, the smallest first, [deg].
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
@@ -37,13 +38,11 @@ class Grasp:
     """
 
     name: str
-    R_object_ee: Array
-    held_ee: Array
+    R_object_ee: Annotated[Array, "3 3"]
+    held_ee: Vector3
     turn_ratio: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "R_object_ee", self.R_object_ee, (3, 3))
-        freeze(self, "held_ee", self.held_ee, (3,))
+    __post_init__ = freeze_arrays
 
 
 def orientations(

@@ -1,6 +1,7 @@
 """Inverse kinematics along a path: each pose starts from the one before, so the arm keeps its branch."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import mink
 import mujoco
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.transforms import quat_from_matrix
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.core.verdict import Rejection
 from aomgen.robots.robot import RobotModel
 
@@ -45,12 +46,11 @@ class IkPath:
         residual_mm, residual_deg: Largest over the path.
     """
 
-    joints: Array
+    joints: Annotated[Array, "_ _"]
     residual_mm: float
     residual_deg: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "joints", self.joints, (None, None))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

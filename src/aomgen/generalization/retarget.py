@@ -9,7 +9,7 @@ it is made anew from the joint, so that the object may be another one.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from aomgen.core.transforms import (
     rotvec_from_matrix,
     transform,
 )
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.generalization.grasps import Grasp
 
 APPROACH, CONTACT, RETREAT = range(len(PHASES))
@@ -80,21 +80,14 @@ class HandMotion:
             the hand moves with the object.
     """
 
-    Ts_world_ee: Array
-    gripper: Array
-    thetas: Array
-    phases: NDArray[np.int64]
-    demo_times_s: Array
-    blend: Array
+    Ts_world_ee: Annotated[Array, "T 4 4"]
+    gripper: Annotated[Array, "T"]
+    thetas: Annotated[Array, "T"]
+    phases: Annotated[NDArray[np.int64], "T"]
+    demo_times_s: Annotated[Array, "T"]
+    blend: Annotated[Array, "T"]
 
-    def __post_init__(self) -> None:
-        count = len(self.thetas)
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
-        freeze(self, "gripper", self.gripper, (count,))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "phases", self.phases, (count,), np.int64)
-        freeze(self, "demo_times_s", self.demo_times_s, (count,))
-        freeze(self, "blend", self.blend, (count,))
+    __post_init__ = freeze_arrays
 
 
 def gripper_command(demo: Demonstration) -> Array:

@@ -7,14 +7,14 @@ COLMAP as here, and its cameras look along +z with y down.
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.transforms import invert, matrix_from_quat, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import (
     CalibrationError,
     InputError,
@@ -60,14 +60,11 @@ class ColmapModel:
     """
 
     views: dict[str, ColmapView]
-    points_recon: Array
-    colors_srgb: NDArray[np.uint8]
-    observations: NDArray[np.int32]
+    points_recon: Annotated[Array, "P 3"]
+    colors_srgb: Annotated[NDArray[np.uint8], "P 3"]
+    observations: Annotated[NDArray[np.int32], "_ 2"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "observations", self.observations, (None, 2), np.int32)
-        freeze(self, "points_recon", self.points_recon, (None, 3))
-        freeze(self, "colors_srgb", self.colors_srgb, (len(self.points_recon), 3), np.uint8)
+    __post_init__ = freeze_arrays
 
 
 def read_colmap(folder: Path, *, images: str = "images") -> ColmapModel:

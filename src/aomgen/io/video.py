@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Annotated
 
 import av
 import av.error
@@ -15,7 +16,7 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 
 # Eleven minutes at 30 fps; a demonstration takes less than one.
@@ -34,13 +35,14 @@ class Video:
         fps: Nominal rate of the stream.
     """
 
-    times_s: Array
-    frames_srgb: NDArray[np.uint8]
+    times_s: Annotated[Array, "T"]
+    frames_srgb: Annotated[NDArray[np.uint8], "T H W 3"]
     fps: float
 
     def __post_init__(self) -> None:
-        freeze(self, "times_s", self.times_s, (len(self.frames_srgb),))
+        # Gigabytes: held, not copied.
         self.frames_srgb.flags.writeable = False
+        freeze_arrays(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,13 +6,14 @@ decides: every possibility is offered with its odds.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import minimize
 
 from aomgen.core.boxes import MIN_POINTS, OrientedBox, find_upright_axes, fit_box
 from aomgen.core.transforms import matrix_from_rotvec
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.joint_models import make_tangent_basis
 
 # How often a joint keeps to the rule: along a side of the part; along its edges, but elsewhere; neither.
@@ -41,18 +42,14 @@ class AxisHint:
         probability: Prior probability.
     """
 
-    axis: Array
+    axis: Vector3
     axis_sd_rad: float
-    at: Array
-    across: Array
-    across_sds_m: Array
+    at: Vector3
+    across: Annotated[Array, "M 3"]
+    across_sds_m: Annotated[Array, "M"]
     probability: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "axis", self.axis, (3,))
-        freeze(self, "at", self.at, (3,))
-        freeze(self, "across", self.across, (None, 3))
-        freeze(self, "across_sds_m", self.across_sds_m, (len(self.across),))
+    __post_init__ = freeze_arrays
 
     def residuals(self, axes: Array, points: Array) -> Array:
         """Distances (..., 2 + M) of lines from this possibility, in standard deviations.
@@ -99,12 +96,10 @@ class PartShape:
     """
 
     box: OrientedBox
-    face_normal: Array
-    corners: Array
+    face_normal: Vector3
+    corners: Annotated[Array, "8 3"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "face_normal", self.face_normal, (3,))
-        freeze(self, "corners", self.corners, (8, 3))
+    __post_init__ = freeze_arrays
 
     def reach_m(self, point: Array) -> float:
         """Distance of the object's farthest corner from a point (3,), [m]."""

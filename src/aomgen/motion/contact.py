@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.ee_path import average_poses
 from aomgen.motion.gripper_signals import EMPTY_GRIP
 from aomgen.robots.gripper_surface import hand_surface
@@ -51,10 +51,9 @@ class Contacts:
     """
 
     patches: tuple[ContactPatch, ...]
-    grasp_ee: Array
+    grasp_ee: Vector3
 
-    def __post_init__(self) -> None:
-        freeze(self, "grasp_ee", self.grasp_ee, (3,))
+    __post_init__ = freeze_arrays
 
 
 def carry_part(robot: RobotModel, log: JointLog, resting_s: float, times_s: Array) -> Array:

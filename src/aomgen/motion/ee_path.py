@@ -1,13 +1,14 @@
 """The hand's path while it holds the part: thinned to nodes at equal travel, and as seen from the part."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, invert, rotvec_from_matrix, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion import filters
 
 
@@ -21,14 +22,11 @@ class GraspGuess:
         sd_m: Standard deviation of the guess in each direction, [m].
     """
 
-    point_ee: Array
-    closing_ee: Array | None = None
+    point_ee: Vector3
+    closing_ee: Vector3 | None = None
     sd_m: float = 0.008
 
-    def __post_init__(self) -> None:
-        freeze(self, "point_ee", self.point_ee, (3,))
-        if self.closing_ee is not None:
-            freeze(self, "closing_ee", self.closing_ee, (3,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,15 +40,12 @@ class EePath:
         turns_world: Rotation vectors (K, 3) of the hand since the first node, [rad].
     """
 
-    Ts_world_ee: Array
+    Ts_world_ee: Annotated[Array, "K 4 4"]
     hold: GraspGuess
-    points_world: Array
-    turns_world: Array
+    points_world: Annotated[Array, "K 3"]
+    turns_world: Annotated[Array, "K 3"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (None, 4, 4))
-        for name in ("points_world", "turns_world"):
-            freeze(self, name, getattr(self, name), (len(self.Ts_world_ee), 3))
+    __post_init__ = freeze_arrays
 
     @staticmethod
     def of(Ts_world_ee: Array, hold: GraspGuess) -> "EePath":

@@ -1,6 +1,7 @@
 """What the robot's own log says at given moments: hand pose, speed, grip and distance to the part."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.joint_log import JointLog
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
@@ -43,17 +44,13 @@ class GripperSignals:
         distances_m: Smallest distance of a finger pad to the part at its scanned place (T,), [m].
     """
 
-    times_s: Array
-    Ts_world_ee: Array
-    speeds_m_s: Array
-    gripper: Array
-    distances_m: Array
+    times_s: Annotated[Array, "T"]
+    Ts_world_ee: Annotated[Array, "T 4 4"]
+    speeds_m_s: Annotated[Array, "T"]
+    gripper: Annotated[Array, "T"]
+    distances_m: Annotated[Array, "T"]
 
-    def __post_init__(self) -> None:
-        count = len(self.times_s)
-        freeze(self, "Ts_world_ee", self.Ts_world_ee, (count, 4, 4))
-        for name in ("times_s", "speeds_m_s", "gripper", "distances_m"):
-            freeze(self, name, getattr(self, name), (count,))
+    __post_init__ = freeze_arrays
 
 
 def read_gripper_signals(

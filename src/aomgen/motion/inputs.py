@@ -1,6 +1,7 @@
 """What AOMotion looks at: a video of the demonstration, the robot's log of it, and the object as scanned."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +12,7 @@ from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.core.part_points import spread_points, surface_points
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.io.video import Video
 from aomgen.robots.robot import RobotModel
 
@@ -34,12 +35,11 @@ class MotionInput:
     camera: Camera
     log: JointLog
     robot: RobotModel
-    scene: Gaussians
-    labels: NDArray[np.uint8]
+    scene: Annotated[Gaussians, "N"]
+    labels: Annotated[NDArray[np.uint8], "N"]
     clock: Clock
 
-    def __post_init__(self) -> None:
-        freeze(self, "labels", self.labels, (len(self.scene),), np.uint8)
+    __post_init__ = freeze_arrays
 
     def ee_poses_at(self, times_s: ArrayLike) -> Array:
         """End-effector poses (T, 4, 4), world frame, at video times (T,)."""

@@ -6,11 +6,12 @@ shape is a weak belief (`axis_prior`). Revolute and prismatic explanations compe
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from aomgen.core.joint import Joint, JointType
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
 from aomgen.motion.axis_prior import PartShape
 from aomgen.motion.ee_path import EePath, GraspGuess, thin_path
@@ -74,7 +75,7 @@ class JointEstimate:
     """
 
     joint: Joint
-    grasp_ee: Array
+    grasp_ee: Vector3
     axis_sd_rad: float
     origin_sd_m: float
     axis_ci95_rad: float
@@ -83,14 +84,11 @@ class JointEstimate:
     give_rate: float
     turn_ratio: float
     margin: float
-    axes: Array
-    origins: Array
-    grasps: Array
+    axes: Annotated[Array, "S 3"]
+    origins: Annotated[Array, "S 3"]
+    grasps: Annotated[Array, "S 3"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "grasp_ee", self.grasp_ee, (3,))
-        for name in ("axes", "origins", "grasps"):
-            freeze(self, name, getattr(self, name), (len(self.axes), 3))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

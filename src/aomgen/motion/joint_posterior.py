@@ -6,7 +6,7 @@ and the evidence of a joint type is their sum.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -14,7 +14,7 @@ from scipy.optimize import least_squares, minimize
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.motion.axis_prior import ANYWHERE, AxisHint
 from aomgen.motion.joint_models import Prismatic, Revolute
 from aomgen.motion.noise_model import SCALES, STEP_LIMITS, PathNoise
@@ -44,15 +44,12 @@ class Posterior:
     """
 
     model: Revolute | Prismatic
-    mean: Array
-    draws: Array
+    mean: Annotated[Array, "P"]
+    draws: Annotated[Array, "S P"]
     log_evidence: float
-    scales: Array
+    scales: Annotated[Array, "7"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "mean", self.mean, (len(self.model.steps),))
-        freeze(self, "draws", self.draws, (None, len(self.mean)))
-        freeze(self, "scales", self.scales, (len(SCALES),))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,6 +6,7 @@ picture tells where on the hand's way that begins and ends.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -13,7 +14,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.robust import SD_OF_MAD
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.motion.filters import smooth
 from aomgen.motion.keyframes import Departures
 from aomgen.motion.onset import STILL_M, GripperPath, detect_offset, detect_onset
@@ -43,14 +44,12 @@ class ValueTrajectory:
         levels: Values of the part at rest before and after.
     """
 
-    times_s: Array
-    values: Array
+    times_s: Annotated[Array, "T"]
+    values: Annotated[Array, "T"]
     interval: tuple[float, float]
     levels: tuple[float, float]
 
-    def __post_init__(self) -> None:
-        freeze(self, "times_s", self.times_s, (None,))
-        freeze(self, "values", self.values, (len(self.times_s),))
+    __post_init__ = freeze_arrays
 
 
 def find_motion_tolerance(joint_type: JointType) -> float:
@@ -178,12 +177,11 @@ class TouchObservation:
         noise: Standard deviation of a still part's departure.
     """
 
-    times_s: Array
+    times_s: Annotated[Array, "T"]
     seen: Departures
     noise: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "times_s", self.times_s, (len(self.seen.left),))
+    __post_init__ = freeze_arrays
 
 
 def follow_pushed_part(

@@ -1,13 +1,14 @@
 """What the gripper's path says about the motion, as a prior for the video."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_models import make_tangent_basis
 
@@ -30,19 +31,14 @@ class KinematicPrior:
     """
 
     joint: Joint
-    held_world: Array
-    covariance: Array
+    held_world: Vector3
+    covariance: Annotated[Array, "n n"]
     interval: tuple[float, float]
-    times_s: Array
-    thetas: Array
-    theta_sd: Array
+    times_s: Annotated[Array, "T"]
+    thetas: Annotated[Array, "T"]
+    theta_sd: Annotated[Array, "T"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "held_world", self.held_world, (3,))
-        count = 4 if self.joint.type == "revolute" else 2
-        freeze(self, "covariance", self.covariance, (count, count))
-        for name in ("times_s", "thetas", "theta_sd"):
-            freeze(self, name, getattr(self, name), (len(self.times_s),))
+    __post_init__ = freeze_arrays
 
     @property
     def pivot(self) -> Array:

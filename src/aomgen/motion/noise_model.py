@@ -7,11 +7,12 @@ bends, starting from what grasps usually do.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from aomgen.core.joint import JointType
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 
 # A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
 # number squared (doors opened by contact).
@@ -78,15 +79,11 @@ class PathNoise:
     """
 
     prior: NoisePrior
-    travel_m: Array
-    inflation: Array
-    waves: Array
+    travel_m: Annotated[Array, "K"]
+    inflation: Annotated[Array, "K"]
+    waves: Annotated[Array, "K K"]
 
-    def __post_init__(self) -> None:
-        count = len(self.travel_m)
-        freeze(self, "travel_m", self.travel_m, (count,))
-        freeze(self, "inflation", self.inflation, (count,))
-        freeze(self, "waves", self.waves, (count, count))
+    __post_init__ = freeze_arrays
 
     @staticmethod
     def of(points: Array, prior: NoisePrior) -> "PathNoise":

@@ -14,6 +14,7 @@ A segmenter that gives one mask a point does not have them.
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -25,7 +26,7 @@ from torch.nn.functional import normalize
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ReconstructionError
 from aomgen.segmentation.interface import Mask
 from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, RasterOptions
@@ -70,13 +71,10 @@ class SizedMasks:
     """Masks (M, H, W) of one view, without pixels that show nothing, and their sizes (M,), [m]."""
 
     camera: Camera
-    masks: NDArray[np.bool_]
-    sizes_m: Array
+    masks: Annotated[NDArray[np.bool_], "M H W"]
+    sizes_m: Annotated[Array, "M"]
 
-    def __post_init__(self) -> None:
-        shape = (len(self.masks), self.camera.height, self.camera.width)
-        freeze(self, "masks", self.masks, shape, np.bool_)
-        freeze(self, "sizes_m", self.sizes_m, (len(self.masks),))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,16 +88,12 @@ class Affinity:
             the rank among them, 0..1, so that gates do not depend on the scene's extent.
     """
 
-    features: NDArray[np.float32]
-    gate_slopes: Array
-    gate_offsets: Array
-    sizes_m: Array
+    features: Annotated[NDArray[np.float32], "_ D"]
+    gate_slopes: Annotated[Array, "D"]
+    gate_offsets: Annotated[Array, "D"]
+    sizes_m: Annotated[Array, "_"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "features", self.features, (None, None), np.float32)
-        freeze(self, "gate_slopes", self.gate_slopes, (self.features.shape[1],))
-        freeze(self, "gate_offsets", self.gate_offsets, (self.features.shape[1],))
-        freeze(self, "sizes_m", self.sizes_m, (None,))
+    __post_init__ = freeze_arrays
 
     def at_size(self, size_m: float) -> NDArray[np.float32]:
         """Gated features (N, D) of unit length; zero where a Gaussian has none."""

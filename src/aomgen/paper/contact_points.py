@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from aomgen.core.joint_log import JointLog
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import InputError
 from aomgen.robots.robot import RobotModel
 
@@ -28,13 +28,11 @@ class NearestPair:
     """
 
     body: int
-    point_body: Array
-    on_robot: Array
-    on_part: Array
+    point_body: Vector3
+    on_robot: Vector3
+    on_part: Vector3
 
-    def __post_init__(self) -> None:
-        for name in ("point_body", "on_robot", "on_part"):
-            freeze(self, name, getattr(self, name), (3,))
+    __post_init__ = freeze_arrays
 
     @property
     def gap_m(self) -> float:

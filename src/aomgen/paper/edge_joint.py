@@ -1,13 +1,14 @@
 """The joint as the paper reads it from the parts' boxes: the pair of edges that lies along it."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from aomgen.core.boxes import OrientedBox, find_upright_axes, fit_box
 from aomgen.core.joint import JointType
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.axis_prior import find_face_normal
 from aomgen.paper.mask_keyframes import Variant
 
@@ -43,14 +44,12 @@ class BoxJoint:
         pair: Chosen static and moving edge, indices into `Box.edges`.
     """
 
-    axis: Array
-    origin: Array
-    face_normal: Array
+    axis: Vector3
+    origin: Vector3
+    face_normal: Vector3
     pair: tuple[int, int]
 
-    def __post_init__(self) -> None:
-        for name in ("axis", "origin", "face_normal"):
-            freeze(self, name, getattr(self, name), (3,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,14 +62,11 @@ class EdgePairTerms:
         reach: Distance from the contact to each moving edge's line, in diagonals of the part (12,).
     """
 
-    score: Array
-    along: Array
-    reach: Array
+    score: Annotated[Array, "12 12"]
+    along: Annotated[Array, "12"]
+    reach: Annotated[Array, "12"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "score", self.score, (12, 12))
-        freeze(self, "along", self.along, (12,))
-        freeze(self, "reach", self.reach, (12,))
+    __post_init__ = freeze_arrays
 
 
 def measure_edge_pairs(

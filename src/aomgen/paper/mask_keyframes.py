@@ -1,14 +1,14 @@
 """The paper's motion score over the video, and the frames that its threshold flags."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from aomgen.core.robust import SD_OF_MAD
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import InputError, NoMotionError
 
 # "printed": the formulas as they stand. "repaired": with the least change that lets them work.
@@ -31,12 +31,10 @@ class PartMasks:
         robot: Pixels of the robot (T, H, W).
     """
 
-    moving: NDArray[np.bool_]
-    robot: NDArray[np.bool_]
+    moving: Annotated[NDArray[np.bool_], "T H W"]
+    robot: Annotated[NDArray[np.bool_], "T H W"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "moving", self.moving, (None, None, None), np.bool_)
-        freeze(self, "robot", self.robot, self.moving.shape, np.bool_)
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,13 +47,11 @@ class Scores:
         threshold: The level.
     """
 
-    scores: Array
-    smoothed: Array
+    scores: Annotated[Array, "T"]
+    smoothed: Annotated[Array, "T"]
     threshold: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "scores", self.scores, (None,))
-        freeze(self, "smoothed", self.smoothed, (len(self.scores),))
+    __post_init__ = freeze_arrays
 
 
 def motion_scores(masks: PartMasks) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from aomgen.core.transforms import apply, rotvec_from_matrix, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 # Closest-point steps at one kernel width at most; they end earlier where nothing moves.
 _STEPS = 40
@@ -24,12 +24,11 @@ class RigidFit:
         rms_m: Of the distances of that share, [m]; infinite when nothing matched.
     """
 
-    T_target_source: Array
+    T_target_source: Matrix4
     matched: float
     rms_m: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_target_source", self.T_target_source, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 def rigid_icp(source: Array, target: Array, T_start: Array, kernel_m: float) -> RigidFit:

@@ -5,11 +5,12 @@ it lies inside the image, faces the camera, and the surface drawn there is not i
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
 # Views that a depth needs: one, and two that confirm it.
@@ -28,12 +29,10 @@ class Coverage:
             seen, (N,), [deg]; 0 with less than two views.
     """
 
-    views: NDArray[np.uint16]
-    spread_deg: NDArray[np.float32]
+    views: Annotated[NDArray[np.uint16], "N"]
+    spread_deg: Annotated[NDArray[np.float32], "N"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "views", self.views, (None,), np.uint16)
-        freeze(self, "spread_deg", self.spread_deg, (len(self.views),), np.float32)
+    __post_init__ = freeze_arrays
 
     @property
     def enough(self) -> NDArray[np.bool_]:

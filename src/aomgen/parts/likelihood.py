@@ -1,14 +1,14 @@
 """Log-likelihoods of the labels of every Gaussian, from prompts, masks and fitted boxes."""
 
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Annotated, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ReconstructionError
 from aomgen.parts.panel import Panel
 from aomgen.parts.panel_fit import fit_panel
@@ -48,12 +48,11 @@ class PartEvidence:
         panel: The fitted boxes of method "boxes".
     """
 
-    log_likelihoods: Array
+    log_likelihoods: Annotated[Array, "_ 3"]
     method: str
     panel: Panel | None = None
 
-    def __post_init__(self) -> None:
-        freeze(self, "log_likelihoods", self.log_likelihoods, (None, 3))
+    __post_init__ = freeze_arrays
 
     def with_motion(self, log_odds: Array) -> Self:
         """The same and the log odds (N,) of moving over standing still."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,18 +27,14 @@ class Panel:
         body_low, body_high: Corners (3,) of the object's body, body frame, [m].
     """
 
-    T_world_panel: Array
-    low: Array
-    high: Array
-    T_panel_body: Array
-    body_low: Array
-    body_high: Array
+    T_world_panel: Matrix4
+    low: Vector3
+    high: Vector3
+    T_panel_body: Matrix4
+    body_low: Vector3
+    body_high: Vector3
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_panel", self.T_world_panel, (4, 4))
-        freeze(self, "T_panel_body", self.T_panel_body, (4, 4))
-        for name in ("low", "high", "body_low", "body_high"):
-            freeze(self, name, getattr(self, name), (3,))
+    __post_init__ = freeze_arrays
 
     def labels(self, points_world: ArrayLike) -> NDArray[np.uint8]:
         """Part labels (N,) of points (N, 3) by where they are, world frame."""

@@ -5,6 +5,7 @@ the robot's left when it looks at the object.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.coverage import MIN_VIEWS, Coverage, coverage_of
 from aomgen.robots.configuration import RobotConfiguration
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
@@ -49,14 +50,11 @@ class Survey:
     """
 
     names: tuple[str, ...]
-    points_world: Array
-    sides: NDArray[np.int32]
+    points_world: Annotated[Array, "M 3"]
+    sides: Annotated[NDArray[np.int32], "M"]
     coverage: Coverage
 
-    def __post_init__(self) -> None:
-        count = len(self.coverage.views)
-        freeze(self, "points_world", self.points_world, (count, 3))
-        freeze(self, "sides", self.sides, (count,), np.int32)
+    __post_init__ = freeze_arrays
 
     def figures(self) -> dict[str, dict[str, float]]:
         """By side: median number of views and spread, and the share of points that were seen enough."""

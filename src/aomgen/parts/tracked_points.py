@@ -1,6 +1,7 @@
 """Points known to move or to stand still: from the grasp and from tracks in the video."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from aomgen.conventions import MOVING
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.panel import Panel
 
 # Log odds from which a point counts: e = 2.7 to 1.
@@ -29,14 +30,11 @@ class TrackedPoints:
         weights: (N,), area times certainty.
     """
 
-    points: Array
-    moves: NDArray[np.bool_]
-    weights: Array
+    points: Annotated[Array, "N 3"]
+    moves: Annotated[NDArray[np.bool_], "N"]
+    weights: Annotated[Array, "N"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "points", self.points, (None, 3))
-        freeze(self, "moves", self.moves, (len(self.points),), np.bool_)
-        freeze(self, "weights", self.weights, (len(self.points),))
+    __post_init__ = freeze_arrays
 
     @staticmethod
     def of(gaussians: Gaussians, log_odds: Array) -> "TrackedPoints":

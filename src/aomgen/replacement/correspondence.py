@@ -6,7 +6,7 @@ fronts, and an asset that names a handle is held at its handle.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from aomgen.core.boxes import MIN_POINTS, QUANTILES, find_upright_axes
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import angle_between, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import EstimationError
 
 # World frame, z up.
@@ -40,11 +40,10 @@ class Frontal:
         opens_left: Seen from the front, the part swings about its left side or slides to the left.
     """
 
-    R_world_front: Array
+    R_world_front: Annotated[Array, "3 3"]
     opens_left: bool
 
-    def __post_init__(self) -> None:
-        freeze(self, "R_world_front", self.R_world_front, (3, 3))
+    __post_init__ = freeze_arrays
 
     @property
     def yaw(self) -> float:

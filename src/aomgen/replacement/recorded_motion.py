@@ -1,13 +1,14 @@
 """What the fit needs to know of the recorded motion: the held point's path and the object's front."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import isotonic_regression
 from scipy.signal import savgol_filter
 
 from aomgen.core.demonstration import Demonstration, RecordedObject
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.replacement.correspondence import Frontal, frontal, normalised_share
 
 
@@ -25,21 +26,15 @@ class RecordedContact:
         support_z: Height of the support, [m].
     """
 
-    path_world: Array
-    shares: Array
-    thetas: Array
+    path_world: Annotated[Array, "K 3"]
+    shares: Annotated[Array, "K"]
+    thetas: Annotated[Array, "K"]
     front: Frontal
-    held_share: Array
-    size: Array
+    held_share: Vector3
+    size: Vector3
     support_z: float
 
-    def __post_init__(self) -> None:
-        count = len(self.shares)
-        freeze(self, "path_world", self.path_world, (count, 3))
-        freeze(self, "shares", self.shares, (count,))
-        freeze(self, "thetas", self.thetas, (count,))
-        freeze(self, "held_share", self.held_share, (3,))
-        freeze(self, "size", self.size, (3,))
+    __post_init__ = freeze_arrays
 
 
 def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedContact:

@@ -1,13 +1,14 @@
 """The robot as it stood during the scan: where it is, and how each of its joints would move it."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotModel
 
 # Step of the numeric derivative, [rad]: its error is far below a pixel.
@@ -19,11 +20,10 @@ class RobotConfiguration:
     """The robot during the scan: model, joints (J,) [rad] and gripper 0..1."""
 
     robot: RobotModel
-    joints: Array
+    joints: Annotated[Array, "_"]
     gripper: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "joints", self.joints, (None,))
+    __post_init__ = freeze_arrays
 
     def points_world(self, count: int = 3000) -> Array:
         """About `count` vertices (V, 3) of the posed robot, [m]."""

@@ -1,6 +1,7 @@
 """What is seen of a robot, as triangles, whatever kind of shape MuJoCo has."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from aomgen.core.transforms import matrix_from_quat
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 
 # Round shapes are drawn with this many corners about their axis: 0.5 % of the radius inside the circle.
 SIDES = 32
@@ -28,14 +29,11 @@ class RobotMesh:
     """
 
     body: int
-    vertices_body: Array
-    faces: NDArray[np.int64]
-    color_srgb: Array
+    vertices_body: Annotated[Array, "_ 3"]
+    faces: Annotated[NDArray[np.int64], "_ 3"]
+    color_srgb: Vector3
 
-    def __post_init__(self) -> None:
-        freeze(self, "vertices_body", self.vertices_body, (None, 3))
-        freeze(self, "faces", self.faces, (None, 3), np.int64)
-        freeze(self, "color_srgb", self.color_srgb, (3,))
+    __post_init__ = freeze_arrays
 
 
 def visual_meshes(model: mujoco.MjModel) -> tuple[RobotMesh, ...]:

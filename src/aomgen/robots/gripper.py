@@ -6,12 +6,13 @@ Forward kinematics alone leaves loops open, so the fingers settle once in simula
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import MalformedFileError
 from aomgen.robots.reading import ArmChain
 
@@ -35,13 +36,13 @@ class GripperTable:
         positions: (K, F), [rad] or [m].
     """
 
-    joint_names: tuple[str, ...]
-    values: Array
-    positions: Array
+    joint_names: Annotated[tuple[str, ...], "N"]
+    values: Annotated[Array, "_"]
+    positions: Annotated[Array, "_ N"]
 
     def __post_init__(self) -> None:
-        freeze(self, "values", self.values, (None,))
-        freeze(self, "positions", self.positions, (len(self.values), len(self.joint_names)))
+        freeze_arrays(self)
+        freeze_arrays(self)
 
     def at(self, gripper: ArrayLike) -> Array:
         """Finger joints (T, F) for gripper values (T,), linear between rows, ends held."""

@@ -1,13 +1,14 @@
 """The whole surface of a hand, each point with the finger that it belongs to."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotModel
 
 PALM = "palm"
@@ -28,16 +29,12 @@ class HandSurface:
         fingers: Name of each point's finger (N,): that of its pad, or "palm".
     """
 
-    points_body: Array
-    normals_body: Array
-    bodies: NDArray[np.int64]
+    points_body: Annotated[Array, "N 3"]
+    normals_body: Annotated[Array, "N 3"]
+    bodies: Annotated[NDArray[np.int64], "N"]
     fingers: NDArray[np.str_]
 
-    def __post_init__(self) -> None:
-        count = len(self.points_body)
-        freeze(self, "points_body", self.points_body, (count, 3))
-        freeze(self, "normals_body", self.normals_body, (count, 3))
-        freeze(self, "bodies", self.bodies, (count,), np.int64)
+    __post_init__ = freeze_arrays
 
     def posed(self, Ts_to_body: Array) -> tuple[Array, Array]:
         """Points and normals (N, 3) for poses (B, 4, 4) of all bodies, in the frame of these."""

@@ -5,13 +5,14 @@ World is the root frame of the model file; for the built-in UR5e that is ROS `ba
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.transforms import matrix_from_quat, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.robots.geom_meshes import RobotMesh
 from aomgen.robots.gripper import GripperTable
 
@@ -29,12 +30,10 @@ class FingerPad:
 
     finger: str
     body: int
-    T_body_pad: Array
-    half_extents: Array
+    T_body_pad: Matrix4
+    half_extents: Vector3
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_body_pad", self.T_body_pad, (4, 4))
-        freeze(self, "half_extents", self.half_extents, (3,))
+    __post_init__ = freeze_arrays
 
     @property
     def normal_body(self) -> Array:
@@ -89,10 +88,10 @@ class RobotModel:
     """
 
     name: str
-    joint_names: tuple[str, ...]
+    joint_names: Annotated[tuple[str, ...], "N"]
     body_names: tuple[str, ...]
-    joint_limits: Array
-    slides: NDArray[np.bool_]
+    joint_limits: Annotated[Array, "N 2"]
+    slides: Annotated[NDArray[np.bool_], "N"]
     gripper_table: GripperTable
     meshes: tuple[RobotMesh, ...]
     pads: tuple[FingerPad, ...]
@@ -104,9 +103,7 @@ class RobotModel:
     _full: mujoco.MjSpec
     _bare: mujoco.MjSpec
 
-    def __post_init__(self) -> None:
-        freeze(self, "joint_limits", self.joint_limits, (len(self.joint_names), 2))
-        freeze(self, "slides", self.slides, (len(self.joint_names),), np.bool_)
+    __post_init__ = freeze_arrays
 
     @property
     def approach_ee(self) -> Array:

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.ndimage import binary_closing, binary_fill_holes, binary_opening, label
 
-from aomgen.core.values import freeze
+from aomgen.core.values import freeze_arrays
 
 Mask = NDArray[np.bool_]
 
@@ -50,15 +50,11 @@ class PointMasks:
         stability: (M,), IoU between the mask cut a little tighter and a little looser, 0..1.
     """
 
-    masks: NDArray[np.bool_]
-    quality: NDArray[np.float32]
-    stability: NDArray[np.float32]
+    masks: Annotated[NDArray[np.bool_], "M _ _"]
+    quality: Annotated[NDArray[np.float32], "M"]
+    stability: Annotated[NDArray[np.float32], "M"]
 
-    def __post_init__(self) -> None:
-        count = len(self.masks)
-        freeze(self, "masks", self.masks, (count, None, None), np.bool_)
-        freeze(self, "quality", self.quality, (count,), np.float32)
-        freeze(self, "stability", self.stability, (count,), np.float32)
+    __post_init__ = freeze_arrays
 
 
 def masks_of_logits(

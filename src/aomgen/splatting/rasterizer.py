@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import BackendError
 from aomgen.splatting import native
 
@@ -52,12 +53,10 @@ class RigidParts:
         Ts_world_part: Rigid poses of the parts (P, 4, 4).
     """
 
-    indices: NDArray[np.int32]
-    Ts_world_part: Array
+    indices: Annotated[NDArray[np.int32], "_"]
+    Ts_world_part: Annotated[Array, "_ 4 4"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "indices", self.indices, (None,), np.int32)
-        freeze(self, "Ts_world_part", self.Ts_world_part, (None, 4, 4))
+    __post_init__ = freeze_arrays
 
 
 def render(

@@ -5,13 +5,14 @@ Exact: a frame equals `render` of the static and the moving Gaussians together.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.splatting import native
 from aomgen.splatting.rasterizer import (
     Rendering,
@@ -37,15 +38,11 @@ class Motion:
             constant term; None for none.
     """
 
-    parts: NDArray[np.int32]
-    Ts_world_part: Array
-    colors: NDArray[np.float32] | None = None
+    parts: Annotated[NDArray[np.int32], "_"]
+    Ts_world_part: Annotated[Array, "T P 4 4"]
+    colors: Annotated[NDArray[np.float32], "T M 3"] | None = None
 
-    def __post_init__(self) -> None:
-        freeze(self, "parts", self.parts, (None,), np.int32)
-        freeze(self, "Ts_world_part", self.Ts_world_part, (None, None, 4, 4))
-        if self.colors is not None:
-            freeze(self, "colors", self.colors, (len(self.Ts_world_part), None, 3), np.float32)
+    __post_init__ = freeze_arrays
 
     def __len__(self) -> int:
         return len(self.Ts_world_part)

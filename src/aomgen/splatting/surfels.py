@@ -6,7 +6,7 @@ again wherever it goes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.light import open_transfer
 from aomgen.core.mesh import Mesh, face_normals_areas, sample_surface
 from aomgen.core.transforms import quat_from_matrix
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import AssetError
 from aomgen.io.images import resize
 from aomgen.splatting.visibility import estimate_transfer
@@ -53,16 +53,12 @@ class Surfels:
         transfer: (N, 9), see `core.light`.
     """
 
-    gaussians: Gaussians
-    normals: NDArray[np.float32]
-    albedo_linear: NDArray[np.float32]
-    transfer: NDArray[np.float32]
+    gaussians: Annotated[Gaussians, "N"]
+    normals: Annotated[NDArray[np.float32], "N 3"]
+    albedo_linear: Annotated[NDArray[np.float32], "N 3"]
+    transfer: Annotated[NDArray[np.float32], "N 9"]
 
-    def __post_init__(self) -> None:
-        count = len(self.gaussians)
-        freeze(self, "normals", self.normals, (count, 3), np.float32)
-        freeze(self, "albedo_linear", self.albedo_linear, (count, 3), np.float32)
-        freeze(self, "transfer", self.transfer, (count, 9), np.float32)
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,12 @@
 """When the arm is where: the timed script of a demonstration."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.synthetic.style import DemonstrationStyle, compute_progress
 
 # Step of control and physics, [s]: 500 Hz, as a UR5e is driven.
@@ -32,19 +33,16 @@ class CommandedTrajectory:
         film_s: What may be recorded.
     """
 
-    times_s: Array
-    joints: Array
-    gripper: Array
+    times_s: Annotated[Array, "T"]
+    joints: Annotated[Array, "T _"]
+    gripper: Annotated[Array, "_"]
     grip: float
     theta_start: float
     theta_goal: float
     motion_s: tuple[float, float]
     film_s: tuple[float, float]
 
-    def __post_init__(self) -> None:
-        for name in ("times_s", "gripper"):
-            freeze(self, name, getattr(self, name), (None,))
-        freeze(self, "joints", self.joints, (len(self.times_s), None))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

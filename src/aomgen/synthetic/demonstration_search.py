@@ -2,13 +2,14 @@
 
 import copy
 from dataclasses import dataclass
+from typing import Annotated
 
 import mujoco
 import numpy as np
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.replay import servo_control
@@ -43,13 +44,11 @@ class TrueContact:
     """
 
     finger: str
-    point: Array
-    normal: Array
+    point: Vector3
+    normal: Vector3
     force: float
 
-    def __post_init__(self) -> None:
-        for name in ("point", "normal"):
-            freeze(self, name, getattr(self, name), (3,))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,21 +66,16 @@ class SimulatedDemonstration:
         diverged: Whether the simulation warned.
     """
 
-    times_s: Array
-    qpos: Array
-    joints: Array
-    gripper: Array
-    theta: Array
+    times_s: Annotated[Array, "T"]
+    qpos: Annotated[Array, "T _"]
+    joints: Annotated[Array, "T _"]
+    gripper: Annotated[Array, "T"]
+    theta: Annotated[Array, "T"]
     contacts: tuple[tuple[TrueContact, ...], ...]
     foreign: bool
     diverged: bool
 
-    def __post_init__(self) -> None:
-        count = len(self.times_s)
-        for name in ("gripper", "theta"):
-            freeze(self, name, getattr(self, name), (count,))
-        for name in ("qpos", "joints"):
-            freeze(self, name, getattr(self, name), (count, None))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.style import DemonstrationStyle
 
@@ -48,15 +48,12 @@ class DemonstratedGrasp:
         gripper: Closing before and while it holds, 0..1.
     """
 
-    T_asset_ee: Array
-    pivot: Array
-    slack: Array
+    T_asset_ee: Matrix4
+    pivot: Vector3
+    slack: Vector3
     gripper: tuple[float, float]
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_asset_ee", self.T_asset_ee, (4, 4))
-        freeze(self, "pivot", self.pivot, (3,))
-        freeze(self, "slack", self.slack, (3,))
+    __post_init__ = freeze_arrays
 
 
 def draw_grasp_style(rng: np.random.Generator, style: DemonstrationStyle) -> GraspStyle:

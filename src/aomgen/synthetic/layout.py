@@ -9,7 +9,7 @@ from aomgen.assets.mjcf import add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.visuals import add_robot_visuals
 from aomgen.simulation.scene import Scene, describe_scene
@@ -46,10 +46,9 @@ class SceneLayout:
     asset: ArticulatedAsset
     room: Room
     room_seed: int
-    T_world_object: Array
+    T_world_object: Matrix4
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+    __post_init__ = freeze_arrays
 
     @property
     def joint_world(self) -> Joint:

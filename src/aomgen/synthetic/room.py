@@ -11,7 +11,7 @@ from aomgen.assets.procedural.shapes import Material, box, boxes_mesh, panel
 from aomgen.assets.procedural.textures import brushed_metal
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import quat_from_matrix
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Matrix4, freeze_arrays
 from aomgen.simulation.scene import TABLE
 from aomgen.synthetic import printed_textures
 from aomgen.synthetic.tabletop_objects import (
@@ -46,7 +46,7 @@ class Room:
         floor_z: Height of the floor, [m].
     """
 
-    T_world_room: Array
+    T_world_room: Matrix4
     table_z: float
     table: tuple[float, float, float, float]
     keep_free: tuple[float, float, float, float]
@@ -54,8 +54,7 @@ class Room:
     wall_y: float
     floor_z: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_room", self.T_world_room, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visual: bool) -> None:

@@ -14,7 +14,7 @@ from scipy.ndimage import map_coordinates
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.splatting.rasterizer import Rendering, RigidParts, render
 
 # Distance of the camera that stands for the light: its image is an orthographic one, [m].
@@ -40,14 +40,12 @@ class DirectionalLight:
         shade: Color in shadow divided by color in light (3,), sRGB, 0..1.
     """
 
-    direction: Array
-    T_world_plane: Array
-    shade: Array
+    direction: Vector3
+    T_world_plane: Matrix4
+    shade: Vector3
 
     def __post_init__(self) -> None:
-        freeze(self, "direction", self.direction, (3,))
-        freeze(self, "T_world_plane", self.T_world_plane, (4, 4))
-        freeze(self, "shade", self.shade, (3,))
+        freeze_arrays(self)
         if abs(np.linalg.norm(self.direction) - 1) > 1e-6:
             raise ValueError("DirectionalLight.direction has not length 1")
         if not ((self.shade > 0) & (self.shade <= 1)).all():

@@ -1,13 +1,13 @@
 """Surfaces that are lit anew as they turn, and what a camera has seen of them before."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.light import Light, shaded_srgb
-from aomgen.core.values import Array, freeze, require_indices
+from aomgen.core.values import Array, freeze_arrays, require_indices
 
 # Weights below this are as good as none.
 NEGLIGIBLE: Final = 1e-3
@@ -31,16 +31,12 @@ class ResidualAppearance:
     """
 
     body: int
-    rows: NDArray[np.int64]
-    Rs_world_body: Array
-    difference_srgb: NDArray[np.float32]
+    rows: Annotated[NDArray[np.int64], "R"]
+    Rs_world_body: Annotated[Array, "K 3 3"]
+    difference_srgb: Annotated[NDArray[np.float32], "K R 3"]
     reach_rad: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "rows", self.rows, (None,), np.int64)
-        freeze(self, "Rs_world_body", self.Rs_world_body, (None, 3, 3))
-        want = (len(self.Rs_world_body), len(self.rows), 3)
-        freeze(self, "difference_srgb", self.difference_srgb, want, np.float32)
+    __post_init__ = freeze_arrays
 
     def weights(self, R_world_body: Array) -> Array:
         """Weight (K,) of every orientation seen from one (3, 3); they add up to 1 near any of them."""
@@ -61,19 +57,16 @@ class Relit:
         residuals: Seen colors, at most one entry a body.
     """
 
-    indices: NDArray[np.int64]
-    albedo_linear: NDArray[np.float32]
-    transfer: NDArray[np.float32]
-    light_of: NDArray[np.int32]
+    indices: Annotated[NDArray[np.int64], "M"]
+    albedo_linear: Annotated[NDArray[np.float32], "M 3"]
+    transfer: Annotated[NDArray[np.float32], "M 9"]
+    light_of: Annotated[NDArray[np.int32], "M"]
     lights: tuple[Light, ...]
     residuals: tuple[ResidualAppearance, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.indices)
-        freeze(self, "indices", self.indices, (count,), np.int64)
-        freeze(self, "albedo_linear", self.albedo_linear, (count, 3), np.float32)
-        freeze(self, "transfer", self.transfer, (count, 9), np.float32)
-        freeze(self, "light_of", self.light_of, (count,), np.int32)
+        freeze_arrays(self)
         require_indices(self.light_of, len(self.lights))
         for residual in self.residuals:
             require_indices(residual.rows, count)

@@ -5,7 +5,7 @@ The light of every direction is stopped by what the object's silhouette covers a
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.splatting.visibility import sphere_directions
 from aomgen.twin.directional_shadow import HEIGHTS, silhouette
 
@@ -39,14 +39,11 @@ class ShadowMap:
         share: (H, W), 0..1, linear.
     """
 
-    T_world_plane: Array
-    low: Array
-    share: Array
+    T_world_plane: Matrix4
+    low: Annotated[Array, "2"]
+    share: Annotated[Array, "_ _"]
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_plane", self.T_world_plane, (4, 4))
-        freeze(self, "low", self.low, (2,))
-        freeze(self, "share", self.share, (None, None))
+    __post_init__ = freeze_arrays
 
     def at(self, points_world: ArrayLike, eye_world: ArrayLike) -> NDArray[np.float32]:
         """Factor on sRGB values (...,) at points (..., 3) seen from an eye (3,); 1 off the surface.

@@ -1,7 +1,7 @@
 """The plane that the recorded object stands on, and images of it from straight above."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert, transform
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import ReconstructionError
 from aomgen.splatting.rasterizer import render
 
@@ -36,17 +36,14 @@ class Support:
         top: Height of the object above the plane, [m].
     """
 
-    T_world_plane: Array
-    low: Array
-    high: Array
-    reach_low: Array
-    reach_high: Array
+    T_world_plane: Matrix4
+    low: Annotated[Array, "2"]
+    high: Annotated[Array, "2"]
+    reach_low: Annotated[Array, "2"]
+    reach_high: Annotated[Array, "2"]
     top: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "T_world_plane", self.T_world_plane, (4, 4))
-        for name in ("low", "high", "reach_low", "reach_high"):
-            freeze(self, name, getattr(self, name), (2,))
+    __post_init__ = freeze_arrays
 
     def coordinates(self, points_world: ArrayLike) -> Array:
         """Points (N, 3) in the plane's frame."""

@@ -5,7 +5,7 @@ A state gives body poses, body poses move Gaussians, Gaussians give images.
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.sh import rotate_sh
 from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
-from aomgen.core.values import Array, freeze, require_indices
+from aomgen.core.values import Array, Matrix4, freeze_arrays, require_indices
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.twin.directional_shadow import (
@@ -44,14 +44,12 @@ class TwinState:
         T_world_object: Object pose (4, 4).
     """
 
-    joints: Array
+    joints: Annotated[Array, "_"]
     gripper: float
     theta: float
-    T_world_object: Array
+    T_world_object: Matrix4
 
-    def __post_init__(self) -> None:
-        freeze(self, "joints", self.joints, (None,))
-        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,20 +71,19 @@ class Twin:
     """
 
     robot: str
-    gaussians: Gaussians
-    bodies: NDArray[np.int32]
-    labels: NDArray[np.uint8]
+    gaussians: Annotated[Gaussians, "N"]
+    bodies: Annotated[NDArray[np.int32], "N"]
+    labels: Annotated[NDArray[np.uint8], "N"]
     body_names: tuple[str, ...]
     joint: Joint
-    T_world_object: Array
+    T_world_object: Matrix4
     scan_state: TwinState
     relit: Relit | None = None
     directional_light: DirectionalLight | None = None
 
     def __post_init__(self) -> None:
-        freeze(self, "bodies", self.bodies, (len(self.gaussians),), np.int32)
-        freeze(self, "labels", self.labels, (len(self.gaussians),), np.uint8)
-        freeze(self, "T_world_object", self.T_world_object, (4, 4))
+        freeze_arrays(self)
+        freeze_arrays(self)
         require_indices(self.bodies, len(self.body_names))
         if self.relit is not None:
             require_indices(self.relit.indices, len(self.gaussians))

@@ -1,13 +1,18 @@
 """Core values keep their promises."""
 
+from dataclasses import dataclass
+from typing import Annotated
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from aomgen.assets.make import make_asset
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.joint_log import JointLog
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
+from aomgen.core.values import Array, freeze_arrays
 
 RNG = np.random.default_rng(0)
 
@@ -50,6 +55,31 @@ def test_wrong_shapes_are_a_programming_error():
             opacities=np.ones(2),
             sh=np.zeros((2, 1, 3)),
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    names: Annotated[tuple[str, ...], "N"]
+    points: Annotated[Array, "T N 3"]
+    seen: Annotated[NDArray[np.bool_], "T N"] | None = None
+
+    __post_init__ = freeze_arrays
+
+
+def test_one_letter_is_one_length_in_the_whole_value():
+    Track(names=("a", "b"), points=np.zeros((5, 2, 3)), seen=np.ones((5, 2)))
+    Track(names=(), points=np.zeros((0, 0, 3)))
+    with pytest.raises(ValueError, match=r"Track\.points has shape \(5, 1, 3\), want \(T N 3\)"):
+        Track(names=("a", "b"), points=np.zeros((5, 1, 3)))
+    with pytest.raises(ValueError, match=r"Track\.seen has shape \(2,\)"):
+        Track(names=("a", "b"), points=np.zeros((5, 2, 3)), seen=np.ones(2))
+
+
+def test_arrays_take_the_declared_type():
+    track = Track(names=("a",), points=[[[1, 2, 3]]], seen=[[1]])
+    assert track.points.dtype == np.float64
+    assert track.seen is not None
+    assert track.seen.dtype == np.bool_
 
 
 def test_moving_there_and_back_changes_nothing():

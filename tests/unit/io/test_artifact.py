@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from aomgen.core.values import Array, freeze
+from aomgen.core.values import Matrix4, freeze_arrays
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 
@@ -22,7 +22,7 @@ class Inner:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outer:
-    pose: Array
+    pose: Matrix4
     points: NDArray[np.float32]
     labels: NDArray[np.uint8]
     kind: Literal["a", "b"]
@@ -32,8 +32,7 @@ class Outer:
     by_name: Mapping[str, Inner]
     figures: dict[str, object] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        freeze(self, "pose", self.pose, (4, 4))
+    __post_init__ = freeze_arrays
 
 
 VALUE = Outer(
