@@ -20,7 +20,7 @@ _SAMPLES, _STRIDE = 15, 3
 _BAD, _NOISE = 6.0, 3.0
 
 
-def fit_gains(seen_srgb: NDArray, wanted_srgb: NDArray) -> Array:
+def fit_gains(seen_srgb: NDArray[np.floating], wanted_srgb: NDArray[np.floating]) -> Array:
     """Gains (3,) that bring seen colors (N, 3) to wanted ones, 0..1, by the median; 1 where none can be compared."""
     lower, upper = np.minimum(seen_srgb, wanted_srgb), np.maximum(seen_srgb, wanted_srgb)
     ratios = linear_from_srgb(wanted_srgb) / np.maximum(linear_from_srgb(seen_srgb), 1e-3)
@@ -28,7 +28,7 @@ def fit_gains(seen_srgb: NDArray, wanted_srgb: NDArray) -> Array:
     return np.where(known, np.clip(gains, 1 / _MAX_GAIN, _MAX_GAIN), 1.0).astype(np.float64)
 
 
-def apply_gains(colors_srgb: NDArray, gains: Array) -> NDArray:
+def apply_gains(colors_srgb: NDArray[np.floating], gains: Array) -> NDArray[np.floating]:
     """Colors (..., 3), 0..1, as they look with gains (3,)."""
     return srgb_from_linear(np.minimum(linear_from_srgb(colors_srgb) * gains, 1))
 

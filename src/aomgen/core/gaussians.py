@@ -42,7 +42,7 @@ class Gaussians:
         """Degree 0..3 that the stored coefficients reach."""
         return int(np.sqrt(self.sh.shape[1])) - 1
 
-    def select(self, which: NDArray) -> "Gaussians":
+    def select(self, which: NDArray[np.bool_ | np.integer]) -> "Gaussians":
         """The Gaussians of a boolean mask or an index array."""
         return Gaussians(
             means=self.means[which],

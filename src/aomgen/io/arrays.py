@@ -4,7 +4,7 @@ import io
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileErr
 MAX_BYTES: Final = 2 << 30
 
 
-def npz_bytes(arrays: Mapping[str, NDArray]) -> bytes:
+def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Uncompressed npz with fixed dates, in the order given."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
@@ -26,7 +26,7 @@ def npz_bytes(arrays: Mapping[str, NDArray]) -> bytes:
     return buffer.getvalue()
 
 
-def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray]:
+def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an npz.
 
     Raises:
@@ -39,7 +39,7 @@ def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray]:
         raise MalformedFileError(where, f"is not a readable npz ({error})", "run the stage again") from error
 
 
-def read_npz(path: Path, *, max_bytes: int = MAX_BYTES) -> dict[str, NDArray]:
+def read_npz(path: Path, *, max_bytes: int = MAX_BYTES) -> dict[str, NDArray[Any]]:
     """All arrays of an npz file.
 
     Raises:

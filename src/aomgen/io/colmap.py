@@ -7,7 +7,7 @@ COLMAP as here, and its cameras look along +z with y down.
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +126,7 @@ class _Cursor:
             raise LimitExceededError(path, f"has {path.stat().st_size} bytes, limit {MAX_BYTES}")
         self.path, self.data, self.at = path, path.read_bytes(), 0
 
-    def take(self, layout: struct.Struct) -> tuple:
+    def take(self, layout: struct.Struct) -> tuple[Any, ...]:
         if not self.at + layout.size <= len(self.data):
             raise MalformedFileError(self.path, f"ends at byte {len(self.data)} inside a record", _REMEDY)
         values = layout.unpack_from(self.data, self.at)

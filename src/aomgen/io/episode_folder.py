@@ -141,7 +141,7 @@ def _checked(path: Path, digest: str) -> bytes:
     return data
 
 
-def _frame_arrays(episode: Episode) -> dict[str, NDArray]:
+def _frame_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
     contacts = {f"contact_{name}": getattr(episode.contacts, name) for name in _CONTACT_ARRAYS}
     return {name: getattr(episode, name) for name in _ARRAYS} | contacts
 
@@ -179,7 +179,7 @@ def camera_dict(camera: Camera) -> dict[str, Any]:
     return {name: getattr(camera, name) for name in names}
 
 
-def _episode(header: dict[str, Any], arrays: dict[str, NDArray]) -> Episode:
+def _episode(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Episode:
     names = ("index", "seed", "instruction", "robot", "asset", "asset_usd", "fps", "T_world_object")
     names += ("verdict", "simulation")
     plain: dict[str, Any] = {name: header[name] for name in names} | {name: arrays[name] for name in _ARRAYS}

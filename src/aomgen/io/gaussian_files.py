@@ -1,12 +1,15 @@
 """Gaussians in any known file format, chosen by the suffix."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeVar
 
 from aomgen.core.gaussians import Gaussians
 from aomgen.errors import ConfigError
 from aomgen.io import ply, splat
 from aomgen.io.ply import MAX_GAUSSIANS
 
+F = TypeVar("F")
 _READERS = {".ply": ply.read_gaussians, ".splat": splat.read_gaussians}
 _WRITERS = {".ply": ply.write_gaussians, ".splat": splat.write_gaussians}
 
@@ -33,7 +36,7 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     _choose(path, _WRITERS, "written")(path, gaussians)
 
 
-def _choose(path: Path, known: dict, what: str):
+def _choose(path: Path, known: Mapping[str, F], what: str) -> F:
     if path.suffix.lower() not in known:
         raise ConfigError(
             path, f"has suffix {path.suffix!r}, {', '.join(known)} can be {what}", "rename or convert it"

@@ -50,7 +50,7 @@ class _Element:
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)
 
-    def dtype(self, order: str) -> np.dtype:
+    def dtype(self, order: str) -> np.dtype[np.void]:
         return np.dtype([(name, order + kind) for name, kind in self.properties])
 
 
@@ -197,7 +197,7 @@ def _check_names(path: Path, names: list[str]) -> int:
     return rest
 
 
-def _read_vertices(path: Path, dtype: np.dtype, where: tuple[int, int], rest: int) -> Gaussians:
+def _read_vertices(path: Path, dtype: np.dtype[np.void], where: tuple[int, int], rest: int) -> Gaussians:
     """Gaussians from the table at `where` (offset, count), a block at a time."""
     offset, count = where
     coefficients = 1 + rest // 3

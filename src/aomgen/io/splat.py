@@ -8,6 +8,7 @@ frame and no unit.
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError, NonFiniteError
@@ -89,5 +90,5 @@ def write_gaussians(path: Path, gaussians: Gaussians) -> None:
     write_bytes(path, table.tobytes())
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
+def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
