@@ -8,13 +8,17 @@ CONSTRAINTS := constraints/cpu-py311.txt
 LEROBOT_VENV := .venv-lerobot
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test check format scores install weights native sanitize neon lerobot-test robots-test clean
+.PHONY: demo test coverage check format scores build install weights native sanitize neon lerobot-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
 
 test: $(VENV)/dev.stamp weights
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+
+# Which lines no test runs: build/coverage/index.html.
+coverage: $(VENV)/dev.stamp weights
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal --cov=aomgen --cov-report=html:build/coverage --cov-report=term:skip-covered
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
@@ -29,6 +33,10 @@ format: $(VENV)/dev.stamp
 SCORES ?= out/scores
 scores: $(VENV)/dev.stamp weights
 	$(BIN)/aomgen bench scores $(SCORES) $(CAPTURES:%=--capture %) $(BEFORE:%=--against %)
+
+# A wheel in dist/, as it is released.
+build: $(VENV)/pip.stamp
+	$(BIN)/pip wheel -q --no-deps -w dist .
 
 install: $(VENV)/demo.stamp weights
 
