@@ -133,9 +133,9 @@ def test_make_asset(tmp_path: Path) -> None:
     assert "revolute about" in run("03_make_asset.py", tmp_path / "microwave.usda")
 
 
-def test_generate_episodes(tmp_path: Path) -> None:
-    assert "1 episodes verified" in run("04_generate_episodes.py", tmp_path, "--episodes", 1)
-    assert (tmp_path / "dataset" / "meta" / "info.json").is_file()
+def test_generate_episodes_and_learn_from_them(tmp_path: Path) -> None:
+    assert "4 episodes verified" in run("04_generate_episodes.py", tmp_path, "--episodes", 4)
+    assert "4 episodes at 10 frames" in run("07_learn_from_the_dataset.py", tmp_path / "dataset")
 
 
 def test_write_an_estimator() -> None:
