@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from aomgen.assets.make import MAKERS, OTHER_MAKERS, Maker, make_asset, make_by
+from aomgen.assets.choice import MAKERS, OTHER_MAKERS, Maker, make_asset, make_by
 from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,

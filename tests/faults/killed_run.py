@@ -23,8 +23,7 @@ from aomgen.generalization.stage import generate_in
 from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
-from aomgen.pipeline.runner import run_stages
-from aomgen.pipeline.stage import Stage
+from aomgen.pipeline.runner import Stage, run_stages
 from aomgen.results import Results
 from aomgen.robots.loading import load_robot
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.assets.resistance import (
+from aomgen.assets.mjcf import (
     ARMATURE,
     CONTACT_FRICTION,
     HOLDING_SOLIMP,

@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.text import Text
 
 from aomgen.pipeline.figures import read_figures
-from aomgen.pipeline.stage import Stage
+from aomgen.pipeline.runner import Stage
 from aomgen.pipeline.stages import STAGES
 
 # Often enough to see that it works, seldom enough to keep a log short, [s].

@@ -18,7 +18,7 @@ def run_project(project, *, until: str = ""):
     """
     from aomgen.cli.display import display
     from aomgen.motion.estimates_file import forget_refusal
-    from aomgen.pipeline.run_record import RunRecord, save_record
+    from aomgen.pipeline.manifest import RunRecord, save_record
     from aomgen.pipeline.stages import REPORT_FILE, run_pipeline
 
     if project.out.exists() and not project.out.is_dir():

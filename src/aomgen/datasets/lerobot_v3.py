@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
-from aomgen.datasets.features import feature_columns
+from aomgen.datasets.features import color_counts, column_statistics, feature_columns, image_statistics
 from aomgen.datasets.lerobot_layout import (
     CHUNK_FILES,
     DATA_FILE_MB,
@@ -31,7 +31,6 @@ from aomgen.datasets.lerobot_layout import (
     task_table,
     video_key,
 )
-from aomgen.datasets.statistics import color_counts, column_statistics, image_statistics
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode, read_episode

@@ -8,8 +8,9 @@ import sys
 from collections.abc import Collection
 from pathlib import Path
 
-from aomgen.errors import BackendError, StorageError
-from aomgen.robots.offscreen import REMEDY as GL_REMEDY
+from aomgen.errors import AomgenError, BackendError, StorageError
+from aomgen.robots.model_renderer import REMEDY
+from aomgen.robots.model_renderer import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
 from aomgen.segmentation.weights import find_weights
 from aomgen.splatting.native import library
@@ -25,7 +26,7 @@ SAM2 = (("torch", "transformers", "safetensors"), "pip install 'aomgen[sam2]'")
 DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
 EVERYTHING = (*MODULES, *DRAWS_ROBOT)
 # A context can abort the whole process when the driver is broken, so it is tried in a child.
-GL_PROBE = "from aomgen.robots.offscreen import offscreen_context; offscreen_context(8, 8).free()"
+GL_PROBE = "from aomgen.robots.model_renderer import offscreen_context; offscreen_context(8, 8).free()"
 # A driver takes about a second; one that hangs never ends, [s].
 GL_TIMEOUT_S = 60.0
 # The bundled recording's run takes 180 MB; nothing of a run is small enough for less, [bytes].
@@ -97,3 +98,46 @@ def _require_modules(modules: tuple[str, ...], remedy: str) -> None:
     for module in modules:
         if importlib.util.find_spec(module) is None:
             raise BackendError(module, "is not installed", remedy)
+
+
+def diagnose() -> list[tuple[str, str, str]]:
+    """Rows of (part, problem or "", what it is for)."""
+    rows = []
+    for module, extra, purpose in (
+        ("mujoco", "", "physics"),
+        ("pxr", "", "USD assets"),
+        ("av", "", "video"),
+        ("torch", "reconstruct", "training of Gaussians"),
+        ("pycolmap", "reconstruct", "structure from motion"),
+        ("onnxruntime", "reconstruct", "segmentation"),
+    ):
+        found = importlib.util.find_spec(module) is not None
+        remedy = f"pip install 'aomgen[{extra}]'" if extra else "pip install aomgen"
+        rows.append((module, "" if found else f"missing: {remedy}", purpose))
+    rows.append(("engine", _engine_problem(), "rendering and training on the CPU"))
+    problem = gl_problem()
+    rows.append(
+        ("OpenGL", f"{problem}: {REMEDY}" if problem else "", "robot silhouettes (alignment, clock offset)")
+    )
+    rows.append(("weights", _weights_problem(), "part masks from prompts"))
+    return rows
+
+
+def _engine_problem() -> str:
+    from aomgen.splatting.native import library
+
+    try:
+        library()
+    except AomgenError as error:
+        return str(error)
+    return ""
+
+
+def _weights_problem() -> str:
+    from aomgen.segmentation.weights import find_weights
+
+    try:
+        find_weights()
+    except AomgenError as error:
+        return str(error)
+    return ""

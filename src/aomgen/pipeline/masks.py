@@ -7,7 +7,7 @@ from aomgen.core.progress import Progress
 from aomgen.errors import ConfigError, InputError
 from aomgen.io.atomic import staged_folder, write_bytes
 from aomgen.io.images import encode_png, read_image
-from aomgen.segmentation.sam2_video import carry_prompts, load_tracker
+from aomgen.segmentation.sam2 import carry_prompts, load_tracker
 from aomgen.segmentation.sam2_weights import find_sam2
 
 FOLDER = "masks"

@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from aomgen import __version__
-from aomgen.assets.choice import asset_file, is_made, open_assets, suggest_category
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, suggest_category
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
@@ -17,8 +16,7 @@ from aomgen.io.jsonfile import read_json
 from aomgen.io.video import probe_video
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.manifest import MANIFEST, text_digest
-from aomgen.pipeline.runner import STARTED, stage_states
-from aomgen.pipeline.stage import Stage
+from aomgen.pipeline.runner import STARTED, Stage, stage_states
 
 # Beside the results: what was checked last, so that a finished run is looked through at once.
 CHECKED_FILE = "checked.json"

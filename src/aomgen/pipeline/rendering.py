@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
+from aomgen.core.project import Project
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.artifact import load_artifact
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import STAGES
+from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_store import load_robot_description
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
@@ -36,7 +39,7 @@ def open_twin(out: Path) -> tuple[Twin, RobotModel]:
     if not folder.is_dir():
         raise MissingFileError(folder, "is missing", "finish the run first")
     twin = load_artifact(folder, "twin", Twin)
-    return twin, load_robot_description(folder)
+    return twin, load_stored_robot(folder)
 
 
 def draw_twin(
@@ -134,3 +137,29 @@ def _pose(data: dict[str, Any], name: str, where: Path) -> Array:
     if not (rigid and np.array_equal(T[3], [0, 0, 0, 1])):
         raise ConfigError(where, f"'{name}' is not a rotation with a translation", remedy)
     return T
+
+
+def find_camera(project: Project, name: str) -> Camera:
+    """A camera of a run, world frame.
+
+    Args:
+        project: Of a run that has its twin.
+        name: Of a fixed camera of the demonstration, of a camera of the episodes, or of a scan image. A
+            name that demonstration and episodes share means the demonstration's, at the video's size.
+
+    Raises:
+        ConfigError: No such camera; lists the known ones.
+    """
+    results = results_of(project, STAGES)
+    scan = results.scan_cameras
+    made = results.episode_scene.cameras if results.folders["replacement"].is_dir() else {}
+    fixed = made | {key: item.camera for key, item in results.alignment.cameras.items()}
+    known = scan | fixed
+    if name not in known:
+        images = sorted(scan)
+        raise ConfigError(
+            "--camera",
+            f"'{name}' is no camera of this run",
+            f"known: {', '.join(fixed)}, and scan images from {images[0]} to {images[-1]}; or give a .json file",
+        )
+    return known[name]

@@ -18,8 +18,7 @@ from aomgen.io.schema import suggest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import write_project
-from aomgen.pipeline.runner import Display, run_stages
-from aomgen.pipeline.stage import Stage, StageFunction
+from aomgen.pipeline.runner import Display, Stage, StageFunction, run_stages
 from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"
@@ -77,7 +76,6 @@ STAGES: tuple[Stage, ...] = (
         folder="01_structure",
         title="structure from motion",
         needs=("capture",),
-        settings=(),
         version=7,
         weight=40,
         function=_lazily("structure.stage"),
@@ -136,8 +134,7 @@ STAGES: tuple[Stage, ...] = (
         folder="06_twin",
         title="binding the twin",
         needs=("capture", "structure", "gaussians", "alignment", "parts", "motion"),
-        settings=(),
-        version=9,
+        version=10,
         weight=24,
         function=_lazily("appearance.stage"),
     ),
@@ -168,7 +165,6 @@ STAGES: tuple[Stage, ...] = (
         folder="09_episodes",
         title="rendering episodes",
         needs=("capture", "replacement", "plans"),
-        settings=(),
         version=6,
         weight=17,
         function=_episodes,
@@ -179,7 +175,6 @@ STAGES: tuple[Stage, ...] = (
         folder="dataset",
         title="LeRobot dataset",
         needs=("episodes",),
-        settings=(),
         version=2,
         weight=2,
         function=_lazily("datasets.stage"),

@@ -18,10 +18,8 @@ from aomgen.io.atomic import write_text
 from aomgen.io.images import resize
 from aomgen.motion.estimates_file import REFUSED_FILE, REFUSED_MOTION
 from aomgen.pipeline.rendering import draw_twin
-from aomgen.report.charts import Chart, draw_chart
-from aomgen.report.drawing import Image8, overlay_outline, sheet
-from aomgen.report.html import page, paragraph, picture, section
-from aomgen.report.joint_drawing import axis_space, overlay_motion
+from aomgen.report.drawing import Image8, axis_space, overlay_motion, overlay_outline, sheet
+from aomgen.report.html import Chart, draw_chart, page, paragraph, picture, section
 from aomgen.report.recording_images import recorded_states
 from aomgen.results import Results
 

@@ -22,7 +22,8 @@ from aomgen.robots.description import (
     RobotDescription,
     RobotFiles,
 )
-from aomgen.robots.finger_faces import (
+from aomgen.robots.gripper import settle_fingers
+from aomgen.robots.gripper_surface import (
     SurfaceSamples,
     Travel,
     find_contact_row,
@@ -30,7 +31,6 @@ from aomgen.robots.finger_faces import (
     find_travel,
     sample_hand,
 )
-from aomgen.robots.gripper import settle_fingers
 from aomgen.robots.reading import ArmChain, ancestors, arm_chain, compile_model, read_robot_spec
 from aomgen.robots.robot import RobotModel, body_poses
 

@@ -11,7 +11,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.visuals import add_robot_visuals
+from aomgen.robots.silhouette import add_robot_visuals
 from aomgen.simulation.scene import Scene, describe_scene
 from aomgen.synthetic.room import FRONT_M, Room, add_room
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from aomgen.assets.asset_check import check_asset, held_at_rim, outward_normal, require_usable
-from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
-from aomgen.assets.mjcf import add_asset
-from aomgen.assets.resistance import HOLDS, holding_friction
+from aomgen.assets.choice import MAKERS, OTHER_MAKERS, make_asset
+from aomgen.assets.mjcf import HOLDS, add_asset, holding_friction
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.transforms import apply, transform
 from aomgen.errors import AssetError, ConfigError

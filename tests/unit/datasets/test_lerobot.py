@@ -10,9 +10,15 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.datasets.features import ee_deltas, ee_targets, feature_columns
+from aomgen.datasets.features import (
+    color_counts,
+    column_statistics,
+    ee_deltas,
+    ee_targets,
+    feature_columns,
+    image_statistics,
+)
 from aomgen.datasets.lerobot_v3 import assign_files, write_lerobot_v3
-from aomgen.datasets.statistics import color_counts, column_statistics, image_statistics
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video, read_video

@@ -25,8 +25,7 @@ from aomgen.parts.label import (
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.robot_labels import label_robot, nearest_links
 from aomgen.parts.scan_views import ScanView
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 from aomgen.segmentation.interface import clean
 from aomgen.segmentation.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter

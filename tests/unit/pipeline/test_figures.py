@@ -7,7 +7,7 @@ import pytest
 
 import aomgen
 from aomgen.pipeline.figures import FIGURES, NOT_SHOWN, Reading, read_figures
-from aomgen.pipeline.stage import WARNINGS
+from aomgen.pipeline.runner import WARNINGS
 from aomgen.pipeline.stages import STAGES
 
 SOURCE = Path(aomgen.__file__).parent

@@ -11,7 +11,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.project import Project
 from aomgen.errors import ConfigError
-from aomgen.pipeline import run_cameras
+from aomgen.pipeline import rendering as run_cameras
 
 VIDEO = Camera(fx=600, fy=600, cx=320, cy=240, width=640, height=480, T_world_cam=np.eye(4))
 EPISODES = VIDEO.resized(320, 240)
