@@ -84,7 +84,7 @@ def commit_all(results: Results, folder: Path, progress: Progress) -> dict[str, 
 
 def build(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Build the dataset."""
-    return {"episodes": write_lerobot_v3(list_committed(results.folders["episodes"]), folder).episodes}
+    return {"episodes": write_lerobot_v3(list_committed(results.folders["episodes"]), folder)["episodes"]}
 
 
 @cache

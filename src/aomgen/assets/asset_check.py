@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.assets.mjcf import AssetNames, add_asset
-from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.values import Array
-from aomgen.errors import AssetError
 
 # A finger tip must fit between handle and front, [m].
 FINGER_BALL = 0.012
@@ -28,26 +27,12 @@ RANGE_SAMPLES = 25
 def check_asset(asset: ArticulatedAsset) -> list[str]:
     """Problems of an asset, one sentence each; empty when it can be used.
 
-    Checks sizes and units, support plane, joint range, masses, colliders (unique, moving and
-    static apart along the whole range) and the handle (bar fits a gripper, a 12 mm ball behind
-    it; on both sides of a rim). Not checked: that the colliders follow the visible meshes.
+    Not checked: that the colliders follow the visible meshes.
     """
     problems = _check_sizes(asset) + _check_joint(asset) + _check_links(asset)
     if problems:
         return problems
     return _check_range(asset) + _check_handle(asset)
-
-
-def require_usable(asset: ArticulatedAsset) -> None:
-    """Refuse an asset that has problems.
-
-    Raises:
-        AssetError: Names the first problem and how many there are.
-    """
-    problems = check_asset(asset)
-    if problems:
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise AssetError(asset.name, problems[0] + more, "correct the asset or choose another one")
 
 
 def outward_normal(asset: ArticulatedAsset) -> Array:
@@ -62,18 +47,18 @@ def outward_normal(asset: ArticulatedAsset) -> Array:
     joint = asset.joint
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if body and asset.handle_bar is not None:
-        distances = distance_to_boxes(asset.handle_point[None], *stack_boxes(body))[0]
-        T = body[int(np.argmin(distances))].T_asset_box
-        half = body[int(np.argmin(distances))].half_extents
+        distances = _distance_to_boxes(asset.handle_point[None], *_stack_boxes(body))[0]
+        nearest = body[int(np.argmin(distances))]
+        T = nearest.T_asset_box
         local = T[:3, :3].T @ (asset.handle_point - T[:3, 3])
-        beyond = np.abs(local) - half
+        beyond = np.abs(local) - nearest.half_extents
         best = int(np.argmax(beyond))
         return np.asarray(T[:3, best] * np.sign(local[best]), np.float64)
     if joint.type == "prismatic":
         return joint.axis
     motion = np.cross(joint.axis, asset.handle_point - joint.origin)
     motion = motion / max(float(np.linalg.norm(motion)), 1e-12)
-    poses, _ = stack_boxes(asset.moving.colliders)
+    poses, _ = _stack_boxes(asset.moving.colliders)
     axes = np.concatenate([poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 3), motion[None]])
     alignments = axes @ motion
     # The motion itself is last and wins only where no box looks along it within 30 degrees.
@@ -93,13 +78,12 @@ def held_at_rim(asset: ArticulatedAsset) -> bool:
     return any(mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < TOUCH for other in others)
 
 
-def stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
+def _stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
     """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
-    poses = np.array([box.T_asset_box for box in colliders]).reshape(-1, 4, 4)
-    return poses, np.array([box.half_extents for box in colliders]).reshape(-1, 3)
+    return np.array([box.T_asset_box for box in colliders]), np.array([box.half_extents for box in colliders])
 
 
-def distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
+def _distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
     """Distances (P, B) of points (P, 3) to oriented boxes (poses (B, 4, 4), half extents (B, 3)), 0 inside, [m]."""
     relative = np.asarray(points, np.float64)[:, None, :] - Ts[None, :, :3, 3]
     local = np.einsum("bji,pbj->pbi", Ts[:, :3, :3], relative)
@@ -192,9 +176,9 @@ def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjD
 
 def _check_handle(asset: ArticulatedAsset) -> list[str]:
     """The bar lies where it is said to be, and a finger fits around and behind it."""
-    poses, half = stack_boxes(asset.moving.colliders)
+    poses, half = _stack_boxes(asset.moving.colliders)
     point = asset.handle_point
-    distances = distance_to_boxes(point[None], poses, half)[0]
+    distances = _distance_to_boxes(point[None], poses, half)[0]
     if not distances.min() <= 0.002:
         return [f"handle point lies {1000 * distances.min():.0f} mm off every moving collider"]
     bar = int(np.argmin(distances))
@@ -210,16 +194,11 @@ def _check_handle(asset: ArticulatedAsset) -> list[str]:
     rim = held_at_rim(asset)
     sides = np.stack([across, -across]) if rim else -outward[None]
     balls = point + sides * ((thickness if rim else depth) / 2 + FINGER_BALL / 2 + 5e-4)
-    others = _without(asset.moving, bar)
-    poses_o, half_o = stack_boxes([*asset.static.colliders, *others])
-    gap = distance_to_boxes(balls, poses_o, half_o).min() if len(half_o) else np.inf
+    others = [box for number, box in enumerate(asset.moving.colliders) if number != bar]
+    gap = _distance_to_boxes(balls, *_stack_boxes([*asset.static.colliders, *others])).min()
     if not gap >= FINGER_BALL / 2:
         where = "on both sides of" if rim else "behind"
         problems.append(
             f"no {1000 * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {1000 * gap:.1f} mm)"
         )
     return problems
-
-
-def _without(link: AssetLink, index: int) -> list[BoxCollider]:
-    return [box for i, box in enumerate(link.colliders) if i != index]

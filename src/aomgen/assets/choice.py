@@ -1,4 +1,4 @@
-"""The assets that a project names: made ones by category and seed, others as USD files."""
+"""Articulated assets by what users call them: made ones, drawn from a seed, and USD files; all checked."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.assets.asset_check import require_usable
+from aomgen.assets.asset_check import check_asset
 from aomgen.assets.procedural.furniture import make_cabinet, make_drawer, make_dresser
 from aomgen.assets.procedural.lidded import make_laptop, make_toolbox
 from aomgen.assets.procedural.microwave import make_microwave
@@ -15,70 +15,6 @@ from aomgen.assets.usd_read import SUFFIXES, read_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError
 from aomgen.io.schema import suggest
-
-
-def asset_file(spec: str) -> Path | None:
-    """The USD file that an entry of `assets` names, or None when it names a category and a seed."""
-    return Path(spec) if Path(spec).suffix.lower() in SUFFIXES else None
-
-
-def open_asset(spec: str) -> ArticulatedAsset:
-    """The asset that a project names: `category:seed`, or a USD file.
-
-    Raises:
-        ConfigError: Neither of the two, or a category that cannot be made.
-        AssetError, InputError: The asset cannot be read or used.
-    """
-    file = asset_file(spec)
-    category, _, seed = spec.rpartition(":")
-    if file is not None:
-        asset = read_usd(file)
-    elif seed.isdecimal() and category:
-        _require_maker(category, spec)
-        asset = replace(make_asset(category, int(seed)), name=f"{category}-{seed}")
-    else:
-        raise ConfigError(
-            "assets", f"'{spec}' is neither category:seed nor a USD file", "for example microwave:1"
-        )
-    require_usable(asset)
-    return asset
-
-
-def open_assets(specs: Sequence[str]) -> list[ArticulatedAsset]:
-    """All assets of a project.
-
-    Raises:
-        ConfigError, AssetError, InputError: See `open_asset`.
-        AssetError: Two have one name, by which episodes tell them apart.
-    """
-    assets = [open_asset(spec) for spec in specs]
-    for index, asset in enumerate(assets):
-        for earlier, other in zip(specs[:index], assets[:index], strict=True):
-            if other.name == asset.name:
-                raise AssetError(
-                    "assets",
-                    f"'{earlier}' and '{specs[index]}' are both named '{asset.name}'",
-                    "name each asset once; a USD file is named by its default prim",
-                )
-    return assets
-
-
-def is_made(category: str) -> bool:
-    """Whether assets of a category can be made."""
-    return category in MAKERS | OTHER_MAKERS
-
-
-def suggest_category(category: str) -> str:
-    """What a user may have meant by a category that cannot be made."""
-    return suggest(category, MAKERS | OTHER_MAKERS)
-
-
-def _require_maker(category: str, spec: str) -> None:
-    if not is_made(category):
-        raise ConfigError(
-            "assets", f"'{spec}': no asset of category '{category}' can be made", suggest_category(category)
-        )
-
 
 Maker = Callable[[np.random.Generator], ArticulatedAsset]
 # The categories of the benchmark.
@@ -107,10 +43,10 @@ def make_asset(category: str, seed: int) -> ArticulatedAsset:
     Raises:
         ConfigError: The category is unknown.
     """
-    makers = MAKERS | OTHER_MAKERS
-    if category not in makers:
-        raise ConfigError("category", f"{category!r} is unknown", f"choose one of {', '.join(makers)}")
-    return make_by(makers[category], category, seed)
+    if not is_made(category):
+        known = ", ".join(MAKERS | OTHER_MAKERS)
+        raise ConfigError("category", f"{category!r} is unknown", f"choose one of {known}")
+    return make_by((MAKERS | OTHER_MAKERS)[category], category, seed)
 
 
 def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:
@@ -118,3 +54,64 @@ def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:
     # The name's letters enter the seed, so that categories do not share random numbers.
     rng = np.random.default_rng([seed, *category.encode()])
     return replace(maker(rng), name=f"{category}-{seed}")
+
+
+def is_made(category: str) -> bool:
+    """Whether assets of a category can be made."""
+    return category in MAKERS | OTHER_MAKERS
+
+
+def suggest_category(category: str) -> str:
+    """What a user may have meant by a category that cannot be made."""
+    return suggest(category, MAKERS | OTHER_MAKERS)
+
+
+def asset_file(spec: str) -> Path | None:
+    """The USD file that an entry of `assets` names, or None when it names a category and a seed."""
+    return Path(spec) if Path(spec).suffix.lower() in SUFFIXES else None
+
+
+def open_asset(spec: str) -> ArticulatedAsset:
+    """The asset that a project names: `category:seed`, or a USD file.
+
+    Raises:
+        ConfigError: Neither of the two, or a category that cannot be made.
+        AssetError, InputError: The asset cannot be read or used.
+    """
+    file = asset_file(spec)
+    category, _, seed = spec.rpartition(":")
+    if file is not None:
+        asset = read_usd(file)
+    elif not (seed.isdecimal() and category):
+        problem = f"'{spec}' is neither category:seed nor a USD file"
+        raise ConfigError("assets", problem, "for example microwave:1")
+    elif not is_made(category):
+        problem = f"'{spec}': no asset of category '{category}' can be made"
+        raise ConfigError("assets", problem, suggest_category(category))
+    else:
+        asset = make_asset(category, int(seed))
+    problems = check_asset(asset)
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise AssetError(asset.name, problems[0] + more, "correct the asset or choose another one")
+    return asset
+
+
+def open_assets(specs: Sequence[str]) -> list[ArticulatedAsset]:
+    """All assets of a project.
+
+    Raises:
+        ConfigError, AssetError, InputError: See `open_asset`.
+        AssetError: Two have one name, by which episodes tell them apart.
+    """
+    opened: dict[str, tuple[str, ArticulatedAsset]] = {}
+    for spec in specs:
+        asset = open_asset(spec)
+        if asset.name in opened:
+            raise AssetError(
+                "assets",
+                f"'{opened[asset.name][0]}' and '{spec}' are both named '{asset.name}'",
+                "name each asset once; a USD file is named by its default prim",
+            )
+        opened[asset.name] = spec, asset
+    return [asset for _, asset in opened.values()]

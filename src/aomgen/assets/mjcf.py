@@ -1,16 +1,16 @@
-"""Assets in MuJoCo: bodies, joint, box colliders and, on request, textured meshes."""
+"""Assets in MuJoCo: bodies, box colliders, textured meshes, and what is assumed of joint resistance and friction."""
 
 from dataclasses import dataclass
 from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.joint import JointType
 from aomgen.core.mesh import Mesh
-from aomgen.core.transforms import apply, quat_from_matrix, transform
+from aomgen.core.transforms import apply, quat_from_matrix
 
 # Standard gravity as MuJoCo's default has it, [m/s^2].
 GRAVITY: Final = 9.81
@@ -75,9 +75,7 @@ def holding_friction(asset: ArticulatedAsset) -> float:
 
 
 # MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
-COLLIDER_GROUP = 3
-# See above.
-VISUAL_GROUP = 2
+VISUAL_GROUP, COLLIDER_GROUP = 2, 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,18 +87,19 @@ class AssetNames:
         joint: The passive joint, positive in the opening direction.
         free_joint: Joint of the whole object; empty when it is bolted to the world.
         static_geoms, moving_geoms: Box colliders, handle included.
-        handle_geoms: Those of the moving colliders that are handle.
-        visual_geoms: Textured meshes; empty without `visual`.
     """
 
-    static_body: str
-    moving_body: str
-    joint: str
+    static_body: str = "object_static"
+    moving_body: str = "object_moving"
+    joint: str = "object_joint"
     free_joint: str
     static_geoms: tuple[str, ...]
     moving_geoms: tuple[str, ...]
-    handle_geoms: tuple[str, ...]
-    visual_geoms: tuple[str, ...]
+
+    @property
+    def handle_geoms(self) -> tuple[str, ...]:
+        """Those of the moving colliders that are handle."""
+        return tuple(name for name in self.moving_geoms if name.startswith(f"{self.moving_body}_handle"))
 
 
 def add_asset(
@@ -112,7 +111,6 @@ def add_asset(
     frictionloss: float,
     visual: bool = False,
     bolted: bool = True,
-    prefix: str = "object_",
 ) -> AssetNames:
     """Add an asset with a passive joint to a model under construction.
 
@@ -126,7 +124,6 @@ def add_asset(
         frictionloss: Dry friction of the joint beyond `holding_friction`, [N m] or [N].
         visual: Also add what is seen (group 2, no contacts). Colliders are in group 3.
         bolted: Weld the static link to the world; otherwise it gets a free joint.
-        prefix: Start of every name that is added.
 
     Returns:
         The names that were added.
@@ -137,34 +134,25 @@ def add_asset(
     if spec.compiler.degree:
         raise ValueError("spec.compiler.degree must be False before an asset is added")
     T = np.asarray(T_world_asset, np.float64)
-    static = spec.worldbody.add_body(name=f"{prefix}static", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
-    free_joint = "" if bolted else f"{prefix}free"
+    static = spec.worldbody.add_body(name="object_static", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
+    free_joint = "" if bolted else "object_free"
     if free_joint:
         static.add_freejoint(name=free_joint)
-    moving = static.add_body(name=f"{prefix}moving")
-    _add_joint(moving, asset, f"{prefix}joint", damping, frictionloss)
-    static_geoms = _add_colliders(static, asset.static, f"{prefix}static_")
-    moving_geoms = _add_colliders(moving, asset.moving, f"{prefix}moving_")
-    spec.add_exclude(name=f"{prefix}exclude", bodyname1=f"{prefix}static", bodyname2=f"{prefix}moving")
-    visuals: tuple[str, ...] = ()
-    if visual:
-        for body, link, part in ((static, asset.static, "static"), (moving, asset.moving, "moving")):
-            visuals += tuple(
-                add_visual_mesh(spec, body, m, f"{prefix}{part}_visual_{m.name}") for m in link.meshes
-            )
-    return AssetNames(
-        static_body=f"{prefix}static",
-        moving_body=f"{prefix}moving",
-        joint=f"{prefix}joint",
+    moving = static.add_body(name="object_moving")
+    _add_joint(moving, asset, "object_joint", damping, frictionloss)
+    names = AssetNames(
         free_joint=free_joint,
-        static_geoms=static_geoms,
-        moving_geoms=moving_geoms,
-        handle_geoms=tuple(name for name in moving_geoms if name.startswith(f"{prefix}moving_handle")),
-        visual_geoms=visuals,
+        static_geoms=_add_colliders(static, asset.static),
+        moving_geoms=_add_colliders(moving, asset.moving),
     )
+    spec.add_exclude(name="object_exclude", bodyname1=names.static_body, bodyname2=names.moving_body)
+    for body, link in ((static, asset.static), (moving, asset.moving)):
+        for mesh in link.meshes if visual else ():
+            add_visual_mesh(spec, body, mesh, f"{body.name}_visual_{mesh.name}")
+    return names
 
 
-def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name: str) -> str:
+def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name: str) -> None:
     """Add one textured mesh without contacts or mass to a body; vertices are in the body frame."""
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
@@ -182,10 +170,12 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
     material.specular = float(0.15 + 0.35 * mesh.metallic)
     material.shininess = float(1.0 - mesh.roughness) * 0.6
     if textured:
-        add_texture(spec, name, mesh.texture_srgb)
+        height, width, channels = mesh.texture_srgb.shape
+        kind = mujoco.mjtTexture.mjTEXTURE_2D
+        image = spec.add_texture(name=name, type=kind, width=width, height=height, nchannel=channels)
+        image.data = np.ascontiguousarray(mesh.texture_srgb).tobytes()
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     add_visual_geom(body, name)
-    return name
 
 
 def add_visual_geom(body: mujoco.MjsBody, name: str) -> None:
@@ -200,15 +190,6 @@ def add_visual_geom(body: mujoco.MjsBody, name: str) -> None:
         group=VISUAL_GROUP,
         mass=0.0,
     )
-
-
-def add_texture(spec: mujoco.MjSpec, name: str, texture_srgb: NDArray[np.uint8]) -> None:
-    """Add a 2D texture (H, W, 3) uint8 from memory."""
-    height, width, channels = texture_srgb.shape
-    item = spec.add_texture(
-        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height, nchannel=channels
-    )
-    item.data = np.ascontiguousarray(texture_srgb).tobytes()
 
 
 def _add_joint(
@@ -231,21 +212,18 @@ def _add_joint(
         item.solimp_friction = HOLDING_SOLIMP
 
 
-def _add_colliders(body: mujoco.MjsBody, link: AssetLink, prefix: str) -> tuple[str, ...]:
+def _add_colliders(body: mujoco.MjsBody, link: AssetLink) -> tuple[str, ...]:
     """Box geoms that share the link's mass by volume."""
     volumes = np.array([box.half_extents.prod() for box in link.colliders])
-    names = []
     for box, share in zip(link.colliders, volumes / volumes.sum(), strict=True):
-        T = transform(box.T_asset_box[:3, :3], box.T_asset_box[:3, 3])
         body.add_geom(
-            name=prefix + box.name,
+            name=f"{body.name}_{box.name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=T[:3, 3],
-            quat=quat_from_matrix(T[:3, :3]),
+            pos=box.T_asset_box[:3, 3],
+            quat=quat_from_matrix(box.T_asset_box[:3, :3]),
             size=box.half_extents,
             mass=float(link.mass * share),
             friction=CONTACT_FRICTION,
             group=COLLIDER_GROUP,
         )
-        names.append(prefix + box.name)
-    return tuple(names)
+    return tuple(f"{body.name}_{box.name}" for box in link.colliders)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.procedural.shapes import Material
-from aomgen.assets.usd_joint import UsdJoint
 from aomgen.assets.usd_material import plain_material, read_material
 from aomgen.core.asset import AssetLink, BoxCollider
 from aomgen.core.mesh import Mesh
@@ -38,8 +37,10 @@ class _Collected:
     named: bool = False
 
 
-def read_links(stage: Any, joint: UsdJoint, to_metric: Array, path: Path) -> tuple[AssetLink, AssetLink]:
-    """Static and moving link of the stage in a file, metric, Z up.
+def read_links(
+    stage: Any, moving_bodies: frozenset[str], all_bodies: frozenset[str], to_metric: Array, path: Path
+) -> tuple[AssetLink, AssetLink]:
+    """Static and moving link of the stage in a file, metric, Z up; bodies are prim paths.
 
     Boxes (UsdGeom.Cube with CollisionAPI) are taken as they are; where a link has none, its
     collision meshes (or else its visible ones) are covered by boxes, see `box_cover`.
@@ -55,9 +56,8 @@ def read_links(stage: Any, joint: UsdJoint, to_metric: Array, path: Path) -> tup
     cache = UsdGeom.XformCache()
     count = 0
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
-        owner = _owner(prim, joint.all_bodies)
-        link = links[owner in joint.moving_bodies]
-        if str(prim.GetPath()) in joint.all_bodies and not link.named:
+        link = links[_owner(prim, all_bodies) in moving_bodies]
+        if str(prim.GetPath()) in all_bodies and not link.named:
             link.name, link.named = str(prim.GetDisplayName() or prim.GetName()), True
         if prim.HasAPI(UsdPhysics.MassAPI):
             link.mass += max(0.0, float(UsdPhysics.MassAPI(prim).GetMassAttr().Get() or 0.0))
@@ -80,8 +80,7 @@ def read_links(stage: Any, joint: UsdJoint, to_metric: Array, path: Path) -> tup
         link.meshes += meshes if seen else []
         link.collision_meshes += meshes if collides else []
     kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
-    static, moving = (_finish(link, kilograms, path) for link in (links[False], links[True]))
-    return static, moving
+    return _finish(links[False], kilograms, path), _finish(links[True], kilograms, path)
 
 
 def _finish(link: _Collected, kilograms: float, path: Path) -> AssetLink:

@@ -1,15 +1,14 @@
-"""Whether this machine has what the stages that are still to be made will ask for."""
+"""Whether this machine has what stages ask for."""
 
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from aomgen.errors import AomgenError, BackendError, StorageError
-from aomgen.robots.model_renderer import REMEDY
 from aomgen.robots.model_renderer import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
 from aomgen.segmentation.weights import find_weights
@@ -114,30 +113,22 @@ def diagnose() -> list[tuple[str, str, str]]:
         found = importlib.util.find_spec(module) is not None
         remedy = f"pip install 'aomgen[{extra}]'" if extra else "pip install aomgen"
         rows.append((module, "" if found else f"missing: {remedy}", purpose))
-    rows.append(("engine", _engine_problem(), "rendering and training on the CPU"))
     problem = gl_problem()
-    rows.append(
-        ("OpenGL", f"{problem}: {REMEDY}" if problem else "", "robot silhouettes (alignment, clock offset)")
-    )
-    rows.append(("weights", _weights_problem(), "part masks from prompts"))
-    return rows
+    return [
+        *rows,
+        ("engine", _problem_of(library), "rendering and training on the CPU"),
+        (
+            "OpenGL",
+            f"{problem}: {GL_REMEDY}" if problem else "",
+            "robot silhouettes (alignment, clock offset)",
+        ),
+        ("weights", _problem_of(find_weights), "part masks from prompts"),
+    ]
 
 
-def _engine_problem() -> str:
-    from aomgen.splatting.native import library
-
+def _problem_of(check: Callable[[], object]) -> str:
     try:
-        library()
-    except AomgenError as error:
-        return str(error)
-    return ""
-
-
-def _weights_problem() -> str:
-    from aomgen.segmentation.weights import find_weights
-
-    try:
-        find_weights()
+        check()
     except AomgenError as error:
         return str(error)
     return ""

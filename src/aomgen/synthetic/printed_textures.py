@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from aomgen.assets.procedural.builder import pick
-from aomgen.assets.procedural.textures import COLORS, WORDS, Texture, bar_code, draw_ink, noise, tint, wood
+from aomgen.assets.procedural.builder import pick_color
+from aomgen.assets.procedural.textures import WORDS, Texture, bar_code, draw_ink, noise, tint, wood
 
 
 def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Texture:
@@ -108,7 +108,7 @@ def checked(rng: np.random.Generator, size: int = 768) -> Texture:
 
 def planks(rng: np.random.Generator, size: int = 768) -> Texture:
     """A wooden board of another shade than the table's."""
-    return wood(rng, pick(rng, COLORS["wood"]), size)
+    return wood(rng, pick_color(rng, "wood"), size)
 
 
 def tiles(rng: np.random.Generator, size: int = 1024, count: int = 6) -> Texture:

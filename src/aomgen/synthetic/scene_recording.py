@@ -42,7 +42,6 @@ class Conditions:
         focal_share: Focal length over image width; a phone's main camera has about 0.94.
         noise: Sensor noise, 1 = a phone in a bright room.
         gain_spread: Largest relative change of exposure between stills.
-        intrinsics_known: Whether capture.toml states them.
     """
 
     size: tuple[int, int] = (320, 240)
@@ -51,7 +50,6 @@ class Conditions:
     focal_share: float = 0.9375
     noise: float = 1.0
     gain_spread: float = 0.03
-    intrinsics_known: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

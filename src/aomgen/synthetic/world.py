@@ -211,11 +211,13 @@ scan_state = "first_row"
 
 [scan]
 images = "scan"
-{_stated(recording, recording.scan_cameras[0])}
+intrinsics = {_intrinsics(recording.scan_cameras[0])}
+
 [[demo.cameras]]
 name = "{CAMERA}"
 video = "demo/{CAMERA}.mp4"
-{_stated(recording, recording.video.camera)}
+intrinsics = {_intrinsics(recording.video.camera)}
+
 [demo]
 joints = "demo/joints.csv"
 """
@@ -225,10 +227,6 @@ joints = "demo/joints.csv"
             text += f'\n[[prompts]]\npart = "{part}"\nimage = "{number:04d}.jpg"\n'
             text += f"points = [[{x}, {y}, 1]]\nbox = {bounds}\n"
     return text
-
-
-def _stated(recording: Recording, camera: Camera) -> str:
-    return f"intrinsics = {_intrinsics(camera)}\n" if recording.conditions.intrinsics_known else ""
 
 
 def _clearest(labels: list[NDArray[np.uint8]], label: int) -> tuple[int, int]:

@@ -88,7 +88,9 @@ def folders(tmp_path_factory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def dataset(folders, tmp_path_factory) -> Path:
-    return write_lerobot_v3(folders, tmp_path_factory.mktemp("out") / "dataset").folder
+    dataset = tmp_path_factory.mktemp("out") / "dataset"
+    write_lerobot_v3(folders, dataset)
+    return dataset
 
 
 def test_counts_and_indices_of_a_dataset(dataset):
@@ -127,7 +129,8 @@ def test_every_frame_of_the_joined_video_is_the_right_one(dataset):
 
 
 def test_same_episodes_give_the_same_bytes(folders, dataset, tmp_path):
-    again = write_lerobot_v3(folders, tmp_path / "again").folder
+    again = tmp_path / "again"
+    write_lerobot_v3(folders, again)
     files = sorted(p.relative_to(dataset) for p in dataset.rglob("*") if p.is_file())
     assert files == sorted(p.relative_to(again) for p in again.rglob("*") if p.is_file())
     for name in files:

@@ -1,13 +1,16 @@
 """What all designs of made assets share: sizes drawn from a table, links built row by row, bars, joints.
 
-A design is a table of sizes and one function that lists boxes, prints and rods in the asset frame: front
-towards -y, centred in x, on z = 0.
+A design is a table of sizes in `designs.toml` and one function that lists boxes, prints and rods in the asset
+frame: front towards -y, centred in x, on z = 0.
 """
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +50,12 @@ FACES: Final = {
 POST: Final = 0.8
 
 
+@cache
+def design(name: str) -> Mapping[str, Any]:
+    """A table of `designs.toml`."""
+    return tomllib.loads((Path(__file__).parent / "designs.toml").read_text("utf-8"))[name]
+
+
 def draw_sizes(rng: np.random.Generator, table: Mapping[str, Span]) -> SimpleNamespace:
     """One number within the range of each row, in the order of the table."""
     return SimpleNamespace(**{name: rng.uniform(*span) for name, span in table.items()})
@@ -55,6 +64,11 @@ def draw_sizes(rng: np.random.Generator, table: Mapping[str, Span]) -> SimpleNam
 def pick(rng: np.random.Generator, options: Sequence[Item]) -> Item:
     """One of several, each as likely."""
     return options[int(rng.integers(len(options)))]
+
+
+def pick_color(rng: np.random.Generator, kind: str) -> Color:
+    """One of the usual colors of something, sRGB 0..1."""
+    return pick(rng, design("colors")[kind])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ from aomgen.core.values import Array
 PRINT_GAP = 0.0006
 # The two in-plane axes (u, v) of a face whose normal is axis x, y or z.
 _PLANE_AXES = ((1, 2), (0, 2), (0, 1))
-_NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
+NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +29,7 @@ class Material:
         roughness, metallic: UsdPreviewSurface's parameters.
     """
 
-    texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: _NO_TEXTURE)
+    texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: NO_TEXTURE)
     color_srgb: tuple[float, float, float] = (0.8, 0.8, 0.8)
     tile_m: float = 0.6
     roughness: float = 0.6

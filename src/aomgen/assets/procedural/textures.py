@@ -1,7 +1,5 @@
 """Textures of made assets: wood, metal, plastic, enamel, glass; prints with words, stickers, keys and screens."""
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -13,17 +11,6 @@ Texture = NDArray[np.uint8]
 # Names of makers and products.
 WORDS = ("Orlo", "Vesta", "Kanto", "Milla", "Norden", "Tavi", "Brisk", "Ondea", "Halden", "Pelto")
 KEY_ROWS = ("`1234567890-=", "QWERTYUIOP[]", "ASDFGHJKL;'", "ZXCVBNM,./")
-# Usual colors, sRGB 0..1.
-COLORS: Final = {
-    # Oak, walnut, mahogany, maple.
-    "wood": ((0.76, 0.60, 0.42), (0.58, 0.40, 0.26), (0.42, 0.28, 0.20), (0.83, 0.74, 0.60)),
-    # White, blue, green, red.
-    "paint": ((0.86, 0.85, 0.82), (0.34, 0.45, 0.52), (0.52, 0.58, 0.44), (0.70, 0.34, 0.26)),
-    # Stained wood and black lacquer.
-    "dark": ((0.13, 0.11, 0.10), (0.15, 0.16, 0.18), (0.21, 0.14, 0.10)),
-    # Steel, brass, black.
-    "metal": ((0.76, 0.76, 0.78), (0.72, 0.60, 0.36), (0.22, 0.22, 0.23)),
-}
 
 
 def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float]) -> Array:
