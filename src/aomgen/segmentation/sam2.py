@@ -31,6 +31,8 @@ _SPREAD: Final = np.array([0.229, 0.224, 0.225], np.float32)
 # Points asked at once; the decoder's memory grows with them.
 _POINTS: Final = 16
 EXTRA: Final = 'pip install "aomgen[sam2]"'
+# What lies on top comes last: the moving part lies on the prompted object.
+PARTS: Final = (("static", STATIC), ("moving", MOVING))
 
 
 def transformers_module(name: str) -> ModuleType:
@@ -196,10 +198,6 @@ class _Sam2Image:
                 multimask_output=several,
             )
         return answer.pred_masks[0].float().cpu().numpy(), answer.iou_scores[0].float().cpu().numpy()
-
-
-# What lies on top comes last: the moving part lies on the prompted object.
-PARTS = (("static", STATIC), ("moving", MOVING))
 
 
 def load_tracker(files: Sam2Files, device: str = "cpu") -> Any:

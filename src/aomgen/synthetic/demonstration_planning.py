@@ -99,11 +99,8 @@ def plan(
 ) -> tuple[DemonstrationStyle, CommandedTrajectory] | None:
     """Joint path and timing of one demonstration; None where this layout and style cannot be reached.
 
-    Args:
-        style: How it is done; the usual pinch that opens the object when None.
-
-    Checked: residuals, joint steps, contact of anything but the fingers with handle. Not
-    checked: dynamics (see `demonstration.py`).
+    Without a style it is the usual pinch that opens the object. Checked: residuals, joint steps, contact of
+    anything but the fingers with handle. Not checked: dynamics (see `demonstration_search.simulate`).
     """
     robot, asset = scene.robot, layout.asset
     style, grasp_style = (style, draw_grasp_style(rng, style)) if style else draw_usual_style(asset, rng)
@@ -200,13 +197,9 @@ def _is_free(scene: Scene, way: PhasePaths, style: DemonstrationStyle) -> bool:
 def _is_path_free(
     scene: Scene, path: Array, gripper: float, values: ArrayLike, *, deepest: float = 0.0
 ) -> bool:
-    """Whether the robot touches nothing along a path.
+    """Whether the robot touches nothing along joints (N, J), [rad]; the hand may reach so deep into the part, [m].
 
-    Args:
-        path: Joints (N, J), [rad].
-        gripper: Closing of the hand, 0..1.
-        values: Joint values of the part (N,), or one for all (1,).
-        deepest: So far the hand may reach into the moving part, [m].
+    Joint values of the part: (N,), or one for all (1,).
     """
     roles, data = scene.roles, mujoco.MjData(scene.model)
     for qpos in scene.qpos(path, gripper, values)[::2]:

@@ -63,7 +63,7 @@ def draw_usual_style(
     return style, grasp_style
 
 
-def pinch(
+def _pinch(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, style: DemonstrationStyle
 ) -> DemonstratedGrasp:
     """The hand approaches the front from a little above; its fingers close across the bar.
@@ -80,12 +80,11 @@ def pinch(
         tilt += NOD_SHARE * style.follow * max(style.start, style.goal) * float(asset.joint.axis @ sideways)
     R = matrix_from_rotvec(-tilt * sideways) @ R @ gripper_axes(robot).T
     point = asset.handle_point
-    return DemonstratedGrasp(
-        T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0)
-    )
+    T_asset_ee = transform(R, point)
+    return DemonstratedGrasp(T_asset_ee=T_asset_ee, pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0))
 
 
-def pinch_rim(
+def _pinch_rim(
     robot: RobotModel,
     asset: ArticulatedAsset,
     grasp_style: GraspStyle,
@@ -138,18 +137,18 @@ def choose_grasp(
         style: Of a touch that is possible.
     """
     if style.touch == "pinch" and not held_at_rim(asset):
-        return pinch(robot, asset, grasp_style, style)
+        return _pinch(robot, asset, grasp_style, style)
     tips = measure_closed_tips(robot, model)
     if style.touch == "pinch":
-        return pinch_rim(robot, asset, grasp_style, style, tips)
+        return _pinch_rim(robot, asset, grasp_style, style, tips)
     if style.touch == "hook":
-        return hook(robot, asset, grasp_style, tips)
+        return _hook(robot, asset, grasp_style, tips)
     if _facing(asset, style.direction) < -PUSH_LIMIT:
-        return push_front(robot, asset, grasp_style, tips)
-    return push_bar(robot, asset, grasp_style, style, tips)
+        return _push_front(robot, asset, grasp_style, tips)
+    return _push_bar(robot, asset, grasp_style, style, tips)
 
 
-def hook(
+def _hook(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
 ) -> DemonstratedGrasp | None:
     """Closed fingers reach behind the bar from its side, their width across, and pull it.
@@ -174,12 +173,10 @@ def hook(
     room = float((corner - foot) @ normal)
     if room < HOOK_ROOM_M:
         return None
-    R = np.stack([width, closing, approach], 1) @ gripper_axes(robot).T
-    slack = -min(room / 2, 0.004) * normal
-    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return _closed_hand(robot, closing, approach, point, slack=-min(room / 2, 0.004) * normal)
 
 
-def push_bar(
+def _push_bar(
     robot: RobotModel,
     asset: ArticulatedAsset,
     grasp_style: GraspStyle,
@@ -198,12 +195,10 @@ def push_bar(
     half = (tips[1, 1] - tips[0, 1]) / 2
     point = asset.handle_point - (_support(bar, along) + half) * along
     point = point - (tips[1, 2] - BAR_BEHIND_TIP_M) * approach
-    R = np.stack([np.cross(closing, approach), closing, approach], 1) @ gripper_axes(robot).T
-    slack = -PUSH_SLACK_M * along
-    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return _closed_hand(robot, closing, approach, point, slack=-PUSH_SLACK_M * along)
 
 
-def push_front(
+def _push_front(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
 ) -> DemonstratedGrasp | None:
     """Closed finger tips push on the front, beside the bar.
@@ -223,9 +218,15 @@ def push_front(
         if arms[0] < 0.5 * arms[1]:
             return None
     closing = along * (-1.0 if grasp_style.flip else 1.0)
-    R = np.stack([np.cross(closing, -normal), closing, -normal], 1) @ gripper_axes(robot).T
     place = point + tips[1, 2] * normal
-    slack = PUSH_SLACK_M * normal
+    return _closed_hand(robot, closing, -normal, place, slack=PUSH_SLACK_M * normal)
+
+
+def _closed_hand(
+    robot: RobotModel, closing: Array, approach: Array, place: Array, *, slack: Array
+) -> DemonstratedGrasp:
+    """Closed fingers at a place (3,), by the direction of closing and of approach (3,)."""
+    R = np.stack([np.cross(closing, approach), closing, approach], 1) @ gripper_axes(robot).T
     return DemonstratedGrasp(T_asset_ee=transform(R, place), pivot=place, slack=slack, gripper=(1.0, 1.0))
 
 

@@ -94,18 +94,16 @@ def draw_style(
     outcome: Outcome = "moves",
     moving_share: float | None = None,
 ) -> DemonstrationStyle:
-    """A random style for an asset.
+    """A random style for an asset, whose joint gives the range and whose handle the lever.
 
     Args:
-        asset: Gives the joint's range and the handle's lever.
-        rng: Chooses everything that is not given.
-        direction, touch, outcome: As in `DemonstrationStyle`; which touches a part allows, tells
-            `grasp.possible_touches`.
+        direction, touch, outcome: As in `DemonstrationStyle`; `list_grasp_types` tells which touches a part
+            allows.
         moving_share: Share of the video in which the part moves, 0.03..0.85; drawn when None. It
             is met but for the random cut of the video (0.2 s at either end), by a longer video where
             the motion would be too quick.
 
-    Not checked: whether the arm can reach it; `perform` tells.
+    Not checked: whether the arm can reach it; `find_demonstration` tells.
     """
     joint = asset.joint
     low, high = TRAVEL[joint.type]

@@ -40,12 +40,7 @@ MAT_PRINT: Final = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TabletopObject:
-    """One thing on the table, room frame.
-
-    Attributes:
-        kind: A key of `SIZES`.
-        solid: The box around it, [m].
-    """
+    """One thing on the table: a key of `SIZES`, and the box around it, room frame, [m]."""
 
     kind: str
     solid: AlignedBox
@@ -64,12 +59,9 @@ def draw_object_on_table(
     taken: list[tuple[float, float, float, float]],
     rng: np.random.Generator,
 ) -> TabletopObject | None:
-    """A thing of a kind at a free place; None where it finds none in a few tries.
+    """A thing of a kind between low and high x and y; None where it finds no free place in a few tries.
 
-    Args:
-        spans: Low and high x, and low and high y, between which it lies, [m].
-        table_z: Height of the table, [m].
-        taken: Areas (x0, x1, y0, y1) that stay free, [m].
+    Areas (x0, x1, y0, y1) that are taken stay free, [m].
     """
     for _ in range(60):
         a, b, c = (float(size) for size in rng.uniform(*SIZES[kind]))

@@ -48,7 +48,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_object_moves_only_while_the_fingers_hold_it(performance: Performance) -> None:
     shown = performance.demonstration
-    start, goal = performance.script.theta_start, performance.script.theta_goal
+    start, goal = performance.script.theta_start, performance.style.goal
     touched = np.array([len(touches) > 0 for touches in shown.contacts])
     first = int(np.argmax(touched))
     assert 1000 < first < 3000
@@ -83,7 +83,7 @@ def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performan
         world.model.geom(name).contype = 0
         world.model.geom(name).conaffinity = 0
     shown = simulate(world, open_hand)
-    start, goal = performance.script.theta_start, performance.script.theta_goal
+    start, goal = performance.script.theta_start, performance.style.goal
     assert abs(shown.theta[-1] - start) < 0.05 * goal
 
 
