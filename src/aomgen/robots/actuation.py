@@ -43,18 +43,9 @@ def add_actuation(
     pad_way_m: float,
     path: Path,
 ) -> ActuatorSection | None:
-    """Make a robot fit for contact simulation.
+    """Make a robot fit for contact simulation: pad boxes, servos, contact exclusions, shapes in our groups.
 
-    Args:
-        spec: Gets pad boxes, servos and contact exclusions; shapes are sorted into our groups.
-        chain: Arm and hand.
-        ee_site: End effector.
-        gripper: Its strokes and pads.
-        pad_way_m: How much nearer the pads come from open to closed.
-        path: For messages.
-
-    Returns:
-        What closes the gripper.
+    The pads come nearer by `pad_way_m` from open to closed. Returns what closes the gripper.
     """
     model = compile_model(spec, path)
     _sort_geoms(spec, model)
@@ -103,14 +94,9 @@ def _fix_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 def _add_pad(spec: mujoco.MjSpec, side: str, pad: PadSection) -> None:
     geom = spec.body(pad.body).add_geom(
-        name=f"pad_{side}",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=pad.center,
-        quat=pad.quat_wxyz,
-        size=pad.half_extents,
-        mass=0.0,
-        group=COLLIDER_GROUP,
-    )
+        name=f"pad_{side}", type=mujoco.mjtGeom.mjGEOM_BOX, mass=0.0, group=COLLIDER_GROUP,
+        pos=pad.center, quat=pad.quat_wxyz, size=pad.half_extents,
+    )  # fmt: skip
     # Rubber: it holds by friction, and gives way a little.
     geom.friction, geom.condim, geom.priority = [0.8, 0.01, 0.0005], 4, 1
     geom.solref, geom.solimp = [0.004, 1.0], [0.95, 0.99, 0.001, 0.5, 2.0]

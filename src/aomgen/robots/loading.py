@@ -102,18 +102,9 @@ def _describe_file(file: Path, root: Path, joints: Sequence[str], hand: HandChoi
 
 
 def choose_robot(choice: RobotChoice) -> RobotModel:
-    """The robot of a capture, in the capture's world frame and joint order.
-
-    Raises:
-        As `load_robot`.
-    """
-    return load_robot(
-        choice.model_file or choice.model,
-        choice.base_frame,
-        joints=choice.joints,
-        hand=choice.hand,
-        root=choice.root,
-    )
+    """The robot of a capture, in the capture's world frame and joint order; raises as `load_robot`."""
+    model, hand = choice.model_file or choice.model, choice.hand
+    return load_robot(model, choice.base_frame, joints=choice.joints, hand=hand, root=choice.root)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -282,9 +273,5 @@ def _closing_way(
 
 def _hand_drive(strokes: Mapping[str, tuple[float, float]], actuator: ActuatorSection) -> HandDrive:
     (driver, ends), *_ = strokes.items()
-    return HandDrive(
-        driver=driver,
-        driver_range=ends,
-        actuator=actuator.name,
-        control_range=(actuator.open, actuator.closed),
-    )
+    controls = actuator.open, actuator.closed
+    return HandDrive(driver=driver, driver_range=ends, actuator=actuator.name, control_range=controls)
