@@ -38,11 +38,10 @@ def check_asset(asset: ArticulatedAsset) -> list[str]:
 def outward_normal(asset: ArticulatedAsset) -> Array:
     """Unit normal (3,) of the face that carries the handle, away from the body.
 
-    A handle stands off its part. Where its colliders are named, the part's nearest other
-    collider is what it stands on, and the normal is that box's axis towards the handle; so a
-    sliding panel and a lid held at its front edge have theirs too. Otherwise the handle is
-    taken to start roughly along it: of the axes of the moving colliders the one nearest to that
-    motion is taken, because a hinge lies a little behind the front.
+    Where the handle's colliders are named, the part's nearest other collider is what it stands on, and
+    the normal is that box's axis towards the handle. Otherwise the handle is taken to start roughly
+    along it: of the axes of the moving colliders the one nearest to that motion is taken, because a
+    hinge lies a little behind the front.
     """
     joint = asset.joint
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
@@ -90,6 +89,11 @@ def _distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Arr
     return np.linalg.norm(np.maximum(np.abs(local) - half_extents, 0.0), axis=-1)
 
 
+def _failed(*checks: tuple[bool, str]) -> list[str]:
+    """Sentences of the checks that do not hold."""
+    return [sentence for holds, sentence in checks if not holds]
+
+
 def _check_sizes(asset: ArticulatedAsset) -> list[str]:
     vertices = [mesh.vertices for link in (asset.static, asset.moving) for mesh in link.meshes]
     if not vertices:
@@ -97,49 +101,38 @@ def _check_sizes(asset: ArticulatedAsset) -> list[str]:
     points = np.concatenate(vertices)
     if not np.isfinite(points).all():
         return ["has vertices that are not finite"]
-    size = float((points.max(0) - points.min(0)).max())
-    problems = []
-    if not SIZE_RANGE[0] <= size <= SIZE_RANGE[1]:
-        problems.append(
-            f"is {size:.3g} m large, want {SIZE_RANGE[0]} to {SIZE_RANGE[1]} m: check metersPerUnit"
-        )
-    if not abs(points[:, 2].min()) <= 0.005:
-        problems.append(f"stands at z = {points[:, 2].min():.3f} m, want 0")
-    return problems
+    size, foot = float((points.max(0) - points.min(0)).max()), points[:, 2].min()
+    low, high = SIZE_RANGE
+    return _failed(
+        (low <= size <= high, f"is {size:.3g} m large, want {low} to {high} m: check metersPerUnit"),
+        (abs(foot) <= 0.005, f"stands at z = {foot:.3f} m, want 0"),
+    )
 
 
 def _check_joint(asset: ArticulatedAsset) -> list[str]:
-    joint = asset.joint
-    problems = []
-    if not abs(np.linalg.norm(joint.axis) - 1) <= 1e-6:
-        problems.append("has a joint axis that is not a unit vector")
-    if not joint.lower <= 0.0 <= joint.upper:
-        problems.append(
-            f"has joint limits {joint.lower:.3g} .. {joint.upper:.3g} that exclude the closed state 0"
-        )
-    if not joint.upper >= MIN_OPENING[joint.type]:
-        problems.append(
-            f"opens by {joint.upper:.3g} only, want at least {MIN_OPENING[joint.type]:.3g} (rad or m)"
-        )
-    if joint.type == "revolute" and not joint.upper <= 2 * np.pi:
-        problems.append(f"opens by {joint.upper:.3g} rad: limits look like degrees")
-    return problems
+    joint, least = asset.joint, MIN_OPENING[asset.joint.type]
+    limits = f"{joint.lower:.3g} .. {joint.upper:.3g}"
+    degrees = joint.type == "revolute" and not joint.upper <= 2 * np.pi
+    return _failed(
+        (abs(np.linalg.norm(joint.axis) - 1) <= 1e-6, "has a joint axis that is not a unit vector"),
+        (joint.lower <= 0.0 <= joint.upper, f"has joint limits {limits} that exclude the closed state 0"),
+        (joint.upper >= least, f"opens by {joint.upper:.3g} only, want at least {least:.3g} (rad or m)"),
+        (not degrees, f"opens by {joint.upper:.3g} rad: limits look like degrees"),
+    )
 
 
 def _check_links(asset: ArticulatedAsset) -> list[str]:
     problems = []
     for link in (asset.static, asset.moving):
-        if not link.mass > 0:
-            problems.append(f"link {link.name!r} has mass {link.mass}, want a positive one")
-        if not link.meshes:
-            problems.append(f"link {link.name!r} has no meshes")
-        if not link.colliders:
-            problems.append(f"link {link.name!r} has no colliders")
-        if not all((box.half_extents > 0).all() for box in link.colliders):
-            problems.append(f"link {link.name!r} has a collider without thickness")
         names = [box.name for box in link.colliders]
-        if len(set(names)) != len(names):
-            problems.append(f"link {link.name!r} repeats a collider name")
+        thick = all((box.half_extents > 0).all() for box in link.colliders)
+        problems += _failed(
+            (link.mass > 0, f"link {link.name!r} has mass {link.mass}, want a positive one"),
+            (bool(link.meshes), f"link {link.name!r} has no meshes"),
+            (bool(names), f"link {link.name!r} has no colliders"),
+            (thick, f"link {link.name!r} has a collider without thickness"),
+            (len(set(names)) == len(names), f"link {link.name!r} repeats a collider name"),
+        )
     return problems
 
 
@@ -186,19 +179,20 @@ def _check_handle(asset: ArticulatedAsset) -> list[str]:
     across = np.cross(asset.handle_axis, outward)
     extent = np.abs(poses[bar, :3, :3].T @ np.stack([outward, across], 1))
     depth, thickness = (2 * half[bar] @ extent).tolist()
-    problems = []
-    if not thickness <= MAX_HANDLE_THICKNESS:
-        problems.append(
-            f"handle is {1000 * thickness:.0f} mm thick, limit {1000 * MAX_HANDLE_THICKNESS:.0f} mm"
-        )
     rim = held_at_rim(asset)
     sides = np.stack([across, -across]) if rim else -outward[None]
     balls = point + sides * ((thickness if rim else depth) / 2 + FINGER_BALL / 2 + 5e-4)
     others = [box for number, box in enumerate(asset.moving.colliders) if number != bar]
     gap = _distance_to_boxes(balls, *_stack_boxes([*asset.static.colliders, *others])).min()
-    if not gap >= FINGER_BALL / 2:
-        where = "on both sides of" if rim else "behind"
-        problems.append(
-            f"no {1000 * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {1000 * gap:.1f} mm)"
-        )
-    return problems
+    where = "on both sides of" if rim else "behind"
+    mm = 1000
+    return _failed(
+        (
+            thickness <= MAX_HANDLE_THICKNESS,
+            f"handle is {mm * thickness:.0f} mm thick, limit {mm * MAX_HANDLE_THICKNESS:.0f} mm",
+        ),
+        (
+            bool(gap >= FINGER_BALL / 2),
+            f"no {mm * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {mm * gap:.1f} mm)",
+        ),
+    )

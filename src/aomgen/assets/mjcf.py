@@ -28,12 +28,9 @@ NO_LOAD: Final = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointResistance:
-    """Passive resistance of an object's joint in one simulated run.
+    """Passive resistance of an object's joint in one simulated run, by its name in the verdict.
 
-    Attributes:
-        name: Key in the verdict.
-        damping: [N m s/rad] or [N s/m].
-        frictionloss: Dry friction beyond `holding_friction`, [N m] or [N].
+    Damping in [N m s/rad] or [N s/m]; dry friction beyond `holding_friction` in [N m] or [N].
     """
 
     name: str
@@ -112,21 +109,16 @@ def add_asset(
     visual: bool = False,
     bolted: bool = True,
 ) -> AssetNames:
-    """Add an asset with a passive joint to a model under construction.
+    """Add an asset with a passive joint to a model under construction, which counts angles in radians.
+
+    The links do not touch each other (MuJoCo's own parent filter does not hold for links welded to the
+    world). Colliders are in group 3.
 
     Args:
-        spec: Receives bodies, joint, geoms, an exclude between both links (MuJoCo's own parent
-            filter does not hold for links welded to the world) and, with `visual`, meshes,
-            textures and materials. Must count angles in radians (`spec.compiler.degree = False`).
-        asset: Closed at joint value 0.
-        T_world_asset: Rigid pose (4, 4) of the asset frame.
         damping: Of the joint, [N m s/rad] or [N s/m].
         frictionloss: Dry friction of the joint beyond `holding_friction`, [N m] or [N].
-        visual: Also add what is seen (group 2, no contacts). Colliders are in group 3.
+        visual: Also add what is seen (group 2, no contacts).
         bolted: Weld the static link to the world; otherwise it gets a free joint.
-
-    Returns:
-        The names that were added.
 
     Raises:
         ValueError: `spec` counts in degrees; a programming error.
@@ -181,15 +173,9 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
 def add_visual_geom(body: mujoco.MjsBody, name: str) -> None:
     """Show the mesh and material of a name on a body, without contacts or mass."""
     body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=name,
-        material=name,
-        contype=0,
-        conaffinity=0,
-        group=VISUAL_GROUP,
-        mass=0.0,
-    )
+        name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name,
+        contype=0, conaffinity=0, group=VISUAL_GROUP, mass=0.0,
+    )  # fmt: skip
 
 
 def _add_joint(

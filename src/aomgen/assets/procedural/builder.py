@@ -73,13 +73,12 @@ def pick_color(rng: np.random.Generator, kind: str) -> Color:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BarHandle:
-    """A bar on two posts that a parallel gripper can hold from the front.
+    """A bar on two posts that a parallel gripper can hold from the front, [m].
 
     Attributes:
-        foot: Point of the front's plane behind the bar's middle (3,), [m].
+        foot: Point of the front's plane behind the bar's middle (3,).
         axis: Unit direction of the bar (3,).
-        length, thickness: Of the bar, [m].
-        clearance: Free depth between front and bar, [m].
+        clearance: Free depth between front and bar.
     """
 
     foot: Array
@@ -121,12 +120,9 @@ class BarHandle:
 
 def make_bar(s: SimpleNamespace, foot: ArrayLike, axis: Array, length: float) -> BarHandle:
     """A bar as thick and as far off as the drawn sizes say."""
+    place = np.asarray(foot, np.float64)
     return BarHandle(
-        foot=np.asarray(foot, np.float64),
-        axis=axis,
-        length=length,
-        thickness=s.bar_thickness,
-        clearance=s.bar_clearance,
+        foot=place, axis=axis, length=length, thickness=s.bar_thickness, clearance=s.bar_clearance
     )
 
 
@@ -239,13 +235,8 @@ def lining(x: Span, y: Span, z: Span) -> list[AlignedBox]:
 
 def hinge(axis: ArrayLike, origin: ArrayLike, opening_deg: float) -> Joint:
     """A revolute joint that opens so far."""
-    return Joint(
-        type="revolute",
-        axis=np.asarray(axis, np.float64),
-        origin=np.asarray(origin, np.float64),
-        lower=0.0,
-        upper=np.deg2rad(opening_deg),
-    )
+    line, place = np.asarray(axis, np.float64), np.asarray(origin, np.float64)
+    return Joint(type="revolute", axis=line, origin=place, lower=0.0, upper=np.deg2rad(opening_deg))
 
 
 def slide(axis: ArrayLike, bar: BarHandle, travel: float) -> Joint:
@@ -261,11 +252,5 @@ def assemble(
     """The asset, still without a name; it is held at a bar, or at a point (3,) of a level rim."""
     point, axis = (held.middle, held.axis) if isinstance(held, BarHandle) else (held, LEVEL)
     return ArticulatedAsset(
-        name="",
-        category=category,
-        static=static,
-        moving=moving,
-        joint=joint,
-        handle_point=point,
-        handle_axis=axis,
-    )
+        name="", category=category, static=static, moving=moving, joint=joint, handle_point=point, handle_axis=axis
+    )  # fmt: skip

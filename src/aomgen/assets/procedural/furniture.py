@@ -215,13 +215,10 @@ def _add_sliding_panel(
 
 
 def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, AlignedBox]:
-    """The open box behind a drawer's front: floor, two sides and back.
+    """The open box behind a drawer's front: floor, two sides and back, all `thin`, [m].
 
-    Args:
-        sides: Outer planes across, asset frame x, [m].
-        depth: From the front's back side to the tray's end, asset frame y, [m].
-        heights: Of the floor's lower side and of the rim, [m].
-        thin: Thickness of all four, [m].
+    Between outer planes across (x), from the front's back side to the tray's end (y), from the floor's lower
+    side to the rim (z).
     """
     (x0, x1), (start, end), (floor, rim) = sides, depth, heights
     return {

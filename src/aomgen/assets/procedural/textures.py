@@ -14,11 +14,7 @@ KEY_ROWS = ("`1234567890-=", "QWERTYUIOP[]", "ASDFGHJKL;'", "ZXCVBNM,./")
 
 
 def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float]) -> Array:
-    """Smooth tileable noise (size, size) with zero mean and unit spread.
-
-    Args:
-        sigma: Blur along rows (v) and columns (u), [px].
-    """
+    """Smooth tileable noise (size, size) with zero mean and unit spread, blurred along rows (v) and columns (u), [px]."""
     along_v, along_u = (sigma, sigma) if isinstance(sigma, int | float) else sigma
     # In the frequency domain a wide blur costs as little as a narrow one, and tiles by itself.
     v = np.exp(-2 * (np.pi * along_v * np.fft.fftfreq(size)) ** 2)
@@ -29,7 +25,7 @@ def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float
 
 
 def tint(color_srgb: ArrayLike, shade: Array) -> Texture:
-    """Texture (H, W, 3) uint8: one color (0..1) brightened by `shade` (H, W), +0.1 means 10 %."""
+    """Texture (H, W, 3): one color (0..1) brightened by `shade` (H, W), +0.1 means 10 %."""
     image = np.asarray(color_srgb, np.float64) * (1.0 + shade[..., None])
     return np.round(255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
 
@@ -91,9 +87,7 @@ def stickers(
 ) -> Texture:
     """A grained surface with stickers of several shapes, colors and words, no two alike.
 
-    Args:
-        color_srgb: Of the surface between them (3,), 0..1.
-        count: How many; each has a cell of its own, so that none hides another.
+    Each has a cell of its own, so that none hides another.
     """
     size = max(width, height)
     ground = tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.03 * noise(rng, size, 20))
