@@ -24,6 +24,8 @@ HOLDS: Final = 1.3
 HOLDING_SOLIMP: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 # A smaller load comes from the rounding of an axis in a file, [N m] or [N].
 NO_LOAD: Final = 1e-3
+# MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
+VISUAL_GROUP, COLLIDER_GROUP = 2, 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,10 +71,6 @@ def holding_friction(asset: ArticulatedAsset) -> float:
         arms = apply(joint.motion(np.linspace(joint.lower, joint.upper, 40)), middle) - joint.origin
         load = float(np.abs(np.cross(arms, weight) @ joint.axis).max())
     return HOLDS * load if load > NO_LOAD else 0.0
-
-
-# MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
-VISUAL_GROUP, COLLIDER_GROUP = 2, 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,8 @@ from aomgen.core.values import Array
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
+# Those that LeRobot v3.0 stores for each feature.
+QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
 def feature_names(episode: Episode) -> dict[str, tuple[str, ...]]:
@@ -88,10 +90,6 @@ def _finger_forces(episode: Episode) -> Array:
     contacts = episode.contacts
     np.add.at(forces, (contacts.frames, contacts.fingers), contacts.forces)
     return forces
-
-
-# Those that LeRobot v3.0 stores for each feature.
-QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
 def column_statistics(values: ArrayLike) -> dict[str, list]:

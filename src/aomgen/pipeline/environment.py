@@ -33,12 +33,7 @@ MIN_FREE = 250 << 20
 
 
 def require_environment(stages: Collection[str], segmenter: str, *, has_masks: bool) -> None:
-    """Refuse to start what this machine cannot finish.
-
-    Args:
-        stages: Names of the stages that are still to be made.
-        segmenter: Of the project.
-        has_masks: Whether the capture brings label images.
+    """Refuse to start what this machine cannot finish: the stages that are still to be made.
 
     Raises:
         BackendError: A module, weights, the engine or an OpenGL driver is missing.
@@ -73,11 +68,8 @@ def require_room(out: Path) -> None:
         raise StorageError(there, "is not writable", "choose another `out`")
     free = shutil.disk_usage(there).free
     if not free >= MIN_FREE:
-        raise StorageError(
-            there,
-            f"has {free >> 20} MB left on its disk, want at least {MIN_FREE >> 20}",
-            "free space or choose another `out`",
-        )
+        problem = f"has {free >> 20} MB left on its disk, want at least {MIN_FREE >> 20}"
+        raise StorageError(there, problem, "free space or choose another `out`")
 
 
 def gl_problem() -> str:

@@ -23,15 +23,19 @@ from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"
 REPORT_FILE = "report.html"
+# Parameters of the stages that have some, by stage: module below `aomgen`, and class.
+PARAMETERS = {
+    "structure": ("structure.reconstruct", "StructureParams"),
+    "gaussians": ("gaussians.train", "GaussiansParams"),
+    "alignment": ("alignment.align", "AlignmentParams"),
+    "motion": ("motion.params", "MotionParams"),
+    "replacement": ("replacement.fitting", "FitParams"),
+    "plans": ("generalization.generate", "GenerationParams"),
+}
 
 
 def _lazily(module: str, name: str = "run") -> StageFunction:
-    """A stage's function, imported when it runs: a finished run is looked through in a second that way.
-
-    Args:
-        module: Below `aomgen`, with the function.
-        name: Of the function.
-    """
+    """A function of a module below `aomgen`, imported when it runs: a finished run is looked through in a second."""
 
     def function(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         return getattr(importlib.import_module(f"aomgen.{module}"), name)(results, folder, progress)
@@ -180,17 +184,6 @@ STAGES: tuple[Stage, ...] = (
         function=_lazily("datasets.stage"),
     ),
 )
-
-
-# Parameters of the stages that have some, by stage: module below `aomgen`, and class.
-PARAMETERS = {
-    "structure": ("structure.reconstruct", "StructureParams"),
-    "gaussians": ("gaussians.train", "GaussiansParams"),
-    "alignment": ("alignment.align", "AlignmentParams"),
-    "motion": ("motion.params", "MotionParams"),
-    "replacement": ("replacement.fitting", "FitParams"),
-    "plans": ("generalization.generate", "GenerationParams"),
-}
 
 
 def check_params(project: Project) -> None:

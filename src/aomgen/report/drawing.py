@@ -17,6 +17,14 @@ from aomgen.core.values import Array
 # sRGB: blue, orange, pink.
 LABEL_COLORS = {ROBOT: (64, 128, 255), STATIC: (255, 176, 32), MOVING: (230, 60, 120)}
 Image8 = NDArray[np.uint8]
+AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
+# How strongly the space in which the axis lies covers the image.
+VEIL = 110
+STATIONS, SIDES = 9, 24
+# What is nearer to the camera is not drawn, [m].
+NEAR_M = 0.05
+# A contact is drawn no smaller than a finger's pad, and its normal as long as a finger, [m].
+PATCH_M, NORMAL_M = 0.008, 0.05
 
 
 def overlay_outline(image: Image8, mask: NDArray[np.bool_], color: tuple[int, int, int]) -> Image8:
@@ -80,26 +88,9 @@ def map_from_above(
     return np.asarray(canvas)
 
 
-Image8 = NDArray[np.uint8]
-AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
-# How strongly the space in which the axis lies covers the image.
-VEIL = 110
-STATIONS, SIDES = 9, 24
-# What is nearer to the camera is not drawn, [m].
-NEAR_M = 0.05
-# A contact is drawn no smaller than a finger's pad, and its normal as long as a finger, [m].
-PATCH_M, NORMAL_M = 0.008, 0.05
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisSpace:
-    """Where the axis lies with 95 %: circles along it.
-
-    Attributes:
-        centers: Middles (K, 3), along the estimated axis, world frame, [m].
-        radii: (K,), [m].
-        axis: Unit direction (3,).
-    """
+    """Where the axis lies with 95 %: circles (K, 3), (K,) along it, world frame, [m]."""
 
     centers: Array
     radii: Array
@@ -118,12 +109,8 @@ def axis_space(motion: MotionEstimate, held_world: Array) -> AxisSpace:
     """The 95 % space of an axis, as long as the part reaches from it.
 
     Revolute: a waist at the foot of the held point, as wide as the line's place is unknown, which
-    opens to both sides with the unknown of its direction. Prismatic: a cone from the held point to
-    where the part ends.
-
-    Args:
-        motion: The estimate.
-        held_world: The held point when the motion begins (3,), [m].
+    opens to both sides with the unknown of its direction. Prismatic: a cone from the held point (3,)
+    when the motion begins to where the part ends.
     """
     joint = motion.joint
     if joint.type == "prismatic":
@@ -139,12 +126,9 @@ def axis_space(motion: MotionEstimate, held_world: Array) -> AxisSpace:
 def overlay_motion(
     image_srgb: Image8, camera: Camera, motion: MotionEstimate, held_world: Array, theta: float
 ) -> Image8:
-    """Axis, its 95 % space, the held point's path and the contact patches over one frame.
+    """Axis, its 95 % space, the held point's path and the contact patches over one frame (H, W, 3).
 
     Args:
-        image_srgb: Frame (H, W, 3).
-        camera: Its camera, world frame.
-        motion: The estimate.
         held_world: The held point when the motion begins (3,), [m].
         theta: Joint value at the frame; the patches are drawn where the part carried them.
     """

@@ -1,4 +1,4 @@
-"""Pieces of the report's HTML; one file without script or network, videos lie beside it."""
+"""Pieces of the report's HTML, charts included; one file without script or network, videos lie beside it."""
 
 import base64
 import html
@@ -32,6 +32,12 @@ pre{background:#f4f6f8;padding:8px 12px;border-radius:4px;overflow-x:auto;margin
 summary{color:#1f6f8b;cursor:pointer}
 .views{display:grid;grid-template-columns:repeat(2,1fr);gap:4px}video{width:100%;display:block;background:#e6eaf0;border-radius:3px}
 """
+
+
+# Of a chart, and the room around its curves, [px].
+WIDTH, HEIGHT = 760, 220
+LEFT, RIGHT, TOP, BOTTOM = 54, 12, 14, 34
+COLORS = ("#1f6f8b", "#d1495b", "#66a182", "#8d6a9f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,21 +160,14 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-WIDTH, HEIGHT = 760, 220
-LEFT, RIGHT, TOP, BOTTOM = 54, 12, 14, 34
-COLORS = ("#1f6f8b", "#d1495b", "#66a182", "#8d6a9f")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """Curves over a common x axis.
+    """Curves (name, x, y) over a common x axis; labels have units.
 
     Attributes:
-        x_label, y_label: Axis titles with units.
-        curves: (name, x (N,), y (N,)) each.
-        level: (name, y) of a horizontal line, or None.
-        span: Shaded interval of x, or None.
-        band: (x, low, high) of a shaded uncertainty band, or None.
+        level: (name, y) of a horizontal line.
+        span: Shaded interval of x.
+        band: (x, low, high) of a shaded uncertainty band.
     """
 
     x_label: str
@@ -189,9 +188,8 @@ def draw_chart(chart: Chart) -> str:
     x_range, y_range = (xs.min(), xs.max()), (min(0.0, ys.min()), ys.max() * 1.08 or 1.0)
 
     def px(x: Array | float) -> Array:
-        return LEFT + (np.asarray(x) - x_range[0]) / max(x_range[1] - x_range[0], 1e-12) * (
-            WIDTH - LEFT - RIGHT
-        )
+        share = (np.asarray(x) - x_range[0]) / max(x_range[1] - x_range[0], 1e-12)
+        return LEFT + share * (WIDTH - LEFT - RIGHT)
 
     def py(y: Array | float) -> Array:
         share = (np.asarray(y) - y_range[0]) / max(y_range[1] - y_range[0], 1e-12)
@@ -209,8 +207,11 @@ def draw_chart(chart: Chart) -> str:
         x, low, high = chart.band
         outline = [*zip(px(x), py(low), strict=True), *zip(px(x)[::-1], py(high)[::-1], strict=True)]
         parts.append(f'<polygon points="{_points(outline)}" class="band"/>')
-    parts += [_y_tick(value, float(py(value))) for value in _ticks(*y_range)]
-    parts += [_x_tick(value, float(px(value))) for value in _ticks(*x_range)]
+    for value, y in ((tick, float(py(tick))) for tick in _ticks(*y_range)):
+        parts.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" class="grid"/>')
+        parts.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.3g}</text>')
+    for value, x in ((tick, float(px(tick))) for tick in _ticks(*x_range)):
+        parts.append(f'<text x="{x:.1f}" y="{HEIGHT - BOTTOM + 14}" text-anchor="middle">{value:g}</text>')
     if chart.level:
         y = float(py(chart.level[1]))
         parts.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" class="level"/>')
@@ -241,14 +242,3 @@ def _ticks(low: float, high: float) -> list[float]:
     first = np.ceil(low / step) * step
     # Zero may come out as minus zero, which would be written so.
     return [float(value) + 0.0 for value in np.arange(first, high + 1e-9 * step, step)]
-
-
-def _x_tick(value: float, x: float) -> str:
-    return f'<text x="{x:.1f}" y="{HEIGHT - BOTTOM + 14}" text-anchor="middle">{value:g}</text>'
-
-
-def _y_tick(value: float, y: float) -> str:
-    return (
-        f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" class="grid"/>'
-        f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.3g}</text>'
-    )

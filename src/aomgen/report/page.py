@@ -38,6 +38,15 @@ from aomgen.results import Results
 
 CONTACT_SHEET = "episodes.jpg"
 SHEET_FRAMES, SHEET_EPISODES = 5, 12
+# The figures that a reader looks for first: stage, names.
+HEADLINES = (
+    ("plans", ("verified", "smallest_margin")),
+    ("dataset", ("frames",)),
+    ("structure", ("registered", "of", "reprojection_error_px")),
+    ("gaussians", ("heldout_psnr",)),
+    ("alignment", ("end_effector_sd_mm",)),
+    ("motion", ("joint", "axis_ci95_deg", "clock_offset_s")),
+)
 
 
 def write_report(out: Path) -> Path:
@@ -159,17 +168,6 @@ def contact_sheet(results: Results) -> np.ndarray:
             images += recording_images.episode_strip(folder, name, SHEET_FRAMES)
     small = [recording_images.resize(image, size.width // 2, size.height // 2) for image in images]
     return sheet(small, SHEET_FRAMES * len(names), gap=2)
-
-
-# The figures that a reader looks for first: stage, names.
-HEADLINES = (
-    ("plans", ("verified", "smallest_margin")),
-    ("dataset", ("frames",)),
-    ("structure", ("registered", "of", "reprojection_error_px")),
-    ("gaussians", ("heldout_psnr",)),
-    ("alignment", ("end_effector_sd_mm",)),
-    ("motion", ("joint", "axis_ci95_deg", "clock_offset_s")),
-)
 
 
 def results_table(results: Results) -> str:

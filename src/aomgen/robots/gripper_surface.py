@@ -23,6 +23,16 @@ PALM = "palm"
 POINTS = 6000
 # A body that moves less than this against the palm while the hand closes is palm, [m].
 _STILL_M = 1e-4
+# A pair of fingers moves at least this share of what the pair that moves most does.
+TRAVEL_SHARE = 0.7
+# What touches when the fingers close lies within this of the first contact: rubber gives way, [m].
+SOFT_M = 0.002
+# A face looks at the other finger when it is turned less than 45 degrees away.
+FACING = 0.7
+# Least half size of the box behind a face, [m]; less than the half thickness of any finger.
+HALF_THICKNESS_M = 0.002
+# Fewer sample points are no face.
+MIN_FACE_POINTS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,18 +95,6 @@ def _sides(robot: RobotModel) -> dict[int, str]:
         nearest = min(across, key=lambda finger: abs(across[finger] - middle))
         sides[body] = nearest if moved > _STILL_M else PALM
     return sides | {pad.body: pad.finger for pad in robot.pads if pad.body in sides}
-
-
-# A pair of fingers moves at least this share of what the pair that moves most does.
-TRAVEL_SHARE = 0.7
-# What touches when the fingers close lies within this of the first contact: rubber gives way, [m].
-SOFT_M = 0.002
-# A face looks at the other finger when it is turned less than 45 degrees away.
-FACING = 0.7
-# Least half size of the box behind a face, [m]; less than the half thickness of any finger.
-HALF_THICKNESS_M = 0.002
-# Fewer sample points are no face.
-MIN_FACE_POINTS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
