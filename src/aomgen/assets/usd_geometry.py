@@ -21,8 +21,6 @@ from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
 MAX_FACES = 3_000_000
 # Used for a link whose file names no mass, [kg/m^3] of its colliders.
 FALLBACK_DENSITY = 400.0
-# Texture coordinates (F, 3, 2) of a mesh without any.
-NO_UVS = np.zeros((0, 3, 2))
 
 
 @dataclass(slots=True)
@@ -159,7 +157,7 @@ def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
                 name=name + suffix,
                 vertices=vertices[used],
                 faces=faces.reshape(-1, 3),
-                uvs=uvs[chosen] if textured else NO_UVS,
+                uvs=uvs[chosen] if textured else uvs[:0],
                 texture_srgb=texture if textured else np.zeros((0, 0, 3), np.uint8),
                 color_srgb=np.asarray(texture.mean((0, 1)) / 255 if texture.size else surface.color_srgb),
                 roughness=surface.roughness,
@@ -207,7 +205,7 @@ def _corner_uvs(prim: Any, corners: NDArray[np.int64], indices: NDArray[np.int64
             return values[corners]
         if len(values) == points:
             return values[indices[corners]]
-    return NO_UVS
+    return np.zeros((0, 3, 2))
 
 
 def _base_material(prim: Any) -> Material:

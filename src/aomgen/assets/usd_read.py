@@ -18,12 +18,10 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 
-# Largest USD file read, [bytes]: far above usual assets.
-MAX_BYTES = 512 << 20
+# Largest USD file read, and address space of the child, [bytes]: far above usual assets, and room to read it.
+MAX_BYTES, MAX_MEMORY_BYTES = 512 << 20, 8 << 30
 # Usual assets take a few seconds, [s]; a parser that hangs is stopped.
 TIMEOUT_S = 120.0
-# Address space of the child, [bytes]: the largest asset that is read needs a part of it.
-MAX_MEMORY_BYTES = 8 << 30
 # Exit code of an asset that is refused with a message; 1 and 2 are the interpreter's own.
 REFUSED = 3
 ARTIFACT = "asset"

@@ -16,6 +16,8 @@ from aomgen.core.values import Array
 
 # sRGB: blue, orange, pink.
 LABEL_COLORS = {ROBOT: (64, 128, 255), STATIC: (255, 176, 32), MOVING: (230, 60, 120)}
+# A color that scenes seldom have.
+OUTLINE = (255, 60, 200)
 Image8 = NDArray[np.uint8]
 AXIS, PATH, TOUCH = (40, 220, 255), (255, 80, 60), (255, 230, 60)
 # How strongly the space in which the axis lies covers the image.

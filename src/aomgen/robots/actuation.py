@@ -20,17 +20,14 @@ from aomgen.robots.geom_meshes import find_visible_geoms
 from aomgen.robots.reading import ArmChain, compile_model
 
 # An arm gives way by 1 cm under 50 N at its end effector, in each joint; the UR5e's model does too, [N/m].
-END_STIFFNESS: Final = 5000.0
-# Joints whose axes pass near the end effector hold like this far lever, [m].
-LEAST_LEVER_M: Final = 0.3
+# Joints whose axes pass near the end effector hold like a lever of the second number, [m].
+END_STIFFNESS, LEAST_LEVER_M = 5000.0, 0.3
 # Stiffness of a joint that slides, [N/m]: 1 kg of load moves it by half a millimetre.
 SLIDE_STIFFNESS: Final = 20_000.0
 # Rotors and gears keep each servo slower than this, well below the simulation's step rate, [rad/s].
 MAX_RATE: Final = 100.0
-# Pads press like those of common parallel grippers (20 to 140 N), [N].
-GRIP_FORCE_N: Final = 50.0
-# The force is reached when this share of the stroke is missing.
-GRIP_GIVE: Final = 0.05
+# Pads press like those of common parallel grippers (20 to 140 N), [N], reached when a share of the stroke is missing.
+GRIP_FORCE_N, GRIP_GIVE = 50.0, 0.05
 # Random arm configurations from which levers, inertias and overlaps are read.
 SAMPLES: Final = 40
 

@@ -18,10 +18,8 @@ from aomgen.robots.reading import ArmChain
 
 # Rows of the table from open to closed; between them positions are linear to far below a millimetre.
 STEPS = 33
-# Time in which the held joints come to rest, [s]; loops that stay open after it are refused.
-SETTLE_S = 0.3
-# A loop or a stroke that stays farther open than this is refused, [m] or [rad].
-OPEN_LOOP_M = 0.002
+# Time in which the held joints come to rest, [s]; a loop or stroke that is farther open after it is refused, [m] or [rad].
+SETTLE_S, OPEN_LOOP_M = 0.3, 0.002
 # Fingers that come less than this nearer are no gripper, [m].
 MIN_TRAVEL_M = 0.004
 

@@ -32,18 +32,12 @@ HOOK_ROOM_M: Final = 0.002
 PUSH_LIMIT: Final = 0.5
 # Share of a lid's turn by which the hand begins flatter: an arm looks down easily, hardly up.
 NOD_SHARE: Final = 0.25
-# A lid that is held at its rim is found closed in this share of the cases, else ajar.
-CLOSED_SHARE: Final = 0.4
-# How far such a lid is found open, [rad].
-AJAR_RAD: Final = (np.deg2rad(3.0), np.deg2rad(12.0))
-# How far the finger tips reach beyond the held point of a rim, [m].
-RIM_BEYOND_M: Final = 0.004
-# Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table.
-RIM_TILT_RAD: Final = np.deg2rad(30.0)
-# Share of the style's tilt that is added to it.
-RIM_TILT_SHARE: Final = 0.5
-# Free way of each finger at a rim before it closes, [m].
-RIM_FREE_M: Final = 0.004
+# A lid that is held at its rim is found closed in this share of the cases, else ajar by so much, [rad].
+CLOSED_SHARE, AJAR_RAD = 0.4, (np.deg2rad(3.0), np.deg2rad(12.0))
+# How far the finger tips reach beyond the held point of a rim, and free way of each before it closes, [m].
+RIM_ROOM_M: Final = 0.004
+# Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table; and the style's share in it.
+RIM_TILT_RAD, RIM_TILT_SHARE = np.deg2rad(30.0), 0.5
 
 
 def draw_usual_style(
@@ -101,11 +95,11 @@ def _pinch_rim(
     approach = matrix_from_rotvec(-tilt * np.cross(-outward, [0.0, 0.0, 1.0])) @ -outward
     width = along * (-1.0 if grasp_style.flip else 1.0)
     R = np.stack([width, np.cross(approach, width), approach], 1) @ gripper_axes(robot).T
-    point = asset.handle_point - (tips[1, 2] - RIM_BEYOND_M) * approach
+    point = asset.handle_point - (tips[1, 2] - RIM_ROOM_M) * approach
     # Across tilted fingers the rim is thicker.
     bar = asset.handle_bar
     thickness = 0.0 if bar is None else 2 * _support(bar, across)
-    opening = thickness * np.cos(tilt) + 2 * RIM_BEYOND_M * abs(np.sin(tilt)) + 2 * RIM_FREE_M
+    opening = thickness * np.cos(tilt) + 2 * RIM_ROOM_M * abs(np.sin(tilt)) + 2 * RIM_ROOM_M
     return DemonstratedGrasp(
         T_asset_ee=transform(R, point),
         pivot=asset.handle_point,

@@ -32,10 +32,8 @@ SIZES: Final = {
 }
 # Things stand this far above the table, so that no two surfaces are drawn in one place, [m].
 ABOVE: Final = 0.0005
-# Thickness of a mat, [m]: the laptop's feet are higher.
-MAT: Final = 0.0008
-# Edge of a mat's print, [m].
-MAT_PRINT: Final = 0.9
+# Thickness of a mat, [m]: the laptop's feet are higher; and the edge of its print, [m].
+MAT, MAT_PRINT = 0.0008, 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
