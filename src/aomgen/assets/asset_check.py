@@ -10,10 +10,9 @@ from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.values import Array
 
-# A finger tip must fit between handle and front, [m].
-FINGER_BALL = 0.012
-# Half the stroke of the widest supported gripper is left for the fingers themselves, [m].
-MAX_HANDLE_THICKNESS = 0.06
+# A finger tip must fit between handle and front, [m]. Half the stroke of the widest supported gripper is left for
+# the fingers themselves.
+FINGER_BALL, MAX_HANDLE_THICKNESS = 0.012, 0.06
 # An asset has to open at least this far to be worth opening, [rad] and [m].
 MIN_OPENING = {"revolute": np.deg2rad(30.0), "prismatic": 0.10}
 # Longest side of household furniture and appliances, [m]; a wrong unit is outside.

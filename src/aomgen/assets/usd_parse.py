@@ -52,8 +52,8 @@ def parse_usd(path: Path) -> ArticulatedAsset:
     unit = float(UsdGeom.GetStageMetersPerUnit(stage))
     up = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else _Z_UP_FROM_Y_UP
     to_metric = up @ np.diag([unit, unit, unit, 1.0])
-    joint, *bodies = _find_joint(stage, to_metric, unit, path)
-    static, moving = read_links(stage, *bodies, to_metric, path)
+    joint, moving_bodies, bodies = _find_joint(stage, to_metric, unit, path)
+    static, moving = read_links(stage, moving_bodies, bodies, to_metric, path)
     root = stage.GetDefaultPrim()
     asset = ArticulatedAsset(
         name=str((root.GetDisplayName() or root.GetName()) if root else path.stem),

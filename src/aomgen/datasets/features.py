@@ -106,12 +106,7 @@ def color_counts(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list]:
-    """Statistics of the color channels in 0..1, each of shape (3, 1, 1).
-
-    Args:
-        counts: (3, 256) from `color_counts`, at least one pixel.
-        frames: Number of frames that the counts stand for.
-    """
+    """Statistics (3, 1, 1) of the color channels in 0..1, from counts (3, 256) that stand for a number of frames."""
     levels = np.arange(256) / 255
     shares = counts / counts.sum(1, keepdims=True)
     mean = shares @ levels

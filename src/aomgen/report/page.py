@@ -257,12 +257,9 @@ def manifest_of(results: Results, stage: str) -> Manifest:
 
 
 def _reading_row(item: Reading) -> list[object]:
-    limit = Markup(html=f'<span class="{item.verdict}">{text(_judged(item))}</span>')
+    judged = f"poor, {item.limit}" if item.verdict == "poor" else item.limit
+    limit = Markup(html=f'<span class="{item.verdict}">{text(judged)}</span>')
     return [item.name, Markup(html=text(item.value)), limit]
-
-
-def _judged(item: Reading) -> str:
-    return f"poor, {item.limit}" if item.verdict == "poor" else item.limit
 
 
 def _project_file(results: Results) -> str:

@@ -27,12 +27,10 @@ _STILL_M = 1e-4
 TRAVEL_SHARE = 0.7
 # What touches when the fingers close lies within this of the first contact: rubber gives way, [m].
 SOFT_M = 0.002
-# A face looks at the other finger when it is turned less than 45 degrees away.
-FACING = 0.7
+# A face looks at the other finger when it is turned less than 45 degrees away; fewer sample points are no face.
+FACING, MIN_FACE_POINTS = 0.7, 12
 # Least half size of the box behind a face, [m]; less than the half thickness of any finger.
 HALF_THICKNESS_M = 0.002
-# Fewer sample points are no face.
-MIN_FACE_POINTS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +65,8 @@ def hand_surface(robot: RobotModel) -> HandSurface:
     meshes = [mesh for mesh in robot.meshes if mesh.body in sides]
     if not meshes:
         none = np.zeros((0, 3))
-        return HandSurface(points_body=none, normals_body=none, bodies=none[:, 0], fingers=none[:, 0])
+        bodies, fingers = np.zeros(0, np.int64), np.zeros(0, np.str_)
+        return HandSurface(points_body=none, normals_body=none, bodies=bodies, fingers=fingers)
     corners = np.concatenate([mesh.vertices_body[mesh.faces] for mesh in meshes]).reshape(-1, 3)
     skin, chosen = _sample(corners, np.arange(len(corners)).reshape(-1, 3), np.random.default_rng(0))
     bodies = np.repeat([mesh.body for mesh in meshes], [len(mesh.faces) for mesh in meshes])[chosen]

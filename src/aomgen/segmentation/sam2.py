@@ -48,13 +48,7 @@ def transformers_module(name: str) -> ModuleType:
 
 
 def load_pretrained(module: str, model: str, files: Sam2Files, device: str) -> Any:
-    """A network with its weights.
-
-    Args:
-        module: Of `transformers.models`.
-        model: Class in it.
-        files: Installed weights; their digests were checked.
-        device: "cpu" or "cuda".
+    """A network, by its module of `transformers.models` and its class in it, with installed weights.
 
     Raises:
         BackendError: transformers is missing, or the file lacks some of the network's weights.
@@ -120,13 +114,7 @@ def input_points(points_px: ArrayLike, shape: tuple[int, ...], side: int) -> NDA
 def input_prompt(
     box_px: ArrayLike, points: ArrayLike, shape: tuple[int, ...], side: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """A box's corners and a part's points as the network counts them.
-
-    Args:
-        box_px: (4,), [px] of the image; may be empty.
-        points: (N, 3): x, y [px] and 1 = on the part, 0 = not on it; may be empty.
-        shape: Of the image, (H, W, ...).
-        side: Of the network's image.
+    """A box's corners and a part's points (see `PreparedImage.mask`), either may be empty, as the network counts them.
 
     Returns:
         Coordinates (P, 2) and labels (P,); labels 2 and 3 are the corners, which come first.

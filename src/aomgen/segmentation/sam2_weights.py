@@ -42,11 +42,7 @@ def list_installed(folder: Path | None = None) -> tuple[str, ...]:
 
 
 def find_sam2(name: str, folder: Path | None = None) -> Sam2Files:
-    """The installed weights of a name.
-
-    Args:
-        name: As installed.
-        folder: Of all weights; `weights_folder()` when None.
+    """The installed weights of a name, in a folder of all weights; `weights_folder()` when None.
 
     Raises:
         BackendError: They are missing, or not the installed ones any more.
@@ -72,7 +68,6 @@ def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = Non
         source: Folder with `config.json` and `model.safetensors`.
         name: Letters, digits, dots and dashes, "sam2.1-hiera-tiny" for example.
         sha256: Of `model.safetensors`, as its publisher states it.
-        folder: Of all weights; `weights_folder()` when None.
 
     Raises:
         BackendError: The name cannot be a folder, a file is missing, or the digest differs.

@@ -23,18 +23,16 @@ RANGE_SHARE: Final = 0.95
 MOVED: Final = {"revolute": np.deg2rad(0.5), "prismatic": 0.002}
 # How fast a person lets a robot move a handle: peak speed, [m/s].
 SPEED: Final = (0.02, 0.50)
-# Length of a demonstration's video that is aimed at, [s].
-FILM_S: Final = (8.0, 12.0)
-# Share of the video in which the part moves: from a blink to nearly all of it.
-MOVING_SHARE: Final = (0.03, 0.85)
+# Length of a demonstration's video that is aimed at, [s], and share of it in which the part moves: from a blink to
+# nearly all of it.
+FILM_S, MOVING_SHARE = (8.0, 12.0), (0.03, 0.85)
 # What the random cut of a video takes off on average, [s].
 CUT_S: Final = 0.6
 # Video before and after the motion that is always there, [s].
 LEAST_BEFORE_S, LEAST_AFTER_S = 0.9, 0.5
-# How far a hand slides along a bar at most, [m]: less than half of a short bar.
-MAX_SLIP_M: Final = 0.015
-# Share of its force with which a hand holds that is to slide; with all of it the arm gives way first.
-SLIDING_GRIP: Final = (0.12, 0.25)
+# How far a hand slides along a bar at most, [m]: less than half of a short bar; and the share of its force with
+# which it holds then: with all of it the arm gives way first.
+MAX_SLIP_M, SLIDING_GRIP = 0.015, (0.12, 0.25)
 # Longest standstill within a motion, [s].
 MAX_PAUSE_S: Final = 1.5
 
