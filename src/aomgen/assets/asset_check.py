@@ -113,7 +113,7 @@ def _check_joint(asset: ArticulatedAsset) -> list[str]:
     limits = f"{joint.lower:.3g} .. {joint.upper:.3g}"
     degrees = joint.type == "revolute" and not joint.upper <= 2 * np.pi
     return _failed(
-        (abs(np.linalg.norm(joint.axis) - 1) <= 1e-6, "has a joint axis that is not a unit vector"),
+        (bool(abs(np.linalg.norm(joint.axis) - 1) <= 1e-6), "has a joint axis that is not a unit vector"),
         (joint.lower <= 0.0 <= joint.upper, f"has joint limits {limits} that exclude the closed state 0"),
         (joint.upper >= least, f"opens by {joint.upper:.3g} only, want at least {least:.3g} (rad or m)"),
         (not degrees, f"opens by {joint.upper:.3g} rad: limits look like degrees"),
