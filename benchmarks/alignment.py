@@ -22,7 +22,7 @@ from aomgen.core.project import Project
 from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.errors import AlignmentError
 from aomgen.pipeline.project_file import read_project
-from aomgen.pipeline.stage import results_of
+from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.results import Results
 from benchmarks.accuracy import robust_similarity

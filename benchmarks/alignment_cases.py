@@ -12,7 +12,7 @@ from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 from aomgen.robots.silhouette import SilhouetteRenderer
 from benchmarks.alignment_solvable import is_solvable
 

@@ -6,7 +6,7 @@ from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import camera_in_world
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 
 MIN_VIEWS, MIN_ANGLE_DEG = 6, 30.0
 

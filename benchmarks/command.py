@@ -17,8 +17,7 @@ from aomgen.io.jsonfile import read_json
 from aomgen.motion.estimates_file import ESTIMATES, describe_estimates
 from aomgen.motion.stage import motion_evidence
 from aomgen.pipeline.rendering import draw_twin
-from aomgen.pipeline.runner import TIMINGS
-from aomgen.pipeline.stage import results_of
+from aomgen.pipeline.runner import TIMINGS, results_of
 from aomgen.pipeline.stages import STAGES
 from aomgen.results import Results
 from aomgen.twin.twin import Twin, TwinState

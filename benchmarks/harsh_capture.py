@@ -18,7 +18,7 @@ from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
 from aomgen.io.resampling import resample_labels, resampler
 from aomgen.io.video import encode_video, read_video
-from aomgen.synthetic.capture_writer import joints_csv
+from aomgen.synthetic.world import joints_csv
 
 # What a lab states, and what is true: focal length by a share, and a lens that nobody mentions.
 FOCAL_SHARE, K1 = 0.01, -0.03

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aomgen.assets.make import MAKERS
+from aomgen.assets.choice import MAKERS
 from aomgen.core.motion import MotionEstimate
 from aomgen.errors import ConfigError, EstimationError
 from aomgen.io.arrays import read_npz

@@ -16,7 +16,7 @@ from aomgen.core.values import Array
 from aomgen.robots.model_renderer import FAR_M
 from aomgen.splatting.optimizer import RATES
 from aomgen.splatting.training import TrainingParams, train
-from aomgen.synthetic.scene_renderer import SceneRenderer
+from aomgen.synthetic.scene_recording import SceneRenderer
 from benchmarks.motion_upstream import SolidStatistics, Upstream
 
 # Distance between neighboring Gaussians by label, [m]; with these the counts are those of finished runs:

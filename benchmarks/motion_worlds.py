@@ -25,15 +25,23 @@ from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.synthetic.capture_writer import find_moved_range
-from aomgen.synthetic.conditions import Conditions, demo_candidates, draw_conditions, scan_cameras
-from aomgen.synthetic.demo_video import RecordedVideo, choose_camera, draw_schedule, render_frames
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from aomgen.synthetic.grasp_selection import list_grasp_types
 from aomgen.synthetic.layout import build_world
-from aomgen.synthetic.scene_renderer import SceneRenderer, expose
+from aomgen.synthetic.scene_recording import (
+    Conditions,
+    RecordedVideo,
+    SceneRenderer,
+    choose_camera,
+    demo_candidates,
+    draw_conditions,
+    draw_schedule,
+    expose,
+    render_frames,
+    scan_cameras,
+)
 from aomgen.synthetic.style import DemonstrationStyle, draw_style
-from aomgen.synthetic.world import DEFAULT_ROBOT
+from aomgen.synthetic.world import DEFAULT_ROBOT, find_moved_range
 from benchmarks.motion_scan import Surface, learned, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream, draw_misplacement, mislabelled
 from benchmarks.other_objects import make_object

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from aomgen.assets.make import MAKERS, OTHER_MAKERS, Maker, make_asset, make_by
+from aomgen.assets.choice import MAKERS, OTHER_MAKERS, Maker, make_asset, make_by
 from aomgen.assets.procedural import textures
 from aomgen.assets.procedural.builder import (
     LEVEL,
@@ -26,12 +26,13 @@ from aomgen.assets.procedural.builder import (
     lining,
     make_bar,
     pick,
+    pick_color,
     slide,
     window_frame,
 )
 from aomgen.assets.procedural.furniture import FELT, GAP, KEPT_IN, PLY, tray
 from aomgen.assets.procedural.shapes import Material, box, merge_meshes, panel, rod
-from aomgen.assets.procedural.textures import COLORS, Texture
+from aomgen.assets.procedural.textures import Texture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import ConfigError
 
@@ -176,10 +177,10 @@ def make_cupboard(rng: np.random.Generator) -> ArticulatedAsset:
     s.right, s.shelf = s.side < 0.5, s.height - s.board - s.drawer_height
     s.start = -s.depth / 2 - GAP
     wood, paint = (
-        Material(texture_srgb=textures.wood(rng, pick(rng, COLORS["wood"])), roughness=0.55),
-        pick(rng, COLORS["paint"]),
+        Material(texture_srgb=textures.wood(rng, pick_color(rng, "wood")), roughness=0.55),
+        pick_color(rng, "paint"),
     )
-    metal = textures.brushed_metal(rng, pick(rng, COLORS["metal"]), 256)
+    metal = textures.brushed_metal(rng, pick_color(rng, "metal"), 256)
     s.metal = Material(texture_srgb=metal, metallic=0.8, roughness=0.3)
     body, drawer, door = LinkBuilder("cupboard"), LinkBuilder("drawer"), LinkBuilder("door")
     _add_boards(body, s, wood, rng)
@@ -226,7 +227,7 @@ def _add_drawer(drawer: LinkBuilder, s: SimpleNamespace, paint: Color, rng: np.r
     inner = w - s.board - GAP
     face = box(-w + 0.002, w - 0.002, s.start - s.front, s.start, low - 0.004, top + 0.008)
     ply = Material(texture_srgb=textures.wood(rng, PLY, 256), roughness=0.6)
-    sheet = Material(texture_srgb=textures.wood(rng, pick(rng, COLORS["wood"])), roughness=0.5)
+    sheet = Material(texture_srgb=textures.wood(rng, pick_color(rng, "wood")), roughness=0.5)
     sign = Material(texture_srgb=textures.nameplate(rng, paint, 64))
     drawer.boxes("front", {"front": face}, sheet)
     depth = (s.start, s.depth / 2 - s.board - 0.01)

@@ -15,8 +15,8 @@ from aomgen.core.values import Array
 from aomgen.datasets.features import ee_targets
 from aomgen.errors import MissingFileError
 from aomgen.io.jsonfile import read_json
+from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_store import load_robot_description
 from benchmarks.foreign_scene import ForeignScene, foreign_scene
 
 STATE, EE_POSE = "observation.state", "annotation.ee_pose"
@@ -81,7 +81,7 @@ def run_replay(outs: Sequence[Path]) -> dict[str, dict[str, Any]]:
     """
     rows: dict[str, list[dict[str, Any]]] = {}
     for out in outs:
-        robot = load_robot_description(out / TWIN_FOLDER)
+        robot = load_stored_robot(out / TWIN_FOLDER)
         for episode in exported_episodes(out):
             category, row = _replayed(robot, episode)
             rows.setdefault(category, []).append(row)

@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from aomgen.assets.make import MAKERS
+from aomgen.assets.choice import MAKERS
 from aomgen.errors import ConfigError, EstimationError
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.synthetic.conditions import draw_conditions
+from aomgen.synthetic.scene_recording import draw_conditions
 from aomgen.synthetic.world import make_capture
 from benchmarks.bars import BARS
 from benchmarks.command import run_accuracy

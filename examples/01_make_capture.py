@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from aomgen.capture.read import read_capture
-from aomgen.synthetic.conditions import Conditions
+from aomgen.synthetic.scene_recording import Conditions
 from aomgen.synthetic.world import make_capture
 
 

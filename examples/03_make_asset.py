@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from aomgen.assets.asset_check import check_asset
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane

@@ -15,7 +15,7 @@ from aomgen.core.progress import silent
 from aomgen.io.overrides import parse_setting
 from aomgen.motion.stage import run
 from aomgen.pipeline.project_file import read_project
-from aomgen.pipeline.stage import results_of
+from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 from aomgen.results import Results
 

@@ -27,9 +27,8 @@ from aomgen.io.artifact import load_artifact
 from aomgen.io.overrides import override
 from aomgen.io.ply import read_gaussians
 from aomgen.io.video import Video, probe_video
-from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.loading import choose_robot
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.twin.twin import Twin, TwinState
 
 # Where stages leave their values: `save_artifact(folder, <name of the stage>, value)`, and these files.

@@ -23,8 +23,7 @@ from aomgen.generalization.stage import generate_in
 from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
-from aomgen.pipeline.runner import run_stages
-from aomgen.pipeline.stage import Stage
+from aomgen.pipeline.runner import Stage, run_stages
 from aomgen.results import Results
 from aomgen.robots.loading import load_robot
 
@@ -85,7 +84,7 @@ def commit_all(results: Results, folder: Path, progress: Progress) -> dict[str, 
 
 def build(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Build the dataset."""
-    return {"episodes": write_lerobot_v3(list_committed(results.folders["episodes"]), folder).episodes}
+    return {"episodes": write_lerobot_v3(list_committed(results.folders["episodes"]), folder)["episodes"]}
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, interpolate, matrix_from_rotvec, transform

@@ -39,7 +39,7 @@ from aomgen.motion.photometric import PhotometricParams
 from aomgen.motion.photometric_residuals import Band
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_masks import robot_masks
+from aomgen.robots.silhouette import robot_masks
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import RenderSession
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC, linear_from_srgb, srgb_from_linear
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera, look_at

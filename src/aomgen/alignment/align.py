@@ -40,7 +40,7 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.transforms import apply, similarity
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 
 STAGE = "alignment"
 # Least support beyond chance of the whole robot, 0..1; contours beside the robot reach 0 by definition.

@@ -22,8 +22,7 @@ from aomgen.core.transforms import invert
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.io.images import resize
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 # Readings within this time to either side are averaged against encoder noise, [s].

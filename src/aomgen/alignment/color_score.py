@@ -13,7 +13,7 @@ from scipy.cluster.vq import kmeans, vq
 
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.core.values import Array
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 
 # Colors in the palette of the images; k-means merges similar ones, so more change little.
 COLORS = 40

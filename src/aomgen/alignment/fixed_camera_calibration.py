@@ -32,8 +32,8 @@ from aomgen.core.transforms import invert
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot_masks import robot_masks
+from aomgen.robots.robot import RobotConfiguration
+from aomgen.robots.silhouette import robot_masks
 
 # Scan views that carry the information of the alignment.
 _VIEWS = 24

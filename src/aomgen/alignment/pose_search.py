@@ -19,7 +19,7 @@ from aomgen.alignment.uncertainty import CameraErrors
 from aomgen.core.camera import camera_in_world
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

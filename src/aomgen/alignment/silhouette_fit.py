@@ -23,7 +23,7 @@ from aomgen.core.least_squares import Kernel, ResidualTerm, solve
 from aomgen.core.transforms import matrix_from_rotvec, similarity
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 # Least and largest share of the image that the robot may cover: below is no signal, above no contour.

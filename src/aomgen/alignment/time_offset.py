@@ -21,7 +21,7 @@ from aomgen.core.values import Array
 from aomgen.errors import SyncError
 from aomgen.io.images import resize
 from aomgen.io.video import Video
-from aomgen.robots.robot_masks import MasksAt
+from aomgen.robots.silhouette import MasksAt
 
 # Distances between compared frames, in coarse steps: fast, usual and slow motion of an arm.
 LAGS = (1, 3, 8)

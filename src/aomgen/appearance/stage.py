@@ -23,9 +23,8 @@ from aomgen.errors import ReconstructionError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
 from aomgen.results import Results
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_store import save_robot
+from aomgen.robots.loading import save_robot
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.twin.binding import bind, object_frame
 from aomgen.twin.directional_shadow import DirectionalLight
 from aomgen.twin.support import find_support

@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aomgen.assets.mjcf import AssetNames, add_asset
-from aomgen.core.asset import ArticulatedAsset, AssetLink, BoxCollider
+from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.values import Array
-from aomgen.errors import AssetError
 
-# A finger tip must fit between handle and front, [m].
-FINGER_BALL = 0.012
-# Half the stroke of the widest supported gripper is left for the fingers themselves, [m].
-MAX_HANDLE_THICKNESS = 0.06
+# A finger tip must fit between handle and front, [m]. Half the stroke of the widest supported gripper is left for
+# the fingers themselves.
+FINGER_BALL, MAX_HANDLE_THICKNESS = 0.012, 0.06
 # An asset has to open at least this far to be worth opening, [rad] and [m].
 MIN_OPENING = {"revolute": np.deg2rad(30.0), "prismatic": 0.10}
 # Longest side of household furniture and appliances, [m]; a wrong unit is outside.
@@ -28,9 +26,7 @@ RANGE_SAMPLES = 25
 def check_asset(asset: ArticulatedAsset) -> list[str]:
     """Problems of an asset, one sentence each; empty when it can be used.
 
-    Checks sizes and units, support plane, joint range, masses, colliders (unique, moving and
-    static apart along the whole range) and the handle (bar fits a gripper, a 12 mm ball behind
-    it; on both sides of a rim). Not checked: that the colliders follow the visible meshes.
+    Not checked: that the colliders follow the visible meshes.
     """
     problems = _check_sizes(asset) + _check_joint(asset) + _check_links(asset)
     if problems:
@@ -38,42 +34,29 @@ def check_asset(asset: ArticulatedAsset) -> list[str]:
     return _check_range(asset) + _check_handle(asset)
 
 
-def require_usable(asset: ArticulatedAsset) -> None:
-    """Refuse an asset that has problems.
-
-    Raises:
-        AssetError: Names the first problem and how many there are.
-    """
-    problems = check_asset(asset)
-    if problems:
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise AssetError(asset.name, problems[0] + more, "correct the asset or choose another one")
-
-
 def outward_normal(asset: ArticulatedAsset) -> Array:
     """Unit normal (3,) of the face that carries the handle, away from the body.
 
-    A handle stands off its part. Where its colliders are named, the part's nearest other
-    collider is what it stands on, and the normal is that box's axis towards the handle; so a
-    sliding panel and a lid held at its front edge have theirs too. Otherwise the handle is
-    taken to start roughly along it: of the axes of the moving colliders the one nearest to that
-    motion is taken, because a hinge lies a little behind the front.
+    Where the handle's colliders are named, the part's nearest other collider is what it stands on, and
+    the normal is that box's axis towards the handle. Otherwise the handle is taken to start roughly
+    along it: of the axes of the moving colliders the one nearest to that motion is taken, because a
+    hinge lies a little behind the front.
     """
     joint = asset.joint
     body = [box for box in asset.moving.colliders if not box.name.startswith("handle")]
     if body and asset.handle_bar is not None:
-        distances = distance_to_boxes(asset.handle_point[None], *stack_boxes(body))[0]
-        T = body[int(np.argmin(distances))].T_asset_box
-        half = body[int(np.argmin(distances))].half_extents
+        distances = _distance_to_boxes(asset.handle_point[None], *_stack_boxes(body))[0]
+        nearest = body[int(np.argmin(distances))]
+        T = nearest.T_asset_box
         local = T[:3, :3].T @ (asset.handle_point - T[:3, 3])
-        beyond = np.abs(local) - half
+        beyond = np.abs(local) - nearest.half_extents
         best = int(np.argmax(beyond))
         return np.asarray(T[:3, best] * np.sign(local[best]), np.float64)
     if joint.type == "prismatic":
         return joint.axis
     motion = np.cross(joint.axis, asset.handle_point - joint.origin)
     motion = motion / max(float(np.linalg.norm(motion)), 1e-12)
-    poses, _ = stack_boxes(asset.moving.colliders)
+    poses, _ = _stack_boxes(asset.moving.colliders)
     axes = np.concatenate([poses[:, :3, :3].transpose(0, 2, 1).reshape(-1, 3), motion[None]])
     alignments = axes @ motion
     # The motion itself is last and wins only where no box looks along it within 30 degrees.
@@ -93,17 +76,21 @@ def held_at_rim(asset: ArticulatedAsset) -> bool:
     return any(mujoco.mj_geomDistance(model, data, bar_geom, other, 1.0, None) < TOUCH for other in others)
 
 
-def stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
+def _stack_boxes(colliders: Sequence[BoxCollider]) -> tuple[Array, Array]:
     """Poses (B, 4, 4) and half extents (B, 3) of colliders."""
-    poses = np.array([box.T_asset_box for box in colliders]).reshape(-1, 4, 4)
-    return poses, np.array([box.half_extents for box in colliders]).reshape(-1, 3)
+    return np.array([box.T_asset_box for box in colliders]), np.array([box.half_extents for box in colliders])
 
 
-def distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
+def _distance_to_boxes(points: ArrayLike, Ts: Array, half_extents: Array) -> Array:
     """Distances (P, B) of points (P, 3) to oriented boxes (poses (B, 4, 4), half extents (B, 3)), 0 inside, [m]."""
     relative = np.asarray(points, np.float64)[:, None, :] - Ts[None, :, :3, 3]
     local = np.einsum("bji,pbj->pbi", Ts[:, :3, :3], relative)
     return np.linalg.norm(np.maximum(np.abs(local) - half_extents, 0.0), axis=-1)
+
+
+def _failed(*checks: tuple[bool, str]) -> list[str]:
+    """Sentences of the checks that do not hold."""
+    return [sentence for holds, sentence in checks if not holds]
 
 
 def _check_sizes(asset: ArticulatedAsset) -> list[str]:
@@ -113,49 +100,38 @@ def _check_sizes(asset: ArticulatedAsset) -> list[str]:
     points = np.concatenate(vertices)
     if not np.isfinite(points).all():
         return ["has vertices that are not finite"]
-    size = float((points.max(0) - points.min(0)).max())
-    problems = []
-    if not SIZE_RANGE[0] <= size <= SIZE_RANGE[1]:
-        problems.append(
-            f"is {size:.3g} m large, want {SIZE_RANGE[0]} to {SIZE_RANGE[1]} m: check metersPerUnit"
-        )
-    if not abs(points[:, 2].min()) <= 0.005:
-        problems.append(f"stands at z = {points[:, 2].min():.3f} m, want 0")
-    return problems
+    size, foot = float((points.max(0) - points.min(0)).max()), points[:, 2].min()
+    low, high = SIZE_RANGE
+    return _failed(
+        (low <= size <= high, f"is {size:.3g} m large, want {low} to {high} m: check metersPerUnit"),
+        (abs(foot) <= 0.005, f"stands at z = {foot:.3f} m, want 0"),
+    )
 
 
 def _check_joint(asset: ArticulatedAsset) -> list[str]:
-    joint = asset.joint
-    problems = []
-    if not abs(np.linalg.norm(joint.axis) - 1) <= 1e-6:
-        problems.append("has a joint axis that is not a unit vector")
-    if not joint.lower <= 0.0 <= joint.upper:
-        problems.append(
-            f"has joint limits {joint.lower:.3g} .. {joint.upper:.3g} that exclude the closed state 0"
-        )
-    if not joint.upper >= MIN_OPENING[joint.type]:
-        problems.append(
-            f"opens by {joint.upper:.3g} only, want at least {MIN_OPENING[joint.type]:.3g} (rad or m)"
-        )
-    if joint.type == "revolute" and not joint.upper <= 2 * np.pi:
-        problems.append(f"opens by {joint.upper:.3g} rad: limits look like degrees")
-    return problems
+    joint, least = asset.joint, MIN_OPENING[asset.joint.type]
+    limits = f"{joint.lower:.3g} .. {joint.upper:.3g}"
+    degrees = joint.type == "revolute" and not joint.upper <= 2 * np.pi
+    return _failed(
+        (bool(abs(np.linalg.norm(joint.axis) - 1) <= 1e-6), "has a joint axis that is not a unit vector"),
+        (joint.lower <= 0.0 <= joint.upper, f"has joint limits {limits} that exclude the closed state 0"),
+        (joint.upper >= least, f"opens by {joint.upper:.3g} only, want at least {least:.3g} (rad or m)"),
+        (not degrees, f"opens by {joint.upper:.3g} rad: limits look like degrees"),
+    )
 
 
 def _check_links(asset: ArticulatedAsset) -> list[str]:
     problems = []
     for link in (asset.static, asset.moving):
-        if not link.mass > 0:
-            problems.append(f"link {link.name!r} has mass {link.mass}, want a positive one")
-        if not link.meshes:
-            problems.append(f"link {link.name!r} has no meshes")
-        if not link.colliders:
-            problems.append(f"link {link.name!r} has no colliders")
-        if not all((box.half_extents > 0).all() for box in link.colliders):
-            problems.append(f"link {link.name!r} has a collider without thickness")
         names = [box.name for box in link.colliders]
-        if len(set(names)) != len(names):
-            problems.append(f"link {link.name!r} repeats a collider name")
+        thick = all((box.half_extents > 0).all() for box in link.colliders)
+        problems += _failed(
+            (link.mass > 0, f"link {link.name!r} has mass {link.mass}, want a positive one"),
+            (bool(link.meshes), f"link {link.name!r} has no meshes"),
+            (bool(names), f"link {link.name!r} has no colliders"),
+            (thick, f"link {link.name!r} has a collider without thickness"),
+            (len(set(names)) == len(names), f"link {link.name!r} repeats a collider name"),
+        )
     return problems
 
 
@@ -192,9 +168,9 @@ def _simulate_touch(asset: ArticulatedAsset) -> tuple[mujoco.MjModel, mujoco.MjD
 
 def _check_handle(asset: ArticulatedAsset) -> list[str]:
     """The bar lies where it is said to be, and a finger fits around and behind it."""
-    poses, half = stack_boxes(asset.moving.colliders)
+    poses, half = _stack_boxes(asset.moving.colliders)
     point = asset.handle_point
-    distances = distance_to_boxes(point[None], poses, half)[0]
+    distances = _distance_to_boxes(point[None], poses, half)[0]
     if not distances.min() <= 0.002:
         return [f"handle point lies {1000 * distances.min():.0f} mm off every moving collider"]
     bar = int(np.argmin(distances))
@@ -202,24 +178,20 @@ def _check_handle(asset: ArticulatedAsset) -> list[str]:
     across = np.cross(asset.handle_axis, outward)
     extent = np.abs(poses[bar, :3, :3].T @ np.stack([outward, across], 1))
     depth, thickness = (2 * half[bar] @ extent).tolist()
-    problems = []
-    if not thickness <= MAX_HANDLE_THICKNESS:
-        problems.append(
-            f"handle is {1000 * thickness:.0f} mm thick, limit {1000 * MAX_HANDLE_THICKNESS:.0f} mm"
-        )
     rim = held_at_rim(asset)
     sides = np.stack([across, -across]) if rim else -outward[None]
     balls = point + sides * ((thickness if rim else depth) / 2 + FINGER_BALL / 2 + 5e-4)
-    others = _without(asset.moving, bar)
-    poses_o, half_o = stack_boxes([*asset.static.colliders, *others])
-    gap = distance_to_boxes(balls, poses_o, half_o).min() if len(half_o) else np.inf
-    if not gap >= FINGER_BALL / 2:
-        where = "on both sides of" if rim else "behind"
-        problems.append(
-            f"no {1000 * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {1000 * gap:.1f} mm)"
-        )
-    return problems
-
-
-def _without(link: AssetLink, index: int) -> list[BoxCollider]:
-    return [box for i, box in enumerate(link.colliders) if i != index]
+    others = [box for number, box in enumerate(asset.moving.colliders) if number != bar]
+    gap = _distance_to_boxes(balls, *_stack_boxes([*asset.static.colliders, *others])).min()
+    where = "on both sides of" if rim else "behind"
+    mm = 1000
+    return _failed(
+        (
+            thickness <= MAX_HANDLE_THICKNESS,
+            f"handle is {mm * thickness:.0f} mm thick, limit {mm * MAX_HANDLE_THICKNESS:.0f} mm",
+        ),
+        (
+            bool(gap >= FINGER_BALL / 2),
+            f"no {mm * FINGER_BALL:.0f} mm ball fits {where} the handle (free radius {mm * gap:.1f} mm)",
+        ),
+    )

@@ -15,10 +15,9 @@ from aomgen.core.values import Array
 
 # A component that fills its bounding box by this share is that box.
 SOLID_SHARE = 0.6
-# Cells along the longest edge of a hollow component.
-CELLS = 40
-# Bounds of their size, [m]: boards are hardly thinner, gaps for a gripper not narrower.
-CELL_RANGE = (0.006, 0.03)
+# Cells along the longest edge of a hollow component, and bounds of their size, [m]: boards are hardly thinner, gaps
+# for a gripper not narrower.
+CELLS, CELL_RANGE = 40, (0.006, 0.03)
 # More different vertex coordinates than this along an axis mean a curved surface.
 MAX_PLANES = 60
 # Samples are moved this far below the surface, [m]: far less than a board is thick, far more than rounding.

@@ -1,15 +1,69 @@
-"""The assets that a project names: made ones by category and seed, others as USD files."""
+"""Articulated assets by what users call them: made ones, drawn from a seed, and USD files; all checked."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
-from aomgen.assets.asset_check import require_usable
-from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
+import numpy as np
+
+from aomgen.assets.asset_check import check_asset
+from aomgen.assets.procedural.furniture import make_cabinet, make_drawer, make_dresser
+from aomgen.assets.procedural.lidded import make_laptop, make_toolbox
+from aomgen.assets.procedural.microwave import make_microwave
 from aomgen.assets.usd_read import SUFFIXES, read_usd
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AssetError, ConfigError
 from aomgen.io.schema import suggest
+
+Maker = Callable[[np.random.Generator], ArticulatedAsset]
+# The categories of the benchmark.
+MAKERS: Final[dict[str, Maker]] = {
+    "cabinet": make_cabinet,
+    "drawer": make_drawer,
+    "laptop": make_laptop,
+    "microwave": make_microwave,
+    "toolbox": make_toolbox,
+}
+# Made by name as well: drawers again, of another shape.
+OTHER_MAKERS: Final[dict[str, Maker]] = {"dresser": make_dresser}
+
+
+def make_asset(category: str, seed: int) -> ArticulatedAsset:
+    """A new asset of a category; the same seed gives the same asset.
+
+    Args:
+        category: One of `MAKERS` or `OTHER_MAKERS`.
+        seed: Chooses sizes, colors, prints and the hinge side.
+
+    Returns:
+        A hollow, textured asset in the asset frame (front towards -y, support plane z = 0,
+        centred in x), closed at joint value 0.
+
+    Raises:
+        ConfigError: The category is unknown.
+    """
+    if not is_made(category):
+        known = ", ".join(MAKERS | OTHER_MAKERS)
+        raise ConfigError("category", f"{category!r} is unknown", f"choose one of {known}")
+    return make_by((MAKERS | OTHER_MAKERS)[category], category, seed)
+
+
+def make_by(maker: Maker, category: str, seed: int) -> ArticulatedAsset:
+    """What a maker draws for a seed, named after the category."""
+    # The name's letters enter the seed, so that categories do not share random numbers.
+    rng = np.random.default_rng([seed, *category.encode()])
+    return replace(maker(rng), name=f"{category}-{seed}")
+
+
+def is_made(category: str) -> bool:
+    """Whether assets of a category can be made."""
+    return category in MAKERS | OTHER_MAKERS
+
+
+def suggest_category(category: str) -> str:
+    """What a user may have meant by a category that cannot be made."""
+    return suggest(category, MAKERS | OTHER_MAKERS)
 
 
 def asset_file(spec: str) -> Path | None:
@@ -28,14 +82,18 @@ def open_asset(spec: str) -> ArticulatedAsset:
     category, _, seed = spec.rpartition(":")
     if file is not None:
         asset = read_usd(file)
-    elif seed.isdecimal() and category:
-        _require_maker(category, spec)
-        asset = replace(make_asset(category, int(seed)), name=f"{category}-{seed}")
+    elif not (seed.isdecimal() and category):
+        problem = f"'{spec}' is neither category:seed nor a USD file"
+        raise ConfigError("assets", problem, "for example microwave:1")
+    elif not is_made(category):
+        problem = f"'{spec}': no asset of category '{category}' can be made"
+        raise ConfigError("assets", problem, suggest_category(category))
     else:
-        raise ConfigError(
-            "assets", f"'{spec}' is neither category:seed nor a USD file", "for example microwave:1"
-        )
-    require_usable(asset)
+        asset = make_asset(category, int(seed))
+    problems = check_asset(asset)
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise AssetError(asset.name, problems[0] + more, "correct the asset or choose another one")
     return asset
 
 
@@ -46,30 +104,14 @@ def open_assets(specs: Sequence[str]) -> list[ArticulatedAsset]:
         ConfigError, AssetError, InputError: See `open_asset`.
         AssetError: Two have one name, by which episodes tell them apart.
     """
-    assets = [open_asset(spec) for spec in specs]
-    for index, asset in enumerate(assets):
-        for earlier, other in zip(specs[:index], assets[:index], strict=True):
-            if other.name == asset.name:
-                raise AssetError(
-                    "assets",
-                    f"'{earlier}' and '{specs[index]}' are both named '{asset.name}'",
-                    "name each asset once; a USD file is named by its default prim",
-                )
-    return assets
-
-
-def is_made(category: str) -> bool:
-    """Whether assets of a category can be made."""
-    return category in MAKERS | OTHER_MAKERS
-
-
-def suggest_category(category: str) -> str:
-    """What a user may have meant by a category that cannot be made."""
-    return suggest(category, MAKERS | OTHER_MAKERS)
-
-
-def _require_maker(category: str, spec: str) -> None:
-    if not is_made(category):
-        raise ConfigError(
-            "assets", f"'{spec}': no asset of category '{category}' can be made", suggest_category(category)
-        )
+    opened: dict[str, tuple[str, ArticulatedAsset]] = {}
+    for spec in specs:
+        asset = open_asset(spec)
+        if asset.name in opened:
+            raise AssetError(
+                "assets",
+                f"'{opened[asset.name][0]}' and '{spec}' are both named '{asset.name}'",
+                "name each asset once; a USD file is named by its default prim",
+            )
+        opened[asset.name] = spec, asset
+    return [asset for _, asset in opened.values()]

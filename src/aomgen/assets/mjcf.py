@@ -1,20 +1,76 @@
-"""Assets in MuJoCo: bodies, joint, box colliders and, on request, textured meshes."""
+"""Assets in MuJoCo: bodies, box colliders, textured meshes, and what is assumed of joint resistance and friction."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from aomgen.assets.resistance import ARMATURE, CONTACT_FRICTION, HOLDING_SOLIMP, holding_friction
 from aomgen.core.asset import ArticulatedAsset, AssetLink
+from aomgen.core.joint import JointType
 from aomgen.core.mesh import Mesh
-from aomgen.core.transforms import quat_from_matrix, transform
+from aomgen.core.transforms import apply, quat_from_matrix
 
+# Standard gravity as MuJoCo's default has it, [m/s^2].
+GRAVITY: Final = 9.81
+# Keeps light doors stable in the solver, [kg m^2] or [kg].
+ARMATURE: Final = 0.005
+# Sliding [1], torsional and rolling [m] coefficients of the colliders: plastic on rubber pads.
+CONTACT_FRICTION: Final = (0.8, 0.01, 0.0005)
+# A friction hinge holds a lid wherever it is left: it bears this many times its weight.
+HOLDS: Final = 1.3
+# MuJoCo's default dry friction creeps by degrees a second under a load; this solver impedance stands still.
+HOLDING_SOLIMP: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+# A smaller load comes from the rounding of an axis in a file, [N m] or [N].
+NO_LOAD: Final = 1e-3
 # MuJoCo's usual geom groups: 2 is drawn, 3 is for collision only and hidden.
-COLLIDER_GROUP = 3
-# See above.
-VISUAL_GROUP = 2
+VISUAL_GROUP, COLLIDER_GROUP = 2, 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointResistance:
+    """Passive resistance of an object's joint in one simulated run, by its name in the verdict.
+
+    Damping in [N m s/rad] or [N s/m]; dry friction beyond `holding_friction` in [N m] or [N].
+    """
+
+    name: str
+    damping: float
+    frictionloss: float
+
+
+# The first is nominal: its run gives an episode's states, and its values are written into the USD.
+RESISTANCES: Final[dict[JointType, tuple[JointResistance, ...]]] = {
+    "revolute": (
+        JointResistance(name="nominal", damping=0.3, frictionloss=0.15),
+        JointResistance(name="light", damping=0.05, frictionloss=0.02),
+        JointResistance(name="heavy", damping=1.2, frictionloss=0.8),
+    ),
+    "prismatic": (
+        JointResistance(name="nominal", damping=4.0, frictionloss=2.0),
+        JointResistance(name="light", damping=1.0, frictionloss=0.3),
+        JointResistance(name="heavy", damping=16.0, frictionloss=8.0),
+    ),
+}
+
+
+def holding_friction(asset: ArticulatedAsset) -> float:
+    """Dry friction that keeps the moving part where it is left, against its weight, [N m] or [N].
+
+    Enough for every value in the joint's range; 0 for upright hinges and level slides. The
+    asset stands upright.
+    """
+    joint, colliders = asset.joint, asset.moving.colliders
+    volumes = np.array([box.half_extents.prod() for box in colliders])
+    middle = volumes @ np.array([box.T_asset_box[:3, 3] for box in colliders]) / volumes.sum()
+    weight = np.array([0.0, 0.0, -GRAVITY * asset.moving.mass])
+    if joint.type == "prismatic":
+        load = abs(float(weight @ joint.axis))
+    else:
+        arms = apply(joint.motion(np.linspace(joint.lower, joint.upper, 40)), middle) - joint.origin
+        load = float(np.abs(np.cross(arms, weight) @ joint.axis).max())
+    return HOLDS * load if load > NO_LOAD else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,18 +82,19 @@ class AssetNames:
         joint: The passive joint, positive in the opening direction.
         free_joint: Joint of the whole object; empty when it is bolted to the world.
         static_geoms, moving_geoms: Box colliders, handle included.
-        handle_geoms: Those of the moving colliders that are handle.
-        visual_geoms: Textured meshes; empty without `visual`.
     """
 
-    static_body: str
-    moving_body: str
-    joint: str
+    static_body: str = "object_static"
+    moving_body: str = "object_moving"
+    joint: str = "object_joint"
     free_joint: str
     static_geoms: tuple[str, ...]
     moving_geoms: tuple[str, ...]
-    handle_geoms: tuple[str, ...]
-    visual_geoms: tuple[str, ...]
+
+    @property
+    def handle_geoms(self) -> tuple[str, ...]:
+        """Those of the moving colliders that are handle."""
+        return tuple(name for name in self.moving_geoms if name.startswith(f"{self.moving_body}_handle"))
 
 
 def add_asset(
@@ -49,24 +106,17 @@ def add_asset(
     frictionloss: float,
     visual: bool = False,
     bolted: bool = True,
-    prefix: str = "object_",
 ) -> AssetNames:
-    """Add an asset with a passive joint to a model under construction.
+    """Add an asset with a passive joint to a model under construction, which counts angles in radians.
+
+    The links do not touch each other (MuJoCo's own parent filter does not hold for links welded to the
+    world). Colliders are in group 3.
 
     Args:
-        spec: Receives bodies, joint, geoms, an exclude between both links (MuJoCo's own parent
-            filter does not hold for links welded to the world) and, with `visual`, meshes,
-            textures and materials. Must count angles in radians (`spec.compiler.degree = False`).
-        asset: Closed at joint value 0.
-        T_world_asset: Rigid pose (4, 4) of the asset frame.
         damping: Of the joint, [N m s/rad] or [N s/m].
         frictionloss: Dry friction of the joint beyond `holding_friction`, [N m] or [N].
-        visual: Also add what is seen (group 2, no contacts). Colliders are in group 3.
+        visual: Also add what is seen (group 2, no contacts).
         bolted: Weld the static link to the world; otherwise it gets a free joint.
-        prefix: Start of every name that is added.
-
-    Returns:
-        The names that were added.
 
     Raises:
         ValueError: `spec` counts in degrees; a programming error.
@@ -74,34 +124,25 @@ def add_asset(
     if spec.compiler.degree:
         raise ValueError("spec.compiler.degree must be False before an asset is added")
     T = np.asarray(T_world_asset, np.float64)
-    static = spec.worldbody.add_body(name=f"{prefix}static", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
-    free_joint = "" if bolted else f"{prefix}free"
+    static = spec.worldbody.add_body(name="object_static", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
+    free_joint = "" if bolted else "object_free"
     if free_joint:
         static.add_freejoint(name=free_joint)
-    moving = static.add_body(name=f"{prefix}moving")
-    _add_joint(moving, asset, f"{prefix}joint", damping, frictionloss)
-    static_geoms = _add_colliders(static, asset.static, f"{prefix}static_")
-    moving_geoms = _add_colliders(moving, asset.moving, f"{prefix}moving_")
-    spec.add_exclude(name=f"{prefix}exclude", bodyname1=f"{prefix}static", bodyname2=f"{prefix}moving")
-    visuals: tuple[str, ...] = ()
-    if visual:
-        for body, link, part in ((static, asset.static, "static"), (moving, asset.moving, "moving")):
-            visuals += tuple(
-                add_visual_mesh(spec, body, m, f"{prefix}{part}_visual_{m.name}") for m in link.meshes
-            )
-    return AssetNames(
-        static_body=f"{prefix}static",
-        moving_body=f"{prefix}moving",
-        joint=f"{prefix}joint",
+    moving = static.add_body(name="object_moving")
+    _add_joint(moving, asset, "object_joint", damping, frictionloss)
+    names = AssetNames(
         free_joint=free_joint,
-        static_geoms=static_geoms,
-        moving_geoms=moving_geoms,
-        handle_geoms=tuple(name for name in moving_geoms if name.startswith(f"{prefix}moving_handle")),
-        visual_geoms=visuals,
+        static_geoms=_add_colliders(static, asset.static),
+        moving_geoms=_add_colliders(moving, asset.moving),
     )
+    spec.add_exclude(name="object_exclude", bodyname1=names.static_body, bodyname2=names.moving_body)
+    for body, link in ((static, asset.static), (moving, asset.moving)):
+        for mesh in link.meshes if visual else ():
+            add_visual_mesh(spec, body, mesh, f"{body.name}_visual_{mesh.name}")
+    return names
 
 
-def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name: str) -> str:
+def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name: str) -> None:
     """Add one textured mesh without contacts or mass to a body; vertices are in the body frame."""
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
@@ -119,33 +160,20 @@ def add_visual_mesh(spec: mujoco.MjSpec, body: mujoco.MjsBody, mesh: Mesh, name:
     material.specular = float(0.15 + 0.35 * mesh.metallic)
     material.shininess = float(1.0 - mesh.roughness) * 0.6
     if textured:
-        add_texture(spec, name, mesh.texture_srgb)
+        height, width, channels = mesh.texture_srgb.shape
+        kind = mujoco.mjtTexture.mjTEXTURE_2D
+        image = spec.add_texture(name=name, type=kind, width=width, height=height, nchannel=channels)
+        image.data = np.ascontiguousarray(mesh.texture_srgb).tobytes()
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     add_visual_geom(body, name)
-    return name
 
 
 def add_visual_geom(body: mujoco.MjsBody, name: str) -> None:
     """Show the mesh and material of a name on a body, without contacts or mass."""
     body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=name,
-        material=name,
-        contype=0,
-        conaffinity=0,
-        group=VISUAL_GROUP,
-        mass=0.0,
-    )
-
-
-def add_texture(spec: mujoco.MjSpec, name: str, texture_srgb: NDArray[np.uint8]) -> None:
-    """Add a 2D texture (H, W, 3) uint8 from memory."""
-    height, width, channels = texture_srgb.shape
-    item = spec.add_texture(
-        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height, nchannel=channels
-    )
-    item.data = np.ascontiguousarray(texture_srgb).tobytes()
+        name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name,
+        contype=0, conaffinity=0, group=VISUAL_GROUP, mass=0.0,
+    )  # fmt: skip
 
 
 def _add_joint(
@@ -168,21 +196,18 @@ def _add_joint(
         item.solimp_friction = HOLDING_SOLIMP
 
 
-def _add_colliders(body: mujoco.MjsBody, link: AssetLink, prefix: str) -> tuple[str, ...]:
+def _add_colliders(body: mujoco.MjsBody, link: AssetLink) -> tuple[str, ...]:
     """Box geoms that share the link's mass by volume."""
     volumes = np.array([box.half_extents.prod() for box in link.colliders])
-    names = []
     for box, share in zip(link.colliders, volumes / volumes.sum(), strict=True):
-        T = transform(box.T_asset_box[:3, :3], box.T_asset_box[:3, 3])
         body.add_geom(
-            name=prefix + box.name,
+            name=f"{body.name}_{box.name}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=T[:3, 3],
-            quat=quat_from_matrix(T[:3, :3]),
+            pos=box.T_asset_box[:3, 3],
+            quat=quat_from_matrix(box.T_asset_box[:3, :3]),
             size=box.half_extents,
             mass=float(link.mass * share),
             friction=CONTACT_FRICTION,
             group=COLLIDER_GROUP,
         )
-        names.append(prefix + box.name)
-    return tuple(names)
+    return tuple(f"{body.name}_{box.name}" for box in link.colliders)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from aomgen.assets.box_cover import box_cover
 from aomgen.assets.procedural.shapes import Material
-from aomgen.assets.usd_joint import UsdJoint
 from aomgen.assets.usd_material import plain_material, read_material
 from aomgen.core.asset import AssetLink, BoxCollider
 from aomgen.core.mesh import Mesh
@@ -22,8 +21,6 @@ from aomgen.errors import AssetError, LimitExceededError, MalformedFileError
 MAX_FACES = 3_000_000
 # Used for a link whose file names no mass, [kg/m^3] of its colliders.
 FALLBACK_DENSITY = 400.0
-# Texture coordinates (F, 3, 2) of a mesh without any.
-NO_UVS = np.zeros((0, 3, 2))
 
 
 @dataclass(slots=True)
@@ -38,8 +35,10 @@ class _Collected:
     named: bool = False
 
 
-def read_links(stage: Any, joint: UsdJoint, to_metric: Array, path: Path) -> tuple[AssetLink, AssetLink]:
-    """Static and moving link of the stage in a file, metric, Z up.
+def read_links(
+    stage: Any, moving_bodies: frozenset[str], all_bodies: frozenset[str], to_metric: Array, path: Path
+) -> tuple[AssetLink, AssetLink]:
+    """Static and moving link of the stage in a file, metric, Z up; bodies are prim paths.
 
     Boxes (UsdGeom.Cube with CollisionAPI) are taken as they are; where a link has none, its
     collision meshes (or else its visible ones) are covered by boxes, see `box_cover`.
@@ -55,9 +54,8 @@ def read_links(stage: Any, joint: UsdJoint, to_metric: Array, path: Path) -> tup
     cache = UsdGeom.XformCache()
     count = 0
     for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
-        owner = _owner(prim, joint.all_bodies)
-        link = links[owner in joint.moving_bodies]
-        if str(prim.GetPath()) in joint.all_bodies and not link.named:
+        link = links[_owner(prim, all_bodies) in moving_bodies]
+        if str(prim.GetPath()) in all_bodies and not link.named:
             link.name, link.named = str(prim.GetDisplayName() or prim.GetName()), True
         if prim.HasAPI(UsdPhysics.MassAPI):
             link.mass += max(0.0, float(UsdPhysics.MassAPI(prim).GetMassAttr().Get() or 0.0))
@@ -80,8 +78,7 @@ def read_links(stage: Any, joint: UsdJoint, to_metric: Array, path: Path) -> tup
         link.meshes += meshes if seen else []
         link.collision_meshes += meshes if collides else []
     kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
-    static, moving = (_finish(link, kilograms, path) for link in (links[False], links[True]))
-    return static, moving
+    return _finish(links[False], kilograms, path), _finish(links[True], kilograms, path)
 
 
 def _finish(link: _Collected, kilograms: float, path: Path) -> AssetLink:
@@ -160,7 +157,7 @@ def _meshes(prim: Any, place: Array, name: str, folder: Path) -> list[Mesh]:
                 name=name + suffix,
                 vertices=vertices[used],
                 faces=faces.reshape(-1, 3),
-                uvs=uvs[chosen] if textured else NO_UVS,
+                uvs=uvs[chosen] if textured else uvs[:0],
                 texture_srgb=texture if textured else np.zeros((0, 0, 3), np.uint8),
                 color_srgb=np.asarray(texture.mean((0, 1)) / 255 if texture.size else surface.color_srgb),
                 roughness=surface.roughness,
@@ -208,7 +205,7 @@ def _corner_uvs(prim: Any, corners: NDArray[np.int64], indices: NDArray[np.int64
             return values[corners]
         if len(values) == points:
             return values[indices[corners]]
-    return NO_UVS
+    return np.zeros((0, 3, 2))
 
 
 def _base_material(prim: Any) -> Material:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from aomgen.assets.procedural.shapes import Material
+from aomgen.assets.procedural.shapes import NO_TEXTURE, Material
 from aomgen.conventions import srgb_from_linear
 from aomgen.errors import (
     AssetError,
@@ -19,7 +19,6 @@ from aomgen.errors import (
 )
 from aomgen.io.images import MAX_PIXELS, read_image
 
-NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
 # Input names of UsdPreviewSurface first, then of Omniverse's MDL shaders (OmniPBR, OmniGlass).
 _COLOR_INPUTS = (
     "diffuseColor",
@@ -86,24 +85,19 @@ def _texture(shader: Any, folder: Path) -> NDArray[np.uint8]:
     for name in _TEXTURE_INPUTS:
         item = shader.GetInput(name)
         if item and item.Get() is not None and item.Get().path:
-            return read_texture(item.Get(), folder)
+            return _read_texture(item.Get(), folder)
     item = shader.GetInput("diffuseColor")
     sources = item.GetConnectedSources()[0] if item else []
     for source in sources:
         node = UsdShade.Shader(source.source.GetPrim())
         file = node.GetInput("file") if node else None
         if file and file.Get() is not None:
-            return read_texture(file.Get(), folder)
+            return _read_texture(file.Get(), folder)
     return NO_TEXTURE
 
 
-def read_texture(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
-    """Texture (H, W, 3) uint8 of an Sdf.AssetPath, which must not leave `folder`.
-
-    Raises:
-        UnsafePathError: It points outside.
-        MissingFileError, MalformedFileError, LimitExceededError: As their names say.
-    """
+def _read_texture(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
+    """Texture (H, W, 3) of an Sdf.AssetPath, which must not leave `folder`."""
     if "[" in (asset_path.resolvedPath or asset_path.path):
         return _packaged(asset_path, folder)
     given = Path(asset_path.resolvedPath or asset_path.path)
@@ -135,17 +129,12 @@ def _packaged(asset_path: Any, folder: Path) -> NDArray[np.uint8]:
 
 
 def check_layers(stage: Any, folder: Path) -> None:
-    """Refuse a stage that was composed from files outside `folder`.
-
-    Raises:
-        UnsafePathError: Names the layer.
-        AssetError: A layer that is named cannot be found.
-    """
+    """Refuse a stage that was composed from files outside `folder`, or of which a layer cannot be found."""
     for layer in stage.GetUsedLayers():
         if layer.anonymous or not layer.realPath:
             continue
         _require_inside(Path(layer.realPath.split("[")[0]).resolve(), folder, layer.identifier)
-    problems = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else []
+    problems = stage.GetCompositionErrors()
     if problems:
         raise AssetError(
             stage.GetRootLayer().identifier, f"does not compose ({problems[0]})", "repair its references"

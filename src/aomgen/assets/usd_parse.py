@@ -8,13 +8,12 @@ import numpy as np
 
 from aomgen.assets.asset_check import outward_normal
 from aomgen.assets.usd_geometry import read_links
-from aomgen.assets.usd_joint import find_joint
 from aomgen.assets.usd_material import check_layers
 from aomgen.assets.usd_write import NAMESPACE
 from aomgen.core.asset import ArticulatedAsset, AssetLink
-from aomgen.core.joint import Joint
+from aomgen.core.joint import Joint, JointType
 from aomgen.core.mesh import sample_surface
-from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, matrix_from_quat, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import AssetError, MalformedFileError
 
@@ -45,33 +44,148 @@ def parse_usd(path: Path) -> ArticulatedAsset:
 
     try:
         stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise MalformedFileError(
-            path, "cannot be parsed as USD", "open and export the asset again"
-        ) from error
+    except Tf.ErrorException:
+        stage = None
     if not stage:
         raise MalformedFileError(path, "cannot be parsed as USD", "open and export the asset again")
     check_layers(stage, path.resolve().parent)
     unit = float(UsdGeom.GetStageMetersPerUnit(stage))
     up = np.eye(4) if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else _Z_UP_FROM_Y_UP
     to_metric = up @ np.diag([unit, unit, unit, 1.0])
-    joint = find_joint(stage, to_metric, unit, path)
-    static, moving = read_links(stage, joint, to_metric, path)
+    joint, moving_bodies, bodies = _find_joint(stage, to_metric, unit, path)
+    static, moving = read_links(stage, moving_bodies, bodies, to_metric, path)
+    root = stage.GetDefaultPrim()
     asset = ArticulatedAsset(
-        name=_name(stage, path),
+        name=str((root.GetDisplayName() or root.GetName()) if root else path.stem),
         category=str(_root_attribute(stage, "category") or path.stem.split("-")[0]),
         static=static,
         moving=moving,
-        joint=joint.joint,
+        joint=joint,
         handle_point=np.zeros(3),
         handle_axis=np.array([0.0, 0.0, 1.0]),
     )
-    return _placed(_with_handle(asset, stage, to_metric))
+    asset = _with_handle(asset, stage, to_metric)
+    T = _canonical_transform(asset)
+    return asset if np.allclose(T, np.eye(4), atol=1e-6) else asset.transformed(T)
 
 
-def _name(stage: Any, path: Path) -> str:
-    root = stage.GetDefaultPrim()
-    return str((root.GetDisplayName() or root.GetName()) if root else path.stem)
+def _find_joint(
+    stage: Any, to_metric: Array, unit: float, path: Path
+) -> tuple[Joint, frozenset[str], frozenset[str]]:
+    """The single revolute or prismatic joint of a stage, and the prim paths of the bodies that move and of all.
+
+    Args:
+        to_metric: From stage coordinates to metres, Z up (4, 4).
+        unit: metersPerUnit.
+        path: File, for messages.
+
+    Raises:
+        AssetError: There is none, or several (all are listed), or it has no limits or body.
+    """
+    from pxr import Usd, UsdPhysics
+
+    prims = list(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()))
+    moving = [p for p in prims if p.IsA(UsdPhysics.RevoluteJoint) or p.IsA(UsdPhysics.PrismaticJoint)]
+    if len(moving) != 1:
+        listed = ", ".join(f"{p.GetPath()} ({p.GetTypeName()})" for p in moving) or "none"
+        problem = f"has {len(moving)} revolute or prismatic joints, want 1: {listed}"
+        raise AssetError(path, problem, "fix the other joints in place or export one part")
+    prim = moving[0]
+    api = UsdPhysics.Joint(prim)
+    bodies = [_target(api.GetBody0Rel()), _target(api.GetBody1Rel())]
+    child = 1 if bodies[1] else 0
+    if not bodies[child]:
+        raise AssetError(path, f"joint {prim.GetPath()} names no body", "set body0 and body1")
+    rigid = {str(p.GetPath()) for p in prims if p.HasAPI(UsdPhysics.RigidBodyAPI)} | set(filter(None, bodies))
+    joint = _metric_joint(stage, prim, child, bodies, to_metric, unit, path)
+    return joint, frozenset(_fixed_to(bodies[child], prims)), frozenset(rigid)
+
+
+def _target(relation: Any) -> str:
+    targets = relation.GetTargets() if relation else []
+    return str(targets[0]) if targets else ""
+
+
+def _fixed_to(body: str, prims: list[Any]) -> set[str]:
+    """The body and all that fixed joints weld to it."""
+    from pxr import UsdPhysics
+
+    pairs = [
+        (_target(UsdPhysics.Joint(p).GetBody0Rel()), _target(UsdPhysics.Joint(p).GetBody1Rel()))
+        for p in prims
+        if p.IsA(UsdPhysics.FixedJoint)
+    ]
+    group, size = {body}, 0
+    while len(group) > size:
+        size = len(group)
+        for a, b in pairs:
+            if a and b and (a in group or b in group):
+                group |= {a, b}
+    return group
+
+
+def _metric_joint(
+    stage: Any, prim: Any, child: int, bodies: list[str], to_metric: Array, unit: float, path: Path
+) -> Joint:
+    from pxr import UsdPhysics
+
+    revolute = prim.IsA(UsdPhysics.RevoluteJoint)
+    api = UsdPhysics.RevoluteJoint(prim) if revolute else UsdPhysics.PrismaticJoint(prim)
+    lower, upper = float(api.GetLowerLimitAttr().Get()), float(api.GetUpperLimitAttr().Get())
+    if not (np.isfinite([lower, upper]).all() and lower < upper):
+        raise AssetError(
+            path, f"joint {prim.GetPath()} has limits {lower} .. {upper}", "give it finite limits"
+        )
+    scale = np.pi / 180.0 if revolute else unit
+    frame = _frame(stage, prim, child, bodies[child], to_metric)
+    axis = frame[:3, "XYZ".index(str(api.GetAxisAttr().Get()))]
+    # The child's axis points along a positive value, the parent's against it when seen from the child.
+    sign = 1.0 if child == 1 else -1.0
+    value = _value_as_it_stands(stage, prim, child, bodies, to_metric, sign * axis, revolute)
+    lower, upper = lower * scale - value, upper * scale - value
+    if abs(lower) > abs(upper):
+        sign, lower, upper = -sign, -upper, -lower
+    kind: JointType = "revolute" if revolute else "prismatic"
+    return Joint(type=kind, axis=sign * axis, origin=frame[:3, 3], lower=lower + 0.0, upper=upper)
+
+
+def _frame(stage: Any, prim: Any, side: int, body: str, to_metric: Array) -> Array:
+    """Joint frame on one of its bodies: unit axes and origin (4, 4), metric."""
+    from pxr import UsdGeom, UsdPhysics
+
+    api = UsdPhysics.Joint(prim)
+    position = (api.GetLocalPos1Attr() if side else api.GetLocalPos0Attr()).Get()
+    quat = (api.GetLocalRot1Attr() if side else api.GetLocalRot0Attr()).Get()
+    place = to_metric
+    if body:
+        item = stage.GetPrimAtPath(body)
+        place = to_metric @ np.array(UsdGeom.XformCache().GetLocalToWorldTransform(item)).T
+    local = matrix_from_quat([quat.GetReal(), *quat.GetImaginary()])
+    axes = place[:3, :3] @ local
+    frame = np.eye(4)
+    frame[:3, :3] = axes / np.linalg.norm(axes, axis=0)
+    frame[:3, 3] = apply(place, np.array(position, np.float64))
+    return frame
+
+
+def _value_as_it_stands(
+    stage: Any, prim: Any, child: int, bodies: list[str], to_metric: Array, axis: Array, revolute: bool
+) -> float:
+    """Joint value of the authored poses, [rad] or [m]; 0 where the two frames do not fit together."""
+    own = _frame(stage, prim, child, bodies[child], to_metric)
+    other = _frame(stage, prim, 1 - child, bodies[1 - child], to_metric)
+    offset = own[:3, 3] - other[:3, 3]
+    if not revolute:
+        along = float(offset @ axis)
+        return along if np.linalg.norm(offset - along * axis) < 1e-3 else 0.0
+    if not np.linalg.norm(offset) < 1e-3:
+        return 0.0
+    column = int(np.argmin(np.abs(own[:3, :3].T @ axis)))
+    turned, reference = own[:3, column], other[:3, column]
+    if not abs(reference @ axis) < 1e-3:
+        return 0.0
+    angle = float(np.arctan2(np.cross(reference, turned) @ axis, reference @ turned))
+    return angle if abs(angle) > 1e-5 else 0.0
 
 
 def _root_attribute(stage: Any, name: str) -> Any | None:
@@ -97,17 +211,8 @@ def _with_handle(asset: ArticulatedAsset, stage: Any, to_metric: Array) -> Artic
     )
 
 
-def _placed(asset: ArticulatedAsset) -> ArticulatedAsset:
-    T = canonical_transform(asset)
-    return asset if np.allclose(T, np.eye(4), atol=1e-6) else asset.transformed(T)
-
-
-def opening_direction(link: AssetLink, joint: Joint) -> Array:
-    """Unit direction (3,) in which the middle of the moving link starts to move.
-
-    Raises:
-        AssetError: A revolute part whose middle lies on its axis.
-    """
+def _opening_direction(link: AssetLink, joint: Joint) -> Array:
+    """Unit direction (3,) in which the middle of the moving link starts to move."""
     if joint.type == "prismatic":
         return joint.axis
     points = np.concatenate([mesh.vertices for mesh in link.meshes])
@@ -131,7 +236,7 @@ def guess_handle(link: AssetLink, joint: Joint) -> tuple[Array, Array]:
     meshes = named or link.meshes
     share = max(1, SAMPLES // len(meshes))
     points = np.concatenate([sample_surface(mesh.vertices, mesh.faces, share, rng)[0] for mesh in meshes])
-    outward = opening_direction(link, joint)
+    outward = _opening_direction(link, joint)
     if joint.type == "revolute" and not named:
         arms = points - joint.origin
         reach = np.linalg.norm(arms - np.outer(arms @ joint.axis, joint.axis), axis=1)
@@ -148,7 +253,7 @@ def guess_handle(link: AssetLink, joint: Joint) -> tuple[Array, Array]:
     return point + (heights.max() - LAYER / 2) * outward, direction
 
 
-def canonical_transform(asset: ArticulatedAsset) -> Array:
+def _canonical_transform(asset: ArticulatedAsset) -> Array:
     """Rigid transform (4, 4) to the asset frame: front towards -y, on z = 0, centred in x and y.
 
     The front is turned by whole quarter turns, as files are drawn along their axes; a part that
@@ -156,7 +261,7 @@ def canonical_transform(asset: ArticulatedAsset) -> Array:
     carries it is the front. An asset that stands so already gives the identity.
     """
     named = asset.handle_bar is not None
-    outward = outward_normal(asset) if named else opening_direction(asset.moving, asset.joint)
+    outward = outward_normal(asset) if named else _opening_direction(asset.moving, asset.joint)
     turns = 0
     if np.hypot(outward[0], outward[1]) > 0.5:
         angle = np.arctan2(-1.0, 0.0) - np.arctan2(outward[1], outward[0])

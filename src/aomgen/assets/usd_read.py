@@ -18,12 +18,10 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.errors import AomgenError, LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 
-# Largest USD file read, [bytes]: far above usual assets.
-MAX_BYTES = 512 << 20
+# Largest USD file read, and address space of the child, [bytes]: far above usual assets, and room to read it.
+MAX_BYTES, MAX_MEMORY_BYTES = 512 << 20, 8 << 30
 # Usual assets take a few seconds, [s]; a parser that hangs is stopped.
 TIMEOUT_S = 120.0
-# Address space of the child, [bytes]: the largest asset that is read needs a part of it.
-MAX_MEMORY_BYTES = 8 << 30
 # Exit code of an asset that is refused with a message; 1 and 2 are the interpreter's own.
 REFUSED = 3
 ARTIFACT = "asset"
@@ -35,11 +33,7 @@ def read_usd(path: Path, *, timeout_s: float = TIMEOUT_S) -> ArticulatedAsset:
 
     Any metersPerUnit and upAxis, instances, face subsets, UsdPreviewSurface or MDL materials
     are understood; the result is metric, Z up, its front towards -y, standing on z = 0 (see
-    `usd_parse.parse_usd`).
-
-    Args:
-        path: .usd, .usda, .usdc or .usdz file; whatever it refers to must lie in its folder.
-        timeout_s: The child is killed after this.
+    `usd_parse.parse_usd`). Whatever the file refers to must lie in its folder.
 
     Raises:
         MissingFileError: The file or one of its textures is not there.
@@ -63,27 +57,18 @@ def _run_child(path: Path, folder: str, timeout_s: float) -> None:
     package_parent = str(Path(aomgen.__file__).resolve().parent.parent)
     search = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH", "")]))
     command = [sys.executable, "-m", "aomgen.assets.usd_read", str(path), folder]
+    env = {**os.environ, "PYTHONPATH": search}
     try:
-        done = subprocess.run(
-            command,
-            env={**os.environ, "PYTHONPATH": search},
-            capture_output=True,
-            text=True,
-            timeout=timeout_s,
-        )
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=timeout_s)
     except subprocess.TimeoutExpired as error:
-        raise MalformedFileError(
-            path, f"is not parsed within {timeout_s:g} s", "simplify the asset"
-        ) from error
+        problem = f"is not parsed within {timeout_s:g} s"
+        raise MalformedFileError(path, problem, "simplify the asset") from error
     if done.returncode == REFUSED:
         raise _error_of(done.stderr, path)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1][:300]
-        raise MalformedFileError(
-            path,
-            f"stops the USD parser (exit code {done.returncode}: {last})",
-            "open and export the asset again",
-        )
+        problem = f"stops the USD parser (exit code {done.returncode}: {last})"
+        raise MalformedFileError(path, problem, "open and export the asset again")
 
 
 def _error_of(message: str, path: Path) -> AomgenError:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.assets.resistance import (
+from aomgen.assets.mjcf import (
     ARMATURE,
     CONTACT_FRICTION,
     HOLDING_SOLIMP,
@@ -36,15 +36,11 @@ CONTACT_MATERIAL = "contact"
 def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     """Write an asset as one USD file and a folder of textures beside it.
 
-    Metres, Z up, joint limits in degrees (revolute) or metres, colors linear, texture paths
-    relative: `<stem>_textures/<link>_<mesh>.png`. Handle point, handle axis and category are
+    It stands at joint value 0. Metres, Z up, joint limits in degrees (revolute) or metres, colors linear,
+    texture paths relative: `<stem>_textures/<link>_<mesh>.png`. Handle point, handle axis and category are
     custom attributes `aomgen:handle_point`, `aomgen:handle_axis`, `aomgen:category` of the root.
-    The joint has the nominal resistance of `assets.resistance`; all that verification tries are in
-    `aomgen:verified_damping` and `aomgen:verified_frictionloss`.
-
-    Args:
-        asset: Written as it stands at joint value 0.
-        path: Ends in .usda (text) or .usdc (binary).
+    The joint has the nominal resistance of `mjcf.RESISTANCES`; all that verification tries are in
+    `aomgen:verified_damping` and `aomgen:verified_frictionloss`. The path ends in .usda (text) or .usdc.
 
     Raises:
         ConfigError: Another suffix.

@@ -210,8 +210,7 @@ def render(
     """Draw the twin of a finished run from any camera, in any state."""
     from aomgen.io.images import write_image
     from aomgen.io.jsonfile import read_json
-    from aomgen.pipeline.rendering import draw_twin, open_twin, parse_camera, parse_state
-    from aomgen.pipeline.run_cameras import find_camera
+    from aomgen.pipeline.rendering import draw_twin, find_camera, open_twin, parse_camera, parse_state
 
     project = find_project(out)
     twin, robot = open_twin(project.out)
@@ -237,7 +236,7 @@ def report(out: RunFolder) -> None:
 @app.command()
 def doctor() -> None:
     """Say what is installed, what is missing, and what each part is for."""
-    from aomgen.cli.doctor import diagnose
+    from aomgen.pipeline.environment import diagnose
 
     problems = 0
     for name, state, purpose in diagnose():
@@ -254,7 +253,7 @@ def assets_make(
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same asset.")] = 0,
 ) -> None:
     """Make a textured, hollow, articulated asset with colliders and a joint, as USD."""
-    from aomgen.assets.make import make_asset
+    from aomgen.assets.choice import make_asset
     from aomgen.assets.usd_write import write_usd
 
     write_usd(make_asset(category, seed), path)

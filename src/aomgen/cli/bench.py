@@ -10,6 +10,7 @@ import typer
 from aomgen.cli.run import run_project
 from aomgen.errors import ConfigError
 
+JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures here.")]
 bench_app = typer.Typer(no_args_is_help=True, help="Measure: every number in the README comes from here.")
 
 
@@ -47,7 +48,7 @@ def bench_accuracy(
     seed: Annotated[int | None, typer.Option(help="First seed: 1000, of motion worlds 2000.")] = None,
     saga: Annotated[bool, typer.Option("--saga", help="Also score parts from affinity features.")] = False,
     paper: Annotated[bool, typer.Option("--paper", help="Also score the paper's own methods.")] = False,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_file: JsonFile = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
 ) -> None:
     """Run a capture up to its twin and score estimates and renders against its ground truth.
@@ -66,24 +67,13 @@ def bench_accuracy(
     from benchmarks.alignment_methods import methods_table
     from benchmarks.command import run_accuracy
     from benchmarks.motion_methods import motion_methods_table
-    from benchmarks.synthetic_captures import (
-        FIRST_SEED,
-        accuracy_table,
-        run_synthetic,
-        synthetic_table,
-    )
+    from benchmarks.synthetic_captures import FIRST_SEED, accuracy_table, run_synthetic, synthetic_table
 
     if (capture is None) == (synthetic == 0):
         raise ConfigError("bench accuracy", "wants a capture or --synthetic N", "give one of the two")
     if capture is None:
-        results = run_synthetic(
-            synthetic,
-            out,
-            run_project,
-            FIRST_SEED if seed is None else seed,
-            category=category,
-            harsh=harsh,
-        )
+        first = FIRST_SEED if seed is None else seed
+        results = run_synthetic(synthetic, out, run_project, first, category=category, harsh=harsh)
         table = synthetic_table(results)
     else:
         results = run_accuracy(capture, out, run_project, saga=saga, paper=paper)
@@ -117,7 +107,7 @@ def bench_scores(
 @bench_app.command("training")
 def bench_training(
     capture: Annotated[Path, typer.Argument(help="A capture; truth/ is not needed.")],
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_file: JsonFile = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; kept, and continued when it exists.")] = None,
     iterations: Annotated[int, typer.Option(help="Training steps; 0 for the project's own number.")] = 0,
 ) -> None:
@@ -132,7 +122,7 @@ def bench_alignment(
     paths: Annotated[list[Path], typer.Argument(help="Captures with truth/, or finished runs of such.")],
     starts: Annotated[int, typer.Option(help="Good and bad starts, over all paths; some 10 s each.")] = 200,
     seed: Annotated[int, typer.Option(help="Same seed, same starts.")] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write figures and rows here.")] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Disturb frames, prompts, cameras and joint values: what is answered, how well, what is refused.
 
@@ -146,38 +136,32 @@ def bench_alignment(
 
     figures = run_alignment_bench(paths, starts, seed, run_project, tell)
     _show({name: value for name, value in figures.items() if name != "rows"}, None)
-    if json_file:
-        from aomgen.io.atomic import write_json
-
-        write_json(json_file, figures)
+    _write(figures, json_file)
 
 
 @bench_app.command("intervals")
 def bench_intervals(
     worlds: Annotated[int, typer.Option(help="Hidden joints; half a second each.")] = 200,
     seed: Annotated[int, typer.Option(help="First seed.")] = 5000,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Hide joints behind hand paths that slip and pivot: do the stated 95 % intervals hold them?
 
     `held` is the share of intervals that hold the truth, `width` their median over the median error.
     """
-    from aomgen.io.atomic import write_json
     from benchmarks.joint_intervals import interval_figures, measure_world
     from benchmarks.table import as_table
 
     figures = interval_figures([measure_world(seed + number) for number in range(worlds)])
     print(as_table(figures))
-    if json_file:
-        write_json(json_file, {"intervals": figures})
+    _write({"intervals": figures}, json_file)
 
 
 @bench_app.command("splatting")
 def bench_splatting(
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Time the rasterizer, forward and backward, on a table-top scene, and compare it with float64."""
-    from aomgen.io.atomic import write_json
     from benchmarks.splatting import Effort, default_cases, measure
     from benchmarks.table import as_table
 
@@ -185,14 +169,13 @@ def bench_splatting(
     for name, rows in figures.items():
         shown = as_table(rows) if isinstance(rows, list) else json.dumps(rows, indent=1)
         print(f"\n{name}\n{shown}")
-    if json_file:
-        write_json(json_file, figures)
+    _write(figures, json_file)
 
 
 @bench_app.command("replay-exported")
 def bench_replay_exported(
     outs: Annotated[list[Path], typer.Argument(help="Folders of finished runs.")],
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Replay exported actions in a scene made of the exported USD alone, by category.
 
@@ -204,15 +187,8 @@ def bench_replay_exported(
 
 
 def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
-    from aomgen.io.atomic import write_json
     from benchmarks.motion_accuracy import FIRST_SEED, cases, run_motion
-    from benchmarks.motion_table import (
-        fractions_of,
-        motion_table,
-        summaries_of,
-        told,
-        unsolvable_of,
-    )
+    from benchmarks.motion_table import fractions_of, motion_table, summaries_of, told, unsolvable_of
     from benchmarks.table import as_table
 
     wanted = cases(count, FIRST_SEED if seed is None else seed)
@@ -225,15 +201,18 @@ def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Pat
     summaries = summaries_of(outcomes)
     unsolvable, fractions = unsolvable_of(outcomes), fractions_of(outcomes)
     print(f"\n{motion_table(summaries)}\n\n{as_table(unsolvable)}\n\n{as_table(fractions)}")
-    if json_file:
-        rows = [outcome.row() for outcome in outcomes]
-        figures = {"summaries": summaries, "unsolvable": unsolvable, "fractions": fractions, "worlds": rows}
-        write_json(json_file, figures)
+    rows = [outcome.row() for outcome in outcomes]
+    figures = {"summaries": summaries, "unsolvable": unsolvable, "fractions": fractions, "worlds": rows}
+    _write(figures, json_file)
 
 
 def _show(figures: dict, json_file: Path | None) -> None:
+    print(json.dumps(figures, indent=1))
+    _write(figures, json_file)
+
+
+def _write(figures: dict, json_file: Path | None) -> None:
     from aomgen.io.atomic import write_json
 
-    print(json.dumps(figures, indent=1))
     if json_file:
         write_json(json_file, figures)

@@ -18,7 +18,7 @@ def run_project(project, *, until: str = ""):
     """
     from aomgen.cli.display import display
     from aomgen.motion.estimates_file import forget_refusal
-    from aomgen.pipeline.run_record import RunRecord, save_record
+    from aomgen.pipeline.manifest import RunRecord, save_record
     from aomgen.pipeline.stages import REPORT_FILE, run_pipeline
 
     if project.out.exists() and not project.out.is_dir():
@@ -57,15 +57,14 @@ def find_project(path: Path):
     from aomgen.pipeline.project_file import read_project
     from aomgen.pipeline.stages import PROJECT_FILE, STAGES
 
+    remedy = "give the folder of a run, or a project file"
     if not path.exists():
-        raise MissingFileError(path, "is missing", "give the folder of a run, or a project file")
+        raise MissingFileError(path, "is missing", remedy)
     if not path.is_dir():
         return read_project(path)
     file = path / PROJECT_FILE
     if not file.is_file():
-        raise MissingFileError(
-            path, f"holds no {PROJECT_FILE}", "give the folder of a run, or a project file"
-        )
+        raise MissingFileError(path, f"holds no {PROJECT_FILE}", remedy)
     project = read_project(file)
     has_results = any((path / stage.folder).is_dir() for stage in STAGES)
     return project.model_copy(update={"out": path.resolve()}) if has_results else project

@@ -9,7 +9,6 @@ Source: the file layout of LeRobot's `codebase_version` v3.0.
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,50 +17,51 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
-from aomgen.datasets.features import feature_columns
-from aomgen.datasets.lerobot_layout import (
-    CHUNK_FILES,
-    DATA_FILE_MB,
-    DATA_PATH,
-    VIDEO_FILE_MB,
-    VIDEO_PATH,
-    dataset_info,
-    task_table,
-    video_key,
+from aomgen.datasets.features import (
+    color_counts,
+    column_statistics,
+    feature_columns,
+    feature_names,
+    image_statistics,
 )
-from aomgen.datasets.statistics import color_counts, column_statistics, image_statistics
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 from aomgen.io.video import read_video
 from aomgen.io.video_concat import concatenate_videos
 
+VERSION: Final = "v3.0"
+# The format's defaults: files in a folder, and sizes of files, [MB].
+CHUNK_FILES, DATA_FILE_MB, VIDEO_FILE_MB = 1000, 100, 200
+DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+INDEX_TYPES: Final = {
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
 # Pixels of every fourth row and column of at most this many frames an episode enter the
 # color statistics.
 SAMPLED_FRAMES: Final = 20
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DatasetSummary:
-    """What was written."""
-
-    folder: Path
-    episodes: int
-    frames: int
-    cameras: tuple[str, ...]
-
-
 def write_lerobot_v3(
     episode_folders: Sequence[Path], folder: Path, progress: Progress = silent
-) -> DatasetSummary:
+) -> dict[str, int]:
     """Build a dataset from committed episodes, in the order given.
 
     Args:
         episode_folders: Folders that `io.episode_folder.commit_episode` wrote.
         folder: Becomes the dataset; replaced if it is there.
         progress: Called after every episode.
+
+    Returns:
+        How many "episodes" and "frames" were written.
 
     Raises:
         MissingFileError: There is no episode.
@@ -74,27 +74,19 @@ def write_lerobot_v3(
     episodes = [read_episode(path) for path in episode_folders]
     for item in episodes:
         _check_alike(item, episodes[0])
-    with staged_folder(folder) as staging:
-        columns, tasks = _columns(episodes)
-        rows: list[dict[str, Any]] = [_episode_row(item, i, columns[i]) for i, item in enumerate(episodes)]
-        _write_data(staging, episodes, columns, rows)
-        counts = _write_videos(staging, episodes, rows, progress)
-        _write_meta(staging, episodes, columns, tasks, rows, counts)
+    tasks = list(dict.fromkeys(item.episode.instruction for item in episodes))
+    columns = _columns([item.episode for item in episodes], tasks)
+    rows = [_episode_row(item.episode, table) for item, table in zip(episodes, columns, strict=True)]
     frames = sum(len(item.episode) for item in episodes)
-    return DatasetSummary(
-        folder=folder, episodes=len(episodes), frames=frames, cameras=tuple(sorted(episodes[0].videos))
-    )
-
-
-def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
-    """File number of each item when a file is closed before it would pass `limit`."""
-    numbers, number, filled = [], 0, 0.0
-    for size in sizes:
-        if filled > 0 and not filled + size <= limit:
-            number, filled = number + 1, 0.0
-        filled += size
-        numbers.append(number)
-    return numbers
+    with staged_folder(folder) as staging:
+        _write_data(staging, columns, rows)
+        counts = _write_videos(staging, episodes, rows, progress)
+        meta = staging / "meta"
+        _write_parquet(meta / "episodes" / "chunk-000" / "file-000.parquet", pa.Table.from_pylist(rows))
+        _write_parquet(meta / "tasks.parquet", _task_table(tasks))
+        _write_json(meta / "stats.json", _statistics(columns, counts, frames))
+        _write_json(meta / "info.json", _info(episodes[0].episode, len(episodes), len(tasks), frames))
+    return {"episodes": len(episodes), "frames": frames}
 
 
 def _check_alike(item: CommittedEpisode, first: CommittedEpisode) -> None:
@@ -111,12 +103,11 @@ def _check_alike(item: CommittedEpisode, first: CommittedEpisode) -> None:
             )
 
 
-def _columns(episodes: list[CommittedEpisode]) -> tuple[list[dict[str, NDArray]], list[str]]:
-    """Columns (T, D) float32 or (T,) of each episode, and the task sentences."""
-    tasks = list(dict.fromkeys(item.episode.instruction for item in episodes))
+def _columns(episodes: list[Episode], tasks: list[str]) -> list[dict[str, NDArray]]:
+    """Columns (T, D) float32 or (T,) of each episode."""
     start, result = 0, []
-    for number, item in enumerate(episodes):
-        episode, count = item.episode, len(item.episode)
+    for number, episode in enumerate(episodes):
+        count = len(episode)
         table: dict[str, NDArray] = {
             name: values.astype(np.float32) for name, values in feature_columns(episode).items()
         }
@@ -127,21 +118,21 @@ def _columns(episodes: list[CommittedEpisode]) -> tuple[list[dict[str, NDArray]]
         table["task_index"] = np.full(count, tasks.index(episode.instruction))
         result.append(table)
         start += count
-    return result, tasks
+    return result
 
 
-def _episode_row(item: CommittedEpisode, number: int, table: dict[str, NDArray]) -> dict[str, Any]:
+def _episode_row(episode: Episode, table: dict[str, NDArray]) -> dict[str, Any]:
     first = int(table["index"][0])
     row = {
-        "episode_index": number,
-        "tasks": [item.episode.instruction],
-        "length": len(item.episode),
+        "episode_index": int(table["episode_index"][0]),
+        "tasks": [episode.instruction],
+        "length": len(episode),
         "dataset_from_index": first,
-        "dataset_to_index": first + len(item.episode),
+        "dataset_to_index": first + len(episode),
         "meta/episodes/chunk_index": 0,
         "meta/episodes/file_index": 0,
-        "aomgen/source_index": item.episode.index,
-        "aomgen/asset": item.episode.asset,
+        "aomgen/source_index": episode.index,
+        "aomgen/asset": episode.asset,
     }
     for name, values in table.items():
         for kind, numbers in column_statistics(values.reshape(len(values), -1)).items():
@@ -149,18 +140,24 @@ def _episode_row(item: CommittedEpisode, number: int, table: dict[str, NDArray])
     return row
 
 
-def _write_data(
-    staging: Path,
-    episodes: list[CommittedEpisode],
-    columns: list[dict[str, NDArray]],
-    rows: list[dict[str, Any]],
-) -> None:
-    sizes = [sum(values.nbytes for values in table.values()) for table in columns]
-    files = assign_files(sizes, DATA_FILE_MB * 1e6)
+def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
+    """File number of each item when a file is closed before it would pass `limit`."""
+    numbers, number, filled = [], 0, 0.0
+    for size in sizes:
+        if filled > 0 and not filled + size <= limit:
+            number, filled = number + 1, 0.0
+        filled += size
+        numbers.append(number)
+    return numbers
+
+
+def _write_data(staging: Path, columns: list[dict[str, NDArray]], rows: list[dict[str, Any]]) -> None:
+    files = assign_files([sum(v.nbytes for v in table.values()) for table in columns], DATA_FILE_MB * 1e6)
     for file in sorted(set(files)):
         members = [table for table, number in zip(columns, files, strict=True) if number == file]
         merged = {name: np.concatenate([table[name] for table in members]) for name in members[0]}
-        path = staging / DATA_PATH.format(chunk_index=file // CHUNK_FILES, file_index=file % CHUNK_FILES)
+        chunk, index = divmod(file, CHUNK_FILES)
+        path = staging / DATA_PATH.format(chunk_index=chunk, file_index=index)
         _write_parquet(path, pa.table({name: _arrow(values) for name, values in merged.items()}))
     for row, number in zip(rows, files, strict=True):
         row["data/chunk_index"], row["data/file_index"] = divmod(number, CHUNK_FILES)
@@ -181,7 +178,7 @@ def _write_videos(
     cameras, fps = sorted(episodes[0].videos), episodes[0].episode.fps
     totals = {}
     for done, camera in enumerate(cameras):
-        key = video_key(camera)
+        key = _video_key(camera)
         files = assign_files([item.videos[camera].stat().st_size for item in episodes], VIDEO_FILE_MB * 1e6)
         for file in sorted(set(files)):
             members = [number for number, where in enumerate(files) if where == file]
@@ -211,6 +208,10 @@ def _write_videos(
     return totals
 
 
+def _video_key(camera: str) -> str:
+    return f"observation.images.{camera}"
+
+
 def _check_length(item: CommittedEpisode, camera: str, length: int) -> None:
     if length != len(item.episode):
         raise CorruptArtifactError(
@@ -218,31 +219,85 @@ def _check_length(item: CommittedEpisode, camera: str, length: int) -> None:
         )
 
 
-def _write_meta(
-    staging: Path,
-    episodes: list[CommittedEpisode],
-    columns: list[dict[str, NDArray]],
-    tasks: list[str],
-    rows: list[dict[str, Any]],
-    counts: dict[str, NDArray[np.int64]],
-) -> None:
-    meta = staging / "meta"
-    frames = sum(len(item.episode) for item in episodes)
-    _write_parquet(meta / "episodes" / "chunk-000" / "file-000.parquet", pa.Table.from_pylist(rows))
-    _write_parquet(meta / "tasks.parquet", task_table(tasks))
+def _statistics(
+    columns: list[dict[str, NDArray]], counts: dict[str, NDArray[np.int64]], frames: int
+) -> dict[str, Any]:
+    """Content of stats.json."""
     statistics = {}
     for name in columns[0]:
         merged: Array = np.concatenate([table[name] for table in columns])
         statistics[name] = column_statistics(merged.reshape(len(merged), -1))
     for camera, levels in counts.items():
-        statistics[video_key(camera)] = image_statistics(levels, frames)
-    write_text(meta / "stats.json", json.dumps(statistics, indent=4, allow_nan=False))
-    write_text(
-        meta / "info.json",
-        json.dumps(
-            dataset_info(episodes[0].episode, len(episodes), len(tasks), frames), indent=4, allow_nan=False
-        ),
+        statistics[_video_key(camera)] = image_statistics(levels, frames)
+    return statistics
+
+
+def _info(first: Episode, episodes: int, tasks: int, frames: int) -> dict[str, Any]:
+    """Content of info.json of a dataset whose episodes are all like `first`."""
+    features: dict[str, Any] = {
+        name: {"dtype": "float32", "shape": [len(names)], "names": list(names)}
+        for name, names in feature_names(first).items()
+    }
+    for name, camera in sorted(first.cameras.items()):
+        features[_video_key(name)] = {
+            "dtype": "video",
+            "shape": [camera.height, camera.width, 3],
+            "names": ["height", "width", "channels"],
+            "info": {
+                "video.height": camera.height,
+                "video.width": camera.width,
+                "video.codec": "h264",
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": False,
+                "video.fps": first.fps,
+                "video.channels": 3,
+                "has_audio": False,
+            },
+        }
+    for name, kind in INDEX_TYPES.items():
+        features[name] = {"dtype": kind, "shape": [1], "names": None}
+    return {
+        "codebase_version": VERSION,
+        "robot_type": first.robot,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": CHUNK_FILES,
+        "data_files_size_in_mb": DATA_FILE_MB,
+        "video_files_size_in_mb": VIDEO_FILE_MB,
+        "fps": first.fps,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": DATA_PATH,
+        "video_path": VIDEO_PATH,
+        "features": features,
+    }
+
+
+def _task_table(tasks: Sequence[str]) -> pa.Table:
+    """The tasks as pandas would store a frame indexed by the sentence; LeRobot reads it so."""
+    index = "__index_level_0__"
+
+    def column(*values: Any) -> dict[str, Any]:
+        return dict(zip(("name", "field_name", "pandas_type", "numpy_type", "metadata"), values, strict=True))
+
+    pandas = {
+        "index_columns": [index],
+        "column_indexes": [column(None, None, "unicode", "object", {"encoding": "UTF-8"})],
+        "columns": [
+            column("task_index", "task_index", "int64", "int64", None),
+            column(None, index, "unicode", "object", None),
+        ],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "2.3.0",
+    }
+    table = pa.table(
+        {"task_index": pa.array(range(len(tasks)), pa.int64()), index: pa.array(tasks, pa.string())}
     )
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    write_text(path, json.dumps(content, indent=4, allow_nan=False))
 
 
 def _write_parquet(path: Path, table: pa.Table) -> None:

@@ -11,5 +11,5 @@ from aomgen.results import Results
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Write all episodes of the run."""
-    summary = write_lerobot_v3(list_committed(results.folders["episodes"]), folder, progress)
-    return {"episodes": summary.episodes, "frames": summary.frames}
+    written = write_lerobot_v3(list_committed(results.folders["episodes"]), folder, progress)
+    return {"episodes": written["episodes"], "frames": written["frames"]}

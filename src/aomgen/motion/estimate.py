@@ -31,7 +31,7 @@ from aomgen.motion.photometric import (
     select_frames,
 )
 from aomgen.motion.photometric_residuals import JointMotion
-from aomgen.robots.robot_masks import MasksAt, robot_masks
+from aomgen.robots.silhouette import MasksAt, robot_masks
 
 # One of so many samples of the joint is carried to the values.
 _EVERY = 8

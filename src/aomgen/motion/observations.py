@@ -33,7 +33,7 @@ from aomgen.motion.motion_test import MotionEvidence, estimate_following
 from aomgen.motion.onset import GripperPath
 from aomgen.motion.params import MotionParams
 from aomgen.motion.part_identification import PartIdentification, identify_part
-from aomgen.robots.robot_masks import MasksAt
+from aomgen.robots.silhouette import MasksAt
 
 # Step of the dense end-effector path, [s]: that of a 100 Hz joint log.
 _WAY_STEP_S = 0.01

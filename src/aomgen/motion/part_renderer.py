@@ -20,7 +20,7 @@ from aomgen.core.values import Array
 from aomgen.io.images import resize
 from aomgen.motion.filters import dilate
 from aomgen.motion.inputs import MotionInput
-from aomgen.robots.robot_masks import MasksAt
+from aomgen.robots.silhouette import MasksAt
 from aomgen.splatting.rasterizer import RigidParts, contribution_weights, render
 
 FloatImage = NDArray[np.float32]

@@ -24,7 +24,7 @@ from aomgen.io.images import resize
 from aomgen.motion.filters import dilate
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.photometric import SETTLED_S
-from aomgen.robots.robot_masks import MasksAt, robot_masks
+from aomgen.robots.silhouette import MasksAt, robot_masks
 from aomgen.splatting.rasterizer import RigidParts, render
 
 # Frames wider than this are reduced, [px].

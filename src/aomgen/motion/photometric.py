@@ -17,7 +17,7 @@ from aomgen.motion.inputs import MotionInput
 from aomgen.motion.kinematic_prior import KinematicPrior, shift_joint
 from aomgen.motion.part_renderer import PartRenderer, make_part_renderer
 from aomgen.motion.photometric_residuals import Band, Comparison, JointMotion, compare_frames, linearize_frame
-from aomgen.robots.robot_masks import MasksAt
+from aomgen.robots.silhouette import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].
 SETTLED_S = 0.1

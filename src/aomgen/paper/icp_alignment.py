@@ -22,7 +22,7 @@ from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError
 from aomgen.paper.rigid_icp import rigid_icp
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 
 STAGE = "alignment (paper)"
 

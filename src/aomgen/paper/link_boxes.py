@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.transforms import apply, invert
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 
 # Boxes are larger by this on every side: Gaussians lie some millimetres off the surface that they paint.
 MARGIN_M = 0.005

@@ -16,7 +16,7 @@ from aomgen.motion.filters import close_gaps, dilate, keep_touching
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import find_part_region
 from aomgen.paper.mask_keyframes import PartMasks
-from aomgen.robots.robot_masks import robot_masks
+from aomgen.robots.silhouette import robot_masks
 
 # The first picture is the median of so much video, so that its own noise does not count, [s].
 REFERENCE_S = 0.25

@@ -6,7 +6,7 @@ from aomgen.core.recording import Capture, DemoCamera
 from aomgen.motion.inputs import MotionInput
 from aomgen.paper.mask_keyframes import PartMasks
 from aomgen.paper.moved_masks import masks_by_change
-from aomgen.robots.robot_masks import robot_masks
+from aomgen.robots.silhouette import robot_masks
 
 
 def part_masks(capture: Capture, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:

@@ -9,7 +9,7 @@ from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.parts.scan_views import ScanView, lift, spread
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 
 # Largest distance of a robot Gaussian from its links, [m]: covers cables and housings that the model omits.
 LOOSE_DISTANCE_M = 0.06

@@ -18,7 +18,7 @@ from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.coverage import MIN_VIEWS, Coverage, coverage_of
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
 # Points along each edge of a side.

@@ -1,15 +1,15 @@
-"""Whether this machine has what the stages that are still to be made will ask for."""
+"""Whether this machine has what stages ask for."""
 
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 
-from aomgen.errors import BackendError, StorageError
-from aomgen.robots.offscreen import REMEDY as GL_REMEDY
+from aomgen.errors import AomgenError, BackendError, StorageError
+from aomgen.robots.model_renderer import REMEDY as GL_REMEDY
 from aomgen.segmentation.sam2_weights import find_sam2
 from aomgen.segmentation.weights import find_weights
 from aomgen.splatting.native import library
@@ -25,7 +25,7 @@ SAM2 = (("torch", "transformers", "safetensors"), "pip install 'aomgen[sam2]'")
 DRAWS_ROBOT = ("alignment", "parts", "motion", "twin")
 EVERYTHING = (*MODULES, *DRAWS_ROBOT)
 # A context can abort the whole process when the driver is broken, so it is tried in a child.
-GL_PROBE = "from aomgen.robots.offscreen import offscreen_context; offscreen_context(8, 8).free()"
+GL_PROBE = "from aomgen.robots.model_renderer import offscreen_context; offscreen_context(8, 8).free()"
 # A driver takes about a second; one that hangs never ends, [s].
 GL_TIMEOUT_S = 60.0
 # The bundled recording's run takes 180 MB; nothing of a run is small enough for less, [bytes].
@@ -33,12 +33,7 @@ MIN_FREE = 250 << 20
 
 
 def require_environment(stages: Collection[str], segmenter: str, *, has_masks: bool) -> None:
-    """Refuse to start what this machine cannot finish.
-
-    Args:
-        stages: Names of the stages that are still to be made.
-        segmenter: Of the project.
-        has_masks: Whether the capture brings label images.
+    """Refuse to start what this machine cannot finish: the stages that are still to be made.
 
     Raises:
         BackendError: A module, weights, the engine or an OpenGL driver is missing.
@@ -73,11 +68,8 @@ def require_room(out: Path) -> None:
         raise StorageError(there, "is not writable", "choose another `out`")
     free = shutil.disk_usage(there).free
     if not free >= MIN_FREE:
-        raise StorageError(
-            there,
-            f"has {free >> 20} MB left on its disk, want at least {MIN_FREE >> 20}",
-            "free space or choose another `out`",
-        )
+        problem = f"has {free >> 20} MB left on its disk, want at least {MIN_FREE >> 20}"
+        raise StorageError(there, problem, "free space or choose another `out`")
 
 
 def gl_problem() -> str:
@@ -97,3 +89,38 @@ def _require_modules(modules: tuple[str, ...], remedy: str) -> None:
     for module in modules:
         if importlib.util.find_spec(module) is None:
             raise BackendError(module, "is not installed", remedy)
+
+
+def diagnose() -> list[tuple[str, str, str]]:
+    """Rows of (part, problem or "", what it is for)."""
+    rows = []
+    for module, extra, purpose in (
+        ("mujoco", "", "physics"),
+        ("pxr", "", "USD assets"),
+        ("av", "", "video"),
+        ("torch", "reconstruct", "training of Gaussians"),
+        ("pycolmap", "reconstruct", "structure from motion"),
+        ("onnxruntime", "reconstruct", "segmentation"),
+    ):
+        found = importlib.util.find_spec(module) is not None
+        remedy = f"pip install 'aomgen[{extra}]'" if extra else "pip install aomgen"
+        rows.append((module, "" if found else f"missing: {remedy}", purpose))
+    problem = gl_problem()
+    return [
+        *rows,
+        ("engine", _problem_of(library), "rendering and training on the CPU"),
+        (
+            "OpenGL",
+            f"{problem}: {GL_REMEDY}" if problem else "",
+            "robot silhouettes (alignment, clock offset)",
+        ),
+        ("weights", _problem_of(find_weights), "part masks from prompts"),
+    ]
+
+
+def _problem_of(check: Callable[[], object]) -> str:
+    try:
+        check()
+    except AomgenError as error:
+        return str(error)
+    return ""

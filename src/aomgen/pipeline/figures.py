@@ -16,8 +16,8 @@ class Figure:
         unit: Behind the number; a number without a unit is a count.
         digits: After the point.
         factor, offset: The shown number is the stage's times `factor`, plus `offset`.
-        above, below: It is good above, or below, this shown number; None where nothing is better.
-        of: Name of the figure that this one is a part of; the limit is then a share of that.
+        above, below: It is good above, or below, this shown number; at most one of them is given.
+        of: Name of the figure that this one is a part of; the limit is then a share of that, [%].
         zero_is_unknown: Some methods do not estimate it and return 0; it is left out then.
     """
 
@@ -34,14 +34,11 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """One figure, ready to be shown.
+    """One figure, ready to be shown; what does not apply is "".
 
     Attributes:
-        name: What it is.
         number: Without its unit; or words.
-        unit: "" for counts and words.
-        verdict: "good", "poor", or "" where there is no limit.
-        limit: For example "good below 1"; "" where there is none.
+        limit: For example "good below 1".
         counted: The value stands before the name: "64 of 64 images registered".
     """
 
@@ -76,7 +73,7 @@ class Reading:
 FIGURES: Final[dict[str, dict[str, Figure]]] = {
     "structure": {
         # Every image that is left out leaves a gap in the scan; the gate is 0.8.
-        "registered": Figure(name="images registered", of="of", above=0.95),
+        "registered": Figure(name="images registered", of="of", above=95.0),
         # SIFT finds corners to about half a pixel; the gate is 1.5.
         "reprojection_error_px": Figure(name="reprojection error", unit="px", digits=2, below=1.0),
         "points": Figure(name="points"),
@@ -123,10 +120,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
             name="fit of the prompted part against any other", unit="times better", digits=1, above=2.0
         ),
     },
-    "twin": {
-        "gaussians": Figure(name="Gaussians"),
-        "moving": Figure(name="of them moving"),
-    },
+    "twin": {"gaussians": Figure(name="Gaussians"), "moving": Figure(name="of them moving")},
     "replacement": {
         "assets": Figure(name="assets"),
         "removed": Figure(name="Gaussians removed"),
@@ -165,23 +159,6 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
     },
 }
 
-# Figures that stay in the manifests alone, and why.
-NOT_SHOWN: Final[dict[str, dict[str, str]]] = {
-    "structure": {"of": "shown with the registered images"},
-    "gaussians": {"heldout_ssim": "says what the PSNR says"},
-    "alignment": {
-        "support": "means something only beside what chance confirms; the standard deviation follows from it",
-        "runner_up_support": "0 where no other place of the robot was found, which is no measurement",
-        "fixed_cameras": "a table of its own in the report",
-    },
-    "parts": {"method": "a choice of the program", "coverage": "a table of its own in the report"},
-    "twin": {"tray": "0 for most objects"},
-    "replacement": {
-        "light": "a choice of the program",
-        "fit_residual_mm": "an asset that keeps its own size is not meant to follow the recorded path",
-    },
-}
-
 
 def read_figure(group: str, name: str, value: float) -> Reading:
     """One figure of the table by its group and name."""
@@ -208,34 +185,22 @@ def _read(figure: Figure, value: Any, figures: Mapping[str, Any]) -> Reading:
         return Reading(name=figure.name, number=value)
     number = figure.factor * value + figure.offset
     shown = f"{number:,.{figure.digits}f}"
+    limit = ""
     if figure.of:
         total = figures[figure.of]
-        share = value / max(total, 1)
-        return Reading(
-            name=figure.name,
-            number=f"{shown} of {total:,}",
-            verdict=_verdict(figure, share),
-            limit=f"good above {100 * figure.above:g} %" if figure.above is not None else "",
-            counted=True,
-        )
-    limits = [
-        f"good {side} {limit:g}"
-        for side, limit in (("above", figure.above), ("below", figure.below))
-        if limit is not None
-    ]
+        shown, number = f"{shown} of {total:,}", 100 * value / max(total, 1)
+    verdict: Verdict = ""
+    if figure.above is not None:
+        limit = f"good above {figure.above:g}{' %' if figure.of else ''}"
+        verdict = "good" if number >= figure.above else "poor"
+    elif figure.below is not None:
+        limit = f"good below {figure.below:g}"
+        verdict = "good" if number <= figure.below else "poor"
     return Reading(
         name=figure.name,
         number=shown,
         unit=figure.unit,
-        verdict=_verdict(figure, number),
-        limit=" and ".join(limits),
+        verdict=verdict,
+        limit=limit,
         counted=not figure.unit,
     )
-
-
-def _verdict(figure: Figure, number: float) -> Verdict:
-    if figure.above is None and figure.below is None:
-        return ""
-    high_enough = figure.above is None or number >= figure.above
-    low_enough = figure.below is None or number <= figure.below
-    return "good" if high_enough and low_enough else "poor"

@@ -1,4 +1,4 @@
-"""A stage's manifest: what it was made from and what it made, so that it can be trusted again."""
+"""What a result was made from and what was made, so that it can be trusted again; and by which command."""
 
 import hashlib
 from dataclasses import asdict, dataclass, field
@@ -10,6 +10,9 @@ from aomgen.io.atomic import STAGING_PREFIX, write_json
 from aomgen.io.jsonfile import read_json
 
 MANIFEST = "manifest.json"
+RUN_RECORD = "run.json"
+# A stage's version, the digests of its inputs by name, its parameters.
+Identity = tuple[int, dict[str, str], dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,9 +21,7 @@ class Manifest:
 
     Attributes:
         stage: Name of the stage.
-        version: The stage's version; raised when the same inputs may give other bytes.
-        inputs: Digest of every input, by name.
-        parameters: The stage's parameters.
+        version, inputs, parameters: See `Identity`.
         files: SHA-256 and size of every file in the folder, by relative path.
         figures: Numbers worth reading.
         warnings: Sentences for the user: what the inputs lack, and what follows.
@@ -36,25 +37,24 @@ class Manifest:
     warnings: tuple[str, ...] = ()
     digest: str = ""
 
+    @property
+    def identity(self) -> Identity:
+        """What the result was made from."""
+        return self.version, self.inputs, self.parameters
 
-def describe(
-    folder: Path,
-    *,
-    stage: str,
-    version: int,
-    inputs: dict[str, str],
-    parameters: dict[str, Any],
-    figures: dict[str, Any],
-    warnings: tuple[str, ...] = (),
+
+def write_manifest(
+    folder: Path, stage: str, identity: Identity, figures: dict[str, Any], warnings: tuple[str, ...] = ()
 ) -> Manifest:
-    """Manifest of a finished folder; hashes every file in it."""
+    """Hash every file of a finished folder and write its manifest, whose presence says that it is complete."""
+    version, inputs, parameters = identity
     files = {
         path.relative_to(folder).as_posix(): (file_digest(path), path.stat().st_size)
         for path in sorted(folder.rglob("*"))
         if path.is_file() and path.name != MANIFEST and not _is_staging(path, folder)
     }
     digest = text_digest("\n".join(f"{name} {sha}" for name, (sha, _) in files.items()))
-    return Manifest(
+    manifest = Manifest(
         stage=stage,
         version=version,
         inputs=inputs,
@@ -64,11 +64,8 @@ def describe(
         warnings=warnings,
         digest=digest,
     )
-
-
-def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write the manifest; its presence says that the folder is complete."""
     write_json(folder / MANIFEST, asdict(manifest))
+    return manifest
 
 
 def read_manifest(folder: Path) -> Manifest | None:
@@ -131,3 +128,35 @@ def text_digest(text: str) -> str:
 
 def _is_staging(path: Path, folder: Path) -> bool:
     return any(part.startswith(STAGING_PREFIX) for part in path.relative_to(folder).parts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRecord:
+    """The last command that changed a run, as typed, AOMGen's version, and when it finished (ISO 8601, with offset).
+
+    Manifests hold no clock, this does.
+    """
+
+    command: str
+    version: str
+    finished: str
+
+
+def save_record(out: Path, record: RunRecord) -> None:
+    """Write the record into a run's folder."""
+    write_json(out / RUN_RECORD, asdict(record))
+
+
+def load_record(out: Path) -> RunRecord | None:
+    """The record of a run, None when no command has finished there.
+
+    Raises:
+        CorruptArtifactError: The file holds something else.
+    """
+    path = out / RUN_RECORD
+    if not path.is_file():
+        return None
+    try:
+        return RunRecord(**read_json(path))
+    except TypeError as error:
+        raise CorruptArtifactError(path, "is not the record of a run", "delete it") from error

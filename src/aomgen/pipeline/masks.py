@@ -7,30 +7,22 @@ from aomgen.core.progress import Progress
 from aomgen.errors import ConfigError, InputError
 from aomgen.io.atomic import staged_folder, write_bytes
 from aomgen.io.images import encode_png, read_image
-from aomgen.segmentation.sam2_video import carry_prompts, load_tracker
+from aomgen.segmentation.sam2 import carry_prompts, load_tracker
 from aomgen.segmentation.sam2_weights import find_sam2
 
 FOLDER = "masks"
 
 
 def write_masks(capture_folder: Path, weights: str, progress: Progress) -> Path:
-    """Follow the prompted parts through the scan with SAM 2 and write `masks/<weights>/*.png`.
+    """Follow the prompted parts through the scan with SAM 2 and write `masks/<weights>/*.png`; that folder.
 
     A later run of the capture takes its masks from there. The images have to lie in the order in
     which they were taken, as their names say.
 
-    Args:
-        capture_folder: A capture with prompts and a folder of scan images.
-        weights: Name of installed SAM 2 weights with memory.
-        progress: Called after each image.
-
-    Returns:
-        The folder of masks.
-
     Raises:
         InputError: The scan is a video, or no prompt is on one of its images.
         ConfigError: Masks of these weights are there already.
-        BackendError: See `sam2_video.load_tracker`.
+        BackendError: See `sam2.load_tracker`.
     """
     capture = read_capture(capture_folder)
     target = capture.folder / FOLDER / weights

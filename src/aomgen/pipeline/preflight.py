@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from aomgen import __version__
-from aomgen.assets.choice import asset_file, is_made, open_assets, suggest_category
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import asset_file, is_made, make_asset, open_assets, suggest_category
 from aomgen.capture.capture_check import check_capture
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import NEW_CAMERA
@@ -17,8 +16,7 @@ from aomgen.io.jsonfile import read_json
 from aomgen.io.video import probe_video
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.manifest import MANIFEST, text_digest
-from aomgen.pipeline.runner import STARTED, stage_states
-from aomgen.pipeline.stage import Stage
+from aomgen.pipeline.runner import STARTED, Stage, stage_states
 
 # Beside the results: what was checked last, so that a finished run is looked through at once.
 CHECKED_FILE = "checked.json"
@@ -34,14 +32,7 @@ OPENS = {"revolute": "turns", "prismatic": "slides"}
 
 
 def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
-    """Check a project and the capture that it names, but not the machine (see `require_environment`).
-
-    Args:
-        project: The choices of a run.
-        capture: Of the project, as read.
-
-    Returns:
-        Warnings: sentences that say what is doubtful, and what follows or what to do.
+    """Check a project and its capture, but not the machine; warnings of what is doubtful, and what to do.
 
     Raises:
         AomgenError: The first thing that would stop the run, in one sentence.
@@ -59,16 +50,11 @@ def preflight(
     """`check_project` and `require_environment` before a run; what was checked before is remembered.
 
     Args:
-        project: The choices of the run.
-        capture: Of the project, as read.
         inputs: Digests of the capture and of the asset files.
         stages: Those that shall be up to date afterwards.
 
     Returns:
         Warnings, those of the first time included.
-
-    Raises:
-        AomgenError: The first thing that would stop the run, in one sentence.
     """
     for stage in stages:
         _require_own(project.out / stage.folder)
@@ -110,10 +96,7 @@ def category_warnings(capture: Capture) -> tuple[str, ...]:
 def new_project(capture: Capture, out: Path, assets: Sequence[str]) -> Project:
     """A project for a capture, with images shaped like its first fixed camera's.
 
-    Args:
-        capture: As read.
-        out: Folder of the results.
-        assets: As a user names them, files from here; two made ones of the capture's category when none.
+    Assets are as a user names them, files from here; two made ones of the capture's category when none.
 
     Raises:
         ConfigError: No assets are named, and none of the capture's category can be made.

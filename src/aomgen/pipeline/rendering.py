@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, PART_LABELS
 from aomgen.core.camera import Camera
+from aomgen.core.project import Project
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.artifact import load_artifact
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import STAGES
+from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_store import load_robot_description
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 TWIN_FOLDER = "06_twin"
@@ -36,7 +39,7 @@ def open_twin(out: Path) -> tuple[Twin, RobotModel]:
     if not folder.is_dir():
         raise MissingFileError(folder, "is missing", "finish the run first")
     twin = load_artifact(folder, "twin", Twin)
-    return twin, load_robot_description(folder)
+    return twin, load_stored_robot(folder)
 
 
 def draw_twin(
@@ -57,6 +60,29 @@ def draw_twin(
     return image, labels
 
 
+def find_camera(project: Project, name: str) -> Camera:
+    """A camera of a run that has its twin, world frame: of the demonstration, of the episodes, or of a scan image.
+
+    A name that demonstration and episodes share means the demonstration's, at the video's size.
+
+    Raises:
+        ConfigError: No such camera; lists the known ones.
+    """
+    results = results_of(project, STAGES)
+    scan = results.scan_cameras
+    made = results.episode_scene.cameras if results.folders["replacement"].is_dir() else {}
+    fixed = made | {key: item.camera for key, item in results.alignment.cameras.items()}
+    known = scan | fixed
+    if name not in known:
+        images = sorted(scan)
+        raise ConfigError(
+            "--camera",
+            f"'{name}' is no camera of this run",
+            f"known: {', '.join(fixed)}, and scan images from {images[0]} to {images[-1]}; or give a .json file",
+        )
+    return known[name]
+
+
 def parse_camera(data: Any, where: Path) -> Camera:
     """A camera from the JSON of `aomgen render`.
 
@@ -64,8 +90,7 @@ def parse_camera(data: Any, where: Path) -> Camera:
         ConfigError: A key is missing, or its value is no camera's.
     """
     wanted = f"want {', '.join(CAMERA_KEYS)}"
-    if not isinstance(data, dict):
-        raise ConfigError(where, "is not a JSON object", wanted)
+    _require_object(data, where, wanted)
     missing = [name for name in CAMERA_KEYS if name not in data]
     if missing:
         raise ConfigError(where, f"lacks {', '.join(missing)}", wanted)
@@ -85,24 +110,17 @@ def parse_state(data: Any, twin: Twin, robot: RobotModel, where: Path) -> TwinSt
     """
     rest = twin.scan_state
     known = f"known: {', '.join(STATE_KEYS)}"
-    if not isinstance(data, dict):
-        raise ConfigError(where, "is not a JSON object", known)
+    _require_object(data, where, known)
     unknown = set(data) - set(STATE_KEYS)
     if unknown:
         raise ConfigError(where, f"has an unknown key '{min(unknown)}'", known)
-    values = data.get("joints", {})
+    values, names = data.get("joints", {}), ", ".join(robot.joint_names)
     if not isinstance(values, dict):
-        raise ConfigError(
-            where,
-            "'joints' is not an object of joint values",
-            f"known joints: {', '.join(robot.joint_names)}",
-        )
+        raise ConfigError(where, "'joints' is not an object of joint values", f"known joints: {names}")
     joints = np.array(rest.joints)
     for name in values:
         if name not in robot.joint_names:
-            raise ConfigError(
-                where, f"names an unknown joint '{name}'", f"known: {', '.join(robot.joint_names)}"
-            )
+            raise ConfigError(where, f"names an unknown joint '{name}'", f"known: {names}")
         joints[robot.joint_names.index(name)] = _number(values, name, where)
     placed = "T_world_object" in data
     return TwinState(
@@ -111,6 +129,11 @@ def parse_state(data: Any, twin: Twin, robot: RobotModel, where: Path) -> TwinSt
         theta=_number(data, "theta", where) if "theta" in data else rest.theta,
         T_world_object=_pose(data, "T_world_object", where) if placed else rest.T_world_object,
     )
+
+
+def _require_object(data: Any, where: Path, wanted: str) -> None:
+    if not isinstance(data, dict):
+        raise ConfigError(where, "is not a JSON object", wanted)
 
 
 def _number(data: dict[str, Any], name: str, where: Path) -> float:

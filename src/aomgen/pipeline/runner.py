@@ -1,9 +1,10 @@
-"""Runs the list of stages: what is up to date is kept, what is not is made anew."""
+"""What a stage is, and how stages are run: what is up to date is kept, what is not is made anew."""
 
 import fcntl
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,21 +16,54 @@ from aomgen.io.atomic import remove_folder, remove_staging, staged_folder, write
 from aomgen.io.jsonfile import read_json
 from aomgen.pipeline.manifest import (
     MANIFEST,
+    Identity,
     Manifest,
-    describe,
     files_present,
     read_manifest,
     text_digest,
     write_manifest,
 )
-from aomgen.pipeline.stage import WARNINGS, Stage, results_of
 from aomgen.results import Results
 
 TIMINGS = "timings.json"
 STARTED = "started.json"
+# Figures under this name are sentences that the user should read: what may go wrong with this input.
+WARNINGS = "warnings"
 
-# A stage's version, the digests of its inputs, its parameters.
-Identity = tuple[int, dict[str, str], dict[str, Any]]
+# Does the work of a stage in the given folder and returns figures worth reading.
+StageFunction = Callable[[Results, Path, Progress], dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """One step of the pipeline.
+
+    Attributes:
+        name: For example "structure".
+        folder: Folder below the run's folder, for example "01_structure".
+        title: What the user reads while it runs.
+        needs: Names of the stages it reads, "capture" when it reads the capture, and "assets" when it
+            reads the files that the project names.
+        settings: Names of the project's fields that change its result.
+        version: Raised when the same inputs may give other bytes.
+        weight: Seconds that it takes of the bundled recording on two cores, for the remaining time shown.
+        function: Does the work.
+        incremental: Works in its final folder, committing item by item or leaving checkpoints,
+            and continues there after a kill.
+        amount: Those of the settings that say how much is made, and change no item of an incremental
+            stage: items that are there stay.
+    """
+
+    name: str
+    folder: str
+    title: str
+    needs: tuple[str, ...]
+    version: int
+    weight: float
+    function: StageFunction
+    settings: tuple[str, ...] = ()
+    incremental: bool = False
+    amount: tuple[str, ...] = ()
 
 
 class Display(Protocol):
@@ -42,6 +76,12 @@ class Display(Protocol):
     def end(self, stage: Stage, seconds: float, figures: dict[str, Any]) -> None: ...
 
     def warn(self, stage: Stage, sentence: str) -> None: ...
+
+
+def results_of(project: Project, stages: Sequence[Stage]) -> Results:
+    """The results of a project, where they lie or shall lie."""
+    folders = {stage.name: project.out / stage.folder for stage in stages}
+    return Results(project=project, out=project.out, folders=folders)
 
 
 def run_stages(
@@ -77,12 +117,14 @@ def run_stages(
         for stage in stages:
             kept = _kept(results, stage, digests)
             if kept is None:
-                digests[stage.name] = _make(results, stage, digests, display)
                 made.append(stage.name)
+                manifest = _make(results, stage, digests, display)
             else:
                 display.begin(stage, fresh=True)
-                digests[stage.name] = kept.digest
-                _warn(display, stage, kept)
+                manifest = kept
+            digests[stage.name] = manifest.digest
+            for sentence in manifest.warnings:
+                display.warn(stage, sentence)
             if stage.name == until:
                 break
     return made
@@ -103,7 +145,8 @@ def stage_states(project: Project, stages: tuple[Stage, ...]) -> list[tuple[Stag
 
 def _wanted(results: Results, stage: Stage, digests: dict[str, str]) -> Identity:
     inputs = {name: digests[name] for name in stage.needs}
-    parameters = {name: _plain(getattr(results.project, name)) for name in stage.settings}
+    # As JSON gives them back, so that they compare equal after a round trip.
+    parameters = results.project.model_dump(mode="json", include=set(stage.settings))
     changed = results.project.params.get(stage.name)
     return stage.version, inputs, parameters | ({"params": changed} if changed else {})
 
@@ -114,52 +157,35 @@ def _kept(results: Results, stage: Stage, digests: dict[str, str]) -> Manifest |
     manifest = read_manifest(folder)
     if manifest is None or not files_present(folder, manifest):
         return None
-    same = (manifest.version, manifest.inputs, manifest.parameters) == _wanted(results, stage, digests)
-    return manifest if same else None
+    return manifest if manifest.identity == _wanted(results, stage, digests) else None
 
 
-def _make(results: Results, stage: Stage, digests: dict[str, str], display: Display) -> str:
-    """Run a stage and commit its folder; the new digest."""
+def _make(results: Results, stage: Stage, digests: dict[str, str], display: Display) -> Manifest:
+    """Run a stage and commit its folder."""
     folder, wanted = results.folders[stage.name], _wanted(results, stage, digests)
     display.begin(stage, fresh=False)
     start = time.monotonic()
     if stage.incremental:
-        figures = _work_in_place(results, stage, wanted, display.progress)
-        manifest = _finish(folder, stage, wanted, figures)
+        _begin_in_place(folder, stage, wanted)
+        manifest = _finish(folder, stage, wanted, stage.function(results, folder, display.progress))
     else:
         with staged_folder(folder) as staging:
-            figures = stage.function(results, staging, display.progress)
-            manifest = _finish(staging, stage, wanted, figures)
+            manifest = _finish(staging, stage, wanted, stage.function(results, staging, display.progress))
     seconds = time.monotonic() - start
-    _record_seconds(results.out, stage.name, seconds)
+    path = results.out / TIMINGS
+    timings = read_json(path) if path.is_file() else {}
+    write_json(path, {**timings, stage.name: round(seconds, 2)})
     display.end(stage, seconds, manifest.figures)
-    _warn(display, stage, manifest)
-    return manifest.digest
-
-
-def _warn(display: Display, stage: Stage, manifest: Manifest) -> None:
-    for sentence in manifest.warnings:
-        display.warn(stage, sentence)
-
-
-def _finish(folder: Path, stage: Stage, wanted: Identity, figures: dict[str, Any]) -> Manifest:
-    version, inputs, parameters = wanted
-    manifest = describe(
-        folder,
-        stage=stage.name,
-        version=version,
-        inputs=inputs,
-        parameters=parameters,
-        figures={name: value for name, value in figures.items() if name != WARNINGS},
-        warnings=tuple(figures.get(WARNINGS, ())),
-    )
-    write_manifest(folder, manifest)
     return manifest
 
 
-def _work_in_place(results: Results, stage: Stage, wanted: Identity, progress: Progress) -> dict[str, Any]:
-    """Continue an incremental stage when it was started for the same inputs, else start it over."""
-    folder = results.folders[stage.name]
+def _finish(folder: Path, stage: Stage, wanted: Identity, figures: dict[str, Any]) -> Manifest:
+    warnings = tuple(figures.pop(WARNINGS, ()))
+    return write_manifest(folder, stage.name, wanted, figures, warnings)
+
+
+def _begin_in_place(folder: Path, stage: Stage, wanted: Identity) -> None:
+    """Keep what an incremental stage has made when it was started for the same inputs, else start it over."""
     version, inputs, parameters = wanted
     deciding = {name: value for name, value in parameters.items() if name not in stage.amount}
     identity = text_digest(repr((__version__, (version, inputs, deciding))))
@@ -170,13 +196,6 @@ def _work_in_place(results: Results, stage: Stage, wanted: Identity, progress: P
     remove_staging(folder)
     (folder / MANIFEST).unlink(missing_ok=True)  # until the stage is finished again
     write_json(started_file, {"identity": identity})
-    return stage.function(results, folder, progress)
-
-
-def _record_seconds(out: Path, name: str, seconds: float) -> None:
-    path = out / TIMINGS
-    timings = read_json(path) if path.is_file() else {}
-    write_json(path, {**timings, name: round(seconds, 2)})
 
 
 def _make_folder(folder: Path) -> None:
@@ -200,8 +219,3 @@ def _locked(out: Path) -> Iterator[None]:
                 out, "is in use by another run", "wait for it or choose another folder"
             ) from error
         yield
-
-
-def _plain(value: Any) -> Any:
-    """The value as JSON gives it back, so that parameters compare equal after a round trip."""
-    return list(value) if isinstance(value, tuple) else value

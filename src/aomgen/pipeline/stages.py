@@ -18,21 +18,24 @@ from aomgen.io.schema import suggest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import write_project
-from aomgen.pipeline.runner import Display, run_stages
-from aomgen.pipeline.stage import Stage, StageFunction
+from aomgen.pipeline.runner import Display, Stage, StageFunction, run_stages
 from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"
 REPORT_FILE = "report.html"
+# Parameters of the stages that have some, by stage: module below `aomgen`, and class.
+PARAMETERS = {
+    "structure": ("structure.reconstruct", "StructureParams"),
+    "gaussians": ("gaussians.train", "GaussiansParams"),
+    "alignment": ("alignment.align", "AlignmentParams"),
+    "motion": ("motion.params", "MotionParams"),
+    "replacement": ("replacement.fitting", "FitParams"),
+    "plans": ("generalization.generate", "GenerationParams"),
+}
 
 
 def _lazily(module: str, name: str = "run") -> StageFunction:
-    """A stage's function, imported when it runs: a finished run is looked through in a second that way.
-
-    Args:
-        module: Below `aomgen`, with the function.
-        name: Of the function.
-    """
+    """A function of a module below `aomgen`, imported when it runs: a finished run is looked through in a second."""
 
     def function(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         return getattr(importlib.import_module(f"aomgen.{module}"), name)(results, folder, progress)
@@ -77,7 +80,6 @@ STAGES: tuple[Stage, ...] = (
         folder="01_structure",
         title="structure from motion",
         needs=("capture",),
-        settings=(),
         version=7,
         weight=40,
         function=_lazily("structure.stage"),
@@ -136,8 +138,7 @@ STAGES: tuple[Stage, ...] = (
         folder="06_twin",
         title="binding the twin",
         needs=("capture", "structure", "gaussians", "alignment", "parts", "motion"),
-        settings=(),
-        version=9,
+        version=10,
         weight=24,
         function=_lazily("appearance.stage"),
     ),
@@ -168,7 +169,6 @@ STAGES: tuple[Stage, ...] = (
         folder="09_episodes",
         title="rendering episodes",
         needs=("capture", "replacement", "plans"),
-        settings=(),
         version=6,
         weight=17,
         function=_episodes,
@@ -179,23 +179,11 @@ STAGES: tuple[Stage, ...] = (
         folder="dataset",
         title="LeRobot dataset",
         needs=("episodes",),
-        settings=(),
         version=2,
         weight=2,
         function=_lazily("datasets.stage"),
     ),
 )
-
-
-# Parameters of the stages that have some, by stage: module below `aomgen`, and class.
-PARAMETERS = {
-    "structure": ("structure.reconstruct", "StructureParams"),
-    "gaussians": ("gaussians.train", "GaussiansParams"),
-    "alignment": ("alignment.align", "AlignmentParams"),
-    "motion": ("motion.params", "MotionParams"),
-    "replacement": ("replacement.fitting", "FitParams"),
-    "plans": ("generalization.generate", "GenerationParams"),
-}
 
 
 def check_params(project: Project) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from aomgen.assets.resistance import GRAVITY
+from aomgen.assets.mjcf import GRAVITY
 from aomgen.core.episode import Episode
 from aomgen.core.plan import Variation
 from aomgen.generalization.ik import IkLimits

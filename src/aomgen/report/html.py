@@ -1,13 +1,14 @@
-"""Pieces of the report's HTML; one file without script or network, videos lie beside it."""
+"""Pieces of the report's HTML, charts included; one file without script or network, videos lie beside it."""
 
 import base64
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.values import Array
 from aomgen.io.images import encode_jpeg
 from aomgen.pipeline.figures import Reading
 
@@ -31,6 +32,12 @@ pre{background:#f4f6f8;padding:8px 12px;border-radius:4px;overflow-x:auto;margin
 summary{color:#1f6f8b;cursor:pointer}
 .views{display:grid;grid-template-columns:repeat(2,1fr);gap:4px}video{width:100%;display:block;background:#e6eaf0;border-radius:3px}
 """
+
+
+# Of a chart, and the room around its curves, [px].
+WIDTH, HEIGHT = 760, 220
+LEFT, RIGHT, TOP, BOTTOM = 54, 12, 14, 34
+COLORS = ("#1f6f8b", "#d1495b", "#66a182", "#8d6a9f")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,3 +158,87 @@ def _is_number(value: object) -> bool:
     if isinstance(value, str):
         return value.replace(",", "").replace(".", "", 1).lstrip("-").isdigit()
     return isinstance(value, int) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chart:
+    """Curves (name, x, y) over a common x axis; labels have units.
+
+    Attributes:
+        level: (name, y) of a horizontal line.
+        span: Shaded interval of x.
+        band: (x, low, high) of a shaded uncertainty band.
+    """
+
+    x_label: str
+    y_label: str
+    curves: list[tuple[str, Array, Array]]
+    level: tuple[str, float] | None = None
+    span: tuple[float, float] | None = None
+    band: tuple[Array, Array, Array] | None = field(default=None)
+
+
+def draw_chart(chart: Chart) -> str:
+    """SVG text of a chart."""
+    xs = np.concatenate([x for _, x, _ in chart.curves])
+    shown = [y for _, _, y in chart.curves]
+    shown += [np.array([chart.level[1]])] if chart.level else []
+    shown += chart.band[1:] if chart.band else []
+    ys = np.concatenate(shown)
+    x_range, y_range = (xs.min(), xs.max()), (min(0.0, ys.min()), ys.max() * 1.08 or 1.0)
+
+    def px(x: Array | float) -> Array:
+        share = (np.asarray(x) - x_range[0]) / max(x_range[1] - x_range[0], 1e-12)
+        return LEFT + share * (WIDTH - LEFT - RIGHT)
+
+    def py(y: Array | float) -> Array:
+        share = (np.asarray(y) - y_range[0]) / max(y_range[1] - y_range[0], 1e-12)
+        return HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
+
+    parts = [
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{chart.y_label} over {chart.x_label}">'
+    ]
+    if chart.span:
+        left, right = px(chart.span[0]), px(chart.span[1])
+        parts.append(
+            f'<rect x="{left:.1f}" y="{TOP}" width="{right - left:.1f}" height="{HEIGHT - TOP - BOTTOM}" class="span"/>'
+        )
+    if chart.band:
+        x, low, high = chart.band
+        outline = [*zip(px(x), py(low), strict=True), *zip(px(x)[::-1], py(high)[::-1], strict=True)]
+        parts.append(f'<polygon points="{_points(outline)}" class="band"/>')
+    for value, y in ((tick, float(py(tick))) for tick in _ticks(*y_range)):
+        parts.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" class="grid"/>')
+        parts.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:.3g}</text>')
+    for value, x in ((tick, float(px(tick))) for tick in _ticks(*x_range)):
+        parts.append(f'<text x="{x:.1f}" y="{HEIGHT - BOTTOM + 14}" text-anchor="middle">{value:g}</text>')
+    if chart.level:
+        y = float(py(chart.level[1]))
+        parts.append(f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" class="level"/>')
+        parts.append(f'<text x="{WIDTH - RIGHT}" y="{y - 4:.1f}" text-anchor="end">{chart.level[0]}</text>')
+    for index, (name, x, y) in enumerate(chart.curves):
+        color = COLORS[index % len(COLORS)]
+        points = _points(list(zip(px(x), py(y), strict=True)))
+        parts.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="1.6"/>')
+        parts.append(f'<text x="{LEFT + 8 + 150 * index}" y="{TOP + 8}" style="fill:{color}">{name}</text>')
+    parts.append(
+        f'<text x="{(LEFT + WIDTH) / 2}" y="{HEIGHT - 4}" text-anchor="middle">{chart.x_label}</text>'
+    )
+    parts.append(
+        f'<text transform="translate(12 {HEIGHT / 2}) rotate(-90)" text-anchor="middle">{chart.y_label}</text></svg>'
+    )
+    return "".join(parts)
+
+
+def _points(pairs: list) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in pairs)
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """About five round numbers inside a range."""
+    step = 10.0 ** np.floor(np.log10(max(high - low, 1e-12) / 4))
+    while (high - low) / step > 6:
+        step *= 2 if (high - low) / step < 12 else 2.5
+    first = np.ceil(low / step) * step
+    # Zero may come out as minus zero, which would be written so.
+    return [float(value) + 0.0 for value in np.arange(first, high + 1e-9 * step, step)]

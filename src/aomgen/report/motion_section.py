@@ -18,17 +18,13 @@ from aomgen.io.atomic import write_text
 from aomgen.io.images import resize
 from aomgen.motion.estimates_file import REFUSED_FILE, REFUSED_MOTION
 from aomgen.pipeline.rendering import draw_twin
-from aomgen.report.charts import Chart, draw_chart
-from aomgen.report.drawing import Image8, overlay_outline, sheet
-from aomgen.report.html import page, paragraph, picture, section
-from aomgen.report.joint_drawing import axis_space, overlay_motion
+from aomgen.report.drawing import OUTLINE, Image8, axis_space, overlay_motion, overlay_outline, sheet
+from aomgen.report.html import Chart, draw_chart, page, paragraph, picture, section
 from aomgen.report.recording_images import recorded_states
 from aomgen.results import Results
 
 # Half a 95 % interval in standard deviations.
 NORMAL_95 = 1.96
-# sRGB; a color that scenes seldom have.
-PART_OUTLINE = (255, 60, 200)
 # Width of an image in the page, [px].
 WIDTH_PX = 420
 
@@ -64,7 +60,7 @@ def joint_sheet(results: Results) -> Image8:
     for frame, part in zip(frames, parts, strict=True):
         large = resize(video.frames_srgb[frame], *size)
         mask = resize(np.repeat(255 * part[..., None].astype(np.uint8), 3, 2), *size)[..., 0] > 127
-        outlined = overlay_outline(large, mask, PART_OUTLINE)
+        outlined = overlay_outline(large, mask, OUTLINE)
         theta = float(motion.thetas[frame])
         drawn = overlay_motion(outlined, camera.resized(*size), motion, held, theta)
         images.append(drawn[rows, columns])

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aomgen.core.held_out import held_out
 from aomgen.io.artifact import load_artifact
@@ -12,16 +11,13 @@ from aomgen.io.video import probe_video, read_frames
 from aomgen.parts.stage import COVERAGE
 from aomgen.parts.survey import Survey
 from aomgen.pipeline.rendering import draw_twin
-from aomgen.report.drawing import map_from_above, overlay_labels, overlay_outline, sheet
+from aomgen.report.drawing import OUTLINE, Image8, map_from_above, overlay_labels, overlay_outline, sheet
 from aomgen.results import Results
 from aomgen.robots.silhouette import SilhouetteRenderer
 from aomgen.twin.twin import TwinState
 
-# sRGB; a color that scenes seldom have.
-OUTLINE = (255, 60, 200)
 # Colors of places that no view, few views and enough views saw.
 SEEN = np.array([(205, 45, 45), (235, 180, 40), (60, 150, 90)], np.uint8)
-Image8 = NDArray[np.uint8]
 
 
 def recorded_frames(results: Results, count: int) -> list[int]:

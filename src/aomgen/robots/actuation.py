@@ -20,17 +20,14 @@ from aomgen.robots.geom_meshes import find_visible_geoms
 from aomgen.robots.reading import ArmChain, compile_model
 
 # An arm gives way by 1 cm under 50 N at its end effector, in each joint; the UR5e's model does too, [N/m].
-END_STIFFNESS: Final = 5000.0
-# Joints whose axes pass near the end effector hold like this far lever, [m].
-LEAST_LEVER_M: Final = 0.3
+# Joints whose axes pass near the end effector hold like a lever of the second number, [m].
+END_STIFFNESS, LEAST_LEVER_M = 5000.0, 0.3
 # Stiffness of a joint that slides, [N/m]: 1 kg of load moves it by half a millimetre.
 SLIDE_STIFFNESS: Final = 20_000.0
 # Rotors and gears keep each servo slower than this, well below the simulation's step rate, [rad/s].
 MAX_RATE: Final = 100.0
-# Pads press like those of common parallel grippers (20 to 140 N), [N].
-GRIP_FORCE_N: Final = 50.0
-# The force is reached when this share of the stroke is missing.
-GRIP_GIVE: Final = 0.05
+# Pads press like those of common parallel grippers (20 to 140 N), [N], reached when a share of the stroke is missing.
+GRIP_FORCE_N, GRIP_GIVE = 50.0, 0.05
 # Random arm configurations from which levers, inertias and overlaps are read.
 SAMPLES: Final = 40
 
@@ -43,18 +40,9 @@ def add_actuation(
     pad_way_m: float,
     path: Path,
 ) -> ActuatorSection | None:
-    """Make a robot fit for contact simulation.
+    """Make a robot fit for contact simulation: pad boxes, servos, contact exclusions, shapes in our groups.
 
-    Args:
-        spec: Gets pad boxes, servos and contact exclusions; shapes are sorted into our groups.
-        chain: Arm and hand.
-        ee_site: End effector.
-        gripper: Its strokes and pads.
-        pad_way_m: How much nearer the pads come from open to closed.
-        path: For messages.
-
-    Returns:
-        What closes the gripper.
+    The pads come nearer by `pad_way_m` from open to closed. Returns what closes the gripper.
     """
     model = compile_model(spec, path)
     _sort_geoms(spec, model)
@@ -103,14 +91,9 @@ def _fix_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 def _add_pad(spec: mujoco.MjSpec, side: str, pad: PadSection) -> None:
     geom = spec.body(pad.body).add_geom(
-        name=f"pad_{side}",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=pad.center,
-        quat=pad.quat_wxyz,
-        size=pad.half_extents,
-        mass=0.0,
-        group=COLLIDER_GROUP,
-    )
+        name=f"pad_{side}", type=mujoco.mjtGeom.mjGEOM_BOX, mass=0.0, group=COLLIDER_GROUP,
+        pos=pad.center, quat=pad.quat_wxyz, size=pad.half_extents,
+    )  # fmt: skip
     # Rubber: it holds by friction, and gives way a little.
     geom.friction, geom.condim, geom.priority = [0.8, 0.01, 0.0005], 4, 1
     geom.solref, geom.solimp = [0.004, 1.0], [0.95, 0.99, 0.001, 0.5, 2.0]

@@ -141,12 +141,9 @@ def find_description(model_file: Path) -> Path | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotFiles:
-    """The files of the arm and, if it has its own, of the gripper.
+    """The files, read and checked, of the arm and, if it has its own, of the gripper.
 
-    Attributes:
-        arm, gripper: Read and checked.
-        attach: Site of the arm that the gripper is attached to.
-        prefix: Put before the gripper's names.
+    That is attached to a site of the arm, and its names get a prefix.
     """
 
     arm: RobotXml
@@ -156,12 +153,7 @@ class RobotFiles:
 
 
 def read_models(description: RobotDescription, path: Path, root: Path) -> RobotFiles:
-    """Read the files that a description names.
-
-    Args:
-        description: Its models are named relative to `path`; those of known robots in Python packages.
-        path: The robot.toml, or where it would be.
-        root: Folder that all references stay in.
+    """Read the files that a description names, relative to its own `path` and inside `root`.
 
     Raises:
         ConfigError, InputError: A package or file is missing or unusable.
@@ -201,37 +193,33 @@ def robot_references(model_file: Path, root: Path) -> tuple[Path, ...]:
 
 def description_toml(description: RobotDescription) -> str:
     """The text of a robot.toml."""
-    end = description.end_effector
-    lines = [
-        "# What the parts of this robot are for. Lengths in meters, angles in radians; check every line.",
-        "format = 1",
-        f'name = "{description.name}"',
-        f'model = "{description.model}"  # beside this file',
-        f"joints = {_words(description.joints)}  # the arm, from the base on",
-        "",
-        "[end_effector]  # z out of the palm, y from the left to the right finger",
-    ]
-    if end.site:
-        lines.append(f'site = "{end.site}"')
-    else:
-        lines += [f'body = "{end.body}"', f"position = {list(end.position)}"]
-        lines.append(f"quat_wxyz = {list(end.quat_wxyz)}")
-    gripper = description.gripper
-    if gripper is not None:
-        lines += [
-            "",
-            "[gripper]",
-            "# Values of the joints that drive it; the log's gripper column measures the first.",
-        ]
-        for key, values in (("open", gripper.open), ("closed", gripper.closed)):
-            pairs = ", ".join(f'"{name}" = {value}' for name, value in values.items())
-            lines.append(f"{key} = {{ {pairs} }}")
-        for side, pad in gripper.pads.items():
-            lines += ["", f"[gripper.{side}]  # a box behind the face that holds, z towards the other finger"]
-            lines += [f'body = "{pad.body}"', f"center = {list(pad.center)}"]
-            lines += [f"quat_wxyz = {list(pad.quat_wxyz)}", f"half_extents = {list(pad.half_extents)}"]
-    return "\n".join(lines) + "\n"
+    end, gripper = description.end_effector, description.gripper
+    joints = ", ".join(f'"{name}"' for name in description.joints)
+    place = f'body = "{end.body}"\nposition = {list(end.position)}\nquat_wxyz = {list(end.quat_wxyz)}'
+    text = f"""\
+# What the parts of this robot are for. Lengths in meters, angles in radians; check every line.
+format = 1
+name = "{description.name}"
+model = "{description.model}"  # beside this file
+joints = [{joints}]  # the arm, from the base on
 
-
-def _words(names: tuple[str, ...]) -> str:
-    return "[" + ", ".join(f'"{name}"' for name in names) + "]"
+[end_effector]  # z out of the palm, y from the left to the right finger
+{f'site = "{end.site}"' if end.site else place}
+"""
+    if gripper is None:
+        return text
+    text += (
+        "\n[gripper]\n# Values of the joints that drive it; the log's gripper column measures the first.\n"
+    )
+    for key, values in (("open", gripper.open), ("closed", gripper.closed)):
+        pairs = ", ".join(f'"{name}" = {value}' for name, value in values.items())
+        text += f"{key} = {{ {pairs} }}\n"
+    for side, pad in gripper.pads.items():
+        text += f"""
+[gripper.{side}]  # a box behind the face that holds, z towards the other finger
+body = "{pad.body}"
+center = {list(pad.center)}
+quat_wxyz = {list(pad.quat_wxyz)}
+half_extents = {list(pad.half_extents)}
+"""
+    return text

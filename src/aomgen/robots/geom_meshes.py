@@ -19,14 +19,7 @@ SHOWN_GROUPS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotMesh:
-    """One visual mesh of the robot.
-
-    Attributes:
-        body: Index into `RobotModel.body_names`.
-        vertices_body: (V, 3), body frame, [m].
-        faces: (F, 3) vertex indices.
-        color_srgb: Material color (3,), 0..1.
-    """
+    """One visual mesh of the robot, in the frame of a body (index into `RobotModel.body_names`), [m]."""
 
     body: int
     vertices_body: Annotated[Array, "_ 3"]
@@ -45,14 +38,8 @@ def visual_meshes(model: mujoco.MjModel) -> tuple[RobotMesh, ...]:
             continue
         material = model.geom_matid[geom]
         rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-        meshes.append(
-            RobotMesh(
-                body=int(model.geom_bodyid[geom]) - 1,
-                vertices_body=surface[0],
-                faces=surface[1],
-                color_srgb=rgba[:3],
-            )
-        )
+        body, (vertices, faces) = int(model.geom_bodyid[geom]) - 1, surface
+        meshes.append(RobotMesh(body=body, vertices_body=vertices, faces=faces, color_srgb=rgba[:3]))
     return tuple(meshes)
 
 
@@ -101,8 +88,8 @@ def _outer_points(kind: int, size: Array) -> Array | None:
     angles = np.arange(SIDES) * 2 * np.pi / SIDES
     ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(SIDES)], 1)
     heights = np.linspace(-np.pi / 2, np.pi / 2, SIDES // 2)[:, None, None]
-    ball = (ring * np.cos(heights) + np.array([0.0, 0.0, 1.0]) * np.sin(heights)).reshape(-1, 3)
     up = np.array([0.0, 0.0, 1.0])
+    ball = (ring * np.cos(heights) + up * np.sin(heights)).reshape(-1, 3)
     if kind == G.mjGEOM_BOX:
         return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
     if kind == G.mjGEOM_SPHERE:

@@ -18,31 +18,21 @@ from aomgen.robots.reading import ArmChain
 
 # Rows of the table from open to closed; between them positions are linear to far below a millimetre.
 STEPS = 33
-# Time in which the held joints come to rest, [s]; loops that stay open after it are refused.
-SETTLE_S = 0.3
-# A loop or a stroke that stays farther open than this is refused, [m] or [rad].
-OPEN_LOOP_M = 0.002
+# Time in which the held joints come to rest, [s]; a loop or stroke that is farther open after it is refused, [m] or [rad].
+SETTLE_S, OPEN_LOOP_M = 0.3, 0.002
 # Fingers that come less than this nearer are no gripper, [m].
 MIN_TRAVEL_M = 0.004
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperTable:
-    """Settled finger joints.
-
-    Attributes:
-        joint_names: The F finger joints.
-        values: (K,), increasing gripper values.
-        positions: (K, F), [rad] or [m].
-    """
+    """Positions of the N finger joints, [rad] or [m], settled at increasing gripper values."""
 
     joint_names: Annotated[tuple[str, ...], "N"]
-    values: Annotated[Array, "_"]
-    positions: Annotated[Array, "_ N"]
+    values: Annotated[Array, "K"]
+    positions: Annotated[Array, "K N"]
 
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-        freeze_arrays(self)
+    __post_init__ = freeze_arrays
 
     def at(self, gripper: ArrayLike) -> Array:
         """Finger joints (T, F) for gripper values (T,), linear between rows, ends held."""
@@ -60,11 +50,7 @@ def settle_fingers(
 ) -> GripperTable:
     """Move the driving joints evenly from open to closed; the rest settles, without gravity and contacts.
 
-    Args:
-        spec: The robot.
-        chain: Its arm, which is held, and its finger joints.
-        strokes: Values of the driving joints at gripper 0 and 1, [rad] or [m].
-        path: For messages.
+    The arm is held. `strokes` are the driving joints' values at gripper 0 and 1, [rad] or [m].
 
     Raises:
         MalformedFileError: A loop cannot be closed, or a stroke leads out of the limits.

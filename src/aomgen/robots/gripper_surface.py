@@ -1,31 +1,44 @@
-"""The whole surface of a hand, each point with the finger that it belongs to."""
+"""The surface of a hand: the finger that each point belongs to, and the faces with which fingers hold."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Annotated
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from aomgen.core.mesh import face_normals_areas, sample_surface
-from aomgen.core.transforms import apply, invert
+from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.geom_meshes import find_visible_geoms, geom_surface
+from aomgen.robots.gripper import MIN_TRAVEL_M
+from aomgen.robots.reading import ArmChain, ancestors
+from aomgen.robots.robot import RobotModel, body_poses
 
 PALM = "palm"
 # Points on a whole hand: some 4 mm apart on a two-finger gripper.
 POINTS = 6000
 # A body that moves less than this against the palm while the hand closes is palm, [m].
 _STILL_M = 1e-4
+# A pair of fingers moves at least this share of what the pair that moves most does.
+TRAVEL_SHARE = 0.7
+# What touches when the fingers close lies within this of the first contact: rubber gives way, [m].
+SOFT_M = 0.002
+# A face looks at the other finger when it is turned less than 45 degrees away; fewer sample points are no face.
+FACING, MIN_FACE_POINTS = 0.7, 12
+# Least half size of the box behind a face, [m]; less than the half thickness of any finger.
+HALF_THICKNESS_M = 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandSurface:
-    """Points all over a hand, in the frames of the bodies that carry them.
+    """Points all over a hand and their outward normals, in the frames of the bodies that carry them, [m].
 
     Attributes:
-        points_body: (N, 3), [m].
-        normals_body: Outward unit normals (N, 3).
-        bodies: Index of each point's body (N,).
+        bodies: Index of each point's body.
         fingers: Name of each point's finger (N,): that of its pad, or "palm".
     """
 
@@ -51,22 +64,14 @@ def hand_surface(robot: RobotModel) -> HandSurface:
     sides = _sides(robot)
     meshes = [mesh for mesh in robot.meshes if mesh.body in sides]
     if not meshes:
-        return HandSurface(
-            points_body=np.zeros((0, 3)),
-            normals_body=np.zeros((0, 3)),
-            bodies=np.zeros(0, np.int64),
-            fingers=np.zeros(0, np.str_),
-        )
+        none = np.zeros((0, 3))
+        bodies, fingers = np.zeros(0, np.int64), np.zeros(0, np.str_)
+        return HandSurface(points_body=none, normals_body=none, bodies=bodies, fingers=fingers)
     corners = np.concatenate([mesh.vertices_body[mesh.faces] for mesh in meshes]).reshape(-1, 3)
-    faces = np.arange(len(corners)).reshape(-1, 3)
-    points, chosen, _ = sample_surface(corners, faces, POINTS, np.random.default_rng(0))
+    skin, chosen = _sample(corners, np.arange(len(corners)).reshape(-1, 3), np.random.default_rng(0))
     bodies = np.repeat([mesh.body for mesh in meshes], [len(mesh.faces) for mesh in meshes])[chosen]
-    return HandSurface(
-        points_body=points,
-        normals_body=face_normals_areas(corners, faces)[0][chosen],
-        bodies=bodies,
-        fingers=np.array([sides[int(body)] for body in bodies], np.str_),
-    )
+    fingers = np.array([sides[int(body)] for body in bodies], np.str_)
+    return HandSurface(points_body=skin.points, normals_body=skin.normals, bodies=bodies, fingers=fingers)
 
 
 def _sides(robot: RobotModel) -> dict[int, str]:
@@ -89,3 +94,152 @@ def _sides(robot: RobotModel) -> dict[int, str]:
         nearest = min(across, key=lambda finger: abs(across[finger] - middle))
         sides[body] = nearest if moved > _STILL_M else PALM
     return sides | {pad.body: pad.finger for pad in robot.pads if pad.body in sides}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceSamples:
+    """Points (N, 3) and outward normals (N, 3) all over bodies that are rigidly joined, root's frame."""
+
+    points: Array
+    normals: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Travel:
+    """How two bodies approach each other between two states of the hand.
+
+    Attributes:
+        bodies: Root ids of the fingers.
+        way_m: How much nearer they come from the first state to the second; negative if farther.
+        gap_m: What is left between them where they are nearest.
+    """
+
+    bodies: tuple[int, int]
+    way_m: float
+    gap_m: float
+
+
+def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamples]:
+    """The surface of every rigid group of the hand's bodies, by the id of its root; what is seen if anything is."""
+    shown, rng = find_visible_geoms(model), np.random.default_rng(0)
+    Ts = body_poses(model, model.qpos0[None])[0]
+    bodies = (chain.last_body, *chain.hand_bodies)
+    result = {}
+    for root in sorted({int(model.body_weldid[body]) for body in bodies} & set(bodies)):
+        geoms = np.flatnonzero(model.body_weldid[model.geom_bodyid] == root)
+        meshes = []
+        for geom in [g for g in geoms if shown[g]] or geoms:
+            surface = geom_surface(model, int(geom))
+            if surface is not None:
+                meshes.append((apply(invert(Ts[root]) @ Ts[model.geom_bodyid[geom]], surface[0]), surface[1]))
+        if meshes:
+            vertices = np.concatenate([corners for corners, _ in meshes])
+            first = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
+            faces = np.concatenate([part + start for (_, part), start in zip(meshes, first, strict=False)])
+            result[root] = _sample(vertices, faces, rng)[0]
+    return result
+
+
+def _sample(
+    vertices: Array, faces: NDArray[np.int64], rng: np.random.Generator
+) -> tuple[SurfaceSamples, NDArray[np.int64]]:
+    """Points evenly over a surface, and their faces (N,)."""
+    points, owners, _ = sample_surface(vertices, faces, POINTS, rng)
+    normals = face_normals_areas(vertices, faces)[0][owners]
+    return SurfaceSamples(points=points, normals=normals), owners
+
+
+def find_travel(
+    model: mujoco.MjModel, chain: ArmChain, skins: Mapping[int, SurfaceSamples], Ts: Array
+) -> Travel | None:
+    """The pair of bodies that are the fingers; None if nothing moves.
+
+    Of the pairs that move most towards each other the two that come closest; a gripper with one moving
+    jaw holds against its own palm.
+
+    Args:
+        model, chain: The robot and its hand.
+        skins: From `sample_hand`.
+        Ts: Poses (K, B, 4, 4) from one end of the fingers' way to the other.
+    """
+    palm = int(model.body_weldid[chain.last_body])
+    branch = {body: _branch(model, body, palm) for body in skins if body != palm}
+    pairs = [(a, b) for a, b in combinations(branch, 2) if branch[a] != branch[b]]
+    if not pairs:
+        pairs = [(body, palm) for body in branch if palm in skins]
+    found = []
+    for a, b in pairs:
+        before, after = (_distances(skins, T, a, b) for T in (Ts[0], Ts[-1]))
+        nearer = before - after
+        far = int(np.argmax(np.abs(nearer)))
+        moving = nearer * np.sign(nearer[far]) >= 0.5 * abs(nearer[far])
+        gap = np.minimum(before, after)[moving].min()
+        found.append(Travel(bodies=(a, b), way_m=float(nearer[far]), gap_m=float(gap)))
+    most = max((abs(travel.way_m) for travel in found), default=0.0)
+    if not most >= MIN_TRAVEL_M:
+        return None
+    return min((t for t in found if abs(t.way_m) >= TRAVEL_SHARE * most), key=lambda t: t.gap_m)
+
+
+def _branch(model: mujoco.MjModel, body: int, palm: int) -> int:
+    """The child of the palm through which a body hangs on it."""
+    line = [body, *ancestors(model, body)]
+    return next((b for b in line if model.body_weldid[model.body_parentid[b]] == palm), line[-1])
+
+
+def _distances(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> Array:
+    """Distance of a's points (N,) to b, [m]."""
+    return cKDTree(skins[b].points).query(apply(invert(Ts[b]) @ Ts[a], skins[a].points))[0]
+
+
+def find_contact_row(skins: Mapping[int, SurfaceSamples], Ts: Array, pair: tuple[int, int]) -> int:
+    """The first state (of K, opening to closing) in which the fingers touch; else the nearest one."""
+    a, b = pair
+    moving = _moving(skins, Ts, a, b)
+    gaps = np.array([_distances(skins, T, a, b)[moving].min() for T in Ts])
+    return int(np.flatnonzero(gaps <= gaps.min() + SOFT_M / 4)[0])
+
+
+def _moving(skins: Mapping[int, SurfaceSamples], Ts: Array, a: int, b: int) -> NDArray[np.bool_]:
+    """Points of a that come nearer to b by at least half of what any does."""
+    nearer = _distances(skins, Ts[0], a, b) - _distances(skins, Ts[-1], a, b)
+    return nearer > 0.5 * nearer.max()
+
+
+def find_face(
+    skins: Mapping[int, SurfaceSamples], Ts: Array, row: int, a: int, b: int
+) -> tuple[Array, Array] | None:
+    """The face of finger a that meets finger b in state `row`; None when no side of it looks there.
+
+    Returns:
+        Pose of the box behind it (4, 4) in a's frame, z towards b, and its half extents (3,), [m].
+    """
+    skin = skins[a]
+    earlier = max(row - max(len(Ts) // 8, 1), 0)
+    near = _distances(skins, Ts[row], a, b)
+    moving = _moving(skins, Ts, a, b)
+    middle = skin.points[moving][np.argsort(near[moving])[:MIN_FACE_POINTS]].mean(0)
+    # What lies against a at the end, carried by b to where it was before.
+    T_a_a = invert(Ts[earlier, a]) @ Ts[earlier, b] @ invert(Ts[row, b]) @ Ts[row, a]
+    towards = apply(T_a_a, middle) - middle
+    length = float(np.linalg.norm(towards))
+    if not length > 0:
+        return None
+    looking = moving & (skin.normals @ (towards / length) > FACING)
+    face = looking & (near <= near[looking].min(initial=np.inf) + SOFT_M)
+    if not face.sum() >= MIN_FACE_POINTS:
+        return None
+    return _box(skin.points[face], skin.normals[face].mean(0))
+
+
+def _box(points: Array, normal: Array) -> tuple[Array, Array]:
+    """The box behind a face, its sides along the body's axes as far as the normal allows."""
+    z = normal / np.linalg.norm(normal)
+    axis = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = axis - (axis @ z) * z
+    x /= np.linalg.norm(x)
+    R = np.stack([x, np.cross(z, x), z], 1)
+    low, high = np.quantile(points @ R, [0.02, 0.98], axis=0)
+    middle = np.array([*(low + high)[:2] / 2, high[2] - HALF_THICKNESS_M])
+    half = np.array([*np.maximum((high - low)[:2] / 2, HALF_THICKNESS_M), HALF_THICKNESS_M])
+    return transform(R, R @ middle), half

@@ -1,6 +1,11 @@
-"""Loading a robot: what its robot.toml says, or a guess, made one model for kinematics and physics."""
+"""Loading a robot: what its robot.toml says, or a guess, made one model for kinematics and physics.
 
-from collections.abc import Sequence
+A robot is also kept beside results, so that they can be used without the capture they come from.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -9,15 +14,18 @@ import numpy as np
 from aomgen.core.robot_choice import HandChoice, RobotChoice
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.errors import ConfigError, MalformedFileError
+from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.io.atomic import write_bytes, write_text
+from aomgen.io.paths import resolve_inside
 from aomgen.robots.actuation import add_actuation, drop_visual
 from aomgen.robots.description import (
     FILE_NAME,
     ActuatorSection,
     EndEffectorSection,
-    GripperSection,
     PadSection,
     RobotDescription,
     RobotFiles,
+    description_toml,
     find_description,
     known_description,
     read_description,
@@ -29,6 +37,8 @@ from aomgen.robots.propose import propose_description
 from aomgen.robots.reading import ancestors, arm_chain, compile_model, read_finished_spec, read_robot_spec
 from aomgen.robots.robot import FingerPad, HandDrive, RobotModel, body_poses, site_poses
 
+HEADER = "robot"
+FILES = "robot"
 GRASP_SITE = "grasp_point"
 # The end effector's y axis may be off the line from the left to the right pad by 25 degrees.
 MIN_COSINE = 0.9
@@ -48,8 +58,7 @@ def load_robot(
 
     Args:
         model: "ur5e_2f85", or the path of a file.
-        base_frame: World frame of the returned model: "base_link", or "ur_base", which is turned
-            by 180 degrees about z.
+        base_frame: World frame: "base_link", or "ur_base", which is turned by 180 degrees about z.
         joints: Arm joints in the order wanted; empty takes the model's own.
         hand: What the capture states about the gripper of a file without robot.toml.
         root: Folder that all references of a file stay in; None takes the file's own.
@@ -67,7 +76,7 @@ def load_robot(
         file = Path(model)
         root = root or file.parent
         path = find_description(file) or file.parent / FILE_NAME
-        description = describe_file(file, root, joints, hand or HandChoice())
+        description = _describe_file(file, root, joints, hand or HandChoice())
     if joints and sorted(joints) != sorted(description.joints):
         raise ConfigError(
             "robot.joints",
@@ -82,15 +91,8 @@ def load_robot(
     )
 
 
-def describe_file(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
-    """What the robot.toml beside a URDF or MJCF says; without one, what is guessed.
-
-    Args:
-        As `load_robot`.
-
-    Raises:
-        InputError: A file cannot be used, or does not tell enough.
-    """
+def _describe_file(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
+    """What the robot.toml beside a URDF or MJCF says; without one, what is guessed."""
     path = find_description(file)
     if path is None:
         return propose_description(file, root, joints, hand)
@@ -100,18 +102,54 @@ def describe_file(file: Path, root: Path, joints: Sequence[str], hand: HandChoic
 
 
 def choose_robot(choice: RobotChoice) -> RobotModel:
-    """The robot of a capture, in the capture's world frame and joint order.
+    """The robot of a capture, in the capture's world frame and joint order; raises as `load_robot`."""
+    model, hand = choice.model_file or choice.model, choice.hand
+    return load_robot(model, choice.base_frame, joints=choice.joints, hand=hand, root=choice.root)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredRobot:
+    """A robot kept beside results: known by name, or its file relative to their folder."""
+
+    model: str
+    file: str
+    base_frame: str
+    joints: tuple[str, ...]
+
+
+def save_robot(folder: Path, choice: RobotChoice) -> None:
+    """Write which robot it is, its files and what they are for, into an existing folder."""
+    file = ""
+    if choice.model_file:
+        copied = copy_robot_files(choice.model_file, choice.references, folder / FILES)
+        file = copied.relative_to(folder).as_posix()
+        if find_description(choice.model_file) is None:
+            guess = propose_description(choice.model_file, choice.root, choice.joints, choice.hand)
+            write_text(copied.parent / FILE_NAME, description_toml(guess))
+    stored = StoredRobot(model=choice.model, file=file, base_frame=choice.base_frame, joints=choice.joints)
+    save_artifact(folder, HEADER, stored)
+
+
+def load_stored_robot(folder: Path) -> RobotModel:
+    """Load what `save_robot` wrote.
 
     Raises:
-        As `load_robot`.
+        InputError: A file is missing or damaged.
     """
-    return load_robot(
-        choice.model_file or choice.model,
-        choice.base_frame,
-        joints=choice.joints,
-        hand=choice.hand,
-        root=choice.root,
-    )
+    stored = load_artifact(folder, HEADER, StoredRobot)
+    model = stored.model
+    if stored.file:
+        model = resolve_inside(folder, stored.file, named_by=folder / f"{HEADER}.json")
+    return load_robot(model, stored.base_frame, joints=stored.joints, root=(folder / FILES).resolve())
+
+
+def copy_robot_files(model_file: Path, references: tuple[Path, ...], folder: Path) -> Path:
+    """Copy a URDF or MJCF and all it refers to, each at the same place relative to the others; the copied model."""
+    files = [model_file.resolve(), *(file.resolve() for file in references)]
+    top = Path(os.path.commonpath([file.parent for file in files]))
+    for file in files:
+        write_bytes(folder / file.relative_to(top), file.read_bytes())
+    return folder / files[0].relative_to(top)
 
 
 def _assemble(description: RobotDescription, files: RobotFiles, path: Path, *, turned: bool) -> RobotModel:
@@ -147,7 +185,7 @@ def _assemble(description: RobotDescription, files: RobotFiles, path: Path, *, t
         meshes=visual_meshes(compiled),
         pads=pads,
         pad_geoms=pad_geoms,
-        drive=None if gripper is None or actuator is None else _hand_drive(gripper, actuator),
+        drive=None if gripper is None or actuator is None else _hand_drive(gripper.strokes, actuator),
         hand_bodies=tuple(compiled.body(b).name for b in chain.hand_bodies),
         ee_site=ee_site,
         _model=compiled,
@@ -233,11 +271,7 @@ def _closing_way(
     return way_m
 
 
-def _hand_drive(gripper: GripperSection, actuator: ActuatorSection) -> HandDrive:
-    (driver, ends), *_ = gripper.strokes.items()
-    return HandDrive(
-        driver=driver,
-        driver_range=ends,
-        actuator=actuator.name,
-        control_range=(actuator.open, actuator.closed),
-    )
+def _hand_drive(strokes: Mapping[str, tuple[float, float]], actuator: ActuatorSection) -> HandDrive:
+    (driver, ends), *_ = strokes.items()
+    controls = actuator.open, actuator.closed
+    return HandDrive(driver=driver, driver_range=ends, actuator=actuator.name, control_range=controls)

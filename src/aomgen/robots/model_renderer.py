@@ -1,7 +1,8 @@
 """Exact pinhole images of a compiled MuJoCo model: colors, which geom covers each pixel, and how far away."""
 
-from types import TracebackType
-from typing import Final, Self
+import importlib
+import os
+from typing import Any, Final, Self
 
 import mujoco
 import numpy as np
@@ -9,24 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.errors import BackendError
-from aomgen.robots.offscreen import offscreen_context
 
 # What is drawn lies between these depths, [m]: nearer than a lens focuses, farther than any lab is long.
 NEAR_M, FAR_M = 0.05, 20.0
 # Geoms that `mjv_updateScene` adds on its own: lights, a skybox.
 EXTRA_GEOMS: Final = 64
+REMEDY = "install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6), or set MUJOCO_GL to egl or osmesa"
 
 
 class ModelRenderer:
     """Draws one model with MuJoCo's rasterizer; holds an OpenGL context until closed. Not thread safe."""
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], group: int) -> None:
-        """Create the context.
-
-        Args:
-            model: With its lights and `vis.quality` as they shall be.
-            size: Width and height of the largest image, [px].
-            group: Of the geoms that are shown.
+        """Create a context for images up to `size` (width, height), [px], of a group of geoms.
 
         Raises:
             BackendError: No OpenGL driver works.
@@ -41,10 +37,6 @@ class ModelRenderer:
         self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
         self._renderer.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-
-    def draw(self, camera: Camera, qpos: ArrayLike) -> NDArray[np.uint8]:
-        """Picture (H, W, 3) of a state qpos (nq,), with light and shadows."""
-        return self._render(camera, qpos, ids=False)[0]
 
     def draw_values(
         self, camera: Camera, qpos: ArrayLike, geom_values: NDArray, *, nothing: int
@@ -82,9 +74,7 @@ class ModelRenderer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _render(
@@ -128,3 +118,24 @@ def _place_camera(scene: mujoco.MjvScene, camera: Camera) -> None:
         eye.frustum_center = NEAR_M * (left + right) / 2
         eye.frustum_width = NEAR_M * (right - left) / 2
         eye.frustum_top, eye.frustum_bottom = NEAR_M * top, NEAR_M * bottom
+
+
+def offscreen_context(width: int, height: int) -> Any:
+    """A context of MuJoCo's kind (`make_current`, `free`) for images up to width x height, [px].
+
+    `MUJOCO_GL` chooses the driver when set to egl or osmesa; else EGL is tried first.
+
+    Raises:
+        BackendError: No driver works.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    order = [wanted] if wanted in ("egl", "osmesa") else ["egl", "osmesa"]
+    reasons = []
+    for name in order:
+        try:
+            context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+            context.make_current()
+            return context
+        except (ImportError, RuntimeError, AttributeError, OSError) as error:
+            reasons.append(f"{name}: {error}")
+    raise BackendError("offscreen rendering", f"no OpenGL driver works ({'; '.join(reasons)})", REMEDY)

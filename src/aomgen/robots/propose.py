@@ -22,7 +22,8 @@ from aomgen.robots.description import (
     RobotDescription,
     RobotFiles,
 )
-from aomgen.robots.finger_faces import (
+from aomgen.robots.gripper import settle_fingers
+from aomgen.robots.gripper_surface import (
     SurfaceSamples,
     Travel,
     find_contact_row,
@@ -30,7 +31,6 @@ from aomgen.robots.finger_faces import (
     find_travel,
     sample_hand,
 )
-from aomgen.robots.gripper import settle_fingers
 from aomgen.robots.reading import ArmChain, ancestors, arm_chain, compile_model, read_robot_spec
 from aomgen.robots.robot import RobotModel, body_poses
 
@@ -44,15 +44,9 @@ DIGITS = 5
 def propose_description(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
     """Guess what the parts of a robot are for.
 
-    The arm are the joints before the fingers branch. The gripper's driving joints go through their
-    ranges; closed is where two of its bodies are nearer, and what meets of them are the pads. The end
-    effector lies between the pads.
-
-    Args:
-        file: URDF or MJCF.
-        root: Folder that all its references stay in.
-        joints: Arm joints in the order of the log, when known.
-        hand: What is known of the gripper.
+    The arm are the joints before the fingers branch, where they are not given in the order of the log. The
+    gripper's driving joints go through their ranges; closed is where two of its bodies are nearer, and
+    what meets of them are the pads. The end effector lies between the pads.
 
     Raises:
         InputError: The file cannot be used, or does not tell enough.
@@ -77,7 +71,10 @@ def propose_description(file: Path, root: Path, joints: Sequence[str], hand: Han
             _Hand(spec=spec, model=model, chain=chain, file=file), actuated, hand
         )
         if hand.ee_site:
-            T_body_ee = transform(T_body_ee[:3, :3], _place(model, chain, hand.ee_site))
+            site = model.site(hand.ee_site).id
+            Ts = body_poses(model, model.qpos0[None])[0]
+            T_last_body = invert(Ts[chain.last_body]) @ Ts[model.site_bodyid[site]]
+            T_body_ee = transform(T_body_ee[:3, :3], apply(T_last_body, model.site_pos[site]))
         end = EndEffectorSection(
             body=model.body(chain.last_body).name,
             position=_rounded(T_body_ee[:3, 3]),
@@ -135,30 +132,24 @@ def _guess_gripper(hand: _Hand, actuated: Sequence[str], choice: HandChoice) -> 
     if faces[0] is None or faces[1] is None:
         names = " and ".join(model.body(body).name for body in pair)
         raise MalformedFileError(file, f"fingers {names} have no faces that meet", "name other fingers")
-    left, right = (
-        PadSection(
+    pads, Ts_pad = [], []
+    for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True):
+        pad = PadSection(
             body=model.body(body).name,
             center=_rounded(T[:3, 3]),
             quat_wxyz=_rounded(quat_from_matrix(T[:3, :3])),
             half_extents=_rounded(half),
         )
-        for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True)
-    )
-    Ts_pad = [
-        invert(closing.Ts[row, hand.chain.last_body]) @ closing.Ts[row, body] @ T @ _raised(half[2])
-        for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True)
-    ]
+        pads.append(pad)
+        T_last_body = invert(closing.Ts[row, hand.chain.last_body]) @ closing.Ts[row, body]
+        Ts_pad.append(T_last_body @ T @ transform(np.eye(3), [0.0, 0.0, half[2]]))
     section = GripperSection(
         open={name: start for name, (start, _) in closing.strokes.items()},
         closed={name: end for name, (_, end) in closing.strokes.items()},
-        left=left,
-        right=right,
+        left=pads[0],
+        right=pads[1],
     )
     return section, _between(*Ts_pad)
-
-
-def _raised(height: float) -> Array:
-    return transform(np.eye(3), [0.0, 0.0, height])
 
 
 def _between(T_left: Array, T_right: Array) -> Array:
@@ -180,7 +171,12 @@ def _find_closing(
             hand.file, "open and closed values name different joints", "give both values for each joint"
         )
     if choice.open:
-        _check_fingers(hand, choice.open)
+        known = hand.chain.hand_joints
+        for name in choice.open:
+            if name not in known:
+                raise MalformedFileError(
+                    hand.file, f"has no finger joint '{name}'", f"finger joints: {', '.join(known)}"
+                )
         candidates = [{name: (choice.open[name], choice.closed[name]) for name in choice.open}]
     else:
         up = {name: _range(hand, name) for name in _drivers(hand, actuated)}
@@ -208,16 +204,6 @@ def _find_closing(
             hand.file, "fingers are farther apart when closed", "exchange open and closed"
         )
     return best
-
-
-def _check_fingers(hand: _Hand, given: Mapping[str, float]) -> None:
-    unknown = [name for name in given if name not in hand.chain.hand_joints]
-    if unknown:
-        raise MalformedFileError(
-            hand.file,
-            f"has no finger joint '{unknown[0]}'",
-            f"finger joints: {', '.join(hand.chain.hand_joints)}",
-        )
 
 
 def _drivers(hand: _Hand, actuated: Sequence[str]) -> list[str]:
@@ -265,13 +251,6 @@ def _sides(model: mujoco.MjModel, pair: tuple[int, int]) -> tuple[int, int]:
     """Left and right finger: as their names have it, else in the order of the file."""
     names = [model.body(body).name.lower() for body in pair]
     return (pair[1], pair[0]) if "right" in names[0] or "left" in names[1] else pair
-
-
-def _place(model: mujoco.MjModel, chain: ArmChain, site: str) -> Array:
-    """Where a site is (3,) on the last arm body."""
-    Ts = body_poses(model, model.qpos0[None])[0]
-    T_last_body = invert(Ts[chain.last_body]) @ Ts[model.site_bodyid[model.site(site).id]]
-    return apply(T_last_body, model.site_pos[model.site(site).id])
 
 
 def _rounded(values: Array) -> tuple[float, ...]:

@@ -35,9 +35,7 @@ def set_options(spec: mujoco.MjSpec) -> None:
 def read_finished_spec(files: RobotFiles, *, turned: bool) -> mujoco.MjSpec:
     """A robot whose own actuators and contact shapes are used; its files hold nothing else.
 
-    Args:
-        files: What is read.
-        turned: World is turned by 180 degrees about z against the file's root frame.
+    The world may be turned by 180 degrees about z against the file's root frame.
 
     Raises:
         MalformedFileError: MuJoCo cannot read a file, or it states angles in degrees.
@@ -73,11 +71,7 @@ def read_robot_spec(files: RobotFiles, *, turned: bool) -> tuple[mujoco.MjSpec, 
 
     Only the tree of bodies that holds most joints is kept; whatever else the file's scene has
     (tables, objects, mocap targets) goes. Shapes that stand in the world itself, floors left out,
-    become the body "robot_base".
-
-    Args:
-        files: What is read.
-        turned: World is turned by 180 degrees about z against the file's root frame.
+    become the body "robot_base". The world may be turned by 180 degrees about z.
 
     Returns:
         The description, and the joints that the file's actuators drove.
@@ -142,10 +136,8 @@ def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
 
 
 def _actuated_joints(spec: mujoco.MjSpec, xml: RobotXml) -> tuple[str, ...]:
-    names = [actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT]
-    pulled = [
-        actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON
-    ]
+    by_kind = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
+    names, pulled = ([item.target for item in spec.actuators if item.trntype == kind] for kind in by_kind)
     if pulled:
         model = compile_model(spec.copy(), xml.path)
         for tendon in pulled:
@@ -194,12 +186,8 @@ def _delete_references(spec: mujoco.MjSpec, root: mujoco.MjsBody) -> None:
 
 def _rename(spec: mujoco.MjSpec) -> None:
     """Give bodies, joints, sites and geoms their own names back, and names to those without."""
-    for kind, label in (
-        (spec.bodies, "body"),
-        (spec.joints, "joint"),
-        (spec.sites, "site"),
-        (spec.geoms, "geom"),
-    ):
+    kinds = {"body": spec.bodies, "joint": spec.joints, "site": spec.sites, "geom": spec.geoms}
+    for label, kind in kinds.items():
         taken = {item.name.removeprefix(TAKEOVER) for item in kind}
         for number, item in enumerate(kind):
             name = item.name.removeprefix(TAKEOVER)
@@ -219,14 +207,7 @@ def _rename(spec: mujoco.MjSpec) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmChain:
-    """Which joints of a model are the arm's, and what hangs on its end.
-
-    Attributes:
-        joints: Names in the order asked for.
-        last_body: Id of the body that the last arm joint moves.
-        hand_bodies: Ids of the bodies beyond it.
-        hand_joints: Names of the joints beyond the arm's.
-    """
+    """The arm's joints in the order asked for, the body (id) that the last one moves, and what is beyond."""
 
     joints: tuple[str, ...]
     last_body: int

@@ -11,21 +11,21 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.core.transforms import matrix_from_quat, transform
+from aomgen.core.mesh import sample_surface
+from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.robots.geom_meshes import RobotMesh
 from aomgen.robots.gripper import GripperTable
 
+# Step of the numeric derivative, [rad]: its error is far below a pixel.
+_TURN_RAD = 1e-4
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FingerPad:
-    """The face with which one finger holds, as a box behind it.
+    """The face with which the "left" or "right" finger holds, as a box behind it, z towards the other finger.
 
-    Attributes:
-        finger: "left" or "right".
-        body: Index into `RobotModel.body_names`.
-        T_body_pad: Pose of the box (4, 4), z towards the other finger.
-        half_extents: (3,), [m].
+    `body` is an index into `RobotModel.body_names`; lengths in [m].
     """
 
     finger: str
@@ -53,14 +53,7 @@ class FingerPad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandDrive:
-    """What a gripper value means to the hand.
-
-    Attributes:
-        driver: Finger joint that the value measures.
-        driver_range: Its values at gripper 0 and 1 (2,), [rad] or [m].
-        actuator: Closes the hand.
-        control_range: Its control at gripper 0 and 1 (2,).
-    """
+    """The finger joint that a gripper value measures, the actuator that closes, and their values at 0 and 1."""
 
     driver: str
     driver_range: tuple[float, float]
@@ -73,14 +66,12 @@ class RobotModel:
     """Arm and gripper as one kinematic model; J arm joints, B bodies.
 
     Attributes:
-        name: For example "ur5e_2f85".
         joint_names: The J arm joints, in the order of every `joints` argument.
         body_names: The B bodies in MuJoCo's order, world left out: body b is MuJoCo's b + 1.
-        joint_limits: (J, 2), [rad] or [m].
-        slides: Which arm joints (J,) are prismatic.
+        joint_limits: [rad] or [m].
+        slides: Which arm joints are prismatic.
         gripper_table: Finger joints over the gripper value 0 (open) .. 1 (closed).
-        meshes: Visual meshes.
-        pads: Finger pads, left and right; empty for an arm without fingers.
+        pads: Left and right; empty for an arm without fingers.
         pad_geoms: Names of each finger's colliding shapes, by side.
         drive: What closes the hand; None for an arm without fingers.
         hand_bodies: Names of the bodies that hang on the last arm body.
@@ -118,8 +109,7 @@ class RobotModel:
     def spec(self, *, visual: bool = True) -> mujoco.MjSpec:
         """A fresh editable MuJoCo description: radians, dense Jacobian, elliptic cones, impratio 10.
 
-        Args:
-            visual: False leaves out what is only seen, which compiles ten times faster.
+        Without `visual` it leaves out what is only seen, and compiles ten times faster.
         """
         return (self._full if visual else self._bare).copy()
 
@@ -171,3 +161,61 @@ def _posed(model: mujoco.MjModel, states: Array) -> Iterator[mujoco.MjData]:
         data.qpos[:] = row
         mujoco.mj_kinematics(model, data)
         yield data
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotConfiguration:
+    """The robot during the scan: model, joints (J,) [rad] and gripper 0..1."""
+
+    robot: RobotModel
+    joints: Annotated[Array, "_"]
+    gripper: float
+
+    __post_init__ = freeze_arrays
+
+    def points_world(self, count: int = 3000) -> Array:
+        """About `count` vertices (V, 3) of the posed robot, [m]."""
+        poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
+        total = sum(len(mesh.vertices_body) for mesh in self.robot.meshes)
+        step = max(1, total // count)
+        return np.concatenate([apply(poses[m.body], m.vertices_body[::step]) for m in self.robot.meshes])
+
+    def surface_world(self, count: int, rng: np.random.Generator) -> Array:
+        """Points (count, 3) spread evenly over the surface of the posed robot, [m]."""
+        poses = self.robot.link_poses(self.joints[None], self.gripper)[0]
+        corners = [apply(poses[m.body], m.vertices_body)[m.faces] for m in self.robot.meshes]
+        vertices = np.concatenate(corners).reshape(-1, 3)
+        return sample_surface(vertices, np.arange(len(vertices)).reshape(-1, 3), count, rng)[0]
+
+    @property
+    def ee_world(self) -> Array:
+        """End effector position (3,), [m]."""
+        return self.robot.ee_poses(self.joints[None])[0, :3, 3]
+
+    def segments(self) -> NDArray[np.int64]:
+        """Number (B,) of arm joints that move each body: 0 = base, J = hand.
+
+        Not checked: the arm is one chain.
+        """
+        return self._turned()[1]
+
+    def joint_motions(self) -> Array:
+        """Velocity fields (J, 4, 4): a joint moves a point p behind it by `M[:3] @ [p, 1]`, [1/rad]."""
+        return self._turned()[0]
+
+    def turns(self, points: Array, bodies: NDArray[np.integer]) -> Array:
+        """How each joint moves points (C, 3) on bodies (C,): velocities (C, J, 3), [m/rad]."""
+        motions, segments = self._turned()
+        moves = np.einsum("jab,cb->cja", motions[:, :3, :3], points) + motions[:, :3, 3]
+        behind = segments[bodies][:, None] > np.arange(len(motions))
+        return np.asarray(moves * behind[..., None], np.float64)
+
+    def _turned(self) -> tuple[Array, NDArray[np.int64]]:
+        rows = np.tile(self.joints, (len(self.joints) + 1, 1))
+        rows[1:] += _TURN_RAD * np.eye(len(self.joints))
+        poses = self.robot.link_poses(rows, np.full(len(rows), self.gripper))
+        motions = poses[1:] @ np.linalg.inv(poses[:1])
+        moved = np.abs(motions - np.eye(4)).max((-1, -2)) > 0.01 * _TURN_RAD
+        last = np.array([int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in moved])
+        fields = (motions[np.arange(len(last)), last] - np.eye(4)) / _TURN_RAD
+        return fields, moved.sum(0)

@@ -84,11 +84,6 @@ def given_masks(masks: Sequence[Mask], shape: tuple[int, ...]) -> PointMasks:
     return PointMasks(masks=stack, quality=certain, stability=certain)
 
 
-def _cells(points_px: ArrayLike, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    columns, rows = np.floor(np.asarray(points_px, np.float64).reshape(-1, 2)).astype(np.int64).T
-    return np.clip(rows, 0, shape[0] - 1), np.clip(columns, 0, shape[1] - 1)
-
-
 def clean(mask: Mask) -> Mask:
     """Closed, opened, its largest piece, holes filled."""
     smooth = binary_opening(binary_closing(mask, iterations=2), iterations=1)

@@ -7,7 +7,6 @@ safetensors cannot hold code.
 """
 
 import argparse
-import hashlib
 import re
 import shutil
 import sys
@@ -18,15 +17,13 @@ from typing import Final
 from aomgen.errors import AomgenError, BackendError
 from aomgen.io.atomic import staged_folder, write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.segmentation.weights import weights_folder
+from aomgen.segmentation.weights import file_digest, weights_folder
 
 FOLDER: Final = "sam2"
 CONFIG: Final = "config.json"
 WEIGHTS: Final = "model.safetensors"
 NOTE: Final = "sha256.json"
 COMMAND: Final = "python -m aomgen.segmentation.sam2_weights"
-# The largest published model has 0.9 GB.
-MAX_BYTES: Final = 4 << 30
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
@@ -45,11 +42,7 @@ def list_installed(folder: Path | None = None) -> tuple[str, ...]:
 
 
 def find_sam2(name: str, folder: Path | None = None) -> Sam2Files:
-    """The installed weights of a name.
-
-    Args:
-        name: As installed.
-        folder: Of all weights; `weights_folder()` when None.
+    """The installed weights of a name, in a folder of all weights; `weights_folder()` when None.
 
     Raises:
         BackendError: They are missing, or not the installed ones any more.
@@ -75,35 +68,27 @@ def install_sam2(source: Path, name: str, sha256: str, folder: Path | None = Non
         source: Folder with `config.json` and `model.safetensors`.
         name: Letters, digits, dots and dashes, "sam2.1-hiera-tiny" for example.
         sha256: Of `model.safetensors`, as its publisher states it.
-        folder: Of all weights; `weights_folder()` when None.
 
     Raises:
-        BackendError: The name cannot be a folder, a file is missing or too large, or the digest differs.
+        BackendError: The name cannot be a folder, a file is missing, or the digest differs.
     """
     if not NAME.fullmatch(name):
         raise BackendError(name, "is no name for weights", "use letters, digits, dots and dashes")
     _check(source / WEIGHTS, sha256.lower())
     if not (source / CONFIG).is_file():
         raise BackendError(source / CONFIG, "is missing", "download it beside the weights")
-    config = _digest(source / CONFIG)
-    root = (folder or weights_folder()) / FOLDER / name
-    with staged_folder(root) as staging:
+    with staged_folder((folder or weights_folder()) / FOLDER / name) as staging:
         for file in (CONFIG, WEIGHTS):
             shutil.copyfile(source / file, staging / file)
-        write_json(staging / NOTE, {CONFIG: config, WEIGHTS: sha256.lower()})
+        write_json(staging / NOTE, {CONFIG: file_digest(staging / CONFIG), WEIGHTS: sha256.lower()})
     return find_sam2(name, folder)
 
 
 def _check(path: Path, sha256: str) -> None:
     if not path.is_file():
         raise BackendError(path, "is missing", f"install the weights with `{COMMAND}`")
-    if not path.stat().st_size <= MAX_BYTES or _digest(path) != sha256:
+    if file_digest(path) != sha256:
         raise BackendError(path, "is not the file whose SHA-256 was given", "download and install it again")
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def main(arguments: list[str] | None = None) -> int:

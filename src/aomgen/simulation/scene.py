@@ -7,8 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.assets.mjcf import AssetNames, add_asset
-from aomgen.assets.resistance import holding_friction
+from aomgen.assets.mjcf import AssetNames, add_asset, holding_friction
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.episode import FINGERS

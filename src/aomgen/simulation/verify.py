@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aomgen.assets.resistance import (
+from aomgen.assets.mjcf import (
     ARMATURE,
     CONTACT_FRICTION,
     GRAVITY,

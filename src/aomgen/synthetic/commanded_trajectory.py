@@ -21,14 +21,11 @@ BEFORE_MOTION_S = 0.4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandedTrajectory:
-    """What the robot is told to do.
+    """What the robot is told to do every CONTROL_STEP_S from 0: joints [rad] and closing of the gripper, 0..1.
 
     Attributes:
-        times_s: (T,), every CONTROL_STEP_S from 0.
-        joints: (T, J), [rad].
-        gripper: Closing (T,), 0..1.
         grip: Share of its force with which the hand closes.
-        theta_start, theta_goal: Joint value of the object before and, wanted, after, [rad] or [m].
+        theta_start: Joint value of the object before, [rad] or [m].
         motion_s: Beginning and end of the commanded motion of the part.
         film_s: What may be recorded.
     """
@@ -38,7 +35,6 @@ class CommandedTrajectory:
     gripper: Annotated[Array, "_"]
     grip: float
     theta_start: float
-    theta_goal: float
     motion_s: tuple[float, float]
     film_s: tuple[float, float]
 
@@ -88,7 +84,6 @@ def time_phases(way: PhasePaths, style: DemonstrationStyle) -> CommandedTrajecto
         gripper=np.concatenate([*gripper, np.full(1, away)]),
         grip=style.grip,
         theta_start=style.start,
-        theta_goal=style.goal,
         motion_s=(begin, end),
         film_s=(
             begin - style.before_s,

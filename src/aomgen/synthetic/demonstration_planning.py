@@ -16,23 +16,20 @@ from aomgen.synthetic.grasp_selection import choose_grasp, draw_usual_style
 from aomgen.synthetic.layout import SceneLayout
 from aomgen.synthetic.style import DemonstrationStyle
 
-# The hand approaches on a straight line of this length, [m]: longer than fingers are.
-PREGRASP_M = 0.09
+# The hand approaches on a straight line of this length, [m]: longer than fingers are. Gestures in the air stay
+# the second length before the handle.
+PREGRASP_M, AIR_M = 0.09, 0.12
 # Joints that jump by more from knot to knot have changed their branch, [rad].
 MAX_KNOT_STEP_RAD = 0.20
-# Gestures in the air stay this far before the handle, [m].
-AIR_M = 0.12
 KNOTS, REACH_KNOTS, SLACK_KNOTS = 40, 10, 4
 # Closing of the hand with which a pinch is checked, and how deep a pressing hand may seem to be, [m].
 PINCHING, PRESS_M = 0.6, 0.003
-# Different starts end in few different configurations; the same one is not followed twice.
-SAME_RAD = 0.02
-# Starts of the inverse kinematics that are tried before a layout is given up.
-SEEDS = 14
-# Damping of the least squares: small against squared lever arms of 0.1 to 1 m, large against rounding.
-DAMPING = 1e-4
-# Largest change of a joint in one step, [rad]: the linear model holds that far.
-MAX_STEP_RAD = 0.25
+# Starts of the inverse kinematics that are tried before a layout is given up. They end in few different
+# configurations; the same one, [rad], is not followed twice.
+SEEDS, SAME_RAD = 14, 0.02
+# Damping of the least squares: small against squared lever arms of 0.1 to 1 m, large against rounding. Largest
+# change of a joint in one step, [rad]: the linear model holds that far.
+DAMPING, MAX_STEP_RAD = 1e-4, 0.25
 # Where solutions are looked for first, [rad]; elsewhere anywhere within the limits.
 CONFIGURATIONS = {
     "ur5e_2f85": ([-np.pi, -2.4, 0.8, -2.5, -2.6, -np.pi], [np.pi, -0.7, 2.5, 1.0, 2.6, np.pi]),
@@ -99,11 +96,8 @@ def plan(
 ) -> tuple[DemonstrationStyle, CommandedTrajectory] | None:
     """Joint path and timing of one demonstration; None where this layout and style cannot be reached.
 
-    Args:
-        style: How it is done; the usual pinch that opens the object when None.
-
-    Checked: residuals, joint steps, contact of anything but the fingers with handle. Not
-    checked: dynamics (see `demonstration.py`).
+    Without a style it is the usual pinch that opens the object. Checked: residuals, joint steps, contact of
+    anything but the fingers with handle. Not checked: dynamics (see `demonstration_search.simulate`).
     """
     robot, asset = scene.robot, layout.asset
     style, grasp_style = (style, draw_grasp_style(rng, style)) if style else draw_usual_style(asset, rng)
@@ -200,13 +194,9 @@ def _is_free(scene: Scene, way: PhasePaths, style: DemonstrationStyle) -> bool:
 def _is_path_free(
     scene: Scene, path: Array, gripper: float, values: ArrayLike, *, deepest: float = 0.0
 ) -> bool:
-    """Whether the robot touches nothing along a path.
+    """Whether the robot touches nothing along joints (N, J), [rad]; the hand may reach so deep into the part, [m].
 
-    Args:
-        path: Joints (N, J), [rad].
-        gripper: Closing of the hand, 0..1.
-        values: Joint values of the part (N,), or one for all (1,).
-        deepest: So far the hand may reach into the moving part, [m].
+    Joint values of the part: (N,), or one for all (1,).
     """
     roles, data = scene.roles, mujoco.MjData(scene.model)
     for qpos in scene.qpos(path, gripper, values)[::2]:

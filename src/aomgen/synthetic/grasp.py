@@ -42,9 +42,9 @@ class DemonstratedGrasp:
     """The hand on the part, asset frame at joint value 0.
 
     Attributes:
-        T_asset_ee: Pose (4, 4) of the end effector in touch with the part.
-        pivot: Point (3,) about which the hand turns when it turns less than the part, [m].
-        slack: Way (3,) back to where it does not touch yet, [m]; zero for fingers that close.
+        T_asset_ee: Pose of the end effector in touch with the part.
+        pivot: Point about which the hand turns when it turns less than the part, [m].
+        slack: Way back to where it does not touch yet, [m]; zero for fingers that close.
         gripper: Closing before and while it holds, 0..1.
     """
 

@@ -32,18 +32,12 @@ HOOK_ROOM_M: Final = 0.002
 PUSH_LIMIT: Final = 0.5
 # Share of a lid's turn by which the hand begins flatter: an arm looks down easily, hardly up.
 NOD_SHARE: Final = 0.25
-# A lid that is held at its rim is found closed in this share of the cases, else ajar.
-CLOSED_SHARE: Final = 0.4
-# How far such a lid is found open, [rad].
-AJAR_RAD: Final = (np.deg2rad(3.0), np.deg2rad(12.0))
-# How far the finger tips reach beyond the held point of a rim, [m].
-RIM_BEYOND_M: Final = 0.004
-# Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table.
-RIM_TILT_RAD: Final = np.deg2rad(30.0)
-# Share of the style's tilt that is added to it.
-RIM_TILT_SHARE: Final = 0.5
-# Free way of each finger at a rim before it closes, [m].
-RIM_FREE_M: Final = 0.004
+# A lid that is held at its rim is found closed in this share of the cases, else ajar by so much, [rad].
+CLOSED_SHARE, AJAR_RAD = 0.4, (np.deg2rad(3.0), np.deg2rad(12.0))
+# How far the finger tips reach beyond the held point of a rim, and free way of each before it closes, [m].
+RIM_ROOM_M: Final = 0.004
+# Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table; and the style's share in it.
+RIM_TILT_RAD, RIM_TILT_SHARE = np.deg2rad(30.0), 0.5
 
 
 def draw_usual_style(
@@ -63,7 +57,7 @@ def draw_usual_style(
     return style, grasp_style
 
 
-def pinch(
+def _pinch(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, style: DemonstrationStyle
 ) -> DemonstratedGrasp:
     """The hand approaches the front from a little above; its fingers close across the bar.
@@ -80,12 +74,11 @@ def pinch(
         tilt += NOD_SHARE * style.follow * max(style.start, style.goal) * float(asset.joint.axis @ sideways)
     R = matrix_from_rotvec(-tilt * sideways) @ R @ gripper_axes(robot).T
     point = asset.handle_point
-    return DemonstratedGrasp(
-        T_asset_ee=transform(R, point), pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0)
-    )
+    T_asset_ee = transform(R, point)
+    return DemonstratedGrasp(T_asset_ee=T_asset_ee, pivot=point, slack=np.zeros(3), gripper=(0.0, 1.0))
 
 
-def pinch_rim(
+def _pinch_rim(
     robot: RobotModel,
     asset: ArticulatedAsset,
     grasp_style: GraspStyle,
@@ -102,11 +95,11 @@ def pinch_rim(
     approach = matrix_from_rotvec(-tilt * np.cross(-outward, [0.0, 0.0, 1.0])) @ -outward
     width = along * (-1.0 if grasp_style.flip else 1.0)
     R = np.stack([width, np.cross(approach, width), approach], 1) @ gripper_axes(robot).T
-    point = asset.handle_point - (tips[1, 2] - RIM_BEYOND_M) * approach
+    point = asset.handle_point - (tips[1, 2] - RIM_ROOM_M) * approach
     # Across tilted fingers the rim is thicker.
     bar = asset.handle_bar
     thickness = 0.0 if bar is None else 2 * _support(bar, across)
-    opening = thickness * np.cos(tilt) + 2 * RIM_BEYOND_M * abs(np.sin(tilt)) + 2 * RIM_FREE_M
+    opening = thickness * np.cos(tilt) + 2 * RIM_ROOM_M * abs(np.sin(tilt)) + 2 * RIM_ROOM_M
     return DemonstratedGrasp(
         T_asset_ee=transform(R, point),
         pivot=asset.handle_point,
@@ -138,18 +131,18 @@ def choose_grasp(
         style: Of a touch that is possible.
     """
     if style.touch == "pinch" and not held_at_rim(asset):
-        return pinch(robot, asset, grasp_style, style)
+        return _pinch(robot, asset, grasp_style, style)
     tips = measure_closed_tips(robot, model)
     if style.touch == "pinch":
-        return pinch_rim(robot, asset, grasp_style, style, tips)
+        return _pinch_rim(robot, asset, grasp_style, style, tips)
     if style.touch == "hook":
-        return hook(robot, asset, grasp_style, tips)
+        return _hook(robot, asset, grasp_style, tips)
     if _facing(asset, style.direction) < -PUSH_LIMIT:
-        return push_front(robot, asset, grasp_style, tips)
-    return push_bar(robot, asset, grasp_style, style, tips)
+        return _push_front(robot, asset, grasp_style, tips)
+    return _push_bar(robot, asset, grasp_style, style, tips)
 
 
-def hook(
+def _hook(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
 ) -> DemonstratedGrasp | None:
     """Closed fingers reach behind the bar from its side, their width across, and pull it.
@@ -174,12 +167,10 @@ def hook(
     room = float((corner - foot) @ normal)
     if room < HOOK_ROOM_M:
         return None
-    R = np.stack([width, closing, approach], 1) @ gripper_axes(robot).T
-    slack = -min(room / 2, 0.004) * normal
-    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return _closed_hand(robot, closing, approach, point, slack=-min(room / 2, 0.004) * normal)
 
 
-def push_bar(
+def _push_bar(
     robot: RobotModel,
     asset: ArticulatedAsset,
     grasp_style: GraspStyle,
@@ -198,12 +189,10 @@ def push_bar(
     half = (tips[1, 1] - tips[0, 1]) / 2
     point = asset.handle_point - (_support(bar, along) + half) * along
     point = point - (tips[1, 2] - BAR_BEHIND_TIP_M) * approach
-    R = np.stack([np.cross(closing, approach), closing, approach], 1) @ gripper_axes(robot).T
-    slack = -PUSH_SLACK_M * along
-    return DemonstratedGrasp(T_asset_ee=transform(R, point), pivot=point, slack=slack, gripper=(1.0, 1.0))
+    return _closed_hand(robot, closing, approach, point, slack=-PUSH_SLACK_M * along)
 
 
-def push_front(
+def _push_front(
     robot: RobotModel, asset: ArticulatedAsset, grasp_style: GraspStyle, tips: Array
 ) -> DemonstratedGrasp | None:
     """Closed finger tips push on the front, beside the bar.
@@ -223,9 +212,15 @@ def push_front(
         if arms[0] < 0.5 * arms[1]:
             return None
     closing = along * (-1.0 if grasp_style.flip else 1.0)
-    R = np.stack([np.cross(closing, -normal), closing, -normal], 1) @ gripper_axes(robot).T
     place = point + tips[1, 2] * normal
-    slack = PUSH_SLACK_M * normal
+    return _closed_hand(robot, closing, -normal, place, slack=PUSH_SLACK_M * normal)
+
+
+def _closed_hand(
+    robot: RobotModel, closing: Array, approach: Array, place: Array, *, slack: Array
+) -> DemonstratedGrasp:
+    """Closed fingers at a place (3,), by the direction of closing and of approach (3,)."""
+    R = np.stack([np.cross(closing, approach), closing, approach], 1) @ gripper_axes(robot).T
     return DemonstratedGrasp(T_asset_ee=transform(R, place), pivot=place, slack=slack, gripper=(1.0, 1.0))
 
 

@@ -11,7 +11,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.visuals import add_robot_visuals
+from aomgen.robots.silhouette import add_robot_visuals
 from aomgen.simulation.scene import Scene, describe_scene
 from aomgen.synthetic.room import FRONT_M, Room, add_room
 
@@ -25,22 +25,16 @@ FOLLOWED = {"revolute": np.deg2rad(60.0), "prismatic": 0.2}
 # over and away from the robot: the arm has room for 90 degrees of that where the object stands near and
 # is turned with its front across the robot's middle (searched over 360 places of three toolboxes and
 # three laptops).
-BEFORE = ((-18.0, 18.0), (0.56, 0.70))
-# The same where a lid is lifted.
-LIFTED = ((-8.0, 52.0), (0.38, 0.52))
+BEFORE, LIFTED = ((-18.0, 18.0), (0.56, 0.70)), ((-8.0, 52.0), (0.38, 0.52))
 # An object this low lies where people work, [m]: on a mat, with things beside it.
 LOW_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneLayout:
-    """One scene: an object on a table in front of the robot.
+    """One scene: an object, closed at joint value 0, on a table in front of the robot.
 
-    Attributes:
-        asset: The object, closed at joint value 0.
-        room: Table, wall and floor.
-        room_seed: Chooses the room's prints and clutter.
-        T_world_object: Pose (4, 4) of the asset frame.
+    `room_seed` chooses the room's prints and clutter.
     """
 
     asset: ArticulatedAsset

@@ -2,10 +2,10 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
-from aomgen.assets.procedural.builder import pick
-from aomgen.assets.procedural.textures import COLORS, WORDS, Texture, bar_code, draw_ink, noise, tint, wood
+from aomgen.assets.procedural.builder import pick_color
+from aomgen.assets.procedural.textures import WORDS, Texture, bar_code, draw_ink, noise, tint, wood, write
 
 
 def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Texture:
@@ -28,9 +28,7 @@ def poster(rng: np.random.Generator, width: int = 384, height: int = 512) -> Tex
             draw.line((x - a, y - b, x + a, y + b), fill=color, width=int(rng.integers(2, 7)))
     draw.rectangle((0, int(0.86 * height), width, height), fill=(238, 234, 226))
     title = f"{rng.choice(WORDS)} {rng.choice(WORDS)}"
-    draw.text(
-        (14, 0.875 * height), title, fill=(25, 25, 30), font=ImageFont.load_default(int(0.055 * height))
-    )
+    write(draw, (14, 0.875 * height), title, int(0.055 * height), (25, 25, 30))
     for row in range(2):
         _small_print(draw, rng, 14, int((0.94 + 0.025 * row) * height), 9)
     return np.asarray(image)
@@ -54,7 +52,7 @@ def carton(rng: np.random.Generator, width: int = 320, height: int = 240) -> Tex
     bar_code(draw, rng, (label_x + 8, label_x + 138), (label_y + 70, label_y + 88), 5)
     name = f"{rng.choice(WORDS).upper()} {rng.integers(10, 99)}"
     at = (rng.uniform(0.05, 0.4) * width, rng.uniform(0.66, 0.8) * height)
-    draw.text(at, name, fill=ink, font=ImageFont.load_default(int(rng.integers(26, 44))))
+    write(draw, at, name, int(rng.integers(26, 44)), ink)
     for _ in range(int(rng.integers(1, 4))):
         x, y = rng.uniform(0.6, 0.9) * width, rng.uniform(0.15, 0.7) * height
         draw.polygon(
@@ -108,7 +106,7 @@ def checked(rng: np.random.Generator, size: int = 768) -> Texture:
 
 def planks(rng: np.random.Generator, size: int = 768) -> Texture:
     """A wooden board of another shade than the table's."""
-    return wood(rng, pick(rng, COLORS["wood"]), size)
+    return wood(rng, pick_color(rng, "wood"), size)
 
 
 def tiles(rng: np.random.Generator, size: int = 1024, count: int = 6) -> Texture:
@@ -140,4 +138,4 @@ def _smooth_colors(rng: np.random.Generator, width: int, height: int) -> NDArray
 
 def _small_print(draw: ImageDraw.ImageDraw, rng: np.random.Generator, x: int, y: int, size: int) -> None:
     words = " ".join(f"{rng.choice(WORDS)} {rng.integers(10, 999)}" for _ in range(3))
-    draw.text((x, y), words[:22], fill=(45, 45, 50), font=ImageFont.load_default(size))
+    write(draw, (x, y), words[:22], size, (45, 45, 50))

@@ -5,8 +5,9 @@ from typing import Final
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from aomgen.assets.mjcf import add_visual_mesh
+from aomgen.assets.mjcf import COLLIDER_GROUP, add_visual_mesh
 from aomgen.assets.procedural.shapes import Material, box, boxes_mesh, panel
 from aomgen.assets.procedural.textures import brushed_metal
 from aomgen.core.mesh import Mesh
@@ -23,27 +24,22 @@ from aomgen.synthetic.tabletop_objects import (
 
 # Room for the gripper before an object, [m]; part of what is kept free.
 FRONT_M: Final = 0.25
-# Things beside an object lie within this distance of what is kept free, [m].
-BESIDE_M: Final = 0.17
-# A mat reaches at most so far beyond what is kept free, [m].
-MAT_BEYOND_M: Final = 0.15
+# How far beyond what is kept free things beside an object may lie, and a mat may reach, [m].
+BESIDE_M, MAT_BEYOND_M = 0.17, 0.15
 # Of the tables with a low object, so many have a mat; others are bare.
 MAT_SHARE: Final = 0.85
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Room:
-    """Sizes of a room in its own frame: robot at the origin, table and object towards +y, Z up.
+    """Sizes of a room in its own frame, [m]: robot at the origin, table and object towards +y, Z up.
 
     Attributes:
-        T_world_room: Pose (4, 4); a turn about z.
-        table_z: Height of the table top, [m].
-        table: (x0, x1, y0, y1) of the table top, [m].
-        keep_free: (x0, x1, y0, y1) of the table that stays without clutter, [m]; the first FRONT_M of y
+        T_world_room: A turn about z.
+        table: (x0, x1, y0, y1) of the table top.
+        keep_free: (x0, x1, y0, y1) of the table that stays without clutter; the first FRONT_M of y
             are the gripper's.
         desk: Whether the object lies on a mat or on the bare table with small things beside it.
-        wall_y: Plane of the wall, [m].
-        floor_z: Height of the floor, [m].
     """
 
     T_world_room: Matrix4
@@ -62,23 +58,12 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
     T = room.T_world_room
     body = spec.worldbody.add_body(name="room", pos=T[:3, 3], quat=quat_from_matrix(T[:3, :3]))
     x0, x1, y0, y1 = room.table
-    body.add_geom(
-        name=TABLE,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[(x0 + x1) / 2, (y0 + y1) / 2, room.table_z - 0.02],
-        size=[(x1 - x0) / 2, (y1 - y0) / 2, 0.02],
-        group=3,
-    )
+    half = [(x1 - x0) / 2, (y1 - y0) / 2, 0.02]
+    _add_solid(body, TABLE, [(x0 + x1) / 2, (y0 + y1) / 2, room.table_z - 0.02], half)
     things = _beside(room, rng) if room.desk else []
     for number, thing in enumerate(things):
         low, high = np.array(thing.solid.lower), np.array(thing.solid.upper)
-        body.add_geom(
-            name=f"{thing.kind}_{number}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=(low + high) / 2,
-            size=(high - low) / 2,
-            group=3,
-        )
+        _add_solid(body, f"{thing.kind}_{number}", (low + high) / 2, (high - low) / 2)
     if not visual:
         return
     for mesh in make_room_meshes(room, things, rng):
@@ -100,6 +85,11 @@ def add_room(spec: mujoco.MjSpec, room: Room, rng: np.random.Generator, *, visua
             ambient=[0.0] * 3,
             castshadow=shadow,
         )
+
+
+def _add_solid(body: mujoco.MjsBody, name: str, middle: ArrayLike, half: ArrayLike) -> None:
+    kind = mujoco.mjtGeom.mjGEOM_BOX
+    body.add_geom(name=name, type=kind, pos=middle, size=half, group=COLLIDER_GROUP)
 
 
 def make_room_meshes(room: Room, things: list[TabletopObject], rng: np.random.Generator) -> list[Mesh]:

@@ -23,18 +23,16 @@ RANGE_SHARE: Final = 0.95
 MOVED: Final = {"revolute": np.deg2rad(0.5), "prismatic": 0.002}
 # How fast a person lets a robot move a handle: peak speed, [m/s].
 SPEED: Final = (0.02, 0.50)
-# Length of a demonstration's video that is aimed at, [s].
-FILM_S: Final = (8.0, 12.0)
-# Share of the video in which the part moves: from a blink to nearly all of it.
-MOVING_SHARE: Final = (0.03, 0.85)
+# Length of a demonstration's video that is aimed at, [s], and share of it in which the part moves: from a blink to
+# nearly all of it.
+FILM_S, MOVING_SHARE = (8.0, 12.0), (0.03, 0.85)
 # What the random cut of a video takes off on average, [s].
 CUT_S: Final = 0.6
 # Video before and after the motion that is always there, [s].
 LEAST_BEFORE_S, LEAST_AFTER_S = 0.9, 0.5
-# How far a hand slides along a bar at most, [m]: less than half of a short bar.
-MAX_SLIP_M: Final = 0.015
-# Share of its force with which a hand holds that is to slide; with all of it the arm gives way first.
-SLIDING_GRIP: Final = (0.12, 0.25)
+# How far a hand slides along a bar at most, [m]: less than half of a short bar; and the share of its force with
+# which it holds then: with all of it the arm gives way first.
+MAX_SLIP_M, SLIDING_GRIP = 0.015, (0.12, 0.25)
 # Longest standstill within a motion, [s].
 MAX_PAUSE_S: Final = 1.5
 
@@ -94,18 +92,16 @@ def draw_style(
     outcome: Outcome = "moves",
     moving_share: float | None = None,
 ) -> DemonstrationStyle:
-    """A random style for an asset.
+    """A random style for an asset, whose joint gives the range and whose handle the lever.
 
     Args:
-        asset: Gives the joint's range and the handle's lever.
-        rng: Chooses everything that is not given.
-        direction, touch, outcome: As in `DemonstrationStyle`; which touches a part allows, tells
-            `grasp.possible_touches`.
+        direction, touch, outcome: As in `DemonstrationStyle`; `list_grasp_types` tells which touches a part
+            allows.
         moving_share: Share of the video in which the part moves, 0.03..0.85; drawn when None. It
             is met but for the random cut of the video (0.2 s at either end), by a longer video where
             the motion would be too quick.
 
-    Not checked: whether the arm can reach it; `perform` tells.
+    Not checked: whether the arm can reach it; `find_demonstration` tells.
     """
     joint = asset.joint
     low, high = TRAVEL[joint.type]

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from aomgen.assets.procedural.builder import pick_color
 from aomgen.assets.procedural.shapes import (
     AlignedBox,
     Material,
@@ -31,24 +32,13 @@ SIZES: Final = {
 }
 # Things stand this far above the table, so that no two surfaces are drawn in one place, [m].
 ABOVE: Final = 0.0005
-# Thickness of a mat, [m]: the laptop's feet are higher.
-MAT: Final = 0.0008
-# Edge of a mat's print, [m].
-MAT_PRINT: Final = 0.9
-# Colors of mugs, sRGB 0..1: white, blue, red, gray-green.
-GLAZES: Final = ((0.88, 0.86, 0.80), (0.20, 0.36, 0.50), (0.62, 0.22, 0.18), (0.30, 0.33, 0.30))
-# Colors of a computer mouse, sRGB 0..1: black, white, gray.
-DEVICES: Final = ((0.10, 0.10, 0.11), (0.85, 0.85, 0.86), (0.35, 0.36, 0.38))
+# Thickness of a mat, [m]: the laptop's feet are higher; and the edge of its print, [m].
+MAT, MAT_PRINT = 0.0008, 0.9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TabletopObject:
-    """One thing on the table, room frame.
-
-    Attributes:
-        kind: A key of `SIZES`.
-        solid: The box around it, [m].
-    """
+    """One thing on the table: a key of `SIZES`, and the box around it, room frame, [m]."""
 
     kind: str
     solid: AlignedBox
@@ -67,12 +57,9 @@ def draw_object_on_table(
     taken: list[tuple[float, float, float, float]],
     rng: np.random.Generator,
 ) -> TabletopObject | None:
-    """A thing of a kind at a free place; None where it finds none in a few tries.
+    """A thing of a kind between low and high x and y; None where it finds no free place in a few tries.
 
-    Args:
-        spans: Low and high x, and low and high y, between which it lies, [m].
-        table_z: Height of the table, [m].
-        taken: Areas (x0, x1, y0, y1) that stay free, [m].
+    Areas (x0, x1, y0, y1) that are taken stay free, [m].
     """
     for _ in range(60):
         a, b, c = (float(size) for size in rng.uniform(*SIZES[kind]))
@@ -126,7 +113,7 @@ def _mug(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]:
     (x0, y0, z0), (x1, y1, z1) = solid.lower, solid.upper
     radius, height = (y1 - y0) / 2, z1 - z0
     x, y = x0 + radius, (y0 + y1) / 2
-    glaze = Material(texture_srgb=speckled(rng, GLAZES[rng.integers(len(GLAZES))], 256), roughness=0.3)
+    glaze = Material(texture_srgb=speckled(rng, pick_color(rng, "mug"), 256), roughness=0.3)
     coffee = Material(color_srgb=(0.16, 0.09, 0.05))
     low, high = z0 + 0.25 * height, z0 + 0.8 * height
     wall, grip = x + 0.95 * radius, x1 - 0.005
@@ -159,7 +146,7 @@ def _mouse(name: str, solid: AlignedBox, rng: np.random.Generator) -> list[Mesh]
     """A computer mouse: a dome with a dark wheel."""
     (x0, y0, z0), (x1, y1, z1) = solid.lower, solid.upper
     center = ((x0 + x1) / 2, (y0 + y1) / 2, z0)
-    shell = Material(texture_srgb=plastic(rng, DEVICES[rng.integers(len(DEVICES))], 128), roughness=0.4)
+    shell = Material(texture_srgb=plastic(rng, pick_color(rng, "mouse"), 128), roughness=0.4)
     dark = Material(color_srgb=(0.05, 0.05, 0.06))
     y, z = center[1] + 0.22 * (y1 - y0), z0 + 0.85 * (z1 - z0)
     wheel = rod(f"{name}_wheel", (center[0] - 0.003, y, z), (center[0] + 0.003, y, z), 0.008, dark, 12)

@@ -18,8 +18,7 @@ from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import AlignmentError
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])

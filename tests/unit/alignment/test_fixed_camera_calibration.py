@@ -20,8 +20,7 @@ from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
 from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 
 SCAN_JOINTS = np.array([3.5, -2.2, 2.4, 0.25, 1.35, 0.0])

@@ -9,7 +9,7 @@ from aomgen.core.joint_log import JointLog
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_masks import MasksAt, robot_masks
+from aomgen.robots.silhouette import MasksAt, robot_masks
 
 FPS, COUNT = 10.0, 80
 TIMES = np.arange(COUNT) / FPS

@@ -2,15 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from aomgen.assets.asset_check import check_asset, held_at_rim, outward_normal, require_usable
-from aomgen.assets.make import MAKERS, OTHER_MAKERS, make_asset
-from aomgen.assets.mjcf import add_asset
-from aomgen.assets.resistance import HOLDS, holding_friction
+from aomgen.assets.asset_check import check_asset, held_at_rim, outward_normal
+from aomgen.assets.choice import MAKERS, OTHER_MAKERS, make_asset, open_asset
+from aomgen.assets.mjcf import HOLDS, add_asset, holding_friction
+from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.transforms import apply, transform
 from aomgen.errors import AssetError, ConfigError
@@ -192,7 +193,8 @@ def test_mujoco_masses_limits_and_motion_are_the_assets(made: Made) -> None:
     data = mujoco.MjData(model)
     assert model.body(names.moving_body).mass[0] == pytest.approx(asset.moving.mass)
     assert model.joint(names.joint).range.tolist() == pytest.approx([0.0, asset.joint.upper])
-    assert len(names.visual_geoms) == len(asset.static.meshes) + len(asset.moving.meshes)
+    visuals = [g for g in range(model.ngeom) if "_visual_" in model.geom(g).name]
+    assert len(visuals) == len(asset.static.meshes) + len(asset.moving.meshes)
     assert all("handle" in name for name in names.handle_geoms)
     assert len(names.handle_geoms) == 3
     data.joint(names.joint).qpos[0] = 0.17
@@ -236,15 +238,16 @@ def _with_collider(asset, box):
     return replace(asset, moving=replace(asset.moving, colliders=(*asset.moving.colliders, box)))
 
 
-def test_check_names_the_colliders_that_overlap(made: Made) -> None:
+def test_check_names_the_colliders_that_overlap(made: Made, tmp_path: Path) -> None:
     asset = made("microwave", 0)
     peg = BoxCollider(
         name="peg", T_asset_box=transform(np.eye(3), [0, 0, 0.01]), half_extents=[0.02, 0.02, 0.02]
     )
     problems = check_asset(_with_collider(asset, peg))
     assert any("'peg'" in problem and "overlap" in problem for problem in problems)
+    write_usd(_with_collider(asset, peg), tmp_path / "pegged.usda")
     with pytest.raises(AssetError, match="peg"):
-        require_usable(_with_collider(asset, peg))
+        open_asset(str(tmp_path / "pegged.usda"))
 
 
 def test_check_wants_room_for_a_finger_behind_the_handle(made: Made) -> None:

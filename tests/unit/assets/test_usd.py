@@ -9,7 +9,7 @@ import pytest
 
 from aomgen.assets.asset_check import check_asset
 from aomgen.assets.box_cover import box_cover
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_parse import guess_handle, parse_usd
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd

@@ -9,8 +9,7 @@ from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import matrix_from_rotvec, similarity, similarity_parts
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 from benchmarks.alignment import Outcome, summary
 from benchmarks.alignment_cases import (

@@ -2,14 +2,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.conditions import Conditions, scan_cameras
 from aomgen.synthetic.layout import SceneLayout, build_world, draw_layout
-from aomgen.synthetic.scene_renderer import SceneRenderer
+from aomgen.synthetic.scene_recording import Conditions, SceneRenderer, scan_cameras
 from benchmarks.motion_scan import SPACING_M, Surface, raw_gaussians, seen_surface
 from benchmarks.motion_upstream import Upstream
 

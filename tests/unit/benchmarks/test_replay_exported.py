@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.assets.make import make_asset
-from aomgen.assets.resistance import holding_friction
+from aomgen.assets.choice import make_asset
+from aomgen.assets.mjcf import holding_friction
 from aomgen.assets.usd_read import read_usd
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera, look_at
@@ -24,8 +24,8 @@ from aomgen.generalization.generate import GenerationParams, generate_episodes
 from aomgen.generalization.variations import PoseRanges
 from aomgen.io.episode_folder import commit_episode, read_episode
 from aomgen.io.video import encode_video
+from aomgen.robots.loading import save_robot
 from aomgen.robots.robot import RobotModel
-from aomgen.robots.robot_store import save_robot
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from benchmarks.replay_exported import run_replay
 

@@ -12,7 +12,7 @@ from unittest.mock import patch
 import pytest
 
 from aomgen import __version__
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.cli.app import main
 from aomgen.cli.run import find_project

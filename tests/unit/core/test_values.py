@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.joint_log import JointLog
 from aomgen.core.mesh import face_normals_areas, sample_surface

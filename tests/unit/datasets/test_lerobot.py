@@ -10,9 +10,15 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.datasets.features import ee_deltas, ee_targets, feature_columns
+from aomgen.datasets.features import (
+    color_counts,
+    column_statistics,
+    ee_deltas,
+    ee_targets,
+    feature_columns,
+    image_statistics,
+)
 from aomgen.datasets.lerobot_v3 import assign_files, write_lerobot_v3
-from aomgen.datasets.statistics import color_counts, column_statistics, image_statistics
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video, read_video
@@ -82,7 +88,9 @@ def folders(tmp_path_factory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def dataset(folders, tmp_path_factory) -> Path:
-    return write_lerobot_v3(folders, tmp_path_factory.mktemp("out") / "dataset").folder
+    dataset = tmp_path_factory.mktemp("out") / "dataset"
+    write_lerobot_v3(folders, dataset)
+    return dataset
 
 
 def test_counts_and_indices_of_a_dataset(dataset):
@@ -121,7 +129,8 @@ def test_every_frame_of_the_joined_video_is_the_right_one(dataset):
 
 
 def test_same_episodes_give_the_same_bytes(folders, dataset, tmp_path):
-    again = write_lerobot_v3(folders, tmp_path / "again").folder
+    again = tmp_path / "again"
+    write_lerobot_v3(folders, again)
     files = sorted(p.relative_to(dataset) for p in dataset.rglob("*") if p.is_file())
     assert files == sorted(p.relative_to(again) for p in again.rglob("*") if p.is_file())
     for name in files:

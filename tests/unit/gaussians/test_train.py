@@ -16,8 +16,7 @@ from aomgen.gaussians.dense_points import DensePoints
 from aomgen.gaussians.stage import CHECKPOINT_FILE, train_in
 from aomgen.gaussians.train import GaussiansParams, coarse
 from aomgen.io.images import write_image
-from aomgen.pipeline.runner import run_stages
-from aomgen.pipeline.stage import Stage
+from aomgen.pipeline.runner import Stage, run_stages
 from aomgen.pipeline.stages import STAGES
 from aomgen.results import Results
 from aomgen.splatting.rasterizer import render

@@ -34,7 +34,6 @@ from aomgen.parts.prompted_images import PromptedImage, segment_prompts
 from aomgen.parts.scan_views import ScanView
 from aomgen.parts.smoothing import smooth_posterior
 from aomgen.segmentation.interface import PointMasks, given_masks, masks_of_logits
-from aomgen.segmentation.segmenter import ColorCut
 from aomgen.splatting.rasterizer import render
 
 TRAINING = AffinityParams(views=6, channels=8, iterations=40, pixels=200, width=96)
@@ -341,10 +340,3 @@ def test_views_are_spread():
     views = scan_views(gaussians)
     assert [view.name for view in spread_views(views, ["0.jpg"], 2)] == ["0.jpg", "3.jpg"]
     assert len(spread_views(views, [], 9)) == 6
-
-
-def test_a_point_on_a_plain_patch_gives_the_patch():
-    image = np.full((40, 50, 3), 30, np.uint8)
-    image[10:30, 10:20] = (200, 50, 50)
-    answers = ColorCut().prepare("a.jpg", image).at_points([[15.0, 15.0]])
-    assert np.array_equal(answers.masks[0], image[..., 0] == 200)

@@ -15,8 +15,7 @@ from aomgen.paper import icp_alignment as paper_alignment
 from aomgen.paper.icp_alignment import align_as_paper, model_points, robot_points
 from aomgen.paper.link_boxes import bodies_in_boxes
 from aomgen.paper.rigid_icp import rigid_icp, weighted_rigid
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from benchmarks.alignment_methods import methods_table, paper_figures
 
 S_WORLD_RECON = similarity(0.37, matrix_from_rotvec([1.1, -0.7, 2.0]), [0.4, -0.2, 0.9])

@@ -8,7 +8,7 @@ from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, similarity
 from aomgen.parts.coverage import Coverage, coverage_of
 from aomgen.parts.survey import Survey, object_sides, survey, table_sides
-from aomgen.robots.configuration import RobotConfiguration
+from aomgen.robots.robot import RobotConfiguration
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 
 MIDDLE = np.array([0.45, -0.05, 0.15])

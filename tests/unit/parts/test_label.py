@@ -25,11 +25,10 @@ from aomgen.parts.label import (
 from aomgen.parts.prompted_images import segment_prompts
 from aomgen.parts.robot_labels import label_robot, nearest_links
 from aomgen.parts.scan_views import ScanView
-from aomgen.robots.configuration import RobotConfiguration
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 from aomgen.segmentation.interface import clean
-from aomgen.segmentation.segmenter import ColorCut, MasksOnDisk, MobileSam, choose_segmenter
+from aomgen.segmentation.segmenter import MasksOnDisk, MobileSam, choose_segmenter
 from aomgen.segmentation.weights import find_weights
 from aomgen.splatting.rasterizer import render
 
@@ -229,15 +228,6 @@ def test_doubtful_labels_are_warned_about():
     assert (
         "labels of the moving part are doubtful: they overlap with its masks by 55 %, want 60 %" in sentence
     )
-
-
-def test_color_cut_finds_a_colored_rectangle():
-    image = np.full((120, 160, 3), 60, np.uint8)
-    image[40:80, 50:110] = (200, 40, 40)
-    mask = ColorCut().prepare("a.jpg", image).mask("static", [45, 35, 115, 85], np.zeros((0, 3)))
-    want = np.zeros((120, 160), bool)
-    want[40:80, 50:110] = True
-    assert (mask & want).sum() / (mask | want).sum() > 0.95
 
 
 def test_clean_keeps_the_largest_piece_and_fills_its_holes():

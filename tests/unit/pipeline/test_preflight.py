@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.capture import capture_check
 from aomgen.capture.read import read_capture

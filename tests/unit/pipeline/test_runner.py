@@ -10,8 +10,7 @@ from aomgen.core.project import Project
 from aomgen.errors import AomgenError, CorruptArtifactError, InputError, LockedError
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.pipeline.manifest import MANIFEST, read_manifest, verify
-from aomgen.pipeline.runner import run_stages, stage_states
-from aomgen.pipeline.stage import WARNINGS, Stage
+from aomgen.pipeline.runner import WARNINGS, Stage, run_stages, stage_states
 from aomgen.results import Results
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
 from aomgen.core.joint import Joint

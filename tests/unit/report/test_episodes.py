@@ -14,7 +14,7 @@ from aomgen.io.video import encode_video, read_frames
 from aomgen.pipeline.stages import STAGES
 from aomgen.report import episodes
 from aomgen.report.episodes import episodes_section, reasons, rejects_section
-from aomgen.report.summary import provenance_table
+from aomgen.report.page import provenance_table
 from aomgen.results import Results
 from drawer_episode import corner_camera, drawer_episode
 

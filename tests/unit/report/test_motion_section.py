@@ -12,7 +12,7 @@ from aomgen.core.joint import Joint, JointType
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.io.artifact import save_artifact
 from aomgen.motion.estimates_file import REFUSED_MOTION, forget_refusal
-from aomgen.report.joint_drawing import AXIS, TOUCH, axis_space, overlay_motion
+from aomgen.report.drawing import AXIS, TOUCH, axis_space, overlay_motion
 from aomgen.report.motion_section import motion_charts, motion_sentence, write_refusal
 
 TIMES_S = np.linspace(0, 4, 41, dtype=np.float64)

@@ -13,8 +13,15 @@ from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.errors import BackendError, InputError
 from aomgen.segmentation.interface import clean, masks_of_logits
-from aomgen.segmentation.sam2 import Sam2, input_points, input_prompt, load_pretrained, pixel_values
-from aomgen.segmentation.sam2_video import carry_prompts, load_tracker
+from aomgen.segmentation.sam2 import (
+    Sam2,
+    carry_prompts,
+    input_points,
+    input_prompt,
+    load_pretrained,
+    load_tracker,
+    pixel_values,
+)
 from aomgen.segmentation.sam2_weights import find_sam2, install_sam2, list_installed, main
 from aomgen.segmentation.segmenter import MasksOnDisk, choose_segmenter
 

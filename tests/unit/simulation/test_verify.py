@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.assets.make import make_asset
-from aomgen.assets.resistance import RESISTANCES
+from aomgen.assets.choice import make_asset
+from aomgen.assets.mjcf import RESISTANCES
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode

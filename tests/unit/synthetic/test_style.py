@@ -6,19 +6,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from aomgen.assets.make import make_asset
+from aomgen.assets.choice import make_asset
 from aomgen.core.camera import Camera
 from aomgen.core.motion import Direction
 from aomgen.core.transforms import invert, rotvec_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.capture_writer import find_moved_range
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S
-from aomgen.synthetic.conditions import Conditions
-from aomgen.synthetic.demo_video import draw_schedule, render_frames
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
-from aomgen.synthetic.scene_renderer import SceneRenderer
+from aomgen.synthetic.scene_recording import Conditions, SceneRenderer, draw_schedule, render_frames
 from aomgen.synthetic.style import (
     DemonstrationStyle,
     GraspType,
@@ -26,7 +23,7 @@ from aomgen.synthetic.style import (
     compute_progress,
     draw_style,
 )
-from aomgen.synthetic.world import draw_capture_style
+from aomgen.synthetic.world import draw_capture_style, find_moved_range
 
 SHORT = Conditions(size=(96, 72), fps=4)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.assets.make import MAKERS, make_asset
+from aomgen.assets.choice import MAKERS, make_asset
 from aomgen.capture.read import read_capture
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.asset import ArticulatedAsset
@@ -20,14 +20,13 @@ from aomgen.io.images import read_labels
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
 from aomgen.robots.robot import RobotModel
-from aomgen.synthetic.capture_writer import find_moved_range, make_prompt
-from aomgen.synthetic.conditions import Conditions
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration, simulate
 from aomgen.synthetic.grasp_selection import draw_usual_style
 from aomgen.synthetic.layout import build_world, draw_layout
+from aomgen.synthetic.scene_recording import Conditions
 from aomgen.synthetic.style import draw_style
 from aomgen.synthetic.tabletop_objects import SIZES
-from aomgen.synthetic.world import make_capture
+from aomgen.synthetic.world import find_moved_range, make_capture, make_prompt
 from benchmarks.truth import read_truth
 
 SIZE = (128, 96)
@@ -49,7 +48,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_object_moves_only_while_the_fingers_hold_it(performance: Performance) -> None:
     shown = performance.demonstration
-    start, goal = performance.script.theta_start, performance.script.theta_goal
+    start, goal = performance.script.theta_start, performance.style.goal
     touched = np.array([len(touches) > 0 for touches in shown.contacts])
     first = int(np.argmax(touched))
     assert 1000 < first < 3000
@@ -84,7 +83,7 @@ def test_without_a_grasp_nothing_opens(robot: RobotModel, performance: Performan
         world.model.geom(name).contype = 0
         world.model.geom(name).conaffinity = 0
     shown = simulate(world, open_hand)
-    start, goal = performance.script.theta_start, performance.script.theta_goal
+    start, goal = performance.script.theta_start, performance.style.goal
     assert abs(shown.theta[-1] - start) < 0.05 * goal
 
 

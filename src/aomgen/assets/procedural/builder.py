@@ -1,13 +1,16 @@
 """What all designs of made assets share: sizes drawn from a table, links built row by row, bars, joints.
 
-A design is a table of sizes and one function that lists boxes, prints and rods in the asset frame: front
-towards -y, centred in x, on z = 0.
+A design is a table of sizes in `designs.toml` and one function that lists boxes, prints and rods in the asset
+frame: front towards -y, centred in x, on z = 0.
 """
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,6 +50,12 @@ FACES: Final = {
 POST: Final = 0.8
 
 
+@cache
+def design(name: str) -> Mapping[str, Any]:
+    """A table of `designs.toml`."""
+    return tomllib.loads((Path(__file__).parent / "designs.toml").read_text("utf-8"))[name]
+
+
 def draw_sizes(rng: np.random.Generator, table: Mapping[str, Span]) -> SimpleNamespace:
     """One number within the range of each row, in the order of the table."""
     return SimpleNamespace(**{name: rng.uniform(*span) for name, span in table.items()})
@@ -57,15 +66,19 @@ def pick(rng: np.random.Generator, options: Sequence[Item]) -> Item:
     return options[int(rng.integers(len(options)))]
 
 
+def pick_color(rng: np.random.Generator, kind: str) -> Color:
+    """One of the usual colors of something, sRGB 0..1."""
+    return pick(rng, design("colors")[kind])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BarHandle:
-    """A bar on two posts that a parallel gripper can hold from the front.
+    """A bar on two posts that a parallel gripper can hold from the front, [m].
 
     Attributes:
-        foot: Point of the front's plane behind the bar's middle (3,), [m].
+        foot: Point of the front's plane behind the bar's middle (3,).
         axis: Unit direction of the bar (3,).
-        length, thickness: Of the bar, [m].
-        clearance: Free depth between front and bar, [m].
+        clearance: Free depth between front and bar.
     """
 
     foot: Array
@@ -107,12 +120,9 @@ class BarHandle:
 
 def make_bar(s: SimpleNamespace, foot: ArrayLike, axis: Array, length: float) -> BarHandle:
     """A bar as thick and as far off as the drawn sizes say."""
+    place = np.asarray(foot, np.float64)
     return BarHandle(
-        foot=np.asarray(foot, np.float64),
-        axis=axis,
-        length=length,
-        thickness=s.bar_thickness,
-        clearance=s.bar_clearance,
+        foot=place, axis=axis, length=length, thickness=s.bar_thickness, clearance=s.bar_clearance
     )
 
 
@@ -225,13 +235,8 @@ def lining(x: Span, y: Span, z: Span) -> list[AlignedBox]:
 
 def hinge(axis: ArrayLike, origin: ArrayLike, opening_deg: float) -> Joint:
     """A revolute joint that opens so far."""
-    return Joint(
-        type="revolute",
-        axis=np.asarray(axis, np.float64),
-        origin=np.asarray(origin, np.float64),
-        lower=0.0,
-        upper=np.deg2rad(opening_deg),
-    )
+    line, place = np.asarray(axis, np.float64), np.asarray(origin, np.float64)
+    return Joint(type="revolute", axis=line, origin=place, lower=0.0, upper=np.deg2rad(opening_deg))
 
 
 def slide(axis: ArrayLike, bar: BarHandle, travel: float) -> Joint:
@@ -247,11 +252,5 @@ def assemble(
     """The asset, still without a name; it is held at a bar, or at a point (3,) of a level rim."""
     point, axis = (held.middle, held.axis) if isinstance(held, BarHandle) else (held, LEVEL)
     return ArticulatedAsset(
-        name="",
-        category=category,
-        static=static,
-        moving=moving,
-        joint=joint,
-        handle_point=point,
-        handle_axis=axis,
-    )
+        name="", category=category, static=static, moving=moving, joint=joint, handle_point=point, handle_axis=axis
+    )  # fmt: skip

@@ -16,14 +16,15 @@ from aomgen.assets.procedural.builder import (
     Span,
     assemble,
     carcass,
+    design,
     draw_sizes,
     feet,
     make_bar,
     pick,
+    pick_color,
     slide,
 )
 from aomgen.assets.procedural.shapes import AlignedBox, Material, box, merge_meshes, rod
-from aomgen.assets.procedural.textures import COLORS
 from aomgen.core.asset import ArticulatedAsset
 
 # Free space between a body and what slides in it, [m].
@@ -34,58 +35,6 @@ LEAST_BAR_Z = 0.105
 DARK_SHARE, ONE_WOOD_SHARE = 0.4, 0.3
 # A drawer stays in its body by this much, [m].
 KEPT_IN = 0.09
-# Sizes [m], masses [kg], shares; a cabinet is drawn with the sliding panel on the left (-x).
-SIZES = {
-    "drawer": {
-        "height": (0.22, 0.32),
-        "depth": (0.34, 0.40),
-        "width": (0.36, 0.44),
-        "feet": (0.012, 0.025),
-        "board": (0.014, 0.018),
-        "drawer_height": (0.12, 0.15),
-        "side": (0.009, 0.012),
-        "travel": (0.22, 0.30),
-        "bar_length": (0.13, 0.18),
-        "bar_thickness": (0.011, 0.015),
-        "bar_clearance": (0.028, 0.034),
-        "body_mass": (9.0, 12.0),
-        "part_mass": (1.6, 2.4),
-    },
-    "dresser": {
-        "feet": (0.03, 0.05),
-        "board": (0.014, 0.018),
-        "side": (0.009, 0.012),
-        "travel": (0.20, 0.28),
-        "bar_length": (0.09, 0.15),
-        "bar_thickness": (0.006, 0.010),
-        "bar_clearance": (0.024, 0.032),
-        "body_mass": (9.0, 14.0),
-        "part_mass": (1.4, 2.2),
-    },
-    "cabinet": {
-        "width": (0.50, 0.62),
-        "height": (0.27, 0.35),
-        "depth": (0.24, 0.30),
-        "feet": (0.015, 0.030),
-        "board": (0.013, 0.017),
-        "rail": (0.018, 0.024),
-        "door": (0.012, 0.016),
-        "overlap": (0.015, 0.030),
-        "bar_share": (0.45, 0.62),
-        "bar_thickness": (0.011, 0.015),
-        "bar_clearance": (0.028, 0.034),
-        "body_mass": (9.0, 12.0),
-        "part_mass": (0.9, 1.5),
-        "side": (0, 1),
-    },
-}
-# Depth of a dresser, width and height of each of its fronts, [m], by columns and rows.
-GRIDS = {
-    (1, 2): {"depth": (0.30, 0.36), "pitch_x": (0.34, 0.42), "pitch_z": (0.12, 0.14)},
-    (1, 3): {"depth": (0.30, 0.36), "pitch_x": (0.34, 0.42), "pitch_z": (0.12, 0.14)},
-    (2, 1): {"depth": (0.30, 0.36), "pitch_x": (0.24, 0.28), "pitch_z": (0.16, 0.20)},
-    (2, 2): {"depth": (0.30, 0.36), "pitch_x": (0.24, 0.28), "pitch_z": (0.12, 0.14)},
-}
 # Plywood, sRGB 0..1.
 PLY = (0.86, 0.77, 0.62)
 FELT = Material(color_srgb=(0.10, 0.09, 0.08))
@@ -93,12 +42,12 @@ FELT = Material(color_srgb=(0.10, 0.09, 0.08))
 
 def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
     """A body with one drawer, above a shelf where there is room."""
-    s = draw_sizes(rng, SIZES["drawer"])
+    s = draw_sizes(rng, design("drawer"))
     w, y0, y1, z0, z1 = s.width / 2, -s.depth / 2, s.depth / 2, s.feet, s.height
     top = z1 - s.board
     low = top - s.drawer_height
-    wood = _wood(rng, COLORS["wood"], 0.55)
-    front = _wood(rng, COLORS["wood"], 0.5) if rng.random() < 0.5 else _paint(rng, pick(rng, COLORS["paint"]))
+    wood = _wood(rng, "wood", 0.55)
+    front = _wood(rng, "wood", 0.5) if rng.random() < 0.5 else _paint(rng, pick_color(rng, "paint"))
     plate = Material(texture_srgb=textures.label(rng))
     boards = carcass(w, (y0, y1), (z0, z1), s.board)
     if low - s.board > z0 + s.board + 0.02:
@@ -129,8 +78,9 @@ def make_drawer(rng: np.random.Generator) -> ArticulatedAsset:
 
 def make_dresser(rng: np.random.Generator) -> ArticulatedAsset:
     """Equal fronts with equal thin bars, of which only one slides out."""
-    columns, rows = pick(rng, list(GRIDS))
-    s = draw_sizes(rng, {**GRIDS[columns, rows], **SIZES["dresser"]})
+    grid = pick(rng, list(design("grids")))
+    columns, rows = (int(count) for count in grid.split("x"))
+    s = draw_sizes(rng, {**design("grids")[grid], **design("dresser")})
     s.width, s.height = columns * s.pitch_x, s.feet + rows * s.pitch_z
     faces = {cell: _dresser_front(s, cell) for cell in product(range(columns), range(rows))}
     bars = {cell: _dresser_bar(s, face) for cell, face in faces.items()}
@@ -185,17 +135,17 @@ def _dresser_bar(s: SimpleNamespace, face: AlignedBox) -> BarHandle:
 def _dresser_surfaces(rng: np.random.Generator) -> tuple[Material, Material, Material]:
     """Of the body, of all fronts and of all bars."""
     kind = rng.random()
-    body = _wood(rng, COLORS["dark"] if kind < DARK_SHARE else COLORS["wood"], 0.55)
-    front = _paint(rng, pick(rng, COLORS["paint"])) if kind > DARK_SHARE + ONE_WOOD_SHARE else body
+    body = _wood(rng, "dark" if kind < DARK_SHARE else "wood", 0.55)
+    front = _paint(rng, pick_color(rng, "paint")) if kind > DARK_SHARE + ONE_WOOD_SHARE else body
     return body, front, _metal(rng)
 
 
 def make_cabinet(rng: np.random.Generator) -> ArticulatedAsset:
     """A fixed panel and, before an open shelf, one that slides sideways."""
-    s = draw_sizes(rng, SIZES["cabinet"])
+    s = draw_sizes(rng, design("cabinet"))
     body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("cabinet", "door"))
     w, front = s.width / 2, -s.depth / 2
-    wood, paint = _wood(rng, COLORS["wood"], 0.55), pick(rng, COLORS["paint"])
+    wood, paint = _wood(rng, "wood", 0.55), pick_color(rng, "paint")
     z = (s.feet + s.rail + GAP, s.height - s.rail - GAP)
     slab = box(-s.width / 2 + GAP, s.overlap, front - GAP - s.door, front - GAP, *z)
     middle = np.array([body.across(-s.width / 2 + 0.055), slab.lower[1], (z[0] + z[1]) / 2])
@@ -251,7 +201,7 @@ def _add_sliding_panel(
     bar: BarHandle,
     rng: np.random.Generator,
 ) -> None:
-    face = _wood(rng, COLORS["wood"], 0.5) if rng.random() < 0.5 else _paint(rng, paint)
+    face = _wood(rng, "wood", 0.5) if rng.random() < 0.5 else _paint(rng, paint)
     metal = _metal(rng)
     art = textures.stickers(rng, face.texture_srgb.mean((0, 1)) / 255, 320, 320, 5)
     door.boxes("door", {"door": slab}, face)
@@ -265,13 +215,10 @@ def _add_sliding_panel(
 
 
 def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, AlignedBox]:
-    """The open box behind a drawer's front: floor, two sides and back.
+    """The open box behind a drawer's front: floor, two sides and back, all `thin`, [m].
 
-    Args:
-        sides: Outer planes across, asset frame x, [m].
-        depth: From the front's back side to the tray's end, asset frame y, [m].
-        heights: Of the floor's lower side and of the rim, [m].
-        thin: Thickness of all four, [m].
+    Between outer planes across (x), from the front's back side to the tray's end (y), from the floor's lower
+    side to the rim (z).
     """
     (x0, x1), (start, end), (floor, rim) = sides, depth, heights
     return {
@@ -282,8 +229,8 @@ def tray(sides: Span, depth: Span, heights: Span, thin: float) -> dict[str, Alig
     }
 
 
-def _wood(rng: np.random.Generator, colors: tuple[Color, ...], roughness: float) -> Material:
-    return Material(texture_srgb=textures.wood(rng, pick(rng, colors)), roughness=roughness)
+def _wood(rng: np.random.Generator, kind: str, roughness: float) -> Material:
+    return Material(texture_srgb=textures.wood(rng, pick_color(rng, kind)), roughness=roughness)
 
 
 def _paint(rng: np.random.Generator, color: Color) -> Material:
@@ -291,5 +238,5 @@ def _paint(rng: np.random.Generator, color: Color) -> Material:
 
 
 def _metal(rng: np.random.Generator) -> Material:
-    brushed = textures.brushed_metal(rng, pick(rng, COLORS["metal"]), 256)
+    brushed = textures.brushed_metal(rng, pick_color(rng, "metal"), 256)
     return Material(texture_srgb=brushed, metallic=0.8, roughness=0.3)

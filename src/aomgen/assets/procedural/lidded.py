@@ -13,59 +13,16 @@ from aomgen.assets.procedural.builder import (
     LinkBuilder,
     Span,
     assemble,
+    design,
     draw_sizes,
     hinge,
     make_bar,
-    pick,
+    pick_color,
 )
 from aomgen.assets.procedural.shapes import PRINT_GAP, AlignedBox, Material, box, merge_meshes, panel, rod
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
 
-# Sizes [m], masses [kg], opening [deg]; the notch is a recess in the base's front, in which the lid stands out.
-SIZES = {
-    "toolbox": {
-        "width": (0.36, 0.46),
-        "depth": (0.19, 0.24),
-        "seam": (0.11, 0.15),
-        "lid": (0.055, 0.080),
-        "wall": (0.006, 0.010),
-        "bar_length": (0.12, 0.16),
-        "bar_thickness": (0.011, 0.015),
-        "bar_clearance": (0.028, 0.034),
-        "opening": (100, 108),
-        "body_mass": (4.0, 7.0),
-        "lid_mass": (0.5, 0.9),
-    },
-    "laptop": {
-        "width": (0.28, 0.38),
-        "depth_share": (0.66, 0.72),
-        "base": (0.012, 0.020),
-        "lid": (0.005, 0.009),
-        "notch_width": (0.066, 0.080),
-        "notch_depth": (0.012, 0.015),
-        "bezel": (0.006, 0.012),
-        "opening": (115, 135),
-        "body_mass": (1.2, 2.2),
-        "lid_mass": (0.4, 0.7),
-    },
-}
-# Colors, sRGB 0..1; the maker's taste.
-COLORS = {
-    "toolbox": ((0.16, 0.17, 0.18), (0.30, 0.31, 0.33), (0.12, 0.16, 0.24), (0.24, 0.20, 0.17)),
-    # Brighter than the boxes: red, yellow, blue, green, orange.
-    "lid": (
-        (0.72, 0.13, 0.10),
-        (0.86, 0.62, 0.10),
-        (0.12, 0.32, 0.60),
-        (0.20, 0.46, 0.26),
-        (0.80, 0.38, 0.10),
-    ),
-    # Of tools: orange, blue, yellow.
-    "grip": ((0.80, 0.30, 0.08), (0.10, 0.42, 0.70), (0.85, 0.70, 0.10)),
-    # Silver, black, blue, copper.
-    "laptop": ((0.66, 0.67, 0.69), (0.20, 0.21, 0.23), (0.34, 0.40, 0.48), (0.72, 0.62, 0.54)),
-}
 # Height of the rubber strips below a laptop, depth of its lid's rim, and how far inside of the edge it is held, [m].
 STRIPS, RIM, HELD = 0.002, 0.016, 0.004
 IRON = Material(color_srgb=(0.62, 0.63, 0.66), metallic=0.8, roughness=0.35)
@@ -75,8 +32,8 @@ BEZEL = Material(color_srgb=(0.05, 0.05, 0.06))
 
 def make_toolbox(rng: np.random.Generator) -> ArticulatedAsset:
     """A hollow body with a tray of tools, latches, and a lid with a carrying handle."""
-    s = draw_sizes(rng, SIZES["toolbox"])
-    body_color, lid_color = pick(rng, COLORS["toolbox"]), pick(rng, COLORS["lid"])
+    s = draw_sizes(rng, design("toolbox"))
+    body_color, lid_color = pick_color(rng, "toolbox"), pick_color(rng, "lid")
     s.low = s.seam + SEAL
     bar = make_bar(s, [0.0, -s.depth / 2, s.low + s.lid / 2], LEVEL, s.bar_length)
     body, lid = LinkBuilder("body"), LinkBuilder("lid")
@@ -117,7 +74,7 @@ def _add_tools(body: LinkBuilder, s: SimpleNamespace, rng: np.random.Generator) 
     half = 0.30 * s.width
     for number, share in enumerate((0.22, 0.5, 0.78)):
         y, x = y0 + share * (y1 - y0), rng.uniform(-0.05, 0.02)
-        colored = Material(texture_srgb=textures.plastic(rng, pick(rng, COLORS["grip"]), 64))
+        colored = Material(texture_srgb=textures.plastic(rng, pick_color(rng, "grip"), 64))
         end = x + half
         body.meshes.append(rod(f"grip_{number}", (x - half, y, z + 0.012), (x, y, z + 0.012), 0.012, colored))
         shaft = rod("shaft", (x, y, z + 0.010), (end, y, z + 0.010), 0.006, IRON)
@@ -185,9 +142,9 @@ def _steel(rng: np.random.Generator) -> Material:
 
 def make_laptop(rng: np.random.Generator) -> ArticulatedAsset:
     """A closed laptop that lies flat: thin base with a notch in front, thin lid held by its front edge."""
-    s = draw_sizes(rng, SIZES["laptop"])
+    s = draw_sizes(rng, design("laptop"))
     s.depth, s.seam = s.width * s.depth_share, STRIPS + s.base
-    color = pick(rng, COLORS["laptop"])
+    color = pick_color(rng, "laptop")
     base, lid = LinkBuilder("base"), LinkBuilder("lid")
     _add_base(base, s, color, rng)
     _add_laptop_lid(lid, s, color, rng)

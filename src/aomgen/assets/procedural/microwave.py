@@ -12,54 +12,25 @@ from aomgen.assets.procedural.builder import (
     Color,
     LinkBuilder,
     assemble,
+    design,
     draw_sizes,
     feet,
     hinge,
     lining,
     make_bar,
-    pick,
+    pick_color,
     window_frame,
 )
 from aomgen.assets.procedural.shapes import Material, box, panel, rod
 from aomgen.core.asset import ArticulatedAsset
 
-# Sizes [m], masses [kg], opening [deg], shares; drawn with the hinge on the left (-x).
-SIZES = {
-    "width": (0.45, 0.52),
-    "height": (0.26, 0.31),
-    "depth": (0.32, 0.38),
-    "feet": (0.008, 0.014),
-    "wall": (0.012, 0.018),
-    "door": (0.026, 0.036),
-    "door_share": (0.72, 0.78),
-    "frame": (0.034, 0.046),
-    "bar_thickness": (0.012, 0.016),
-    "bar_clearance": (0.028, 0.034),
-    "bar_share": (0.58, 0.72),
-    "opening": (100, 112),
-    "body_mass": (8.0, 12.0),
-    "door_mass": (1.7, 2.3),
-    "side": (0, 1),
-}
-# Colors, sRGB 0..1; the maker's taste.
-COLORS = {
-    "body": (
-        (0.72, 0.73, 0.74),
-        (0.88, 0.87, 0.84),
-        (0.20, 0.21, 0.22),
-        (0.62, 0.16, 0.14),
-        (0.55, 0.66, 0.70),
-    ),
-    # Black, grey, white.
-    "door": ((0.10, 0.10, 0.11), (0.16, 0.17, 0.19), (0.80, 0.80, 0.79)),
-}
 RUBBER = Material(color_srgb=(0.07, 0.07, 0.07))
 
 
 def make_microwave(rng: np.random.Generator) -> ArticulatedAsset:
     """One microwave; every size, color and print comes from `rng`."""
-    s = draw_sizes(rng, SIZES)
-    body_color, door_color = pick(rng, COLORS["body"]), pick(rng, COLORS["door"])
+    s = draw_sizes(rng, design("microwave"))
+    body_color, door_color = pick_color(rng, "microwave"), pick_color(rng, "microwave_door")
     s.door_width = s.width * s.door_share
     body, door = (LinkBuilder(name, mirrored=s.side < 0.5) for name in ("body", "door"))
     # The back and the front of the door, asset frame y.

@@ -1,7 +1,8 @@
 """Boxes, rods, discs and printed panels with texture coordinates, from which makers build links."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,7 @@ from aomgen.core.values import Array
 PRINT_GAP = 0.0006
 # The two in-plane axes (u, v) of a face whose normal is axis x, y or z.
 _PLANE_AXES = ((1, 2), (0, 2), (0, 1))
-_NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
+NO_TEXTURE = np.zeros((0, 0, 3), np.uint8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +30,7 @@ class Material:
         roughness, metallic: UsdPreviewSurface's parameters.
     """
 
-    texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: _NO_TEXTURE)
+    texture_srgb: NDArray[np.uint8] = field(default_factory=lambda: NO_TEXTURE)
     color_srgb: tuple[float, float, float] = (0.8, 0.8, 0.8)
     tile_m: float = 0.6
     roughness: float = 0.6
@@ -70,15 +71,10 @@ def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mes
     Coordinates start at the mesh's lowest corner and never leave 0..1: a mesh larger than the
     tile stretches the texture instead of repeating it.
     """
-    quads, normals = [], []
-    for item in boxes:
-        for axis in range(3):
-            for high in (False, True):
-                if ("XYZ" if high else "xyz")[axis] in item.skip:
-                    continue
-                quads.append(_box_face(item, axis, high))
-                normals.append(axis)
-    corners = np.array(quads)
+    sides = list(product(boxes, range(3), (False, True)))
+    faces = [(item, axis, high) for item, axis, high in sides if ("xyz", "XYZ")[high][axis] not in item.skip]
+    normals = [axis for _, axis, _ in faces]
+    corners = np.array([_box_face(*face) for face in faces])
     low = corners.min((0, 1))
     tile = max(surface.tile_m, float((corners.max((0, 1)) - low).max()))
     uvs = np.stack(
@@ -90,9 +86,7 @@ def boxes_mesh(name: str, boxes: Sequence[AlignedBox], surface: Material) -> Mes
 def panel(name: str, corner: ArrayLike, right: ArrayLike, up: ArrayLike, surface: Material) -> Mesh:
     """A print: one rectangle seen from the side `right x up`, its texture upright and whole.
 
-    Args:
-        corner: Lower left corner as seen from outside (3,), [m].
-        right, up: Edges (3,), [m].
+    The corner is the lower left one as seen from outside (3,), [m]; `right` and `up` are edges.
     """
     corner, right, up = (np.asarray(v, np.float64) for v in (corner, right, up))
     quad = np.stack([corner, corner + right, corner + right + up, corner + up])
@@ -125,12 +119,7 @@ def rod(
 
 
 def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material, sides: int = 20) -> Mesh:
-    """Upper half of an ellipsoid on a plane z, texture seen from above.
-
-    Args:
-        center: Of its flat side (3,), [m].
-        radii: Along x, y and z (3,), [m].
-    """
+    """Upper half of an ellipsoid with radii (3,) on a plane z around a center (3,), [m], texture seen from above."""
     around = np.arange(sides + 1) * 2 * np.pi / sides
     up = np.linspace(0.0, np.pi / 2, sides // 4 + 1)
     unit = np.stack(
@@ -149,16 +138,12 @@ def dome(name: str, center: ArrayLike, radii: ArrayLike, surface: Material, side
 def merge_meshes(name: str, meshes: Sequence[Mesh]) -> Mesh:
     """One mesh of several that share the first one's surface."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
-    first = meshes[0]
-    return Mesh(
+    return replace(
+        meshes[0],
         name=name,
         vertices=np.concatenate([m.vertices for m in meshes]),
         faces=np.concatenate([m.faces + offset for m, offset in zip(meshes, offsets, strict=True)]),
         uvs=np.concatenate([m.uvs for m in meshes]),
-        texture_srgb=first.texture_srgb,
-        color_srgb=first.color_srgb,
-        roughness=first.roughness,
-        metallic=first.metallic,
     )
 
 

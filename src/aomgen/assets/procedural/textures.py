@@ -1,7 +1,5 @@
 """Textures of made assets: wood, metal, plastic, enamel, glass; prints with words, stickers, keys and screens."""
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
@@ -13,25 +11,10 @@ Texture = NDArray[np.uint8]
 # Names of makers and products.
 WORDS = ("Orlo", "Vesta", "Kanto", "Milla", "Norden", "Tavi", "Brisk", "Ondea", "Halden", "Pelto")
 KEY_ROWS = ("`1234567890-=", "QWERTYUIOP[]", "ASDFGHJKL;'", "ZXCVBNM,./")
-# Usual colors, sRGB 0..1.
-COLORS: Final = {
-    # Oak, walnut, mahogany, maple.
-    "wood": ((0.76, 0.60, 0.42), (0.58, 0.40, 0.26), (0.42, 0.28, 0.20), (0.83, 0.74, 0.60)),
-    # White, blue, green, red.
-    "paint": ((0.86, 0.85, 0.82), (0.34, 0.45, 0.52), (0.52, 0.58, 0.44), (0.70, 0.34, 0.26)),
-    # Stained wood and black lacquer.
-    "dark": ((0.13, 0.11, 0.10), (0.15, 0.16, 0.18), (0.21, 0.14, 0.10)),
-    # Steel, brass, black.
-    "metal": ((0.76, 0.76, 0.78), (0.72, 0.60, 0.36), (0.22, 0.22, 0.23)),
-}
 
 
 def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float]) -> Array:
-    """Smooth tileable noise (size, size) with zero mean and unit spread.
-
-    Args:
-        sigma: Blur along rows (v) and columns (u), [px].
-    """
+    """Smooth tileable noise (size, size) with zero mean and unit spread, blurred along rows (v) and columns (u), [px]."""
     along_v, along_u = (sigma, sigma) if isinstance(sigma, int | float) else sigma
     # In the frequency domain a wide blur costs as little as a narrow one, and tiles by itself.
     v = np.exp(-2 * (np.pi * along_v * np.fft.fftfreq(size)) ** 2)
@@ -42,7 +25,7 @@ def noise(rng: np.random.Generator, size: int, sigma: float | tuple[float, float
 
 
 def tint(color_srgb: ArrayLike, shade: Array) -> Texture:
-    """Texture (H, W, 3) uint8: one color (0..1) brightened by `shade` (H, W), +0.1 means 10 %."""
+    """Texture (H, W, 3): one color (0..1) brightened by `shade` (H, W), +0.1 means 10 %."""
     image = np.asarray(color_srgb, np.float64) * (1.0 + shade[..., None])
     return np.round(255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
 
@@ -104,9 +87,7 @@ def stickers(
 ) -> Texture:
     """A grained surface with stickers of several shapes, colors and words, no two alike.
 
-    Args:
-        color_srgb: Of the surface between them (3,), 0..1.
-        count: How many; each has a cell of its own, so that none hides another.
+    Each has a cell of its own, so that none hides another.
     """
     size = max(width, height)
     ground = tint(color_srgb, 0.03 * noise(rng, size, 0.8) + 0.03 * noise(rng, size, 20))
@@ -143,7 +124,7 @@ def screen(rng: np.random.Generator) -> Texture:
         draw.rectangle((x0, y0, x1, y1), fill=(243, 243, 240), outline=(60, 60, 60))
         draw.rectangle((x0, y0, x1, y0 + 14), fill=draw_ink(rng))
         for y in range(y0 + 22, y1 - 10, 12):
-            draw.text((x0 + 6, y), _words(rng, 3), fill=(40, 40, 50), font=ImageFont.load_default(10))
+            write(draw, (x0 + 6, y), _words(rng, 3), 10, (40, 40, 50))
     for icon in range(9):
         x = width * (0.2 + 0.068 * icon)
         draw.rounded_rectangle((x, height - 26, x + 20, height - 6), 4, fill=draw_ink(rng))
@@ -164,7 +145,7 @@ def keyboard(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
         for column, letter in enumerate(letters):
             x, y = left + (column + 0.4 * row) * pitch, top + row * 0.8 * pitch
             draw.rounded_rectangle((x, y, x + pitch - 4, y + 0.8 * pitch - 4), 3, fill=key)
-            draw.text((x + 7, y + 4), letter, fill=ink, font=ImageFont.load_default(13))
+            write(draw, (x + 7, y + 4), letter, 13, ink)
     y = top + 4 * 0.8 * pitch
     for start, length in ((0, 1.4), (1.5, 1.4), (3.1, 6.2), (9.4, 1.4), (10.9, 2.5)):
         x = left + start * pitch
@@ -184,27 +165,19 @@ def keypad(rng: np.random.Generator, color_srgb: ArrayLike) -> Texture:
     margin, top = int(0.12 * width), int(0.06 * height)
     draw.rectangle((margin, top, width - margin, top + int(0.13 * height)), fill=(8, 12, 10))
     clock = f"{rng.integers(1, 24)}:{rng.integers(0, 60):02d}"
-    draw.text(
-        (width / 2, top + 0.065 * height),
-        clock,
-        fill=(90, 240, 150),
-        font=ImageFont.load_default(40),
-        anchor="mm",
-    )
+    write(draw, (width / 2, top + 0.065 * height), clock, 40, (90, 240, 150), "mm")
     names = [str(i) for i in range(1, 10)] + ["C", "0", "+"]
     cell = (width - 2 * margin) / 3
     for index, name in enumerate(names):
         x, y = margin + cell * (index % 3), 0.28 * height + 0.9 * cell * (index // 3)
         box = (x + 3, y + 3, x + cell - 3, y + 0.9 * cell - 3)
         draw.rounded_rectangle(box, 5, outline=ink, width=2)
-        draw.text(
-            (x + cell / 2, y + 0.45 * cell), name, fill=ink, font=ImageFont.load_default(22), anchor="mm"
-        )
+        write(draw, (x + cell / 2, y + 0.45 * cell), name, 22, ink, "mm")
     y = 0.80 * height
     for x, fill, name in ((margin, (180, 40, 36), "STOP"), (width / 2 + 4, (40, 140, 70), "START")):
         draw.rounded_rectangle((x, y, x + width / 2 - margin - 4, y + 0.10 * height), 8, fill=fill)
         centre = (x + (width / 2 - margin) / 2, y + 0.05 * height)
-        draw.text(centre, name, fill=(250, 250, 250), font=ImageFont.load_default(18), anchor="mm")
+        write(draw, centre, name, 18, (250, 250, 250), "mm")
     return np.asarray(image)
 
 
@@ -214,15 +187,10 @@ def label(rng: np.random.Generator) -> Texture:
     image = Image.new("RGB", (width, height), _painted(rng.integers(215, 250, 3), 1))
     draw = ImageDraw.Draw(image)
     draw.rectangle((4, 4, width - 5, height - 5), outline=(40, 40, 40), width=2)
-    draw.text(
-        (16, 12),
-        f"{rng.choice(WORDS)} {rng.integers(100, 999)}",
-        fill=(20, 20, 20),
-        font=ImageFont.load_default(34),
-    )
+    write(draw, (16, 12), f"{rng.choice(WORDS)} {rng.integers(100, 999)}", 34, (20, 20, 20))
     for row in range(5):
         words = " ".join(f"{rng.choice(WORDS)}-{rng.integers(10, 99)}" for _ in range(3))
-        draw.text((16, 58 + 17 * row), words, fill=(50, 50, 50), font=ImageFont.load_default(14))
+        write(draw, (16, 58 + 17 * row), words, 14, (50, 50, 50))
     bar_code(draw, rng, (16, width - 20), (height - 50, height - 14), 6)
     return np.asarray(image)
 
@@ -245,10 +213,20 @@ def nameplate(rng: np.random.Generator, color_srgb: ArrayLike, height: int = 56)
     """Brand name in light or dark letters on the surface's color."""
     image = Image.new("RGB", (256, height), _painted(color_srgb))
     ink = (225, 225, 225) if np.asarray(color_srgb).mean() < 0.5 else (35, 35, 40)
-    text = str(rng.choice(WORDS)).upper()
-    font = ImageFont.load_default(36)
-    ImageDraw.Draw(image).text((128, height / 2), text, fill=ink, font=font, anchor="mm")
+    write(ImageDraw.Draw(image), (128, height / 2), str(rng.choice(WORDS)).upper(), 36, ink, "mm")
     return np.asarray(image)
+
+
+def write(
+    draw: ImageDraw.ImageDraw,
+    place: tuple[float, float],
+    words: str,
+    size: int,
+    ink: tuple[int, ...],
+    anchor: str | None = None,
+) -> None:
+    """Words of a size in an ink; see Pillow for anchors."""
+    draw.text(place, words, fill=ink, font=ImageFont.load_default(size), anchor=anchor)
 
 
 def bar_code(
@@ -293,8 +271,7 @@ def _sticker(draw: ImageDraw.ImageDraw, rng: np.random.Generator, middle: ArrayL
         dx, dy = rng.uniform(-0.5, 0.5, 2) * (a, b)
         r = rng.uniform(0.08, 0.2) * min(a, b)
         draw.ellipse((x + dx - r, y + dy - r, x + dx + r, y + dy + r), fill=draw_ink(rng))
-    size = int(np.clip(0.5 * b, 9, 30))
-    draw.text((x, y), str(rng.choice(WORDS)), fill=ink, font=ImageFont.load_default(size), anchor="mm")
+    write(draw, (x, y), str(rng.choice(WORDS)), int(np.clip(0.5 * b, 9, 30)), ink, "mm")
 
 
 def _words(rng: np.random.Generator, count: int) -> str:

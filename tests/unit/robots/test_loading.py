@@ -8,8 +8,7 @@ import pytest
 
 from aomgen.core.robot_choice import HandChoice, RobotChoice
 from aomgen.errors import MalformedFileError, MissingFileError, UnsafePathError
-from aomgen.robots.loading import choose_robot
-from aomgen.robots.robot_store import load_robot_description, save_robot
+from aomgen.robots.loading import choose_robot, load_stored_robot, save_robot
 
 
 @pytest.fixture
@@ -35,7 +34,7 @@ def test_a_stored_robot_needs_nothing_of_the_capture(choice, tmp_path):
     save_robot(folder, choice)
     choice.model_file.unlink()
     shutil.move(folder, tmp_path / "elsewhere")
-    stored = load_robot_description(tmp_path / "elsewhere")
+    stored = load_stored_robot(tmp_path / "elsewhere")
     joints, gripper = np.array([[0.2, -0.4, 1.1]]), [0.7]
     assert stored.joint_names == robot.joint_names
     assert stored.ee_poses(joints) == pytest.approx(robot.ee_poses(joints), abs=1e-12)
@@ -48,18 +47,18 @@ def test_damaged_headers_are_refused(choice, tmp_path):
     good = json.loads(header.read_text())
 
     def stored(**changes):
-        header.write_text(json.dumps({**good, **changes}))
-        return load_robot_description(tmp_path)
+        header.write_text(json.dumps({**good, "value": {**good["value"], **changes}}))
+        return load_stored_robot(tmp_path)
 
     with pytest.raises(UnsafePathError):
         stored(file="../robot.urdf")
     with pytest.raises(MissingFileError):
         stored(file="robot/absent.urdf")
-    with pytest.raises(MalformedFileError, match="not complete"):
+    with pytest.raises(MalformedFileError, match="StoredRobot"):
         stored(joints=3)
     header.write_text("{}")
-    with pytest.raises(MalformedFileError, match="not complete"):
-        load_robot_description(tmp_path)
+    with pytest.raises(MalformedFileError, match="StoredRobot"):
+        load_stored_robot(tmp_path)
     header.unlink()
     with pytest.raises(MissingFileError):
-        load_robot_description(tmp_path)
+        load_stored_robot(tmp_path)
