@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from aomgen.appearance.surfel_observations import PosedImages
@@ -22,7 +23,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.visibility import sphere_directions
-from aomgen.twin.directional_shadow import (
+from aomgen.twin.shadow import (
     HEIGHTS,
     MOVES,
     STANDS,
@@ -37,8 +38,8 @@ from aomgen.twin.twin import Twin, posed, shadow_roles
 
 # Images that are compared; a half of them to find the lamp, the other to judge it.
 PICTURES: Final = 16
-# Places that are watched.
-PLACES: Final = 4000
+# Places of the surface that are watched, and points of each image's bodies that are dropped onto it.
+SAMPLES: Final = 4000
 # A place is seen when nothing that moves covers more than this of it, so many pixels around.
 COVERED: Final = 0.02
 # Margin around moving bodies, [px]: render and image differ by about this much at contours.
@@ -51,19 +52,16 @@ DIRECTIONS: Final = 700
 NEAR_M: Final = HEIGHTS[-1]
 # Grid cells on the surface for the coarse search, [m]: finer than the shadow of an arm.
 CELL_M: Final = 0.02
-# Points of the bodies that are dropped.
-POINTS: Final = 4000
-# Steps of the refinement, [rad]; the last moves a shadow of a point 1 m high by a centimeter.
-STEPS: Final = (0.06, 0.03, 0.015, 0.0075)
-# Passes over the neighbours of a direction at each step; four cover the spacing of the coarse directions.
-ROUNDS: Final = 4
+# First step of the refinement, half the spacing of the coarse directions, and where it ends, [rad]: that moves
+# the shadow of a point 1 m high by a centimeter.
+FIRST_STEP, LAST_STEP = 0.06, 0.0075
 # The shadow has to take away at least this share of the variance in images it was not fitted to.
 # With less, as under soft light, most of what it draws would be wrong.
 MIN_EXPLAINED: Final = 0.5
 # What is this much in shadow is wholly in it.
 CORE: Final = 0.95
-# Edges of shadows are this uncertain: twice what the last step of the search moves them, [m].
-EDGE_M: Final = 0.015
+# Edges of shadows of what is 1 m high are this uncertain: by two last steps of the search, [m].
+EDGE_M: Final = 2 * LAST_STEP
 # Gaussians that count as surface, and how many around one tell its color.
 SOLID: Final = 0.3
 # Lit Gaussians whose median gives the color of the surface: outvotes single outliers.
@@ -138,18 +136,15 @@ def remove_baked_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -
     roles = shadow_roles(twin, robot)
     on_it = surface_share(lamp.T_world_plane, points) * (twin.bodies == 0)
 
-    def taken(shift: Array) -> Array:
-        return on_it * cast_directional_shadow(world, roles, lamp.direction, points + shift)
-
-    across = lamp.T_world_plane[:3, :2] * EDGE_M
     turns = np.arange(8) * np.pi / 4
-    around = [taken(across @ np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
-    dark = taken(np.zeros(3))
-    unsure = np.max([dark, *around], 0) - np.min([dark, *around], 0) > 1 - CORE
-    from_color = _shadow_from_color(
-        remove_shadow(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp
-    )
-    dark[unsure] = np.minimum(from_color, np.max([dark, *around], 0)[unsure])
+    circle = EDGE_M * np.stack([np.cos(turns), np.sin(turns)], 1) @ lamp.T_world_plane[:3, :2].T
+    shifted = points + np.concatenate([np.zeros((1, 3)), circle])[:, None]
+    around = on_it * cast_directional_shadow(world, roles, lamp.direction, shifted)
+    dark, darkest = around[0], around.max(0)
+    unsure = darkest - around.min(0) > 1 - CORE
+    lit = remove_shadow(twin.gaussians, dark, lamp.shade)
+    from_color = _shadow_from_color(lit, twin.gaussians, unsure, on_it, lamp)
+    dark[unsure] = np.minimum(from_color, darkest[unsure])
     return replace(twin, gaussians=remove_shadow(twin.gaussians, dark, lamp.shade), directional_light=lamp)
 
 
@@ -235,24 +230,23 @@ def close_at(grid: NDArray[np.bool_], cells: tuple[NDArray, NDArray]) -> NDArray
 
 
 def _some(bodies: Gaussians) -> Array:
-    return np.asarray(bodies.means[:: max(1, len(bodies) // POINTS)], np.float64)
+    return np.asarray(bodies.means[:: max(1, len(bodies) // SAMPLES)], np.float64)
 
 
 def _refine_direction(direction: Array, score: Callable[[Array], float]) -> Array:
-    """The best direction around one, by ever smaller steps to four sides."""
-    best = score(direction)
-    for step in STEPS:
-        for _ in range(ROUNDS):
-            side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-            side /= np.linalg.norm(side)
-            around = [s * step * a for a in (side, np.cross(direction, side)) for s in (1, -1)]
-            tried = [(direction + a) / np.linalg.norm(direction + a) for a in around]
-            scores = [score(item) for item in tried]
-            if max(scores) <= best:
-                break
-            best = max(scores)
-            direction = tried[int(np.argmax(scores))]
-    return direction
+    """The best direction around one, by simplex search over its tangents."""
+    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    side /= np.linalg.norm(side)
+    across = np.stack([side, np.cross(direction, side)])
+
+    def turned(tangents: Array) -> Array:
+        turned = direction + tangents @ across
+        return turned / np.linalg.norm(turned)
+
+    simplex = FIRST_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options = {"initial_simplex": simplex, "xatol": LAST_STEP, "fatol": np.inf}
+    found = minimize(lambda tangents: -score(turned(tangents)), [0, 0], method="Nelder-Mead", options=options)
+    return turned(found.x)
 
 
 def estimate_shadow_color(observed: SurfaceObservations, dark: Array) -> Array | None:
@@ -309,7 +303,7 @@ def _observe_surface(
     usable = np.flatnonzero((belongs > 0.99).ravel() & (seen.sum(0) > len(chosen) / 2).ravel())
     if not len(usable):
         return None
-    usable = usable[np.unique(np.linspace(0, len(usable) - 1, PLACES).astype(int))]
+    usable = usable[np.unique(np.linspace(0, len(usable) - 1, SAMPLES).astype(int))]
     colors = np.stack([view.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
     seen = seen.reshape(len(chosen), -1)[:, usable] & (colors.min(-1) > DARK)
     logs = np.log(np.maximum(colors, DARK))

@@ -27,7 +27,7 @@ from aomgen.robots.configuration import RobotConfiguration
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.robot_store import save_robot
 from aomgen.twin.binding import bind, object_frame
-from aomgen.twin.directional_shadow import DirectionalLight
+from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.support import find_support
 from aomgen.twin.twin import Twin, TwinState, posed, render_state
 

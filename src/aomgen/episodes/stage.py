@@ -22,8 +22,7 @@ from aomgen.io.video import encode_video
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.verify import assumptions
-from aomgen.twin.layers import StaticLayer
-from aomgen.twin.twin import Twin
+from aomgen.twin.twin import StaticLayer, Twin
 
 # Episodes rendered at a time, each on one thread; usual machines have more cores.
 WORKERS: Final = 2

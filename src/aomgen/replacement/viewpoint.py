@@ -14,7 +14,7 @@ from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.twin.twin import Twin, TwinState, body_poses, rig
+from aomgen.twin.twin import Twin, TwinState, posed
 
 # Size of the images in which visibility is judged, [px].
 LOOK: Final = (160, 120)
@@ -68,9 +68,8 @@ def choose_viewpoint(
     if not scan_cameras:
         raise ReconstructionError("viewpoint", "no scan camera is registered", "scan the scene again")
     every = np.concatenate(list(key_points))
-    rigged = rig(twin)
-    scenes = [rigged.pose(body_poses(twin, robot, state)) for state in states]
-    of_object = np.isin(twin.labels[rigged.order], (STATIC, MOVING))
+    scenes = [posed(twin, robot, state) for state in states]
+    of_object = np.isin(twin.labels, (STATIC, MOVING))
     framed = np.concatenate([every, *(_corners(scene.means[of_object]) for scene in scenes)])
     target = framed.mean(0)
     for max_turn, share in DEMANDS:

@@ -14,7 +14,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
 from aomgen.twin.relighting import Relit, join_relit
-from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses
+from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses, move_bodies
 
 
 def bind(
@@ -53,21 +53,8 @@ def bind(
         T_world_object=scan_state.T_world_object,
         scan_state=scan_state,
     )
-    return replace(
-        twin, gaussians=in_body_frames(gaussians_world, bodies, body_poses(twin, robot, scan_state))
-    )
-
-
-def in_body_frames(gaussians_world: Gaussians, bodies: NDArray[np.int32], Ts_world_body: Array) -> Gaussians:
-    """Gaussians (N) moved from the world into their bodies' frames, order kept."""
-    order = np.argsort(bodies, kind="stable")
-    pieces = []
-    for body in np.unique(bodies):
-        members = gaussians_world.select(np.flatnonzero(bodies == body))
-        pieces.append(members if body == 0 else members.transformed(invert(Ts_world_body[body])))
-    back = np.empty(len(order), np.int64)
-    back[order] = np.arange(len(order))
-    return concatenate(pieces).select(back)
+    Ts_body_world = invert(body_poses(twin, robot, scan_state))
+    return replace(twin, gaussians=move_bodies(gaussians_world, bodies, Ts_body_world))
 
 
 def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_points_world: ArrayLike) -> Array:

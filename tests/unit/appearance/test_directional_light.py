@@ -15,7 +15,7 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.twin.directional_shadow import DirectionalLight, cast_directional_shadow, remove_shadow
+from aomgen.twin.shadow import DirectionalLight, cast_directional_shadow, remove_shadow
 from aomgen.twin.twin import Twin, posed, render_state, shadow_roles
 
 SHADE = np.array([0.6, 0.58, 0.55])

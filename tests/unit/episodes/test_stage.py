@@ -16,7 +16,7 @@ from aomgen.io.episode_folder import commit_episode, list_committed, read_episod
 from aomgen.io.video import read_video
 from aomgen.replacement.viewpoint import choose_viewpoint
 from aomgen.twin.binding import with_object
-from aomgen.twin.directional_shadow import DirectionalLight
+from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, render_state
 
 FRAMES = 4
