@@ -159,15 +159,14 @@ def _tracking_mm(scene: Scene, run: SimulatedRun, errors: np.ndarray) -> float:
 
 
 def _episode(plan: EpisodePlan, run: SimulatedRun, verdict: Verdict) -> VerifiedEpisode:
-    ticks = run.frame_ticks
-    frame_of = {int(tick): frame for frame, tick in enumerate(ticks)}
-    rows = [(frame_of[touch.tick], touch) for touch in run.touches if touch.tick in frame_of]
+    ticks, touched = run.frame_ticks, run.contacts
+    kept = np.isin(touched.frames, ticks)
     contacts = ContactLog(
-        frames=np.array([frame for frame, _ in rows], np.int64),
-        fingers=np.array([touch.finger for _, touch in rows], np.int64),
-        points_world=np.array([touch.point_world for _, touch in rows]).reshape(-1, 3),
-        normals_world=np.array([touch.normal_world for _, touch in rows]).reshape(-1, 3),
-        forces=np.array([touch.force for _, touch in rows]),
+        frames=np.searchsorted(ticks, touched.frames[kept]),
+        fingers=touched.fingers[kept],
+        points_world=touched.points_world[kept],
+        normals_world=touched.normals_world[kept],
+        forces=touched.forces[kept],
     )
     return VerifiedEpisode(
         plan=plan,
