@@ -155,7 +155,7 @@ def simulate(
         thetas=reached[:, scene.object_qpos],
         Ts_world_ee=np.array(places),
         commands=commands.joints,
-        pad_forces=np.bincount(ticks, forces, len(reached)),
+        pad_forces=np.bincount(ticks, forces, len(reached)).astype(np.float64),
         reactions=reactions,
         drift_m=np.linalg.norm(np.array(bases) - bases[0], axis=1),
         contacts=ContactLog(
