@@ -17,8 +17,14 @@ from aomgen.core.plan import Adaptation, FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
-from aomgen.replacement.correspondence import bar_reach, held_point_of, mirror_asset, opens_left
-from aomgen.replacement.recorded_motion import RecordedContact, smooth_rise
+from aomgen.replacement.correspondence import (
+    RecordedContact,
+    bar_reach,
+    held_point_of,
+    mirror_asset,
+    opens_left,
+    smooth_rise,
+)
 
 # Allowed scale relative to the ratio of the moving parts' boxes: household sizes of one kind of object.
 SCALE_RANGE = (0.6, 1.6)

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
-from scipy.sparse import coo_matrix
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import LaplacianNd, spsolve
 
 from aomgen.core.values import Array
 
@@ -50,30 +49,13 @@ def _blurred(image: Array, known: NDArray[np.bool_]) -> Array:
 
 def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
     """The smoothest continuation into unknown pixels: Laplace's equation."""
-    height, width = known.shape
-    number = np.full(known.shape, -1)
-    number[~known] = np.arange((~known).sum())
-    rows, columns = np.nonzero(~known)
-    if not len(rows):
+    if known.all():
         return image
-    here = number[rows, columns]
-    entries, right, degree = [], np.zeros((len(rows), 3)), np.zeros(len(rows))
-    for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        r, c = rows + dr, columns + dc
-        inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-        r, c, me = r[inside], c[inside], here[inside]
-        degree[me] += 1
-        fixed = known[r, c]
-        np.add.at(right, me[fixed], image[r[fixed], c[fixed]])
-        entries.append(np.stack([me[~fixed], number[r[~fixed], c[~fixed]]]))
-    off = np.concatenate(entries, 1)
-    diagonal = np.arange(len(rows))
-    values = np.concatenate([-np.ones(off.shape[1]), degree])
-    index = (np.concatenate([off[0], diagonal]), np.concatenate([off[1], diagonal]))
-    matrix = coo_matrix((values, index), shape=(len(rows), len(rows))).tocsc()
-    result = np.array(image)
-    result[~known] = np.asarray(spsolve(matrix, right)).reshape(-1, 3)
-    return result
+    flat = known.ravel()
+    rows = LaplacianNd(known.shape, boundary_conditions="neumann", dtype=np.float64).tosparse().tocsr()[~flat]
+    colors = np.array(image, np.float64).reshape(-1, 3)
+    colors[~flat] = spsolve(rows[:, ~flat].tocsc(), -rows[:, flat] @ colors[flat]).reshape(-1, 3)
+    return colors.reshape(image.shape)
 
 
 def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
