@@ -52,9 +52,11 @@ def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
     if known.all():
         return image
     flat = known.ravel()
-    rows = LaplacianNd(known.shape, boundary_conditions="neumann", dtype=np.float64).tosparse().tocsr()[~flat]
+    laplacian = LaplacianNd(known.shape, boundary_conditions="neumann").tosparse().astype(np.float64)
+    rows = laplacian.tocsr()[~flat]
     colors = np.array(image, np.float64).reshape(-1, 3)
-    colors[~flat] = spsolve(rows[:, ~flat].tocsc(), -rows[:, flat] @ colors[flat]).reshape(-1, 3)
+    filled = spsolve(rows[:, ~flat].tocsc(), -rows[:, flat] @ colors[flat])
+    colors[~flat] = np.asarray(filled).reshape(-1, 3)
     return colors.reshape(image.shape)
 
 

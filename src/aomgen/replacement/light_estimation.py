@@ -142,12 +142,12 @@ def _robot_samples(
 def _surface_points(
     robot: RobotModel, Ts_world_body: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    samples = [np.zeros((3, 0, 3))]
+    samples: list[Array] = [np.zeros((3, 0, 3))]
     for mesh in robot.meshes:
         vertices = apply(Ts_world_body[mesh.body], mesh.vertices_body)
         points, faces, _ = sample_surface(vertices, mesh.faces, POINTS_PER_BODY, rng)
         normals = face_normals_areas(vertices, mesh.faces)[0][faces]
         color = np.broadcast_to(linear_from_srgb(mesh.color_srgb), points.shape)
-        samples.append(np.stack([points, normals, color]))
+        samples.append(np.asarray([points, normals, color], np.float64))
     points, normals, colors = np.concatenate(samples, 1)
     return points, normals, colors

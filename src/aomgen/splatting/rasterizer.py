@@ -26,14 +26,13 @@ class Rendering:
     """What one camera sees.
 
     Attributes:
-        rgb: (H, W, 3) float32, sRGB 0..1, blended over the background.
-        alpha: (H, W) float32, 0..1.
-        depth: (H, W) float32, blended depth divided by alpha, [m]; 0 where alpha is about 0.
-        median_depth: (H, W) float32, depth of the Gaussian at which less than half of the light
-            is left, [m]; 0 where half is never reached. Only with `with_ids`.
-        max_id: (H, W) int32, index of the Gaussian with the largest weight, -1 for none. Only
-            with `with_ids`.
-        features: (H, W, D) float32, blended (not divided by alpha). Only with features.
+        rgb: (H, W, 3), sRGB 0..1, blended over the background.
+        alpha: (H, W), 0..1.
+        depth: (H, W), blended depth divided by alpha, [m]; 0 where alpha is about 0.
+        median_depth: (H, W), depth of the Gaussian at which less than half of the light is left,
+            [m]; 0 where half is never reached. Only with `with_ids`.
+        max_id: (H, W), index of the Gaussian with the largest weight, -1 for none. Only with `with_ids`.
+        features: (H, W, D), blended (not divided by alpha). Only with features.
     """
 
     rgb: NDArray[np.float32]
@@ -87,17 +86,13 @@ def render(
     Raises:
         BackendError: The engine is missing, or refuses the scene or camera.
     """
-    shape = image_shape(camera)
-    rgb = np.empty((*shape, 3), np.float32)
-    alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    median = np.empty(shape, np.float32) if with_ids else None
-    max_id = np.empty(shape, np.int32) if with_ids else None
+    rgb, alpha, depth, median, max_id = empty_images(camera, with_ids)
     feature_image = None
     if features is not None:
         features = np.ascontiguousarray(features, np.float32)
         if features.ndim != 2 or len(features) != len(gaussians):
             raise ValueError(f"features have shape {features.shape}, want ({len(gaussians)}, D)")
-        feature_image = np.empty((*shape, features.shape[1]), np.float32)
+        feature_image = np.empty((*depth.shape, features.shape[1]), np.float32)
     images = native.Images(
         rgb=rgb.ctypes.data,
         interleaved=1,
@@ -141,6 +136,23 @@ def contribution_weights(
     scene, view = native_scene(gaussians), native_view(camera, poses)
     context.contribution_weights(scene, view, len(masks), masks.ctypes.data, weights.ctypes.data)
     return weights
+
+
+def empty_images(
+    camera: Camera, with_ids: bool
+) -> tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32] | None,
+    NDArray[np.int32] | None,
+]:
+    """Colors, alpha, depth and, with ids, median depth and largest contribution, for the engine to write into."""
+    shape = image_shape(camera)
+    rgb, alpha, depth = (np.empty((*shape, *more), np.float32) for more in ((3,), (), ()))
+    if not with_ids:
+        return rgb, alpha, depth, None, None
+    return rgb, alpha, depth, np.empty(shape, np.float32), np.empty(shape, np.int32)
 
 
 def settle(rgb: NDArray[np.float32], depth: NDArray[np.float32], alpha: NDArray[np.float32]) -> None:

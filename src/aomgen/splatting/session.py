@@ -18,6 +18,7 @@ from aomgen.splatting.rasterizer import (
     Rendering,
     RigidParts,
     cam_from_parts,
+    empty_images,
     native_scene,
     native_view,
     settle,
@@ -32,10 +33,9 @@ class Motion:
     """What changes from frame to frame, T frames.
 
     Attributes:
-        parts: Part of every moving Gaussian (N,) int32, 0..P-1; each is given in its part's frame.
-        Ts_world_part: Rigid poses of the parts (T, P, 4, 4).
-        colors: (T, M, 3) float32, sRGB of the last M moving Gaussians, in place of their harmonics'
-            constant term; None for none.
+        parts: Part of every moving Gaussian, 0..P-1; each is given in its part's frame.
+        Ts_world_part: Rigid poses of the parts.
+        colors: sRGB of the last M moving Gaussians, in place of their harmonics' constant term; None for none.
     """
 
     parts: Annotated[NDArray[np.int32], "_"]
@@ -121,14 +121,9 @@ class RenderSession:
         Raises:
             BackendError: The engine refuses the Gaussians.
         """
-        shape = (self.camera.height, self.camera.width)
-        rgb = np.empty((*shape, 3), np.float32)
-        alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        median = np.empty(shape, np.float32) if with_ids else None
-        max_id = np.empty(shape, np.int32) if with_ids else None
+        rgb, alpha, depth, median, max_id = empty_images(self.camera, with_ids)
         outputs = {"rgb": rgb, "alpha": alpha, "depth": depth, "median_depth": median, "max_id": max_id}
-        outputs["tiles"] = self._unknown_tiles(1)[0]
-        self._draw_one(moving, parts, shade, outputs)
+        self._draw_one(moving, parts, shade, outputs | {"tiles": self._unknown_tiles(1)})
         settle(rgb, depth, alpha)
         return Rendering(rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id)
 
