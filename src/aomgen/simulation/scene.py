@@ -236,15 +236,11 @@ def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, ce
 
 def _foot_bodies(spec: mujoco.MjSpec, robot: RobotModel) -> list[str]:
     """Bodies that less than `FOOT_JOINTS` of the robot's joints move."""
-    result = []
-    for name in robot.body_names:
-        body, joints = spec.body(name), 0
-        while body.name != "world":
-            joints += len(body.joints)
-            body = body.parent
-        if joints < FOOT_JOINTS:
-            result.append(name)
-    return result
+
+    def joints_above(body: mujoco.MjsBody) -> int:
+        return 0 if body.name == "world" else len(body.joints) + joints_above(body.parent)
+
+    return [name for name in robot.body_names if joints_above(spec.body(name)) < FOOT_JOINTS]
 
 
 def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:

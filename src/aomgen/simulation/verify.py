@@ -127,7 +127,6 @@ def judge(
         tracking_mm=_tracking_mm(scene, run, errors),
     )
     mass = scene.asset.static.mass + scene.asset.moving.mass
-    hold_n = rule.base_friction * mass * GRAVITY
     tests = [
         ("pre_opened", before <= rule.max_start_share, f"the part stood at {before:.0%} before contact"),
         ("target", outcome.target_share >= rule.target_share,
@@ -137,16 +136,16 @@ def judge(
         ("slides", scene.bolted or run.drift_m.max() <= rule.max_drift_m,
          f"the base slid {1000 * run.drift_m.max():.1f} mm"),
     ]  # fmt: skip
+    metrics = {
+        "target_share": outcome.target_share,
+        "contact_share": contact_share,
+        "start_share": before,
+        "peak_reaction_n": outcome.peak_reaction_n,
+        "friction_limit_n": rule.base_friction * mass * GRAVITY,
+        "tracking_mm": outcome.tracking_mm,
+    }
     for reason, passed, detail in tests:
         if not passed:
-            metrics = {
-                "target_share": outcome.target_share,
-                "contact_share": contact_share,
-                "start_share": before,
-                "peak_reaction_n": outcome.peak_reaction_n,
-                "friction_limit_n": hold_n,
-                "tracking_mm": outcome.tracking_mm,
-            }
             return Rejection(reason=reason, detail=f"{detail} (setting {setting.name})", metrics=metrics)
     return outcome
 

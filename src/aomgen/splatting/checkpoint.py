@@ -74,9 +74,9 @@ def training_digest(
     for array in (initial.means, initial.quats, initial.scales, initial.opacities, initial.sh):
         _add(digest, array)
     for camera, image in zip(cameras, images, strict=True):
-        _add(digest, np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height]))
-        _add(digest, camera.T_world_cam)
-        _add(digest, image)
+        optics = [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height]
+        for array in (np.array(optics), camera.T_world_cam, image):
+            _add(digest, array)
     choices = [__version__, asdict(params), rng.bit_generator.state]
     digest.update(json.dumps(choices, sort_keys=True, default=np.ndarray.tolist).encode())
     return digest.hexdigest()
@@ -106,7 +106,12 @@ def load_checkpoint(path: Path, digest: str, rng: np.random.Generator) -> Traini
         CorruptArtifactError: The file is damaged, or belongs to other inputs or parameters.
     """
     remedy = "delete it to start the training over"
-    header, _, payload = _content(path).partition(b"\n")
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "train without a checkpoint")
+    size = path.stat().st_size
+    if not size <= MAX_BYTES:
+        raise LimitExceededError(path, f"has {size} bytes, limit {MAX_BYTES}")
+    header, _, payload = path.read_bytes().partition(b"\n")
     words = header.rsplit(b" ", 2)
     if len(words) != 3 or words[0] != FORMAT or len(words[1]) != 2 * hashlib.sha256().digest_size:
         raise CorruptArtifactError(path, "is not a checkpoint of this version", remedy)
@@ -118,15 +123,6 @@ def load_checkpoint(path: Path, digest: str, rng: np.random.Generator) -> Traini
         return state_of_arrays(arrays_from_bytes(payload, path), rng)
     except (KeyError, TypeError, ValueError) as error:
         raise CorruptArtifactError(path, f"holds no training state ({error!r})", remedy) from error
-
-
-def _content(path: Path) -> bytes:
-    if not path.is_file():
-        raise MissingFileError(path, "is missing", "train without a checkpoint")
-    size = path.stat().st_size
-    if not size <= MAX_BYTES:
-        raise LimitExceededError(path, f"has {size} bytes, limit {MAX_BYTES}")
-    return path.read_bytes()
 
 
 def _add(digest: "hashlib._Hash", array: NDArray) -> None:
@@ -162,21 +158,21 @@ def state_of_arrays(arrays: Mapping[str, NDArray], rng: np.random.Generator) -> 
         KeyError, TypeError, ValueError: Arrays are missing, or the generator is of another kind.
     """
     counters = json.loads(arrays["counters"].tobytes())
+
+    def group(prefix: str) -> dict[str, Tensor]:
+        names = (name for name in arrays if name.startswith(prefix))
+        return {name.removeprefix(prefix): _tensor(arrays[name]) for name in names}
+
     moments = {moment: {name: _tensor(arrays[f"{moment}.{name}"]) for name in NAMES} for moment in MOMENTS}
     rng.bit_generator.state = counters["rng"]
     return TrainingState(
         parameters=Parameters(reach=_tensor(arrays["reach"]), steps=counters["steps"], **moments),
-        exposure=Exposure(enabled=counters["exposure"], **_tensors(arrays, "Exposure.")),
-        poses=PoseIncrements(enabled=counters["poses"], **_tensors(arrays, "PoseIncrements.")),
+        exposure=Exposure(enabled=counters["exposure"], **group("Exposure.")),
+        poses=PoseIncrements(enabled=counters["poses"], **group("PoseIncrements.")),
         order=np.array(arrays["order"]),
         iteration=counters["iteration"],
         rng=rng,
     )
-
-
-def _tensors(arrays: Mapping[str, NDArray], prefix: str) -> dict[str, Tensor]:
-    names = [name for name in arrays if name.startswith(prefix)]
-    return {name.removeprefix(prefix): _tensor(arrays[name]) for name in names}
 
 
 def _tensor(array: NDArray) -> Tensor:

@@ -10,42 +10,23 @@ from torch.nn.functional import normalize
 
 from aomgen.core.camera import Camera
 from aomgen.errors import BackendError
-from aomgen.splatting.differentiable import GaussianTensors, PartTensors
+from aomgen.splatting.differentiable import GaussianTensors, PartTensors, check_tensors
 
 FIRST_VERSION, END_VERSION = (1, 5, 3), (2,)
 _EXTRA = "pip install 'aomgen[gpu]'"
 
 
 def check_scene(gaussians: GaussianTensors, camera: Camera, sh_degree: int) -> None:
-    """Refuse tensors that do not fit each other or the camera.
+    """Refuse tensors that do not fit each other (see `check_tensors`) or the camera.
 
     Raises:
         BackendError: An image without pixels, or more SH degrees than coefficients.
-        TypeError: Not float32, or on several devices.
-        ValueError: Shapes that do not belong together.
     """
     if camera.width < 1 or camera.height < 1:
         raise BackendError(
             "gsplat", f"an image of {camera.width} x {camera.height} pixels", "check the camera"
         )
-    count, device = len(gaussians.means), gaussians.means.device
-    features = gaussians.features
-    shapes = {
-        "means": (count, 3),
-        "quats": (count, 4),
-        "log_scales": (count, 3),
-        "logit_opacities": (count,),
-        "sh": (count, gaussians.sh.shape[1] if gaussians.sh.ndim == 3 else 1, 3),
-        "features": None if features is None else (count, features.shape[-1]),
-    }
-    for name, shape in shapes.items():
-        tensor: Tensor | None = getattr(gaussians, name)
-        if tensor is None:
-            continue
-        if tensor.dtype != torch.float32 or tensor.device != device:
-            raise TypeError(f"{name}: want float32 on {device}, got {tensor.dtype} on {tensor.device}")
-        if tensor.shape != shape:
-            raise ValueError(f"{name} have shape {tuple(tensor.shape)}, want {shape}")
+    check_tensors(gaussians, gaussians.means.device)
     if not 0 <= sh_degree <= 3 or (sh_degree + 1) ** 2 > gaussians.sh.shape[1]:
         problem = f"SH degree {sh_degree} of {gaussians.sh.shape[1]} coefficients"
         raise BackendError("gsplat", problem, "choose a degree of 0 to 3 that the Gaussians have")

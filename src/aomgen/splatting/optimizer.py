@@ -59,17 +59,12 @@ class Parameters:
 
     def moved(self, device: str) -> "Parameters":
         """The same parameters on a device."""
-
-        def on_device(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-            return {name: tensor.to(device) for name, tensor in tensors.items()}
-
-        return Parameters(
-            values=on_device(self.values),
-            averages=on_device(self.averages),
-            squares=on_device(self.squares),
-            reach=self.reach.to(device),
-            steps=self.steps,
+        values, averages, squares = (
+            {name: tensor.to(device) for name, tensor in tensors.items()}
+            for tensors in (self.values, self.averages, self.squares)
         )
+        reach = self.reach.to(device)
+        return Parameters(values=values, averages=averages, squares=squares, reach=reach, steps=self.steps)
 
     def opacities(self) -> Tensor:
         """(N,), 0..1."""
@@ -97,13 +92,12 @@ class Parameters:
             added: New rows.
         """
         rest = {name: torch.zeros_like(value) for name, value in added.items()}
-        return Parameters(
-            values={name: torch.cat([self.values[name][kept], added[name]]) for name in NAMES},
-            averages={name: torch.cat([self.averages[name][kept], rest[name]]) for name in NAMES},
-            squares={name: torch.cat([self.squares[name][kept], rest[name]]) for name in NAMES},
-            reach=self.reach[torch.cat([kept, parents])],
-            steps=self.steps,
+        values, averages, squares = (
+            {name: torch.cat([tensors[name][kept], new[name]]) for name in NAMES}
+            for tensors, new in ((self.values, added), (self.averages, rest), (self.squares, rest))
         )
+        reach = self.reach[torch.cat([kept, parents])]
+        return Parameters(values=values, averages=averages, squares=squares, reach=reach, steps=self.steps)
 
 
 def parameter_rates(
@@ -201,8 +195,7 @@ def relocate_and_grow(
     Markov chain Monte Carlo", 2024; drawing by error and splitting the longest axis are ours.
     """
     alive = (parameters.opacities() >= min_opacity).cpu().numpy()
-    if dropped is not None:
-        alive &= ~dropped
+    alive &= True if dropped is None else ~dropped
     weights = np.where(alive, shares, 0.0)
     wanted = min(count - int(alive.sum()), int((weights > 0).sum()))
     if wanted <= 0:
@@ -235,12 +228,9 @@ def _halves(rows: dict[str, Tensor]) -> dict[str, Tensor]:
 def rotation_columns(quats: Tensor, column: Tensor) -> Tensor:
     """Column (N,) 0..2 of each quaternion's rotation matrix, (N, 3)."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
-    columns = torch.stack(
-        [
-            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], -1),
-            torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], -1),
-            torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        1,
-    )
-    return columns[torch.arange(len(quats), device=quats.device), column]
+    rows = [
+        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+    ]
+    return torch.stack(rows, 1).gather(2, column[:, None, None].expand(-1, 3, 1))[..., 0]

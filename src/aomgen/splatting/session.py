@@ -17,6 +17,7 @@ from aomgen.splatting import native
 from aomgen.splatting.rasterizer import (
     Rendering,
     RigidParts,
+    addresses_of,
     cam_from_parts,
     empty_images,
     native_scene,
@@ -121,11 +122,10 @@ class RenderSession:
         Raises:
             BackendError: The engine refuses the Gaussians.
         """
-        rgb, alpha, depth, median, max_id = empty_images(self.camera, with_ids)
-        outputs = {"rgb": rgb, "alpha": alpha, "depth": depth, "median_depth": median, "max_id": max_id}
-        self._draw_one(moving, parts, shade, outputs | {"tiles": self._unknown_tiles(1)})
-        settle(rgb, depth, alpha)
-        return Rendering(rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id)
+        images = empty_images(self.camera, with_ids)
+        self._draw_one(moving, parts, shade, {**images, "tiles": self._unknown_tiles(1)})
+        settle(images)
+        return Rendering(**images)
 
     def picture(
         self,
@@ -182,24 +182,18 @@ class RenderSession:
         moving: Gaussians,
         parts: RigidParts | None,
         shade: ArrayLike | None,
-        outputs: dict[str, NDArray | None],
+        outputs: dict[str, NDArray],
     ) -> None:
         poses = cam_from_parts(self.camera, parts)
-        shade = self._checked_shades(shade, ())
-        addresses = {name: array.ctypes.data for name, array in outputs.items() if array is not None}
-        frame = native.Frame(
-            session=self._handle,
-            cam_from_part=poses.ctypes.data,
-            shade=None if shade is None else shade.ctypes.data,
-            **addresses,
-        )
+        inputs = {"cam_from_part": poses}
+        if shade is not None:
+            inputs["shade"] = self._checked_shades(shade, ())
         context = native.scratch_context()
         context.configure(self.threads)
+        frame = native.Frame(session=self._handle, **addresses_of(inputs | outputs))
         context.draw_session(native_scene(moving, parts=parts), len(poses), 0, [frame])
 
-    def _checked_shades(self, shades: ArrayLike | None, leading: tuple[int, ...]) -> NDArray | None:
-        if shades is None:
-            return None
+    def _checked_shades(self, shades: ArrayLike, leading: tuple[int, ...]) -> NDArray[np.float32]:
         shades = np.ascontiguousarray(shades, np.float32)
         want = (*leading, self.camera.height, self.camera.width)
         if shades.shape != want:
@@ -208,26 +202,27 @@ class RenderSession:
 
     def _frames(
         self, motion: Motion, shades: ArrayLike | None
-    ) -> tuple[NDArray[np.uint8], list[native.Frame], tuple]:
+    ) -> tuple[NDArray[np.uint8], list[native.Frame], dict[str, NDArray]]:
         """Images to be drawn, what the engine draws them by, and arrays that must stay alive meanwhile."""
         count = len(motion)
         images = np.empty((count, self.camera.height, self.camera.width, 3), np.uint8)
         Ts = self.camera.T_cam_world @ motion.Ts_world_part
-        poses = np.ascontiguousarray(Ts[:, :, :3], np.float32)
-        tiles = self._unknown_tiles(count)
-        shades = self._checked_shades(shades, (count,))
+        arrays = {
+            "cam_from_part": np.ascontiguousarray(Ts[:, :, :3], np.float32),
+            "tiles": self._unknown_tiles(count),
+            "rgb8": images,
+        }
+        if motion.colors is not None:
+            arrays["colors"] = motion.colors
+        if shades is not None:
+            arrays["shade"] = self._checked_shades(shades, (count,))
         frames = [
             native.Frame(
-                session=self._handle,
-                cam_from_part=poses[t].ctypes.data,
-                colors=None if motion.colors is None else motion.colors[t].ctypes.data,
-                shade=None if shades is None else shades[t].ctypes.data,
-                tiles=tiles[t].ctypes.data,
-                rgb8=images[t].ctypes.data,
+                session=self._handle, **addresses_of({name: array[t] for name, array in arrays.items()})
             )
             for t in range(count)
         ]
-        return images, frames, (poses, tiles, shades)
+        return images, frames, arrays
 
 
 def draw_sessions(

@@ -98,21 +98,19 @@ def with_object(
         T_world_object: Where it stands (4, 4).
     """
     cleared = background.select(~np.isin(background.labels, (STATIC, MOVING)))
-    count, first, second = len(cleared.gaussians), len(static.gaussians), len(moving.gaussians)
-    bodies = [np.full(first, cleared.body(OBJECT)), np.full(second, cleared.body(PART))]
-    labels = [np.full(first, STATIC), np.full(second, MOVING)]
+    counts = [len(static.gaussians), len(moving.gaussians)]
     lit = Relit(
-        indices=np.arange(count, count + first + second),
+        indices=len(cleared.gaussians) + np.arange(sum(counts)),
         albedo_linear=np.concatenate([static.albedo_linear, moving.albedo_linear]),
         transfer=np.concatenate([static.transfer, moving.transfer]),
-        light_of=np.zeros(first + second, np.int32),
+        light_of=np.zeros(sum(counts), np.int32),
         lights=(light,),
     )
     return replace(
         cleared,
         gaussians=concatenate([cleared.gaussians, static.gaussians, moving.gaussians]),
-        bodies=np.concatenate([cleared.bodies, *bodies]),
-        labels=np.concatenate([cleared.labels, *labels]),
+        bodies=np.append(cleared.bodies, np.repeat([cleared.body(OBJECT), cleared.body(PART)], counts)),
+        labels=np.append(cleared.labels, np.repeat([STATIC, MOVING], counts)),
         joint=joint,
         T_world_object=T_world_object,
         scan_state=replace(cleared.scan_state, theta=0.0, T_world_object=T_world_object),
