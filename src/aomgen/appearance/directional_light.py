@@ -105,7 +105,6 @@ def find_directional_light(
 
     Args:
         twin: With all surfaces of its robot.
-        robot: Its robot.
         view: A fixed camera's images of many joint configurations.
         T_world_plane: Surface (4, 4) whose brightness is watched.
     """
@@ -158,7 +157,6 @@ def _shadow_from_color(
         seen: The same with it.
         unsure: Which are at edges, M of N.
         on_it: Share (N,) of the surface.
-        lamp: What throws the shadow.
     """
     sure = np.flatnonzero((on_it > CORE) & ~unsure & (seen.opacities > SOLID))
     if not len(sure):

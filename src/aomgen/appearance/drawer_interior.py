@@ -72,15 +72,10 @@ class _Shot:
 
 
 def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twin:
-    """Add walls and bottom behind the front of a drawer, with colors from the video.
+    """Add walls and bottom behind the front of a drawer to a bound scan, with colors from the demonstration.
 
-    Args:
-        twin: As bound from the scan.
-        robot: Its robot.
-        view: The demonstration.
-
-    Returns:
-        The same twin when the part does not slide out of its body, or when no interior explains the video clearly better.
+    The twin stays as it is when the part does not slide out of its body, or when no interior explains the video
+    clearly better.
 
     Not checked: that the drawer's floor is level with the front's lower edge, and what it holds.
     """

@@ -68,20 +68,11 @@ class _View:
 def refine_twin(
     twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
 ) -> Twin:
-    """Fit the Gaussians of the twin to images.
+    """Fit the Gaussians of the twin to images in a random order; with none it stays as it is.
 
     Shape, specular term and the colors of what is not relit are shared by all joint configurations. Colors of
-    relit surfaces are learned for the orientations of the scan, beyond what they were given, and
-    come back as much as memories of them do.
-
-    Args:
-        twin: If something in it is lit anew, those are its last Gaussians.
-        robot: Its robot.
-        views: What to fit to; with none the twin stays as it is.
-        rng: Order of the images.
-
-    Raises:
-        BackendError: The splatting engine is missing or refuses the scene.
+    relit surfaces, which are the twin's last Gaussians, are learned for the orientations of the scan, beyond what
+    they were given, and come back as much as memories of them do.
     """
     if not views:
         return twin

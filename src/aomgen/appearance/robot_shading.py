@@ -74,10 +74,9 @@ def fit_robot_colors(
     normals_body: Array,
     means_body: Array,
 ) -> RobotColors:
-    """Fit colors to observations.
+    """Fit colors of M discs to observations.
 
     Args:
-        observations: What images show.
         bodies: Body of every disc (M,), index into the twin's `body_names`.
         materials: Material of every disc (M,), 0..P-1.
         normals_body, means_body: (M, 3), body frames.

@@ -55,14 +55,8 @@ def replace_robot_gaussians(
 ) -> Twin:
     """Replace the scanned Gaussians of the robot by surfels on its model.
 
-    Args:
-        twin: As bound from the scan.
-        robot: Its robot.
-        views: Images of the scan and of the demonstration, in one exposure.
-        rng: Samples the surface.
-
-    Returns:
-        The same twin when the model has no meshes or images hardly show it.
+    Views are of the scan and of the demonstration, in one exposure. The twin, as bound from the scan, stays as it is
+    when the model has no meshes or images hardly show it.
     """
     if not robot.meshes or not views:
         return twin

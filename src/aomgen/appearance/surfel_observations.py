@@ -61,10 +61,7 @@ class SurfelObservations:
 def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:
     """Measure the color of every surfel in every image where it is visible.
 
-    Args:
-        twin: Its relit Gaussians, all of which move, are the discs (M); whatever else is in it may hide them.
-        robot: The twin's robot.
-        views: At least one image.
+    The twin's relit Gaussians, all of which move, are the surfels (M); whatever else is in it may hide them.
     """
     moving = moving_layer(twin)
     first_disc = len(twin.gaussians) - len(twin.relit_bodies)
@@ -101,10 +98,7 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
 def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bool_]) -> PosedImages:
     """Match exposure and white balance to those of the scan.
 
-    Args:
-        view: Its first image shows what `drawn_srgb` shows.
-        drawn_srgb: The twin from the video's camera in the state of the first image (H, W, 3), 0..1.
-        compared: Pixels (H, W) that show the same thing in both.
+    The view's first image shows what `drawn_srgb` (H, W, 3), 0..1, shows, at the pixels (H, W) to be compared.
     """
     gains = fit_gains(view.images_srgb[0][compared] / 255, drawn_srgb[compared])
     return replace(view, images_srgb=tuple(change_exposure(image, gains) for image in view.images_srgb))

@@ -72,18 +72,13 @@ def render_frames(
     T_world_plane: Array | None = None,
     threads: int | None = None,
 ) -> dict[str, NDArray[np.uint8]]:
-    """Draw an episode.
+    """Draw an episode: frames (T, H, W, 3) uint8 of each camera.
 
     Args:
         twin: With the object that stands in it.
-        robot: Its robot.
-        trajectory: Where everything is.
         layers: From `static_layers`, of the same twin.
         T_world_plane: The surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
-
-    Returns:
-        Frames (T, H, W, 3) uint8 of each camera.
     """
     Ts = trajectory_body_poses(
         twin, robot, trajectory.joints, trajectory.gripper, trajectory.thetas, trajectory.T_world_object

@@ -70,11 +70,7 @@ def plan_episode(
     Args:
         fitted: The object and its planned motion. It faces as the recorded object did, so its
             axes are those in which the demonstrated hand is understood.
-        demo: The demonstration.
-        variation: Where the object stands.
         scene: Robot, table and this asset, at any pose.
-        solver: Of the same robot.
-        params: See `PlanParams`.
 
     Returns:
         The plan; or the Rejection of the grasp that came farthest, its metrics with the number of

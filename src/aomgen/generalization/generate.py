@@ -76,13 +76,7 @@ class GenerationParams:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rejected:
-    """A variation that gave no episode.
-
-    Attributes:
-        asset: Name of the asset.
-        variation: Where it stood.
-        rejection: Why.
-    """
+    """A variation of an asset, by name, that gave no episode, and why."""
 
     asset: str
     variation: Variation
@@ -91,13 +85,7 @@ class Rejected:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Generated:
-    """The outcome of a generation.
-
-    Attributes:
-        episodes: Verified, in the order of assets and variations.
-        rejected: The rest of what was tried.
-        skipped: Variations filtered before planning.
-    """
+    """The outcome of a generation; variations that were filtered before planning are `skipped`."""
 
     episodes: tuple[VerifiedEpisode, ...]
     rejected: tuple[Rejected, ...]
@@ -129,11 +117,7 @@ def generate_episodes(
     does not depend on those before it.
 
     Args:
-        assets: From the fit.
-        demo: The demonstration.
-        robot: The robot of the demonstration.
         support: What the objects stand on.
-        params: How many, and how.
         progress: Called after every attempt.
         recall: Where outcomes of earlier runs are found; by default all are made anew.
 
@@ -234,14 +218,7 @@ def _footprint(fitted: FittedAsset, T_world_object: Array) -> Array:
 
 
 def in_view(variation: Variation, fitted: FittedAsset, camera: Camera, least_share: float) -> bool:
-    """Whether a camera shows the action: the held point always, and most of the object.
-
-    Args:
-        variation: Where the object stands.
-        fitted: The object and its planned motion.
-        camera: World frame.
-        least_share: Of the closed object's outline box that must lie inside the image, 0..1.
-    """
+    """Whether a camera shows the action: the held point always, and a share 0..1 of the closed object's outline box."""
     T = variation.placed(fitted)
     moved = T @ fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, 5))
     held, depths = camera.project(apply(moved, fitted.contact_asset[None]))

@@ -138,19 +138,11 @@ def retarget(
     retreat: Style = "demonstrated",
     slow_down: float = 1.0,
 ) -> HandMotion:
-    """The hand's motion for an object at a new pose.
+    """The hand's motion for an object at a new pose (4, 4), `fps` samples a second.
 
-    Timing is the demonstration's; a longer approach or a longer opening takes
-    proportionally longer, so that speeds stay as demonstrated.
-
-    Args:
-        demo: The demonstration.
-        fitted: The object, with its planned motion.
-        T_world_object: Its pose (4, 4).
-        grasp: How it is held.
-        fps: Samples a second of the result.
-        approach, retreat: How the hand moves beside the handle.
-        slow_down: Stretches approach and contact further, at least 1.
+    Timing is the demonstration's; a longer approach or a longer opening takes proportionally longer, so that speeds
+    stay as demonstrated. `slow_down`, at least 1, stretches both further; `approach` and `retreat` tell how the hand
+    moves beside the handle.
 
     Not checked: reach, collisions.
     """

@@ -119,11 +119,7 @@ def generate_in(
 
 
 def load_generalization(folder: Path, assets: Sequence[FittedAsset]) -> list[VerifiedEpisode]:
-    """The verified episodes of a finished stage.
-
-    Args:
-        folder: Of the stage.
-        assets: The fits that the stage was given.
+    """The verified episodes of a finished stage, which was given these fits.
 
     Raises:
         MissingFileError: A file is missing.

@@ -129,18 +129,13 @@ def opening_direction(joint: Joint, held_point: ArrayLike) -> Array:
 
 
 def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
-    """Find the front of an object from the way it opens, refined by the box of its points.
+    """Find the front of an object from the way it opens, refined by the box of its points (N, 3).
 
     A part on an upright hinge starts to move out of its front; a handle stands off its door, so
     that motion leans a few degrees, and the side of the smallest upright box nearest to it is
     taken instead, when one lies within 25 degrees. A level hinge (lid, flap) runs along the
     front. A part that slides moves out of the front or along it: the front is where the held
-    point stands out farthest.
-
-    Args:
-        joint: Any frame with z up.
-        held_point: (3,), same frame, part closed, [m].
-        points: Surface of the object (N, 3), same frame, part closed, [m].
+    point stands out farthest. All in one frame with z up, part closed.
 
     Raises:
         EstimationError: The part neither opens forward or sideways nor swings up about a side.
@@ -165,14 +160,9 @@ def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
 
 
 def opens_left(joint: Joint, held_point: ArrayLike, right: ArrayLike) -> bool:
-    """Whether a part seen from the front swings about its left side, or slides to the left.
+    """Whether a part seen from the front swings about its left side, or slides to the left; `right` is unit (3,).
 
     What a mirror leaves as it is (a drawer, a lid, a flap) counts as not.
-
-    Args:
-        joint: Any frame with z up.
-        held_point: (3,), same frame, part closed, [m].
-        right: To the right of the front (3,), unit.
     """
     right = np.asarray(right, np.float64)
     if joint.type == "prismatic":
@@ -181,16 +171,10 @@ def opens_left(joint: Joint, held_point: ArrayLike, right: ArrayLike) -> bool:
 
 
 def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
-    """Point of an asset's moving part (3,) that answers to the recorded held point.
+    """Point of an asset's moving part (3,), asset frame, part closed, that answers to the recorded held point.
 
-    Args:
-        asset: Its handle's bar is held; the recorded height along the bar is kept as far as the
-            bar and the pads allow.
-        recorded_share: Held point in the normalised cube of the recorded moving part (3,), 0..1
-            along right, inward, up.
-
-    Returns:
-        Point in the asset frame, part closed, [m].
+    That lies at a share 0..1 (3,) of the recorded part's cube along right, inward, up. The height along the bar of
+    the asset's handle is kept as far as the bar and the pads allow.
 
     Not checked: an asset whose handle is not a straight bar is held at `handle_point`.
     """

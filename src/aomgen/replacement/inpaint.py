@@ -21,15 +21,9 @@ SMOOTHING: Final = 9.0
 
 
 def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Complete an image.
+    """Complete an image (H, W, 3) where it is not known (H, W); without any known pixel it is grey.
 
-    Args:
-        image: (H, W, 3); its values where `known` is False are not used.
-        known: (H, W).
-        rng: Chooses candidate patches.
-
-    Returns:
-        (H, W, 3), equal to `image` where known. Without any known pixel, grey.
+    `rng` chooses candidate patches.
     """
     if not known.any():
         return np.full(image.shape, 0.5)

@@ -46,12 +46,7 @@ class LightEstimate(NamedTuple):
 
 
 def estimate_light(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> LightEstimate:
-    """Find the light that the scan was taken under.
-
-    Args:
-        twin: The scan bound to its bodies.
-        robot: The twin's robot, with the colors of its model.
-        rng: Chooses points on the robot.
+    """Find the light that the scan was taken under; `rng` chooses points on the robot.
 
     Not checked: the real robot may be painted otherwise than its model; a uniform difference
     enters the light's brightness, which is limited to `LIMITS`.
@@ -78,14 +73,8 @@ def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
 def fit_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> Light:
     """Least squares of `seen = albedo * irradiance(normal) / pi` over nine coefficients.
 
-    Args:
-        normals: Unit (N, 3), world frame.
-        albedo: Known colors (N, 3), linear.
-        seen: Observed colors (N, 3), linear.
-        prior: Shape that bands 1 and 2 are pulled to, at the brightness found.
-
-    Returns:
-        The light; no surface direction is darker than a tenth of the mean.
+    Linear colors (N, 3); bands 1 and 2 are pulled to those of a prior at the brightness found. No surface direction
+    of the result is darker than a tenth of the mean.
     """
     basis = sh_basis(normals, 2) * (COSINE_BANDS / np.pi)
     brightness = float(

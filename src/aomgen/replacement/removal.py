@@ -59,12 +59,7 @@ class Cleared:
 
 
 def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cleared:
-    """Remove the recorded object.
-
-    Args:
-        twin: The scan bound to its bodies.
-        robot: The twin's robot.
-        rng: Chooses texture patches.
+    """Remove the recorded object from a bound scan; `rng` chooses texture patches.
 
     Raises:
         ReconstructionError: No supporting plane was scanned.

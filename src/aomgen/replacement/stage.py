@@ -179,9 +179,6 @@ def free_rectangle(
         surface_xy: Points of the surface (N, 2), seen from above, [m].
         low, high: Corners (2,) of the object's own footprint, taken as free.
         reach_m: Farthest growth on each side, [m].
-
-    Returns:
-        Corners (2,) and (2,) of the grown rectangle, axis-aligned, [m].
     """
     xy = np.asarray(surface_xy, np.float64)
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)

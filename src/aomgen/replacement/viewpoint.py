@@ -34,13 +34,10 @@ def choose_viewpoint(
     states: Sequence[TwinState],
     key_points: Sequence[Array],
 ) -> Camera:
-    """Find a camera that sees gripper and object from another side than the first one.
+    """Find a camera that sees gripper and object from another side than the first one, whose optics it keeps.
 
     Args:
         scan_cameras: Registered scan cameras, world frame, by image name.
-        first: The demonstration's camera; its size and field of view are kept.
-        twin: The scene.
-        robot: Its robot.
         states: A few states along the demonstration.
         key_points: What must be seen in each state, for example gripper and handle, (P, 3) each.
 

@@ -39,15 +39,12 @@ def check_kinematics(
     holding: NDArray[np.bool_],
     limits: KinematicLimits,
 ) -> dict[str, float] | Rejection:
-    """Place robot and object along a trajectory and measure overlaps and the grip.
+    """Place robot and object along a trajectory of T samples and measure overlaps and the grip.
 
     Args:
         scene: With the object at its pose.
-        joints: Arm joints (T, J), [rad].
-        gripper: Finger opening (T,), 0 open .. 1 closed, as it will settle on the handle.
-        thetas: Object joint (T,), [rad] or [m].
-        holding: Frames (T,) in which fingers and handle are meant to touch.
-        limits: Acceptance.
+        gripper: Finger opening, 0 open .. 1 closed, as it will settle on the handle.
+        holding: Frames in which fingers and handle are meant to touch.
 
     Returns:
         Figures `penetration_mm`, `handle_penetration_mm`, `self_penetration_mm`, `grip_gap_mm`; or a
@@ -103,13 +100,7 @@ def table_overlap_m(scene: Scene, joints: Array) -> float:
 
 
 def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
-    """Gripper value 0..1 at which the pads stand `width_m` apart.
-
-    Args:
-        robot: Without pads, `fallback` is returned.
-        width_m: Thickness of what is held, [m].
-        fallback: For example the value measured while the recorded handle was held.
-    """
+    """Gripper value 0..1 at which the pads stand `width_m` apart; `fallback` for a robot without pads."""
     by_finger = {pad.finger: pad for pad in robot.pads}
     if set(by_finger) != {"left", "right"}:
         return fallback

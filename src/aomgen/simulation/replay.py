@@ -31,13 +31,7 @@ DIVERGENCE = (
 
 @dataclass(frozen=True, slots=True)
 class Commands:
-    """What the arm is told at every control tick (N).
-
-    Attributes:
-        joints: (N, J), [rad].
-        velocities: (N, J), [rad/s].
-        gripper: (N,), 0..1.
-    """
+    """What the arm is told at every control tick (N): joints and their velocities (N, J), gripper (N,), 0..1."""
 
     joints: Array
     velocities: Array
@@ -51,10 +45,9 @@ class Touch:
     Attributes:
         robot_geom, other_geom: Of the model.
         distance: Between them, negative where they overlap, [m].
-        point_world: (3,), [m].
-        normal_world: Unit, into the robot (3,).
+        normal_world: Unit, into the robot.
         force: Normal force, [N].
-        force_world: Whole force on the robot (3,), [N].
+        force_world: Whole force on the robot, [N].
     """
 
     robot_geom: int
@@ -98,21 +91,12 @@ class SimulatedRun:
 def simulate(
     scene: Scene, joints: Array, gripper: Array, fps: float, *, initial_theta: float = 0.0
 ) -> SimulatedRun | Rejection:
-    """Track a trajectory with the arm's position controllers, without looking ahead.
+    """Track joints (T, J) and gripper (T,), T >= 2, with the arm's position controllers, without looking ahead.
 
     From sample t on, the command moves straight from sample t to sample t + 1 at constant velocity:
     the exported action at t, which names the target at t + 1, and the one before it are all that is used.
-    Autoreset is off (see `build_scene`) and a warning of divergence ends the run.
-
-    Args:
-        scene: Object placed, resistance set.
-        joints: Commanded arm joints (T, J), [rad], T >= 2.
-        gripper: Commanded gripper (T,), 0..1.
-        fps: Samples a second of both.
-        initial_theta: Object joint at reset; anything but 0 is for tests.
-
-    Returns:
-        The run; or a Rejection "diverged".
+    Autoreset is off (see `build_scene`) and a warning of divergence ends the run with a Rejection "diverged".
+    `initial_theta` sets the object's joint at reset; anything but 0 is for tests.
     """
     ticks_a_frame = math.ceil(CONTROL_HZ / fps)
     steps_a_tick = math.ceil(1 / (fps * ticks_a_frame * scene.model.opt.timestep))

@@ -55,9 +55,7 @@ class PassRule:
 def verify_plan(plan: EpisodePlan, scene: Scene) -> VerifiedEpisode | Rejection:
     """Simulate a plan in all settings (`RESISTANCES`) and keep what the nominal one, the first, reached.
 
-    Args:
-        plan: Its target, the planned final joint value, is fixed before any simulation.
-        scene: The plan's asset; moved to the plan's pose here.
+    The plan's target, its final joint value, is fixed before any simulation; the scene's asset is moved to its pose.
 
     Returns:
         The episode with its verdict; or a Rejection "target_too_small", "diverged", "pre_opened",
@@ -95,14 +93,7 @@ def verify_plan(plan: EpisodePlan, scene: Scene) -> VerifiedEpisode | Rejection:
 def judge(
     run: SimulatedRun, target: float, scene: Scene, setting: JointResistance, rule: PassRule
 ) -> SettingOutcome | Rejection:
-    """Hold one run against the pass rule.
-
-    Args:
-        run: What happened.
-        target: Planned final joint value, [rad] or [m].
-        scene: For the object's mass and whether it is bolted.
-        setting: For the record.
-        rule: Limits.
+    """Hold one run against the pass rule; the target is the planned final joint value, [rad] or [m].
 
     Returns:
         The figures; or a Rejection "pre_opened", "target", "contact" or "slides".

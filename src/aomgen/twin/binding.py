@@ -25,17 +25,13 @@ def bind(
     joint_world: Joint,
     scan_state: TwinState,
 ) -> Twin:
-    """Fix the Gaussians of an aligned scan to the bodies they belong to.
+    """Fix the Gaussians (N) of an aligned scan to the bodies they belong to.
 
     Args:
-        gaussians_world: The scan (N), world frame.
         labels: (N,) part labels, see `conventions.PART_LABELS`.
-        robot_bodies: (N,) index into `robot.body_names`, -1 where a Gaussian is not of the robot.
-        robot: The robot.
-        joint_world: The object's joint, world frame, value 0 = scan.
+        robot_bodies: (N,) index into `robot.body_names`, -1 where a Gaussian is not of the robot. What is labelled
+            robot without a link stays with the world.
         scan_state: State during the scan; its `T_world_object` becomes the object's pose.
-
-    Gaussians labelled robot without a link stay with the world.
     """
     names = body_list(robot)
     bodies = np.zeros(len(gaussians_world), np.int32)
@@ -88,14 +84,13 @@ def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_poin
 def with_object(
     background: Twin, static: Surfels, moving: Surfels, joint: Joint, light: Light, T_world_object: ArrayLike
 ) -> Twin:
-    """A twin in which an asset stands on the cleared scene.
+    """A twin in which an asset stands on the cleared scene, at a pose (4, 4).
 
     Args:
         background: Twin whose recorded object was removed.
         static, moving: The asset's links, asset frame at joint value 0.
         joint: The asset's joint, asset frame.
         light: What the asset is lit by.
-        T_world_object: Where it stands (4, 4).
     """
     cleared = background.select(~np.isin(background.labels, (STATIC, MOVING)))
     counts = [len(static.gaussians), len(moving.gaussians)]

@@ -104,13 +104,7 @@ class Silhouette:
 
 
 def silhouette(bodies: Gaussians, direction: ArrayLike, parts: RigidParts | None = None) -> Silhouette:
-    """Draw bodies as a light in a direction (3,) sees them.
-
-    Args:
-        bodies: N, world frame, or in the frames of `parts`.
-        direction: To the light.
-        parts: Where the parts are.
-    """
+    """Draw bodies as a light in a direction (3,) sees them; in the world frame, or in the frames of `parts`."""
     if not len(bodies):
         return Silhouette(camera=None, alpha=np.zeros((1, 1), np.float32))
     forward = -np.asarray(direction, np.float64)
@@ -144,14 +138,10 @@ def distant_camera(R_world_cam: Array, center: Array, cell: float, size: tuple[i
 def cast_directional_shadow(
     world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, points: ArrayLike
 ) -> Array:
-    """Share (...,) of a light that moving bodies take from points (..., 3) of a surface below them.
+    """Share (...,) of a light in a direction that moving bodies take from points (..., 3) of a surface below them.
 
-    Args:
-        world: All Gaussians (N), world frame.
-        roles: `SCENE`, `STANDS` or `MOVES` for each (N,). Where something that stands throws its
-            shadow there is nothing left to take.
-        direction: To the light (3,).
-        points: World frame.
+    Where something that stands throws its shadow there is nothing left to take: `roles` (N,) tells what each of the
+    world's Gaussians is, `SCENE`, `STANDS` or `MOVES`.
     """
     taken = silhouette(world.select(roles == MOVES), direction).at(points)
     return taken * (1 - silhouette(world.select(roles == STANDS), direction).at(points))
@@ -219,13 +209,8 @@ def cast_shadow(
 ) -> list[ShadowMap]:
     """Soft shadows of an object on the plane it stands on, one for every place of its moving part.
 
-    The light of every direction is stopped by what the object's silhouette covers as seen from there.
-
-    Args:
-        still: What does not move, at least one, world frame.
-        moving: The moving part, world frame, in each of its places.
-        T_world_plane: The surface (4, 4).
-        light: What shines.
+    The light of every direction is stopped by what the object's silhouette covers as seen from there. All Gaussians
+    are in the world frame; `still` holds at least one.
     """
     T = np.asarray(T_world_plane, np.float64)
     T_plane_world = invert(T)

@@ -129,11 +129,9 @@ def find_support(
 def seen_from_above(
     gaussians: Gaussians, support: Support, low: Array, high: Array, cell: float
 ) -> tuple[Array, Array]:
-    """Image of the plane's surface, cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
+    """Image of what lies on the plane, in its mean color; cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
 
     Args:
-        gaussians: World frame; only those on the surface are drawn, in their mean color.
-        support: The plane.
         low, high: Rectangle (2,), plane frame, [m].
         cell: Size of a pixel, [m].
 

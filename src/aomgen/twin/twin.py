@@ -112,16 +112,7 @@ def trajectory_body_poses(
     thetas: ArrayLike,
     T_world_object: ArrayLike,
 ) -> Array:
-    """Body poses (T, B, 4, 4) along a trajectory.
-
-    Args:
-        twin: The twin.
-        robot: Its robot.
-        joints: Arm joints (T, J), [rad].
-        gripper: (T,), 0..1.
-        thetas: Object joint values (T,), [rad] or [m].
-        T_world_object: Object pose (4, 4).
-    """
+    """Body poses (T, B, 4, 4) for arm joints (T, J), gripper (T,), and joint values (T,) of an object at a pose (4, 4)."""
     joints, thetas = np.asarray(joints, np.float64), np.asarray(thetas, np.float64)
     Ts = np.tile(np.eye(4), (len(joints), len(twin.body_names), 1, 1))
     Ts[:, 1 : 1 + len(robot.body_names)] = robot.link_poses(joints, np.asarray(gripper, np.float64))
