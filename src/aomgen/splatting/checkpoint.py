@@ -31,13 +31,8 @@ MOMENTS = ("values", "averages", "squares")
 class TrainingState:
     """Where a training stands; from here on everything is determined by images and parameters.
 
-    Attributes:
-        parameters: Gaussians with their optimizer state.
-        exposure: Gains of the images with their optimizer state.
-        poses: Corrections of the cameras with their optimizer state.
-        order: Indices of the images still to be drawn before the next shuffle.
-        iteration: Iterations done.
-        rng: Source of everything random.
+    Exposures and poses are the images' own parameters, `order` the indices of the images still to be drawn before
+    the next shuffle, `rng` the source of everything random.
     """
 
     parameters: Parameters
@@ -83,11 +78,7 @@ def training_digest(
 
 
 def save_checkpoint(path: Path, state: TrainingState, digest: str) -> None:
-    """Write or replace a checkpoint.
-
-    Raises:
-        StorageError: The disk refuses.
-    """
+    """Write or replace a checkpoint."""
     content = npz_bytes(state_arrays(state))
     header = b" ".join([FORMAT, digest.encode(), hashlib.sha256(content).hexdigest().encode()])
     write_bytes(path, header + b"\n" + content)
@@ -96,14 +87,9 @@ def save_checkpoint(path: Path, state: TrainingState, digest: str) -> None:
 def load_checkpoint(path: Path, digest: str, rng: np.random.Generator) -> TrainingState:
     """Read a checkpoint back; the generator continues where it was.
 
-    Args:
-        path: What `save_checkpoint` wrote.
-        digest: `training_digest` of the training that wants to continue.
-        rng: Set to the state it had at the checkpoint.
-
     Raises:
         MissingFileError, LimitExceededError: No such file, or one of more than 8 GiB.
-        CorruptArtifactError: The file is damaged, or belongs to other inputs or parameters.
+        CorruptArtifactError: The file is damaged, or belongs to other inputs or parameters than the digest's.
     """
     remedy = "delete it to start the training over"
     if not path.is_file():
@@ -152,11 +138,7 @@ def state_arrays(state: TrainingState) -> dict[str, NDArray]:
 
 
 def state_of_arrays(arrays: Mapping[str, NDArray], rng: np.random.Generator) -> TrainingState:
-    """The state that `state_arrays` took apart; the generator is set to where it was.
-
-    Raises:
-        KeyError, TypeError, ValueError: Arrays are missing, or the generator is of another kind.
-    """
+    """The state that `state_arrays` took apart; the generator is set to where it was."""
     counters = json.loads(arrays["counters"].tobytes())
 
     def group(prefix: str) -> dict[str, Tensor]:

@@ -106,7 +106,6 @@ def image_loss(
         context: Engine memory to use; may be the one of the rasterizer.
 
     Raises:
-        BackendError: The engine is missing or refuses the arguments.
         TypeError: A tensor is not float32 on the CPU; the engine reads by address.
     """
     for tensor in (rendered, target) if gains is None else (rendered, target, gains):
@@ -208,14 +207,9 @@ def native_adam_step(
 def torch_adam_step(
     values: Tensor, gradient: Tensor, average: Tensor, square: Tensor, rates: Tensor, step: int
 ) -> None:
-    """Change values, average and square in place.
+    """Change values (N, ...) and the running moments of their gradient in place; `step` counts from 1.
 
-    Args:
-        values: (N, ...) of C numbers a row.
-        gradient: Of the loss by the values, same shape.
-        average, square: Running moments of the gradient, same shape.
-        rates: (C,) learning rate of every number of a row, same device.
-        step: Counted from 1.
+    `rates` (C,) has a learning rate for each of the C numbers of a row.
 
     Source: Kingma & Ba 2015, arXiv:1412.6980, algorithm 1.
     """

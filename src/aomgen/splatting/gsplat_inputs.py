@@ -33,12 +33,7 @@ def check_scene(gaussians: GaussianTensors, camera: Camera, sh_degree: int) -> N
 
 
 def check_parts(gaussians: GaussianTensors, parts: PartTensors) -> None:
-    """Refuse parts that some Gaussian's index does not name.
-
-    Raises:
-        BackendError: An index below zero or past the transforms.
-        ValueError: Shapes that do not belong together.
-    """
+    """Refuse parts that some Gaussian's index does not name."""
     count, shape = len(gaussians.means), tuple(parts.Ts_world_part.shape)
     if parts.indices.shape != (count,) or shape[1:] != (4, 4):
         raise ValueError(f"parts {tuple(parts.indices.shape)} and transforms {shape} of {count} Gaussians")
@@ -99,11 +94,7 @@ def load_gsplat() -> ModuleType:
 
 
 def check_version(version: str) -> None:
-    """Refuse versions of gsplat whose functions are not known here.
-
-    Raises:
-        BackendError: Older than `FIRST_VERSION`, or `END_VERSION` and later.
-    """
+    """Refuse versions of gsplat whose functions are not known here."""
     numbers = tuple(int(part) for part in version.split("+")[0].split(".") if part.isdigit())
     if not FIRST_VERSION <= numbers < END_VERSION:
         first, end = (".".join(map(str, limit)) for limit in (FIRST_VERSION, END_VERSION))
@@ -111,13 +102,7 @@ def check_version(version: str) -> None:
 
 
 def place_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[Tensor, Tensor]:
-    """Means (N, 3) and quaternions (N, 4) of Gaussians in the world, differentiable by all inputs.
-
-    Args:
-        means: (N, 3), in the frame of the Gaussian's part.
-        quats: (N, 4) wxyz, in the frame of the Gaussian's part, any length.
-        parts: Which part every Gaussian belongs to, and where the parts are.
-    """
+    """Means (N, 3) and quaternions (N, 4) of Gaussians in the world, of any length; differentiable by all inputs."""
     rows = parts.indices.long()
     R_world_part, t_world_part = parts.Ts_world_part[:, :3, :3], parts.Ts_world_part[:, :3, 3]
     turned = (R_world_part[rows] * means[:, None, :]).sum(-1)
@@ -129,11 +114,6 @@ def view_directions(means: Tensor, T_cam_world: Tensor, parts: PartTensors | Non
 
     The camera's centre is carried into every part's frame, which turns the directions exactly without
     touching the coefficients.
-
-    Args:
-        means: (N, 3), in the frame of the Gaussian's part, or the world without parts.
-        T_cam_world: (4, 4) rigid.
-        parts: None where the Gaussians are in the world frame.
     """
     center_world = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
     if parts is None:

@@ -84,13 +84,7 @@ class Parameters:
         torch.lerp(means, self.values["means"], self.reach[:, None], out=self.values["means"])
 
     def rebuilt(self, kept: Tensor, parents: Tensor, added: dict[str, Tensor]) -> "Parameters":
-        """The rows `kept` (indices) followed by new rows, whose gradient averages start at zero.
-
-        Args:
-            kept: Indices of rows that stay.
-            parents: Index of the row that each new row came from.
-            added: New rows.
-        """
+        """The rows `kept` (indices) followed by new rows of these parents, whose gradient averages start at zero."""
         rest = {name: torch.zeros_like(value) for name, value in added.items()}
         values, averages, squares = (
             {name: torch.cat([tensors[name][kept], new[name]]) for name in NAMES}
@@ -117,13 +111,7 @@ def parameter_rates(
 def parameters_of(
     gaussians: Gaussians, sh_degree: int, reach: NDArray[np.float64] | None = None
 ) -> Parameters:
-    """Parameters that start at the given Gaussians, with room for SH up to a degree.
-
-    Args:
-        gaussians: N Gaussians.
-        sh_degree: 0..3.
-        reach: See `Parameters`; ones by default.
-    """
+    """Parameters that start at the given Gaussians, with room for SH up to a degree 0..3; `reach` is ones by default."""
     padded = gaussians.with_sh_degree(sh_degree)
     opacities = np.clip(padded.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     arrays = {
@@ -156,13 +144,7 @@ def gaussians_of(parameters: Parameters) -> Gaussians:
 
 
 def error_shares(gaussians: Gaussians, cameras: list[Camera], images: list[np.ndarray]) -> np.ndarray:
-    """How much of the images' absolute error each Gaussian paints, (N,) float64.
-
-    Args:
-        gaussians: What is drawn.
-        cameras: One for every image, at the image's size.
-        images: Planar (3, H, W) float32 sRGB 0..1.
-    """
+    """How much of the absolute error of images, planar (3, H, W) sRGB 0..1, each Gaussian paints, (N,)."""
     shares = np.zeros(len(gaussians))
     for camera, image in zip(cameras, images, strict=True):
         error = np.abs(render(gaussians, camera).rgb - image.transpose(1, 2, 0)).mean(-1)
@@ -184,11 +166,8 @@ def relocate_and_grow(
     `count` than what is left after dropping adds nothing.
 
     Args:
-        parameters: N Gaussians under optimization.
         shares: Error painted by each, (N,).
-        count: Number of Gaussians wanted.
         min_opacity: Fainter ones are dropped.
-        rng: Source of the draw.
         dropped: Gaussians (N,) to drop however opaque they are.
 
     Source: relocation within a fixed budget follows Kheradmand et al., "3D Gaussian splatting as

@@ -152,11 +152,7 @@ def settle(images: Mapping[str, NDArray]) -> None:
 
 
 def image_shape(camera: Camera) -> tuple[int, int]:
-    """Height and width of a camera's images, checked before anyone allocates them.
-
-    Raises:
-        BackendError: A side is not 1 to `MAX_SIDE` pixels long.
-    """
+    """Height and width of a camera's images, refused before anyone allocates more than `MAX_SIDE` pixels a side."""
     shape = (camera.height, camera.width)
     if not all(1 <= side <= MAX_SIDE for side in shape):
         raise BackendError(
@@ -202,11 +198,7 @@ def native_view(
     antialiased: bool = False,
     near_depth: float = NEAR_DEPTH,
 ) -> native.NativeView:
-    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used.
-
-    Raises:
-        BackendError: As `image_shape`.
-    """
+    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used."""
     height, width = image_shape(camera)
     return native.NativeView(
         width=width,

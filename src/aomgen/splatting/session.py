@@ -137,12 +137,8 @@ class RenderSession:
     ) -> RenderedFrame:
         """Draw one 8-bit image with all threads; arguments as in `draw`.
 
-        Args:
-            into: An image of this session that is no longer wanted. It is drawn over, and only
-                where something has changed: the fastest way to one frame after the other.
-
-        Raises:
-            BackendError: The engine refuses the Gaussians.
+        `into` is an image of this session that is no longer wanted. It is drawn over, and only
+        where something has changed: the fastest way to one frame after the other.
         """
         shape = (self.camera.height, self.camera.width, 3)
         if into is None:
@@ -161,16 +157,7 @@ class RenderSession:
         motion: Motion,
         shades: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
-        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread.
-
-        Args:
-            moving: N Gaussians in the frames of their parts.
-            motion: Where the parts are in each frame.
-            shades: Factors (T, H, W) on the sRGB colors of what never moves, for shadows.
-
-        Raises:
-            BackendError: The engine refuses the Gaussians.
-        """
+        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread; see `draw_sessions`."""
         return draw_sessions([self], moving, motion, None if shades is None else [shades], self.threads)[0]
 
     def _unknown_tiles(self, frames: int) -> NDArray[np.uint8]:
@@ -240,9 +227,6 @@ def draw_sessions(
         motion: Where the parts are in each frame.
         shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
         threads: None for all processors of the process.
-
-    Raises:
-        BackendError: The engine refuses the Gaussians.
     """
     if len(motion.parts) != len(moving):
         raise ValueError(f"{len(motion.parts)} part indices for {len(moving)} Gaussians")

@@ -50,11 +50,7 @@ class ViewDepth:
 
 
 def view_depths(gaussians: Gaussians, cameras: list[Camera], width: int = WIDTH_PX) -> list[ViewDepth]:
-    """Depth of a scene's surfaces in each view, at most `width` pixels wide.
-
-    Raises:
-        BackendError: The engine is missing, or refuses the scene or a camera.
-    """
+    """Depth of a scene's surfaces in each view, at most `width` pixels wide."""
     result = []
     for camera in cameras:
         small = camera.narrowed(width)
@@ -67,9 +63,6 @@ def seen_points(gaussians: Gaussians, camera: Camera) -> Array:
     """World points (H, W, 3) of the surface at each pixel, NaN where less than half of the light is stopped.
 
     The median depth: the mean one is no surface where a few Gaussians shine past an edge from far behind.
-
-    Raises:
-        BackendError: The engine is missing, or refuses the scene or the camera.
     """
     depth = np.asarray(render(gaussians, camera, with_ids=True).median_depth, np.float64)
     return camera.center + camera.directions() * np.where(depth > 0, depth, np.nan)[..., None]
@@ -77,10 +70,6 @@ def seen_points(gaussians: Gaussians, camera: Camera) -> Array:
 
 def in_free_space(points: Array, views: list[ViewDepth]) -> NDArray[np.bool_]:
     """Points (N, 3) that hang where views look through: before the surface in some, on it in hardly any.
-
-    Args:
-        points: In the frame of the views' cameras.
-        views: What the views see; the more, the fewer are overlooked.
 
     Not checked: what is thinner than a pixel in most views hangs before their surfaces as well.
     """

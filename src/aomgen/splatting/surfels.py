@@ -78,12 +78,7 @@ class _Candidates:
 
 
 def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
-    """Cover meshes with about `count` discs.
-
-    Args:
-        meshes: Surfaces of one rigid link; they shade each other.
-        count: How many discs, within about a third.
-        rng: Chooses the places.
+    """Cover the meshes of one rigid link, which shade each other, with discs: `count` within about a third.
 
     Raises:
         AssetError: The meshes have no surface.
@@ -269,9 +264,7 @@ def crease_distances(
 ) -> tuple[Array, Array]:
     """Distance (N,) of points on faces to the nearest crease of their own face, and its direction.
 
-    Returns:
-        Distances, infinite without a crease, and unit directions (N, 3) in the surface, across
-        the crease (any tangent without one).
+    Distances are infinite without a crease; unit directions (N, 3) lie in the surface, across the crease.
     """
     creased = crease_edges(vertices, faces)[face_ids]
     normals, _ = face_normals_areas(vertices, faces)

@@ -171,8 +171,7 @@ class PoseIncrements(ImageParameters):
 def gauge_motions(centers: Array) -> Array:
     """Orthonormal (6 M, 7): twists of M cameras that a similarity of the whole scene explains.
 
-    Args:
-        centers: Of the cameras (M, 3), relative to the point that twists are taken about.
+    Centers (M, 3) are relative to the point that twists are taken about.
     """
     count = len(centers)
     motions = np.zeros((count, 6, 7))

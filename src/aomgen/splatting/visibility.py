@@ -26,15 +26,10 @@ def sphere_directions(count: int) -> Array:
 
 
 def estimate_transfer(points: Array, normals: Array, surface: Array) -> tuple[NDArray[np.float32], Array]:
-    """Transfer (N, 9) of points among the surface's own occlusion, and their normals.
+    """Transfer (N, 9) of points among the surface's own occlusion, and their unit normals (N, 3).
 
     A normal whose side is closed in while the other side is open is turned round: meshes may
-    be wound either way.
-
-    Args:
-        points: (N, 3), [m].
-        normals: (N, 3) unit.
-        surface: Dense points (M, 3) on everything that occludes, same frame.
+    be wound either way. `surface` has dense points (M, 3) on everything that occludes, same frame.
     """
     low = surface.min(0)
     cell = float(np.ptp(surface, axis=0).max()) / CELLS
