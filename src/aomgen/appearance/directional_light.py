@@ -38,30 +38,28 @@ from aomgen.twin.twin import Twin, posed, shadow_roles
 
 # Images that are compared; a half of them to find the lamp, the other to judge it.
 PICTURES: Final = 16
-# Places of the surface that are watched, and points of each image's bodies that are dropped onto it.
-SAMPLES: Final = 4000
+# Places of the surface that are watched.
+PLACES: Final = 4000
 # A place is seen when nothing that moves covers more than this of it, so many pixels around.
 COVERED: Final = 0.02
 # Margin around moving bodies, [px]: render and image differ by about this much at contours.
 MARGIN_PX: Final = 3
 # Lamps at least this high above the surface, as the sine of their elevation.
 MIN_SINE: Final = 0.25
-# First directions: every one has another within about 6 degrees.
-DIRECTIONS: Final = 700
+# First directions: every one has another within about 8 degrees, which is less than the width of an arm's shadow.
+DIRECTIONS: Final = 350
 # The surface is looked for this far above and below where it was fitted, [m].
 NEAR_M: Final = HEIGHTS[-1]
-# Grid cells on the surface for the coarse search, [m]: finer than the shadow of an arm.
-CELL_M: Final = 0.02
-# First step of the refinement, half the spacing of the coarse directions, and where it ends, [rad]: that moves
-# the shadow of a point 1 m high by a centimeter.
-FIRST_STEP, LAST_STEP = 0.06, 0.0075
+# First step of the refinement, about half the spacing of the first directions, and where it ends, [rad]: that moves
+# the shadow of a point 1 m high by less than half a centimeter.
+FIRST_STEP, LAST_STEP = 0.07, 0.004
 # The shadow has to take away at least this share of the variance in images it was not fitted to.
 # With less, as under soft light, most of what it draws would be wrong.
 MIN_EXPLAINED: Final = 0.5
 # What is this much in shadow is wholly in it.
 CORE: Final = 0.95
-# Edges of shadows of what is 1 m high are this uncertain: by two last steps of the search, [m].
-EDGE_M: Final = 2 * LAST_STEP
+# Edges of shadows are this uncertain, a degree or two of the light's direction, [m].
+EDGE_M: Final = 0.015
 # Gaussians that count as surface, and how many around one tell its color.
 SOLID: Final = 0.3
 # Lit Gaussians whose median gives the color of the surface: outvotes single outliers.
@@ -116,10 +114,11 @@ def find_directional_light(
     fitted, unseen = observed.part(slice(0, None, 2)), observed.part(slice(1, None, 2))
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions @ up > MIN_SINE]
-    projected = _ProjectedShadow(fitted, T_world_plane)
-    scores = [explained_variance(fitted, projected.dark(direction)) for direction in directions]
-    best = directions[int(np.argmax(scores))]
-    best = _refine_direction(best, lambda direction: explained_variance(fitted, fitted.dark(direction)))
+
+    def score(direction: Array) -> float:
+        return explained_variance(fitted, fitted.dark(direction))
+
+    best = _refine_direction(max(directions, key=score), score)
     if explained_variance(unseen, unseen.dark(best)) < MIN_EXPLAINED:
         return None
     shade = estimate_shadow_color(observed, observed.dark(best))
@@ -181,54 +180,6 @@ def explained_variance(observed: SurfaceObservations, dark: Array) -> float:
     below = (weight * shadow**2).sum() * (weight * bright**2).sum()
     slope = (weight * shadow * bright).sum()
     return float(slope**2 / below) if below > 0 and slope < 0 else 0.0
-
-
-class _ProjectedShadow:
-    """Points of the bodies dropped onto the surface along a direction: coarse, but quick."""
-
-    def __init__(self, observed: SurfaceObservations, T_world_plane: Array) -> None:
-        to_plane = invert(T_world_plane)
-        self._turn = to_plane[:3, :3]
-        self._moving = [apply(to_plane, _some(bodies)) for bodies in observed.moving]
-        self._still = apply(to_plane, _some(observed.fixed))
-        places = apply(to_plane, observed.points)[:, :2]
-        self._low = places.min(0) - 2 * CELL_M
-        cells = ((places - self._low) / CELL_M).astype(int)
-        self._cells = cells[:, 0], cells[:, 1]
-        self._shape = tuple(cells.max(0) + 3)
-
-    def dark(self, direction: Array) -> Array:
-        """Which places are in shadow in every image (T, N), 0 or 1."""
-        x, y, z = self._turn @ direction
-        lean = np.array([x, y]) / z
-        lit = ~self._shadow_cells(self._still, lean)
-        return np.stack([self._shadow_cells(points, lean) & lit for points in self._moving]).astype(
-            np.float64
-        )
-
-    def _shadow_cells(self, points: Array, lean: Array) -> NDArray[np.bool_]:
-        cells = ((points[:, :2] - points[:, 2:] * lean - self._low) / CELL_M).astype(int)
-        cells = cells[((cells >= 0) & (cells < self._shape)).all(1) & (points[:, 2] > 0)]
-        grid = np.zeros(self._shape, bool)
-        grid[cells[:, 0], cells[:, 1]] = True
-        return close_at(grid, self._cells)
-
-
-def close_at(grid: NDArray[np.bool_], cells: tuple[NDArray, NDArray]) -> NDArray[np.bool_]:
-    """What `scipy.ndimage.binary_closing` of a grid gives at some cells (N,), none within two of its border.
-
-    Where places lie far apart the grid is huge and nearly empty, so that only these cells are worked out.
-    """
-    cross = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
-
-    def dilated(x: NDArray, y: NDArray) -> NDArray[np.bool_]:
-        return np.logical_or.reduce([grid[x + a, y + b] for a, b in cross])
-
-    return np.logical_and.reduce([dilated(cells[0] + a, cells[1] + b) for a, b in cross])
-
-
-def _some(bodies: Gaussians) -> Array:
-    return np.asarray(bodies.means[:: max(1, len(bodies) // SAMPLES)], np.float64)
 
 
 def _refine_direction(direction: Array, score: Callable[[Array], float]) -> Array:
@@ -301,7 +252,7 @@ def _observe_surface(
     usable = np.flatnonzero((belongs > 0.99).ravel() & (seen.sum(0) > len(chosen) / 2).ravel())
     if not len(usable):
         return None
-    usable = usable[np.unique(np.linspace(0, len(usable) - 1, SAMPLES).astype(int))]
+    usable = usable[np.unique(np.linspace(0, len(usable) - 1, PLACES).astype(int))]
     colors = np.stack([view.images_srgb[i].reshape(-1, 3)[usable] for i in chosen]) / 255.0
     seen = seen.reshape(len(chosen), -1)[:, usable] & (colors.min(-1) > DARK)
     logs = np.log(np.maximum(colors, DARK))

@@ -4,7 +4,7 @@ A scan sees a closed drawer, so that a twin's open front would stand in the air.
 with the front; those that predict the video best from its other frames are kept, or none.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
-from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.part_points import surface_points
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
@@ -97,7 +97,7 @@ def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twi
         error = _error(images, shots, regions)
         if error < best_error:
             best, best_error = discs.with_sh(((colors - 0.5) / SH_C0)[:, None]), error
-    return twin if best is None else _append(twin, best)
+    return twin if best is None else twin.extended(best, twin.body(PART), MOVING)
 
 
 def _front(twin: Twin, travel_m: float) -> _Front | None:
@@ -217,14 +217,3 @@ def _error(images: list[Array], shots: list[_Shot], regions: list[NDArray[np.boo
         for image, shot, region in zip(images, shots, regions, strict=True)
     ]
     return float(np.concatenate(squares).mean())
-
-
-def _append(twin: Twin, tray: Gaussians) -> Twin:
-    """The twin with a tray at its end, so that all indices stay."""
-    count = len(tray)
-    return replace(
-        twin,
-        gaussians=concatenate([twin.gaussians, tray.with_sh_degree(twin.gaussians.sh_degree)]),
-        bodies=np.concatenate([twin.bodies, np.full(count, twin.body(PART), np.int32)]),
-        labels=np.concatenate([twin.labels, np.full(count, MOVING, np.uint8)]),
-    )

@@ -77,18 +77,15 @@ def replace_robot_gaussians(
     count = len(bare.gaussians) - len(cover.bodies)
     sh = np.array(bare.gaussians.with_sh_degree(max(bare.gaussians.sh_degree, 2)).sh)
     sh[count:, 1:9] = colors.specular_sh
-    return replace(
-        bare,
-        gaussians=bare.gaussians.with_sh(sh),
-        relit=Relit(
-            indices=np.arange(count, count + len(cover.bodies)),
-            albedo_linear=colors.albedo.astype(np.float32),
-            transfer=open_transfer(cover.normals),
-            light_of=cover.materials,
-            lights=colors.lights,
-            residuals=colors.remembered,
-        ),
+    relit = Relit(
+        indices=count + np.arange(len(cover.bodies)),
+        albedo_linear=colors.albedo.astype(np.float32),
+        transfer=open_transfer(cover.normals),
+        light_of=cover.materials,
+        lights=colors.lights,
+        residuals=colors.remembered,
     )
+    return replace(bare, gaussians=bare.gaussians.with_sh(sh), relit=relit)
 
 
 def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cover:
@@ -153,20 +150,15 @@ def _with_cover(twin: Twin, cover: _Cover) -> Twin:
     """The twin with discs, in an even light, in the place of scanned Gaussians near the model."""
     kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _is_attached(twin, cover)
     rest = twin.select(kept)
-    count, added = len(rest.gaussians), len(cover.gaussians)
-    return replace(
-        rest,
-        gaussians=concatenate([rest.gaussians, cover.gaussians]),
-        bodies=np.concatenate([rest.bodies, cover.bodies]),
-        labels=np.concatenate([rest.labels, np.full(added, ROBOT, np.uint8)]),
-        relit=Relit(
-            indices=np.arange(count, count + added),
-            albedo_linear=np.ones((added, 3), np.float32),
-            transfer=open_transfer(cover.normals),
-            light_of=cover.materials,
-            lights=tuple(Light(radiance_sh=np.eye(9, 3)) for _ in range(int(cover.materials.max()) + 1)),
-        ),
+    count = len(cover.gaussians)
+    relit = Relit(
+        indices=len(rest.gaussians) + np.arange(count),
+        albedo_linear=np.ones((count, 3), np.float32),
+        transfer=open_transfer(cover.normals),
+        light_of=cover.materials,
+        lights=tuple(Light(radiance_sh=np.eye(9, 3)) for _ in range(int(cover.materials.max()) + 1)),
     )
+    return rest.extended(cover.gaussians, cover.bodies, ROBOT, relit=relit)
 
 
 def _is_attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:

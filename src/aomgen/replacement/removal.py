@@ -1,7 +1,7 @@
 """Take the recorded object out of the scene and close the surface it stood on."""
 
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from scipy.ndimage import binary_dilation, binary_opening, gaussian_filter, labe
 from scipy.spatial import ConvexHull
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
-from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.replacement.inpaint import inpaint
@@ -39,8 +39,7 @@ MAX_GAIN: Final = 2.0
 MAX_TINT: Final = 0.04
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cleared:
+class Cleared(NamedTuple):
     """A scene without its object.
 
     Attributes:
@@ -48,14 +47,12 @@ class Cleared:
         support: The plane the object stood on.
         removed: Gaussians taken away beyond those labelled as the object.
         filled: Gaussians of new surface.
-        shadow_gain: Largest factor by which the table was lightened.
     """
 
     twin: Twin
     support: Support
     removed: int
     filled: int
-    shadow_gain: float
 
 
 def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cleared:
@@ -71,8 +68,7 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
         world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
     )
     leftover = scene & _leftover(world, support)
-    kept = ~of_object & ~leftover
-    remaining = twin.select(kept)
+    remaining = twin.select(~of_object & ~leftover)
     table = (
         (remaining.labels == BACKGROUND) & (remaining.bodies == 0) & on_surface(remaining.gaussians, support)
     )
@@ -93,20 +89,8 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
     where = (outside <= 0) | (((outside <= MARGIN + OVERLAP) | thin) & _hull(extent > 0.5))
     fill = _surface(texture, xy, where, support, lightened.select(table))
-    count = len(fill)
-    cleared = replace(
-        remaining,
-        gaussians=concatenate([lightened, fill]),
-        bodies=np.concatenate([remaining.bodies, np.zeros(count, np.int32)]),
-        labels=np.concatenate([remaining.labels, np.full(count, BACKGROUND, np.uint8)]),
-    )
-    return Cleared(
-        twin=cleared,
-        support=support,
-        removed=int(leftover.sum() + rest.sum()),
-        filled=count,
-        shadow_gain=float(gain.max()),
-    )
+    cleared = replace(remaining, gaussians=lightened).extended(fill, 0, BACKGROUND)
+    return Cleared(cleared, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill))
 
 
 def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:

@@ -101,11 +101,10 @@ def with_object(
         light_of=np.zeros(sum(counts), np.int32),
         lights=(light,),
     )
-    return replace(
-        cleared,
-        gaussians=concatenate([cleared.gaussians, static.gaussians, moving.gaussians]),
-        bodies=np.append(cleared.bodies, np.repeat([cleared.body(OBJECT), cleared.body(PART)], counts)),
-        labels=np.append(cleared.labels, np.repeat([STATIC, MOVING], counts)),
+    return cleared.extended(
+        concatenate([static.gaussians, moving.gaussians]),
+        np.repeat([cleared.body(OBJECT), cleared.body(PART)], counts),
+        np.repeat([STATIC, MOVING], counts),
         joint=joint,
         T_world_object=T_world_object,
         scan_state=replace(cleared.scan_state, theta=0.0, T_world_object=T_world_object),

@@ -93,6 +93,17 @@ class Twin:
         """Which Gaussians (N,) are not fixed to the world."""
         return self.bodies != 0
 
+    def extended(self, gaussians: Gaussians, bodies: ArrayLike, labels: ArrayLike, **changes: Any) -> "Twin":
+        """The twin with more Gaussians (N) at its end, in body frames; bodies and labels (N,), or one for all."""
+        count = len(gaussians)
+        return replace(
+            self,
+            gaussians=concatenate([self.gaussians, gaussians]),
+            bodies=np.append(self.bodies, np.broadcast_to(bodies, count)),
+            labels=np.append(self.labels, np.broadcast_to(labels, count)),
+            **changes,
+        )
+
     def select(self, which: NDArray[np.bool_]) -> "Twin":
         """The twin with a part of its Gaussians, boolean mask (N,)."""
         return replace(
