@@ -15,14 +15,14 @@ from scipy.ndimage import binary_erosion
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import PosedImages
+from aomgen.appearance.surfel_observations import CONTOUR_PX, PosedImages
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.visibility import sphere_directions
+from aomgen.splatting.surfaces import sphere_directions
 from aomgen.twin.shadow import (
     HEIGHTS,
     MOVES,
@@ -42,8 +42,6 @@ PICTURES: Final = 16
 PLACES: Final = 4000
 # A place is seen when nothing that moves covers more than this of it, so many pixels around.
 COVERED: Final = 0.02
-# Margin around moving bodies, [px]: render and image differ by about this much at contours.
-MARGIN_PX: Final = 3
 # Lamps at least this high above the surface, as the sine of their elevation.
 MIN_SINE: Final = 0.25
 # First directions: every one has another within about 8 degrees, which is less than the width of an arm's shadow.
@@ -247,7 +245,7 @@ def _observe_surface(
         world = posed(twin, robot, view.states[index])
         covered = render(world, camera, features=(~still)[:, None].astype(np.float32)).features
         moving.append(world.select(roles == MOVES))
-        free.append(binary_erosion(np.asarray(covered)[..., 0] < COVERED, iterations=MARGIN_PX))
+        free.append(binary_erosion(np.asarray(covered)[..., 0] < COVERED, iterations=CONTOUR_PX))
     seen = np.stack(free)
     usable = np.flatnonzero((belongs > 0.99).ravel() & (seen.sum(0) > len(chosen) / 2).ravel())
     if not len(usable):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import PosedImages
+from aomgen.appearance.surfel_observations import CONTOUR_PX, PosedImages
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
@@ -45,8 +45,6 @@ MAX_INSIDE_SHARE = 0.2
 EXTENT = (0.7, 0.7, 0.05)
 # Limit on discs, which lie a pixel apart, so that a large drawer does not slow down rendering.
 MAX_DISCS = 20_000
-# Margin around the robot that is not compared, [px]: its contour is uncertain by about this much.
-ROBOT_MARGIN_PX = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +128,7 @@ def _shots(twin: Twin, robot: RobotModel, view: PosedImages, travel_m: float) ->
         Ts = body_poses(twin, robot, view.states[k])
         arm = (twin.labels == ROBOT)[:, None].astype(np.float32)
         drawn = render(posed_by(twin, Ts), small, features=arm, with_ids=True)
-        hidden = binary_dilation(np.asarray(drawn.features)[..., 0] > 0.2, iterations=ROBOT_MARGIN_PX)
+        hidden = binary_dilation(np.asarray(drawn.features)[..., 0] > 0.2, iterations=CONTOUR_PX)
         depth = np.where(drawn.alpha > 0.5, np.asarray(drawn.median_depth), np.inf)
         shots.append(
             _Shot(

@@ -31,8 +31,6 @@ SPACING_PX: Final = 2.0
 COUNTS: Final = (12_000, 40_000)
 # Least number of discs a body and material, so that small parts stay closed surfaces.
 MIN_PER_BODY: Final = 120
-# How far discs lie beneath the surface, [px].
-INSET_PX: Final = 1.0
 # Scanned Gaussians this far outside the model that hide more than they let through are things it does not have,
 # like cables. Nearer ones are the scan's own blur of the same surface.
 ATTACHED_M: Final = 0.012
@@ -104,7 +102,7 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cove
         share = areas[mine].sum() / areas.sum()
         meshes = [_plain_mesh(robot, i) for i in mine]
         surfels = open_surfels_of(meshes, max(int(count * share), MIN_PER_BODY), rng)
-        pieces.append(_inset_discs(surfels, INSET_PX * pixel_m))
+        pieces.append(_inset_discs(surfels, pixel_m))
         normals.append(surfels.normals)
         bodies.append(np.full(len(surfels.gaussians), body + 1, np.int32))
         materials.append(np.full(len(surfels.gaussians), material, np.int32))
@@ -117,7 +115,7 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cove
 
 
 def _inset_discs(surfels: Surfels, depth_m: float) -> Gaussians:
-    """Discs drawn back beneath the surface, less where it is thin.
+    """Discs drawn back by a pixel beneath the surface, less where it is thin.
 
     The rasterizer widens whatever it draws by about half a pixel, and many opaque discs that
     overlap at an outline add to that.

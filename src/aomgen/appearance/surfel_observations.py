@@ -18,6 +18,9 @@ from aomgen.twin.twin import Twin, TwinState, body_poses, moving_layer, static_l
 
 # Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
 MARGIN_PX: Final = 1
+# Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
+# much at contours.
+CONTOUR_PX: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

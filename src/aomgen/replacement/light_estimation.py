@@ -19,7 +19,7 @@ from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.visibility import sphere_directions
+from aomgen.splatting.surfaces import sphere_directions
 from aomgen.twin.twin import Twin, body_poses, posed
 
 # Robot surfaces darker than this say nothing about the light, linear.

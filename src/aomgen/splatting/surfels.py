@@ -21,7 +21,7 @@ from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import AssetError
 from aomgen.io.images import resize
-from aomgen.splatting.visibility import estimate_transfer
+from aomgen.splatting.surfaces import estimate_transfer
 
 # Candidates drawn for each disc that is kept; more gives a more even spread.
 OVERSAMPLING: Final = 5

@@ -19,7 +19,7 @@ from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.splatting.rasterizer import RigidParts, render
-from aomgen.splatting.visibility import sphere_directions
+from aomgen.splatting.surfaces import sphere_directions
 
 # Distance of a camera whose image counts as an orthographic one, [m].
 FAR: Final = 60.0

@@ -7,9 +7,8 @@ from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.light import hemisphere_light
 from aomgen.errors import ReconstructionError
-from aomgen.replacement.inpaint import inpaint
 from aomgen.replacement.light_estimation import LIMITS, estimate_light, fit_light
-from aomgen.replacement.removal import clear_object, shadow_gain
+from aomgen.replacement.removal import clear_object, inpaint, shadow_gain
 from aomgen.twin.twin import render_state
 
 TABLE_SRGB = (0.6, 0.45, 0.3)
