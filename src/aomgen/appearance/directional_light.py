@@ -12,17 +12,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import PosedImages
+from aomgen.appearance.surfel_observations import CONTOUR_PX, PosedImages
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.splatting.visibility import sphere_directions
-from aomgen.twin.directional_shadow import (
+from aomgen.splatting.surfaces import sphere_directions
+from aomgen.twin.shadow import (
     HEIGHTS,
     MOVES,
     STANDS,
@@ -37,32 +38,25 @@ from aomgen.twin.twin import Twin, posed, shadow_roles
 
 # Images that are compared; a half of them to find the lamp, the other to judge it.
 PICTURES: Final = 16
-# Places that are watched.
+# Places of the surface that are watched.
 PLACES: Final = 4000
 # A place is seen when nothing that moves covers more than this of it, so many pixels around.
 COVERED: Final = 0.02
-# Margin around moving bodies, [px]: render and image differ by about this much at contours.
-MARGIN_PX: Final = 3
 # Lamps at least this high above the surface, as the sine of their elevation.
 MIN_SINE: Final = 0.25
-# First directions: every one has another within about 6 degrees.
-DIRECTIONS: Final = 700
+# First directions: every one has another within about 8 degrees, which is less than the width of an arm's shadow.
+DIRECTIONS: Final = 350
 # The surface is looked for this far above and below where it was fitted, [m].
 NEAR_M: Final = HEIGHTS[-1]
-# Grid cells on the surface for the coarse search, [m]: finer than the shadow of an arm.
-CELL_M: Final = 0.02
-# Points of the bodies that are dropped.
-POINTS: Final = 4000
-# Steps of the refinement, [rad]; the last moves a shadow of a point 1 m high by a centimeter.
-STEPS: Final = (0.06, 0.03, 0.015, 0.0075)
-# Passes over the neighbours of a direction at each step; four cover the spacing of the coarse directions.
-ROUNDS: Final = 4
+# First step of the refinement, about half the spacing of the first directions, and where it ends, [rad]: that moves
+# the shadow of a point 1 m high by less than half a centimeter.
+FIRST_STEP, LAST_STEP = 0.07, 0.004
 # The shadow has to take away at least this share of the variance in images it was not fitted to.
 # With less, as under soft light, most of what it draws would be wrong.
 MIN_EXPLAINED: Final = 0.5
 # What is this much in shadow is wholly in it.
 CORE: Final = 0.95
-# Edges of shadows are this uncertain: twice what the last step of the search moves them, [m].
+# Edges of shadows are this uncertain, a degree or two of the light's direction, [m].
 EDGE_M: Final = 0.015
 # Gaussians that count as surface, and how many around one tell its color.
 SOLID: Final = 0.3
@@ -107,7 +101,6 @@ def find_directional_light(
 
     Args:
         twin: With all surfaces of its robot.
-        robot: Its robot.
         view: A fixed camera's images of many joint configurations.
         T_world_plane: Surface (4, 4) whose brightness is watched.
     """
@@ -119,10 +112,11 @@ def find_directional_light(
     fitted, unseen = observed.part(slice(0, None, 2)), observed.part(slice(1, None, 2))
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions @ up > MIN_SINE]
-    projected = _ProjectedShadow(fitted, T_world_plane)
-    scores = [explained_variance(fitted, projected.dark(direction)) for direction in directions]
-    best = directions[int(np.argmax(scores))]
-    best = _refine_direction(best, lambda direction: explained_variance(fitted, fitted.dark(direction)))
+
+    def score(direction: Array) -> float:
+        return explained_variance(fitted, fitted.dark(direction))
+
+    best = _refine_direction(max(directions, key=score), score)
     if explained_variance(unseen, unseen.dark(best)) < MIN_EXPLAINED:
         return None
     shade = estimate_shadow_color(observed, observed.dark(best))
@@ -138,18 +132,15 @@ def remove_baked_shadow(twin: Twin, robot: RobotModel, lamp: DirectionalLight) -
     roles = shadow_roles(twin, robot)
     on_it = surface_share(lamp.T_world_plane, points) * (twin.bodies == 0)
 
-    def taken(shift: Array) -> Array:
-        return on_it * cast_directional_shadow(world, roles, lamp.direction, points + shift)
-
-    across = lamp.T_world_plane[:3, :2] * EDGE_M
     turns = np.arange(8) * np.pi / 4
-    around = [taken(across @ np.array([np.cos(turn), np.sin(turn)])) for turn in turns]
-    dark = taken(np.zeros(3))
-    unsure = np.max([dark, *around], 0) - np.min([dark, *around], 0) > 1 - CORE
-    from_color = _shadow_from_color(
-        remove_shadow(twin.gaussians, dark, lamp.shade), twin.gaussians, unsure, on_it, lamp
-    )
-    dark[unsure] = np.minimum(from_color, np.max([dark, *around], 0)[unsure])
+    circle = EDGE_M * np.stack([np.cos(turns), np.sin(turns)], 1) @ lamp.T_world_plane[:3, :2].T
+    shifted = points + np.concatenate([np.zeros((1, 3)), circle])[:, None]
+    around = on_it * cast_directional_shadow(world, roles, lamp.direction, shifted)
+    dark, darkest = around[0], around.max(0)
+    unsure = darkest - around.min(0) > 1 - CORE
+    lit = remove_shadow(twin.gaussians, dark, lamp.shade)
+    from_color = _shadow_from_color(lit, twin.gaussians, unsure, on_it, lamp)
+    dark[unsure] = np.minimum(from_color, darkest[unsure])
     return replace(twin, gaussians=remove_shadow(twin.gaussians, dark, lamp.shade), directional_light=lamp)
 
 
@@ -163,7 +154,6 @@ def _shadow_from_color(
         seen: The same with it.
         unsure: Which are at edges, M of N.
         on_it: Share (N,) of the surface.
-        lamp: What throws the shadow.
     """
     sure = np.flatnonzero((on_it > CORE) & ~unsure & (seen.opacities > SOLID))
     if not len(sure):
@@ -190,69 +180,20 @@ def explained_variance(observed: SurfaceObservations, dark: Array) -> float:
     return float(slope**2 / below) if below > 0 and slope < 0 else 0.0
 
 
-class _ProjectedShadow:
-    """Points of the bodies dropped onto the surface along a direction: coarse, but quick."""
-
-    def __init__(self, observed: SurfaceObservations, T_world_plane: Array) -> None:
-        to_plane = invert(T_world_plane)
-        self._turn = to_plane[:3, :3]
-        self._moving = [apply(to_plane, _some(bodies)) for bodies in observed.moving]
-        self._still = apply(to_plane, _some(observed.fixed))
-        places = apply(to_plane, observed.points)[:, :2]
-        self._low = places.min(0) - 2 * CELL_M
-        cells = ((places - self._low) / CELL_M).astype(int)
-        self._cells = cells[:, 0], cells[:, 1]
-        self._shape = tuple(cells.max(0) + 3)
-
-    def dark(self, direction: Array) -> Array:
-        """Which places are in shadow in every image (T, N), 0 or 1."""
-        x, y, z = self._turn @ direction
-        lean = np.array([x, y]) / z
-        lit = ~self._shadow_cells(self._still, lean)
-        return np.stack([self._shadow_cells(points, lean) & lit for points in self._moving]).astype(
-            np.float64
-        )
-
-    def _shadow_cells(self, points: Array, lean: Array) -> NDArray[np.bool_]:
-        cells = ((points[:, :2] - points[:, 2:] * lean - self._low) / CELL_M).astype(int)
-        cells = cells[((cells >= 0) & (cells < self._shape)).all(1) & (points[:, 2] > 0)]
-        grid = np.zeros(self._shape, bool)
-        grid[cells[:, 0], cells[:, 1]] = True
-        return close_at(grid, self._cells)
-
-
-def close_at(grid: NDArray[np.bool_], cells: tuple[NDArray, NDArray]) -> NDArray[np.bool_]:
-    """What `scipy.ndimage.binary_closing` of a grid gives at some cells (N,), none within two of its border.
-
-    Where places lie far apart the grid is huge and nearly empty, so that only these cells are worked out.
-    """
-    cross = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
-
-    def dilated(x: NDArray, y: NDArray) -> NDArray[np.bool_]:
-        return np.logical_or.reduce([grid[x + a, y + b] for a, b in cross])
-
-    return np.logical_and.reduce([dilated(cells[0] + a, cells[1] + b) for a, b in cross])
-
-
-def _some(bodies: Gaussians) -> Array:
-    return np.asarray(bodies.means[:: max(1, len(bodies) // POINTS)], np.float64)
-
-
 def _refine_direction(direction: Array, score: Callable[[Array], float]) -> Array:
-    """The best direction around one, by ever smaller steps to four sides."""
-    best = score(direction)
-    for step in STEPS:
-        for _ in range(ROUNDS):
-            side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-            side /= np.linalg.norm(side)
-            around = [s * step * a for a in (side, np.cross(direction, side)) for s in (1, -1)]
-            tried = [(direction + a) / np.linalg.norm(direction + a) for a in around]
-            scores = [score(item) for item in tried]
-            if max(scores) <= best:
-                break
-            best = max(scores)
-            direction = tried[int(np.argmax(scores))]
-    return direction
+    """The best direction around one, by simplex search over its tangents."""
+    side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    side /= np.linalg.norm(side)
+    across = np.stack([side, np.cross(direction, side)])
+
+    def turned(tangents: Array) -> Array:
+        turned = direction + tangents @ across
+        return turned / np.linalg.norm(turned)
+
+    simplex = FIRST_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options = {"initial_simplex": simplex, "xatol": LAST_STEP, "fatol": np.inf}
+    found = minimize(lambda tangents: -score(turned(tangents)), [0, 0], method="Nelder-Mead", options=options)
+    return turned(found.x)
 
 
 def estimate_shadow_color(observed: SurfaceObservations, dark: Array) -> Array | None:
@@ -304,7 +245,7 @@ def _observe_surface(
         world = posed(twin, robot, view.states[index])
         covered = render(world, camera, features=(~still)[:, None].astype(np.float32)).features
         moving.append(world.select(roles == MOVES))
-        free.append(binary_erosion(np.asarray(covered)[..., 0] < COVERED, iterations=MARGIN_PX))
+        free.append(binary_erosion(np.asarray(covered)[..., 0] < COVERED, iterations=CONTOUR_PX))
     seen = np.stack(free)
     usable = np.flatnonzero((belongs > 0.99).ravel() & (seen.sum(0) > len(chosen) / 2).ravel())
     if not len(usable):

@@ -4,8 +4,7 @@ A scan sees a closed drawer, so that a twin's open front would stand in the air.
 with the front; those that predict the video best from its other frames are kept, or none.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -13,14 +12,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.surfel_observations import PosedImages
+from aomgen.appearance.surfel_observations import CONTOUR_PX, PosedImages
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
-from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.part_points import surface_points
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.errors import BackendError
 from aomgen.io.images import resize
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
@@ -43,16 +41,10 @@ MIN_PIXELS = 100
 # A drawer's front lies at the end of its body to which it moves, no farther inside than this share of the
 # body.
 MAX_INSIDE_SHARE = 0.2
-# Spacing of discs, [px]: one a pixel leaves no holes.
-SPACING_PX = 1.0
-# Extent of a disc as share of the spacing, so that neighbours overlap without gaps.
-SPREAD = 0.7
-# Thickness of a disc as share of the spacing: thin, but not degenerate for the rasterizer.
-THICKNESS = 0.05
-# Limit on discs, so that a large drawer does not slow down rendering.
+# Extent and thickness of a disc as share of the spacing: neighbours overlap without gaps, and none is degenerate.
+EXTENT = (0.7, 0.7, 0.05)
+# Limit on discs, which lie a pixel apart, so that a large drawer does not slow down rendering.
 MAX_DISCS = 20_000
-# Margin around the robot that is not compared, [px]: its contour is uncertain by about this much.
-ROBOT_MARGIN_PX = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,15 +70,10 @@ class _Shot:
 
 
 def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twin:
-    """Add walls and bottom behind the front of a drawer, with colors from the video.
+    """Add walls and bottom behind the front of a drawer to a bound scan, with colors from the demonstration.
 
-    Args:
-        twin: As bound from the scan.
-        robot: Its robot.
-        view: The demonstration.
-
-    Returns:
-        The same twin when the part does not slide out of its body, or when no interior explains the video clearly better.
+    The twin stays as it is when the part does not slide out of its body, or when no interior explains the video
+    clearly better.
 
     Not checked: that the drawer's floor is level with the front's lower edge, and what it holds.
     """
@@ -96,20 +83,19 @@ def add_drawer_interior(twin: Twin, robot: RobotModel, view: PosedImages) -> Twi
     shots = _shots(twin, robot, view, front.travel_m)
     if len(shots) < 3:
         return twin
-    spacing = _pixel_size(shots[0], front)
-    largest = _ids(_discs(front, INSETS[0], HEIGHTS[-1], spacing), shots)
-    regions = [(ids >= 0) & shot.free for ids, shot in zip(largest, shots, strict=True)]
+    spacing = _spacing(shots[0], front)
+    largest = _discs(front, INSETS[0], HEIGHTS[-1], spacing)
+    regions = [(_ids(largest, shot) >= 0) & shot.free for shot in shots]
     if not sum(int(region.sum()) for region in regions) >= MIN_PIXELS:
         return twin
-    without = _error([shot.drawn_srgb for shot in shots], shots, regions)
-    best, best_error = None, (1 - MIN_GAIN) * without
+    best, best_error = None, (1 - MIN_GAIN) * _error([shot.drawn_srgb for shot in shots], shots, regions)
     for inset, height in product(INSETS, HEIGHTS):
         discs = _discs(front, inset, height, spacing)
-        ids = _ids(discs, shots)
-        error = _error(_predict(discs, ids, shots), shots, regions)
+        images, colors = _predict(discs, shots)
+        error = _error(images, shots, regions)
         if error < best_error:
-            best, best_error = _color_discs(discs, ids, shots), error
-    return twin if best is None else _append(twin, best)
+            best, best_error = discs.with_sh(((colors - 0.5) / SH_C0)[:, None]), error
+    return twin if best is None else twin.extended(best, twin.body(PART), MOVING)
 
 
 def _front(twin: Twin, travel_m: float) -> _Front | None:
@@ -136,18 +122,14 @@ def _shots(twin: Twin, robot: RobotModel, view: PosedImages, travel_m: float) ->
     # Frames of different openings: the same image twice says nothing new.
     wanted = np.linspace(OPEN_SHARE * travel_m, travel_m, FRAMES)
     chosen = sorted({opened[int(np.argmin(np.abs(thetas - value)))] for value in wanted}) if opened else []
-    camera = view.camera
-    width = min(WIDTH_PX, camera.width)
-    small = camera.resized(width, max(1, round(width * camera.height / camera.width)))
+    small = view.camera.narrowed(WIDTH_PX)
     shots = []
     for k in chosen:
         Ts = body_poses(twin, robot, view.states[k])
         arm = (twin.labels == ROBOT)[:, None].astype(np.float32)
         drawn = render(posed_by(twin, Ts), small, features=arm, with_ids=True)
-        if drawn.median_depth is None or drawn.features is None:
-            raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
-        hidden = binary_dilation(drawn.features[..., 0] > 0.2, iterations=ROBOT_MARGIN_PX)
-        depth = np.where(drawn.alpha > 0.5, drawn.median_depth, np.inf)
+        hidden = binary_dilation(np.asarray(drawn.features)[..., 0] > 0.2, iterations=CONTOUR_PX)
+        depth = np.where(drawn.alpha > 0.5, np.asarray(drawn.median_depth), np.inf)
         shots.append(
             _Shot(
                 camera=small,
@@ -161,112 +143,75 @@ def _shots(twin: Twin, robot: RobotModel, view: PosedImages, travel_m: float) ->
     return shots
 
 
-def _pixel_size(shot: _Shot, front: _Front) -> float:
+def _spacing(shot: _Shot, front: _Front) -> float:
     """Distance between discs, [m]: about a pixel, or more for large trays."""
     middle = apply(shot.T_world_part, (front.axes @ ((front.low + front.high) / 2))[None])
     pixel = float(shot.camera.project(middle)[1][0]) / shot.camera.fx
     width, height = front.high[:2] - front.low[:2]
     area = front.travel_m * (width + 2 * height)
-    return max(SPACING_PX * pixel, float(np.sqrt(area / MAX_DISCS)))
+    return max(pixel, float(np.sqrt(area / MAX_DISCS)))
 
 
 def _discs(front: _Front, inset: float, height: float, spacing_m: float) -> Gaussians:
     """Gray discs of both walls and the bottom, part frame."""
-    low, high = front.low.copy(), front.high.copy()
+    low, high = front.low, front.high
     margin = inset * (high[0] - low[0])
     left, right, floor = low[0] + margin, high[0] - margin, low[1] + margin
     top = max(floor + spacing_m, low[1] + height * (high[1] - low[1]))
     z = np.arange(low[2] - front.travel_m, low[2], spacing_m)
-    faces = []
-    rows = np.arange(floor, top, spacing_m)
-    columns = np.arange(left, right, spacing_m)
-    for x in (left, right):
-        yy, zz = (grid.ravel() for grid in np.meshgrid(rows, z))
-        faces.append((np.column_stack([np.full(yy.size, x), yy, zz]), [1, 2, 0]))
-    xx, zz = (grid.ravel() for grid in np.meshgrid(columns, z))
-    faces.append((np.column_stack([xx, np.full(xx.size, floor), zz]), [2, 0, 1]))
-    means = np.concatenate([local for local, _ in faces]) @ front.axes.T
-    quats = np.concatenate(
-        [np.tile(quat_from_matrix(front.axes[:, order]), (len(local), 1)) for local, order in faces]
-    )
-    scales = np.array([SPREAD, SPREAD, THICKNESS]) * spacing_m
-    count = len(means)
+    rows, columns = np.arange(floor, top, spacing_m), np.arange(left, right, spacing_m)
+    walls = [np.stack(np.meshgrid(x, rows, z), -1).reshape(-1, 3) for x in (left, right)]
+    bottom = np.stack(np.meshgrid(columns, floor, z), -1).reshape(-1, 3)
+    # Columns of the discs' rotations: two axes in the face, then its normal.
+    faces = [(walls[0], [1, 2, 0]), (walls[1], [1, 2, 0]), (bottom, [2, 0, 1])]
+    quats = [np.tile(quat_from_matrix(front.axes[:, order]), (len(places), 1)) for places, order in faces]
+    means = np.concatenate([places for places, _ in faces]) @ front.axes.T
     return gaussians_of(
-        means=means.astype(np.float32),
-        quats=quats.astype(np.float32),
-        scales=np.tile(scales, (count, 1)).astype(np.float32),
-        opacities=np.full(count, 0.99, np.float32),
-        sh=np.zeros((count, 1, 3), np.float32),
+        means=means,
+        quats=np.concatenate(quats),
+        scales=np.tile(spacing_m * np.array(EXTENT), (len(means), 1)),
+        opacities=np.full(len(means), 0.99),
+        sh=np.zeros((len(means), 1, 3)),
     )
 
 
-def _ids(discs: Gaussians, shots: Sequence[_Shot]) -> list[NDArray[np.int64]]:
-    """Which disc each pixel (H, W) of each shot shows, -1 for none."""
-    result = []
-    for shot in shots:
-        drawn = render(discs.transformed(shot.T_world_part), shot.camera, with_ids=True)
-        if drawn.median_depth is None or drawn.max_id is None:
-            raise BackendError("rasterizer", "drew no depth", "rebuild the engine")
-        shown = (drawn.alpha > 0.5) & (drawn.median_depth < shot.drawn_depth)
-        result.append(np.where(shown, drawn.max_id, -1).astype(np.int64))
-    return result
+def _ids(discs: Gaussians, shot: _Shot) -> NDArray[np.int64]:
+    """Which disc each pixel (H, W) of a shot shows, -1 for none."""
+    drawn = render(discs.transformed(shot.T_world_part), shot.camera, with_ids=True)
+    shown = (drawn.alpha > 0.5) & (np.asarray(drawn.median_depth) < shot.drawn_depth)
+    return np.where(shown, np.asarray(drawn.max_id), -1).astype(np.int64)
 
 
-def _sums(
-    ids: Sequence[NDArray[np.int64]], shots: Sequence[_Shot], count: int
-) -> tuple[list[Array], list[Array]]:
-    """Sum of colors (N, 3) and number of pixels (N,) of every disc, for each shot."""
-    sums, counts = [], []
-    for shown, shot in zip(ids, shots, strict=True):
+def _predict(discs: Gaussians, shots: list[_Shot]) -> tuple[list[Array], Array]:
+    """Each shot as the others' colors of the tray foretell it, and colors (N, 3) of the discs by all of them."""
+    count = len(discs)
+    ids = [_ids(discs, shot) for shot in shots]
+    sums, pixels = np.zeros((len(shots), count, 3)), np.zeros((len(shots), count))
+    for k, (shown, shot) in enumerate(zip(ids, shots, strict=True)):
         use = (shown >= 0) & shot.free
         colors = shot.seen_srgb[use]
-        sums.append(np.stack([np.bincount(shown[use], colors[:, i], count) for i in range(3)], 1))
-        counts.append(np.bincount(shown[use], minlength=count).astype(np.float64))
-    return sums, counts
+        sums[k] = np.stack([np.bincount(shown[use], colors[:, i], count) for i in range(3)], 1)
+        pixels[k] = np.bincount(shown[use], minlength=count)
+    images = []
+    for k, (shown, shot) in enumerate(zip(ids, shots, strict=True)):
+        colors = _mean_colors(discs, sums.sum(0) - sums[k], pixels.sum(0) - pixels[k])
+        images.append(np.where((shown >= 0)[..., None], colors[shown], shot.drawn_srgb))
+    return images, _mean_colors(discs, sums.sum(0), pixels.sum(0))
 
 
-def _mean_colors(discs: Gaussians, totals: Array, pixels: Array) -> Array:
+def _mean_colors(discs: Gaussians, sums: Array, pixels: Array) -> Array:
     """Colors (N, 3) of discs; unseen ones take their nearest neighbor's, as a pixel shows several."""
-    colors = totals / np.maximum(pixels, 1)[:, None]
+    colors = sums / np.maximum(pixels, 1)[:, None]
     seen = pixels > 0
     if seen.any() and not seen.all():
         colors[~seen] = colors[seen][cKDTree(discs.means[seen]).query(discs.means[~seen])[1]]
     return colors
 
 
-def _predict(discs: Gaussians, ids: Sequence[NDArray[np.int64]], shots: Sequence[_Shot]) -> list[Array]:
-    """Each shot as the others' colors of the tray foretell it."""
-    sums, counts = _sums(ids, shots, len(discs))
-    total, number = np.sum(sums, axis=0), np.sum(counts, axis=0)
-    pictures = []
-    for k, (shown, shot) in enumerate(zip(ids, shots, strict=True)):
-        colors = _mean_colors(discs, total - sums[k], number - counts[k])
-        pictures.append(np.where((shown >= 0)[..., None], colors[shown], shot.drawn_srgb))
-    return pictures
-
-
-def _error(pictures: Sequence[Array], shots: Sequence[_Shot], regions: Sequence[NDArray[np.bool_]]) -> float:
+def _error(images: list[Array], shots: list[_Shot], regions: list[NDArray[np.bool_]]) -> float:
     """Mean squared difference to the video in the regions."""
     squares = [
-        np.square(picture - shot.seen_srgb)[region]
-        for picture, shot, region in zip(pictures, shots, regions, strict=True)
+        np.square(image - shot.seen_srgb)[region]
+        for image, shot, region in zip(images, shots, regions, strict=True)
     ]
     return float(np.concatenate(squares).mean())
-
-
-def _color_discs(discs: Gaussians, ids: Sequence[NDArray[np.int64]], shots: Sequence[_Shot]) -> Gaussians:
-    """Discs in the video's colors."""
-    sums, counts = _sums(ids, shots, len(discs))
-    colors = _mean_colors(discs, np.sum(sums, axis=0), np.sum(counts, axis=0))
-    return discs.with_sh(((colors - 0.5) / SH_C0)[:, None].astype(np.float32))
-
-
-def _append(twin: Twin, tray: Gaussians) -> Twin:
-    """The twin with a tray at its end, so that all indices stay."""
-    count = len(tray)
-    return replace(
-        twin,
-        gaussians=concatenate([twin.gaussians, tray.with_sh_degree(twin.gaussians.sh_degree)]),
-        bodies=np.concatenate([twin.bodies, np.full(count, twin.body(PART), np.int32)]),
-        labels=np.concatenate([twin.labels, np.full(count, MOVING, np.uint8)]),
-    )

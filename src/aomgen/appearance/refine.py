@@ -7,104 +7,91 @@ the loss is an absolute difference and every image has them elsewhere.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
+from torch import Tensor
 
 from aomgen.appearance.surfel_observations import PosedImages, pixel_size
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import SH_C0
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.refining import RefinementView, refine_gaussians
-from aomgen.twin.directional_shadow import compute_shadow_factors, draw_lit
-from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
-from aomgen.twin.twin import Twin, body_poses, posed_by, shadow_roles
+from aomgen.splatting import native
+from aomgen.splatting.compute import NativeCompute, image_loss
+from aomgen.splatting.differentiable import CpuRasterizer, GaussianTensors, PartTensors, RasterOptions
+from aomgen.splatting.optimizer import RATES, Parameters, gaussians_of, parameter_rates, parameters_of
+from aomgen.splatting.training import one_torch_thread
+from aomgen.twin.relighting import Relit
+from aomgen.twin.twin import Twin, TwinState, body_poses, posed_by, shadow_roles
 
 # Gaussians move this much in a step, [px] of the usual image at the robot.
 STEP_PX: Final = 0.1
 # Shadows are drawn a pixel or two beside where they are: nothing is learned where the share of light
-# that is taken changes by this much, on pixels that are mostly the surface.
-EDGE_PX: Final = 5
-# Change in the share of light, 0..1, that makes an edge of a shadow.
-EDGE_STEP: Final = 0.1
-# Share of a pixel, 0..1, from which it is mostly the surface.
-MOSTLY: Final = 0.5
+# that is taken changes by EDGE_STEP within EDGE_PX, on pixels more than half of which are the surface.
+EDGE_PX, EDGE_STEP = 5, 0.1
+# What is left of all learning rates at the end, so that the last steps only average.
+DECAY: Final = 0.1
+# Passes over all images.
+ROUNDS: Final = 2
+# As in training, but opacity stays: a surface is opaque.
+REFINING_RATES: Final = {**RATES, "log_scales": 2e-2, "logit_opacities": 0.0}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _View:
+    """An image of one joint configuration.
+
+    Attributes:
+        camera: Where it was taken.
+        image_srgb: (H, W, 3) uint8.
+        Ts_world_body: Body poses (B, 4, 4).
+        colors_srgb: Colors (M, 3) of relit surfaces in this configuration.
+        recall: Share (M,) of the fitted difference in color that is seen in this configuration.
+        shade: Factors (H, W, 3) on the drawn colors, for shadows that are not the Gaussians' own.
+        unsure: Pixels (H, W) that are left out of the loss.
+    """
+
+    camera: Camera
+    image_srgb: NDArray[np.uint8]
+    Ts_world_body: Array
+    colors_srgb: NDArray[np.float32]
+    recall: NDArray[np.float32]
+    shade: NDArray[np.float32] | None = None
+    unsure: NDArray[np.bool_] | None = None
 
 
 def refine_twin(
     twin: Twin, robot: RobotModel, views: Sequence[PosedImages], rng: np.random.Generator
 ) -> Twin:
-    """Fit the Gaussians of the twin to images.
+    """Fit the Gaussians of the twin to images in a random order; with none it stays as it is.
 
     Shape, specular term and the colors of what is not relit are shared by all joint configurations. Colors of
-    relit surfaces are learned for the orientations of the scan, beyond what they were given, and
-    come back as much as memories of them do.
-
-    Args:
-        twin: If something in it is lit anew, those are its last Gaussians.
-        robot: Its robot.
-        views: What to fit to; with none the twin stays as it is.
-        rng: Order of the images.
+    relit surfaces, which are the twin's last Gaussians, are learned for the orientations of the scan, beyond what
+    they were given, and come back as much as memories of them do.
     """
     if not views:
         return twin
-    surfaces = surfaces_of(twin.relit, twin.bodies)
-    nearest = _scan_orientations(twin, robot)
-    roles = shadow_roles(twin, robot)
-    training_views = [
-        _with_shadows(
-            _training_view(twin, body_poses(twin, robot, state), surfaces, nearest, (view, index)),
-            twin,
-            roles,
-        )
-        for view in views
-        for index, state in enumerate(view.states)
-    ]
-    rate_means = STEP_PX * pixel_size(robot, twin, views)
-    gaussians, difference = refine_gaussians(twin.gaussians, twin.bodies, training_views, rate_means, rng)
+    nearest, roles = _scan_orientations(twin, robot), shadow_roles(twin, robot)
+    prepared = []
+    for view in views:
+        for image, state in zip(view.images_srgb, view.states, strict=True):
+            item = _prepare_view(twin, robot, nearest, view.camera, image, state)
+            prepared.append(_with_shadows(item, twin, roles))
+    parameters = _fit(twin, prepared, STEP_PX * pixel_size(robot, twin, views), rng)
+    fitted = gaussians_of(parameters)
+    first = len(fitted) - len(twin.relit_bodies)
+    sh = np.array(fitted.sh)
+    difference = sh[first:, 0].astype(np.float64) * SH_C0
+    sh[first:, 0] = twin.gaussians.sh[first:, 0]
+    # Opacities exactly as they came: a logit and back rounds.
+    gaussians = replace(fitted, opacities=twin.gaussians.opacities, sh=sh)
     relit = None if twin.relit is None else _add_corrections(twin.relit, nearest, difference)
     return replace(twin, gaussians=gaussians, relit=relit)
-
-
-def _training_view(
-    twin: Twin,
-    Ts_world_body: Array,
-    surfaces: tuple[LitSurface, ...],
-    nearest: dict[int, int],
-    place: tuple[PosedImages, int],
-) -> RefinementView:
-    """One image, the n-th of a video, with the colors of relit surfaces in its joint configuration."""
-    view, index = place
-    count = 0 if twin.relit is None else len(twin.relit.indices)
-    colors, recall = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-    for surface in surfaces:
-        R = Ts_world_body[surface.body, :3, :3]
-        colors[surface.rows] = surface.colors_srgb(R)
-        if surface.residual is not None:
-            recall[surface.rows] = surface.residual.weights(R)[nearest[surface.body]]
-    return RefinementView(
-        camera=view.camera,
-        image_srgb=view.images_srgb[index],
-        Ts_world_part=Ts_world_body,
-        colors_srgb=colors,
-        recall=recall,
-    )
-
-
-def _with_shadows(training_view: RefinementView, twin: Twin, roles: NDArray[np.uint8]) -> RefinementView:
-    """A training view whose drawn image is compute_shadow_factors by the shadows of its joint configuration."""
-    if twin.directional_light is None:
-        return training_view
-    world = posed_by(twin, training_view.Ts_world_part)
-    _, surface, taken = draw_lit(twin.directional_light, world, roles, training_view.camera)
-    edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
-    return replace(
-        training_view,
-        shade=compute_shadow_factors(twin.directional_light, surface * taken),
-        unsure=edge & (surface > MOSTLY),
-    )
 
 
 def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
@@ -116,6 +103,34 @@ def _scan_orientations(twin: Twin, robot: RobotModel) -> dict[int, int]:
     }
 
 
+def _prepare_view(
+    twin: Twin,
+    robot: RobotModel,
+    nearest: dict[int, int],
+    camera: Camera,
+    image_srgb: NDArray[np.uint8],
+    state: TwinState,
+) -> _View:
+    """One image with the colors of relit surfaces in its joint configuration."""
+    Ts = body_poses(twin, robot, state)
+    colors, recall = np.zeros((0, 3), np.float32), np.zeros(len(twin.relit_bodies), np.float32)
+    if twin.relit is not None:
+        colors = twin.relit.colors_srgb(twin.relit_bodies, Ts[None])[0].astype(np.float32)
+        for item in twin.relit.residuals:
+            recall[item.rows] = item.weights(Ts[None, item.body, :3, :3])[0, nearest[item.body]]
+    return _View(camera=camera, image_srgb=image_srgb, Ts_world_body=Ts, colors_srgb=colors, recall=recall)
+
+
+def _with_shadows(view: _View, twin: Twin, roles: NDArray[np.uint8]) -> _View:
+    """A view whose drawn image is darkened by the shadows of its joint configuration."""
+    light = twin.directional_light
+    if light is None:
+        return view
+    surface, taken = light.shadow_seen(posed_by(twin, view.Ts_world_body), roles, view.camera)
+    edge = maximum_filter(taken, EDGE_PX) - minimum_filter(taken, EDGE_PX) > EDGE_STEP
+    return replace(view, shade=light.factors(surface * taken), unsure=edge & (surface > 0.5))
+
+
 def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -> Relit:
     """Memories of the scan's orientations with differences in color (M, 3) added."""
     remembered = []
@@ -124,3 +139,59 @@ def _add_corrections(relit: Relit, nearest: dict[int, int], difference: Array) -
         colors[nearest[item.body]] += difference[item.rows]
         remembered.append(replace(item, difference_srgb=colors))
     return replace(relit, residuals=tuple(remembered))
+
+
+def _fit(twin: Twin, views: list[_View], rate_means: float, rng: np.random.Generator) -> Parameters:
+    """Fitted Gaussians in their bodies' frames; the constant terms of relit ones are differences in color.
+
+    Args:
+        rate_means: Learning rate of the means at the start, [m] a step.
+    """
+    degree = twin.gaussians.sh_degree
+    parameters = parameters_of(twin.gaussians, degree)
+    parameters.values["sh"][len(twin.gaussians) - len(twin.relit_bodies) :, 0] = 0
+    steps, order = ROUNDS * len(views), np.zeros(0, np.int64)
+    compute, contexts = NativeCompute(), (native.Context(), native.Context(threads=1))
+    bodies = torch.tensor(twin.bodies)
+    with one_torch_thread():
+        for step in range(steps):
+            if not len(order):
+                order = rng.permutation(len(views))
+            view, order = views[int(order[0])], order[1:]
+            gradients = _gradients(parameters, bodies, view, contexts)
+            decay = DECAY ** (step / steps)
+            rates = parameter_rates(REFINING_RATES, rate_means * decay, decay, degree)
+            parameters.step(gradients, rates, compute)
+    return parameters
+
+
+def _gradients(
+    parameters: Parameters, bodies: Tensor, view: _View, contexts: tuple[native.Context, native.Context]
+) -> dict[str, Tensor]:
+    """Gradients of one image's loss, by name; `contexts` of the rasterizer and of the loss."""
+    leaves = parameters.leaves()
+    Ts_world_body = torch.tensor(view.Ts_world_body, dtype=torch.float32)
+    drawn = CpuRasterizer(contexts[0])(
+        GaussianTensors(**{**leaves, "sh": _harmonics(leaves["sh"], view)}),
+        view.camera,
+        RasterOptions(sh_degree=int(np.sqrt(leaves["sh"].shape[1])) - 1),
+        parts=PartTensors(indices=bodies, Ts_world_part=Ts_world_body),
+    )
+    target = torch.tensor(np.ascontiguousarray(view.image_srgb.transpose(2, 0, 1))).float() / 255
+    rgb = drawn.rgb
+    if view.shade is not None:
+        rgb = rgb * torch.tensor(np.ascontiguousarray(view.shade.transpose(2, 0, 1)))
+    if view.unsure is not None:
+        target = torch.where(torch.tensor(view.unsure), rgb.detach(), target)
+    image_loss(rgb, target, context=contexts[1]).backward()
+    return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+
+
+def _harmonics(learned: Tensor, view: _View) -> Tensor:
+    """Harmonics (N, K, 3) of a configuration: the last M are lit, and differ by a share of the fitted difference."""
+    constant = torch.tensor((view.colors_srgb - 0.5) / SH_C0, dtype=torch.float32)
+    recall = torch.tensor(view.recall, dtype=torch.float32)
+    first = len(learned) - len(recall)
+    lit = constant + recall[:, None] * learned[first:, 0]
+    constants = torch.cat([learned[:first, 0], lit])
+    return torch.cat([constants[:, None], learned[:, 1:]], 1)

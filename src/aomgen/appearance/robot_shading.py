@@ -74,10 +74,9 @@ def fit_robot_colors(
     normals_body: Array,
     means_body: Array,
 ) -> RobotColors:
-    """Fit colors to observations.
+    """Fit colors of M discs to observations.
 
     Args:
-        observations: What images show.
         bodies: Body of every disc (M,), index into the twin's `body_names`.
         materials: Material of every disc (M,), 0..P-1.
         normals_body, means_body: (M, 3), body frames.
@@ -114,8 +113,7 @@ def _fit_specular(observations: SurfelObservations, views: Array, left: Array, c
         for j in range(i + 1):
             moment = np.bincount(disc, weights * views[:, i] * views[:, j], count)
             normal[:, i, j] = normal[:, j, i] = moment
-        for channel in range(3):
-            right[:, i, channel] = np.bincount(disc, weights * views[:, i] * left[:, channel], count)
+        right[:, i] = _per_disc(disc, (weights * views[:, i])[:, None] * left, count)
     return np.asarray(np.linalg.solve(normal + SPECULAR_PULL * np.eye(8), right), np.float64)
 
 
@@ -143,29 +141,27 @@ def _fit(
 
     Errors are weighed as sRGB shows them.
     """
-    materials = discs.materials[observations.disc]
-    count = int(discs.materials.max()) + 1
+    disc, pixels = observations.disc, observations.pixels[:, None]
+    materials = discs.materials[disc]
     ratio = np.ones((len(discs.bodies), 3))
-    predicted, radiance = seen, np.zeros((count, 9, 3))
+    predicted, radiance = seen, np.zeros((int(discs.materials.max()) + 1, 9, 3))
     lit = np.zeros_like(seen)
     for _ in range(ROUNDS):
-        weights = _srgb_slope(predicted) ** 2 * observations.pixels[:, None]
-        common = _radiance(answers, ratio[observations.disc], seen, weights, np.zeros((9, 3)))
-        for material in range(count):
+        weights = _srgb_slope(predicted) ** 2 * pixels
+        common = _radiance(answers, ratio[disc], seen, weights, np.zeros((9, 3)))
+        for material in range(len(radiance)):
             mine = materials == material
             if not mine.any():
                 radiance[material] = common
                 continue
             near = common * (seen[mine].mean() / max(float((answers[mine] @ common).mean()), BLACK))
-            radiance[material] = _radiance(
-                answers[mine], ratio[observations.disc[mine]], seen[mine], weights[mine], near
-            )
+            radiance[material] = _radiance(answers[mine], ratio[disc[mine]], seen[mine], weights[mine], near)
             lit[mine] = np.maximum(answers[mine] @ radiance[material], BLACK / 10)
-        above = _per_disc(observations.disc, weights * seen * lit, len(ratio))
-        below = _per_disc(observations.disc, weights * lit**2, len(ratio))
-        pull = DISC_PULL * np.median((weights * lit**2) / observations.pixels[:, None], 0)
+        above = _per_disc(disc, weights * seen * lit, len(ratio))
+        below = _per_disc(disc, weights * lit**2, len(ratio))
+        pull = DISC_PULL * np.median((weights * lit**2) / pixels, 0)
         ratio = np.clip((above + pull) / (below + pull), 1 / MAX_RATIO, MAX_RATIO)
-        predicted = ratio[observations.disc] * lit
+        predicted = ratio[disc] * lit
     return ratio, radiance, lit
 
 
@@ -202,9 +198,8 @@ def _fit_residual_colors(
         remembered = np.zeros((len(chosen), len(rows), 3))
         for k in range(len(chosen)):
             below = np.bincount(column, weights[:, k], len(rows)) + DISC_PULL
-            for channel in range(3):
-                above = np.bincount(column, weights[:, k] * difference[mine, channel], len(rows))
-                remembered[k, :, channel] = above / below
+            above = _per_disc(column, weights[:, k, None] * difference[mine], len(rows))
+            remembered[k] = above / below[:, None]
         memories.append(
             ResidualAppearance(
                 body=int(body),

@@ -6,6 +6,7 @@ are ragged and light is baked in. The model's shape has none of that.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 from aomgen.appearance.robot_shading import fit_robot_colors
 from aomgen.appearance.surfel_observations import PosedImages, SurfelObservations, observe_surfels, pixel_size
 from aomgen.conventions import ROBOT
-from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
+from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.mesh import Mesh, face_normals_areas
 from aomgen.core.values import Array
@@ -30,13 +31,9 @@ SPACING_PX: Final = 2.0
 COUNTS: Final = (12_000, 40_000)
 # Least number of discs a body and material, so that small parts stay closed surfaces.
 MIN_PER_BODY: Final = 120
-# How far discs lie beneath the surface, [px].
-INSET_PX: Final = 1.0
-# Scanned Gaussians this far outside the model, and solid, are things it does not have, like cables.
-# Nearer ones are the scan's own blur of the same surface.
+# Scanned Gaussians this far outside the model that hide more than they let through are things it does not have,
+# like cables. Nearer ones are the scan's own blur of the same surface.
 ATTACHED_M: Final = 0.012
-# Opacity from which a Gaussian is solid: it hides more than it lets through.
-SOLID_OPACITY: Final = 0.5
 # Bodies of which the scan and the video show less are left as scanned.
 MIN_OBSERVATIONS: Final = 200
 
@@ -56,14 +53,8 @@ def replace_robot_gaussians(
 ) -> Twin:
     """Replace the scanned Gaussians of the robot by surfels on its model.
 
-    Args:
-        twin: As bound from the scan.
-        robot: Its robot.
-        views: Images of the scan and of the demonstration, in one exposure.
-        rng: Samples the surface.
-
-    Returns:
-        The same twin when the model has no meshes or images hardly show it.
+    Views are of the scan and of the demonstration, in one exposure. The twin, as bound from the scan, stays as it is
+    when the model has no meshes or images hardly show it.
     """
     if not robot.meshes or not views:
         return twin
@@ -84,42 +75,37 @@ def replace_robot_gaussians(
     count = len(bare.gaussians) - len(cover.bodies)
     sh = np.array(bare.gaussians.with_sh_degree(max(bare.gaussians.sh_degree, 2)).sh)
     sh[count:, 1:9] = colors.specular_sh
-    return replace(
-        bare,
-        gaussians=bare.gaussians.with_sh(sh),
-        relit=Relit(
-            indices=np.arange(count, count + len(cover.bodies)),
-            albedo_linear=colors.albedo.astype(np.float32),
-            transfer=open_transfer(cover.normals),
-            light_of=cover.materials,
-            lights=colors.lights,
-            residuals=colors.remembered,
-        ),
+    relit = Relit(
+        indices=count + np.arange(len(cover.bodies)),
+        albedo_linear=colors.albedo.astype(np.float32),
+        transfer=open_transfer(cover.normals),
+        light_of=cover.materials,
+        lights=colors.lights,
+        residuals=colors.remembered,
     )
+    return replace(bare, gaussians=bare.gaussians.with_sh(sh), relit=relit)
 
 
 def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cover:
     """Discs on every body; materials are the distinct colors of the model."""
-    colors = sorted({tuple(np.round(mesh.color_srgb, 4).tolist()) for mesh in robot.meshes})
+    palette, material_of = np.unique(
+        np.round([mesh.color_srgb for mesh in robot.meshes], 4), axis=0, return_inverse=True
+    )
+    body_of = np.array([mesh.body for mesh in robot.meshes])
     areas = np.array([face_normals_areas(m.vertices_body, m.faces)[1].sum() for m in robot.meshes])
     count = np.clip(areas.sum() / (SPACING_PX * pixel_m) ** 2, *COUNTS)
     pieces, normals, bodies, materials = [], [], [], []
-    for body in sorted({mesh.body for mesh in robot.meshes}):
-        for color in colors:
-            mine = [
-                i
-                for i, mesh in enumerate(robot.meshes)
-                if mesh.body == body and tuple(np.round(mesh.color_srgb, 4).tolist()) == color
-            ]
-            if not areas[mine].sum() > 0:
-                continue
-            share = areas[mine].sum() / areas.sum()
-            meshes = [_plain_mesh(robot, i) for i in mine]
-            surfels = open_surfels_of(meshes, max(int(count * share), MIN_PER_BODY), rng)
-            pieces.append(_inset_discs(surfels, INSET_PX * pixel_m))
-            normals.append(surfels.normals)
-            bodies.append(np.full(len(surfels.gaussians), body + 1, np.int32))
-            materials.append(np.full(len(surfels.gaussians), colors.index(color), np.int32))
+    for body, material in product(np.unique(body_of), range(len(palette))):
+        mine = np.flatnonzero((body_of == body) & (material_of == material))
+        if not areas[mine].sum() > 0:
+            continue
+        share = areas[mine].sum() / areas.sum()
+        meshes = [_plain_mesh(robot, i) for i in mine]
+        surfels = open_surfels_of(meshes, max(int(count * share), MIN_PER_BODY), rng)
+        pieces.append(_inset_discs(surfels, pixel_m))
+        normals.append(surfels.normals)
+        bodies.append(np.full(len(surfels.gaussians), body + 1, np.int32))
+        materials.append(np.full(len(surfels.gaussians), material, np.int32))
     return _Cover(
         gaussians=concatenate(pieces),
         normals=np.concatenate(normals).astype(np.float64),
@@ -129,7 +115,7 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cove
 
 
 def _inset_discs(surfels: Surfels, depth_m: float) -> Gaussians:
-    """Discs drawn back beneath the surface, less where it is thin.
+    """Discs drawn back by a pixel beneath the surface, less where it is thin.
 
     The rasterizer widens whatever it draws by about half a pixel, and many opaque discs that
     overlap at an outline add to that.
@@ -143,13 +129,7 @@ def _inset_discs(surfels: Surfels, depth_m: float) -> Gaussians:
         _, nearest = tree.query(places - normals * depth)
         opposed = np.einsum("ni,ni->n", normals, normals[nearest]) < 0
         room[opposed] = np.minimum(room[opposed], depth / 3)
-    return gaussians_of(
-        means=places - normals * room[:, None],
-        quats=surfels.gaussians.quats,
-        scales=surfels.gaussians.scales,
-        opacities=surfels.gaussians.opacities,
-        sh=surfels.gaussians.sh,
-    )
+    return replace(surfels.gaussians, means=places - normals * room[:, None])
 
 
 def _plain_mesh(robot: RobotModel, index: int) -> Mesh:
@@ -168,20 +148,15 @@ def _with_cover(twin: Twin, cover: _Cover) -> Twin:
     """The twin with discs, in an even light, in the place of scanned Gaussians near the model."""
     kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _is_attached(twin, cover)
     rest = twin.select(kept)
-    count, added = len(rest.gaussians), len(cover.gaussians)
-    return replace(
-        rest,
-        gaussians=concatenate([rest.gaussians, cover.gaussians]),
-        bodies=np.concatenate([rest.bodies, cover.bodies]),
-        labels=np.concatenate([rest.labels, np.full(added, ROBOT, np.uint8)]),
-        relit=Relit(
-            indices=np.arange(count, count + added),
-            albedo_linear=np.ones((added, 3), np.float32),
-            transfer=open_transfer(cover.normals),
-            light_of=cover.materials,
-            lights=tuple(Light(radiance_sh=np.eye(9, 3)) for _ in range(int(cover.materials.max()) + 1)),
-        ),
+    count = len(cover.gaussians)
+    relit = Relit(
+        indices=len(rest.gaussians) + np.arange(count),
+        albedo_linear=np.ones((count, 3), np.float32),
+        transfer=open_transfer(cover.normals),
+        light_of=cover.materials,
+        lights=tuple(Light(radiance_sh=np.eye(9, 3)) for _ in range(int(cover.materials.max()) + 1)),
     )
+    return rest.extended(cover.gaussians, cover.bodies, ROBOT, relit=relit)
 
 
 def _is_attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
@@ -191,7 +166,7 @@ def _is_attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
         mine = np.flatnonzero((twin.labels == ROBOT) & (twin.bodies == body))
         surface = cover.gaussians.means[cover.bodies == body]
         distances, _ = cKDTree(surface).query(twin.gaussians.means[mine])
-        attached[mine] = (distances > ATTACHED_M) & (twin.gaussians.opacities[mine] > SOLID_OPACITY)
+        attached[mine] = (distances > ATTACHED_M) & (twin.gaussians.opacities[mine] > 0.5)
     return attached
 
 

@@ -26,7 +26,7 @@ from aomgen.results import Results
 from aomgen.robots.loading import save_robot
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.twin.binding import bind, object_frame
-from aomgen.twin.directional_shadow import DirectionalLight
+from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.support import find_support
 from aomgen.twin.twin import Twin, TwinState, posed, render_state
 
@@ -55,14 +55,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def bind_scan(scene: Gaussians, parts: Parts, joint: Joint, configuration: RobotConfiguration) -> Twin:
-    """The scan bound to the bodies that carry it, in the scan's state.
-
-    Args:
-        scene: Gaussians, world frame.
-        parts: Of these Gaussians.
-        joint: Of the moving part.
-        configuration: The robot during the scan.
-    """
+    """The scan, Gaussians in the world frame, bound to the bodies that carry it, in the scan's state."""
     static, moving = (surface_points(scene, parts.labels, label) for label in (STATIC, MOVING))
     state = TwinState(
         joints=configuration.joints,
@@ -110,16 +103,10 @@ def pose_demo_video(results: Results, twin: Twin) -> PosedImages:
 def refine_appearance(
     twin: Twin, robot: RobotModel, views: Sequence[PosedImages], progress: Progress
 ) -> Twin:
-    """The twin as all pictures show it.
+    """The twin as all pictures show it, those of the scan, and last of a fixed camera.
 
     The robot's Gaussians are replaced by surfels of its model, the moving shadow is separated from the
     surface it falls on, then everything is fitted.
-
-    Args:
-        twin: The scan bound to its bodies.
-        robot: Its robot.
-        views: Of the scan, and last of a fixed camera.
-        progress: Told how far it has come.
     """
     rng = np.random.default_rng(0)
     progress(0.1, "the robot's surface")

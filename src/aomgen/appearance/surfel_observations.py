@@ -14,11 +14,13 @@ from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
-from aomgen.twin.layers import MovingLayer, moving_layer, static_layer
-from aomgen.twin.twin import Twin, TwinState, body_poses
+from aomgen.twin.twin import Twin, TwinState, body_poses, moving_layer, static_layer
 
 # Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
 MARGIN_PX: Final = 1
+# Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
+# much at contours.
+CONTOUR_PX: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,11 +43,11 @@ class SurfelObservations:
     """Colors of surfels (discs): N observations in V images.
 
     Attributes:
-        disc: Which disc (N,), an index into the relit Gaussians of the twin.
-        image_index: Which image (N,).
-        color_srgb: Mean color (N, 3), 0..1.
-        pixels: How many pixels show it (N,).
-        directions_body: Unit direction (N, 3) from the camera to the disc, in its body's frame.
+        disc: Which disc, an index into the relit Gaussians of the twin.
+        image_index: Which image.
+        color_srgb: Mean color, 0..1.
+        pixels: How many pixels show it.
+        directions_body: Unit direction from the camera to the disc, in its body's frame.
         Ts_world_body: Body poses in every image (V, B, 4, 4).
     """
 
@@ -62,31 +64,26 @@ class SurfelObservations:
 def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages]) -> SurfelObservations:
     """Measure the color of every surfel in every image where it is visible.
 
-    Args:
-        twin: Its relit Gaussians are the discs (M); whatever else is in it may hide them.
-        robot: The twin's robot.
-        views: At least one image.
+    The twin's relit Gaussians, all of which move, are the surfels (M); whatever else is in it may hide them.
     """
     moving = moving_layer(twin)
-    disc_of = _discs_of_moving(twin, moving)
-    still = twin.gaussians.select(~twin.moves)
+    first_disc = len(twin.gaussians) - len(twin.relit_bodies)
     pieces, poses = [], []
     for view in views:
-        layer = static_layer(still, view.camera)
+        layer = static_layer(twin, view.camera)
         for image, state in zip(view.images_srgb, view.states, strict=True):
             Ts = body_poses(twin, robot, state)
             parts = RigidParts(indices=moving.bodies, Ts_world_part=Ts)
             drawn = layer.session.draw(moving.gaussians, parts, with_ids=True)
-            ids = np.asarray(drawn.max_id).astype(np.int64) - len(still)
-            discs = np.where(ids >= 0, disc_of[np.maximum(ids, 0)], -1)
+            discs = np.asarray(drawn.max_id).astype(np.int64) - first_disc
             seen = binary_erosion(discs >= 0, iterations=MARGIN_PX)
             which, inverse, pixels = np.unique(discs[seen], return_inverse=True, return_counts=True)
             colors = image[seen] / 255.0
-            sums = [np.bincount(inverse, colors[:, c], len(which)) for c in range(3)]
-            mean = np.stack(sums, 1).astype(np.float64)
-            mean /= np.maximum(pixels, 1)[:, None]
+            sums = np.stack([np.bincount(inverse, colors[:, c], len(which)) for c in range(3)], 1)
             directions = _directions(twin, which, Ts, view.camera)
-            pieces.append((which, np.full(len(which), len(poses)), mean, pixels, directions))
+            pieces.append(
+                (which, np.full(len(which), len(poses)), sums / pixels[:, None], pixels, directions)
+            )
             poses.append(Ts)
     disc, image_index, color, pixels, directions = (
         np.concatenate(items) for items in zip(*pieces, strict=True)
@@ -104,10 +101,7 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
 def match_exposure(view: PosedImages, drawn_srgb: Array, compared: NDArray[np.bool_]) -> PosedImages:
     """Match exposure and white balance to those of the scan.
 
-    Args:
-        view: Its first image shows what `drawn_srgb` shows.
-        drawn_srgb: The twin from the video's camera in the state of the first image (H, W, 3), 0..1.
-        compared: Pixels (H, W) that show the same thing in both.
+    The view's first image shows what `drawn_srgb` (H, W, 3), 0..1, shows, at the pixels (H, W) to be compared.
     """
     gains = fit_gains(view.images_srgb[0][compared] / 255, drawn_srgb[compared])
     return replace(view, images_srgb=tuple(change_exposure(image, gains) for image in view.images_srgb))
@@ -121,13 +115,6 @@ def pixel_size(robot: RobotModel, twin: Twin, views: Sequence[PosedImages]) -> f
         for view in views
     ]
     return float(np.median(sizes))
-
-
-def _discs_of_moving(twin: Twin, moving: MovingLayer) -> NDArray[np.int64]:
-    """Row among the relit Gaussians of every Gaussian of a moving layer, -1 for what is not lit."""
-    rows = np.concatenate([surface.rows for surface in moving.surfaces] or [np.zeros(0, np.int64)])
-    plain = np.full(len(moving.gaussians) - len(rows), -1, np.int64)
-    return np.concatenate([plain, rows])
 
 
 def _directions(twin: Twin, discs: NDArray[np.int64], Ts_world_body: Array, camera: Camera) -> Array:

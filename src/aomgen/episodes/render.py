@@ -12,11 +12,25 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.splatting.session import draw_sessions
-from aomgen.twin.directional_shadow import FAR, MOVES, STANDS, DirectionalLight, intersect_surface, silhouette
-from aomgen.twin.layers import StaticLayer, moving_layer, static_layer
-from aomgen.twin.relighting import surfaces_of
-from aomgen.twin.shadow import cast_shadow
-from aomgen.twin.twin import OBJECT, PART, Twin, shadow_roles, trajectory_body_poses
+from aomgen.twin.shadow import (
+    FAR,
+    MOVES,
+    STANDS,
+    DirectionalLight,
+    cast_shadow,
+    intersect_surface,
+    silhouette,
+)
+from aomgen.twin.twin import (
+    OBJECT,
+    PART,
+    StaticLayer,
+    Twin,
+    moving_layer,
+    shadow_roles,
+    static_layer,
+    trajectory_body_poses,
+)
 
 # Joint values for which the shadow is computed; between them it is interpolated.
 SHADOW_STATES: Final = 5
@@ -29,10 +43,10 @@ class Trajectory:
     """What moves in the images, T frames.
 
     Attributes:
-        joints: (T, J), [rad].
-        gripper: (T,), 0..1.
-        thetas: (T,), [rad] or [m].
-        T_world_object: Object pose (4, 4).
+        joints: Of the arm, [rad].
+        gripper: 0..1.
+        thetas: Joint value of the object, [rad] or [m].
+        T_world_object: Object pose.
     """
 
     joints: Annotated[Array, "T _"]
@@ -47,8 +61,7 @@ def static_layers(
     twin: Twin, cameras: Mapping[str, Camera], threads: int | None = None
 ) -> dict[str, StaticLayer]:
     """What each camera sees of the scene that never moves; the same for all episodes of a scene."""
-    still = twin.gaussians.select(~twin.moves)
-    return {name: static_layer(still, camera, threads) for name, camera in cameras.items()}
+    return {name: static_layer(twin, camera, threads) for name, camera in cameras.items()}
 
 
 def render_frames(
@@ -59,26 +72,19 @@ def render_frames(
     T_world_plane: Array | None = None,
     threads: int | None = None,
 ) -> dict[str, NDArray[np.uint8]]:
-    """Draw an episode.
+    """Draw an episode: frames (T, H, W, 3) uint8 of each camera.
 
     Args:
         twin: With the object that stands in it.
-        robot: Its robot.
-        trajectory: Where everything is.
         layers: From `static_layers`, of the same twin.
         T_world_plane: The surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
-
-    Returns:
-        Frames (T, H, W, 3) uint8 of each camera.
     """
     Ts = trajectory_body_poses(
         twin, robot, trajectory.joints, trajectory.gripper, trajectory.thetas, trajectory.T_world_object
     )
     moving = moving_layer(twin)
-    shades = {}
-    if T_world_plane is not None and twin.relit is not None:
-        shades = _shades(twin, trajectory, layers, T_world_plane)
+    shades = {} if T_world_plane is None else _shades(twin, trajectory, layers, T_world_plane)
     arm = (
         None
         if twin.directional_light is None
@@ -159,18 +165,12 @@ def _shades(
     twin: Twin, trajectory: Trajectory, layers: Mapping[str, StaticLayer], T_world_plane: Array
 ) -> dict[str, NDArray[np.float32]]:
     """Factors (SHADOW_STATES, H, W) on each camera's static image, one for each knot."""
-    surfaces = [
-        surface
-        for surface in surfaces_of(twin.relit, twin.bodies)
-        if surface.body in (twin.body(OBJECT), twin.body(PART))
-    ]
-    if twin.relit is None or not surfaces:
+    owners, relit = twin.relit_bodies, twin.relit
+    members = {name: np.flatnonzero(owners == twin.body(name)) for name in (OBJECT, PART)}
+    if relit is None or not len(members[OBJECT]):
         return {}
-    light = surfaces[0].light
-    solid = {
-        name: twin.gaussians.select(twin.relit.indices[twin.bodies[twin.relit.indices] == twin.body(name)])
-        for name in (OBJECT, PART)
-    }
+    light = relit.lights[relit.light_of[members[OBJECT][0]]]
+    solid = {name: twin.gaussians.select(relit.indices[rows]) for name, rows in members.items()}
     T_object = trajectory.T_world_object
     places = {
         name: layer.camera.center + layer.camera.directions() * np.minimum(layer.depth, 100.0)[..., None]

@@ -22,8 +22,7 @@ from aomgen.io.video import encode_video
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.verify import assumptions
-from aomgen.twin.layers import StaticLayer
-from aomgen.twin.twin import Twin
+from aomgen.twin.twin import StaticLayer, Twin
 
 # Episodes rendered at a time, each on one thread; usual machines have more cores.
 WORKERS: Final = 2
@@ -64,7 +63,7 @@ def run_episodes(
     workers: int = WORKERS,
     progress: Progress = silent,
 ) -> list[Path]:
-    """Draw and commit every verified episode that is not committed yet.
+    """Draw and commit every verified episode that is not committed yet; the folders of all, in order.
 
     The number of workers changes nothing in the results.
 
@@ -72,17 +71,11 @@ def run_episodes(
         verified: What passed; an episode's folder is its place in this sequence.
         twins: For each asset's name, the cleared scene with that asset in it.
         usd_files: For each asset's name, its USD file, in which others can simulate it.
-        robot: The robot.
-        cameras: Cameras of the pictures.
         folder: Of all episodes; committed ones are kept.
         instruction: Language instruction.
         joint_zeros_rad: Of the recorded arm, see `assumptions`.
         T_world_plane: The surface that shadows fall on, (4, 4).
         workers: Episodes drawn at the same time.
-        progress: Called after every episode.
-
-    Returns:
-        Folders of all episodes, in order.
 
     Raises:
         StorageError: The disk refuses.

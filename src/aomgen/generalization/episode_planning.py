@@ -1,22 +1,33 @@
-"""Plan one episode: place the object, choose a grasp, retarget, solve the arm, check for collisions."""
+"""Plan one episode: place the object, choose a grasp, retarget, solve the arm, check for collisions.
+
+The arm is solved at the grasp first, then backwards to the start and on to the end: that keeps the demonstration's
+branch of the arm where it matters.
+"""
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
+from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
-from aomgen.generalization.arm import FreeWay, solve_around, solve_contact
 from aomgen.generalization.grasps import Grasp, grasps
-from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed
+from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, solve_path
 from aomgen.generalization.retarget import CONTACT, HandMotion, Style, retarget, timing
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.simulation.scene import Scene
 
-# From early to late.
+# The free way to the object: straight in space as the paper has it, or smooth in the joints,
+# which no singular pose can spoil.
+FreeWay = Literal["cartesian", "joints"]
+# The Cartesian way has to end where the demonstration began, on the same branch, [rad].
+START_TOLERANCE_RAD = 0.05
+# Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
+SEED_STEPS = 12
+# Reasons of rejection, from early to late.
 REASONS = (
     "joint_limit",
     "unreachable",
@@ -59,11 +70,7 @@ def plan_episode(
     Args:
         fitted: The object and its planned motion. It faces as the recorded object did, so its
             axes are those in which the demonstrated hand is understood.
-        demo: The demonstration.
-        variation: Where the object stands.
         scene: Robot, table and this asset, at any pose.
-        solver: Of the same robot.
-        params: See `PlanParams`.
 
     Returns:
         The plan; or the Rejection of the grasp that came farthest, its metrics with the number of
@@ -164,11 +171,11 @@ def _solved(task: _Task, grasp: Grasp, ways: _Ways) -> tuple[HandMotion, IkPath 
             retreat=ways.retreat,
             slow_down=slow_down,
         )
-        contact = solve_contact(task.solver, motion, task.demo, params.ik)
+        contact = _solve_contact(task, motion)
         if isinstance(contact, Rejection):
             # No way of coming or going can mend this grasp.
             return motion, replace(contact, metrics={**contact.metrics, "in_contact": 1.0})
-        path = solve_around(task.solver, motion, contact, task.demo, ways.free, params.ik)
+        path = _solve_around(task, motion, contact, ways.free)
         if isinstance(path, Rejection):
             return motion, path
         speed = check_speed(path.joints, params.fps, params.ik, task.placed.robot.slides)
@@ -177,6 +184,70 @@ def _solved(task: _Task, grasp: Grasp, ways: _Ways) -> tuple[HandMotion, IkPath 
         slow_down *= 1.1 * speed.metrics["speed_share"]
         if not slow_down <= params.max_slow_down:
             return motion, speed
+
+
+def _solve_contact(task: _Task, motion: HandMotion) -> IkPath | Rejection:
+    """Arm joints of the contact frames, on the demonstration's branch."""
+    demo, contact = task.demo, np.flatnonzero(motion.phases == CONTACT)
+    demo_times = demo.times_s - demo.times_s[0]
+    nearest = int(np.argmin(np.abs(demo_times - motion.demo_times_s[contact[0]])))
+    # Walk from the demonstrated grasp to the new one, so that the branch is the same.
+    there = interpolate(
+        demo.Ts_world_ee[nearest], motion.Ts_world_ee[contact[0]], np.linspace(0, 1, SEED_STEPS)
+    )
+    seed = solve_path(task.solver, there, demo.joints[nearest], task.params.ik)
+    # Part of that walk may be out of reach although its end is not.
+    start = demo.joints[nearest] if isinstance(seed, Rejection) else seed.joints[-1]
+    return solve_path(task.solver, motion.Ts_world_ee[contact], start, task.params.ik)
+
+
+def _solve_around(
+    task: _Task, motion: HandMotion, contact_path: IkPath, free_way: FreeWay
+) -> IkPath | Rejection:
+    """Arm joints of the whole motion, given those of its contact frames.
+
+    Returns:
+        The path; or a Rejection "unreachable", "joint_limit" or "branch" (the way back from the
+        grasp does not end in the demonstrated start pose).
+    """
+    contact = np.flatnonzero(motion.phases == CONTACT)
+    first, last = contact[0], contact[-1]
+    joints = np.empty((len(motion.thetas), contact_path.joints.shape[1]))
+    joints[contact] = contact_path.joints
+    # Rows before this one are free.
+    free = int(np.searchsorted(motion.blend[:first], 1.0 - 1e-9)) if free_way == "joints" else 0
+    paths = [contact_path]
+    for rows, start in (
+        (np.arange(last + 1, len(joints)), contact_path.joints[-1]),
+        (np.arange(first - 1, free - 1, -1), contact_path.joints[0]),
+    ):
+        path = solve_path(task.solver, motion.Ts_world_ee[rows], start, task.params.ik)
+        if isinstance(path, Rejection):
+            return path
+        joints[rows] = path.joints
+        paths.append(path)
+    start_error = float(np.abs(joints[0] - task.demo.joints[0]).max())
+    if free_way == "joints":
+        joints[:free] = _free_joints(motion, task.demo, joints[free], free)
+    elif not start_error <= START_TOLERANCE_RAD:
+        return Rejection(
+            reason="branch",
+            detail="the way back from the grasp does not end in the demonstrated start pose",
+            metrics={"start_error_rad": start_error},
+        )
+    return IkPath(
+        joints=joints,
+        residual_mm=max(path.residual_mm for path in paths),
+        residual_deg=max(path.residual_deg for path in paths),
+    )
+
+
+def _free_joints(motion: HandMotion, demo: Demonstration, goal: Array, free: int) -> Array:
+    """The demonstrated joints, bent so that they end in `goal`: joints (free, J)."""
+    times = demo.times_s - demo.times_s[0]
+    at = motion.demo_times_s[: free + 1]
+    demonstrated = np.stack([np.interp(at, times, column) for column in demo.joints.T], -1)
+    return demonstrated[:free] + motion.blend[:free, None] * (goal - demonstrated[free])
 
 
 def _collision_free(task: _Task, motion: HandMotion, path: IkPath) -> dict[str, float] | Rejection:

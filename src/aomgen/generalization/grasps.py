@@ -31,9 +31,8 @@ class Grasp:
     """One way to hold the handle.
 
     Attributes:
-        name: For the record.
-        R_object_ee: Hand's orientation with the part closed (3, 3).
-        held_ee: Held point in the end effector frame (3,), [m].
+        R_object_ee: Hand's orientation with the part closed.
+        held_ee: Held point in the end effector frame, [m].
         turn_ratio: Turn of the hand over turn of the part while it opens.
     """
 
@@ -54,7 +53,6 @@ def orientations(
         R_front_ee: Demonstrated hand in the recorded object's upright front frame (3, 3); the
             asset's own frame is of the same kind.
         handle_axis: Along the new handle's bar (3,), asset frame.
-        tilts_deg: Turns about the bar to try in this order.
 
     Yields:
         Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the hand
@@ -85,11 +83,10 @@ def grasps(
     """Grasps to try, in order of likeness to the demonstrated one.
 
     Args:
-        fitted: The asset; a revolute part may be followed with less turn than it makes.
         R_front_ee: As for `orientations`.
         demonstrated_depth: How far beyond the end effector point the recorded handle lay, along
             the approach, [m].
-        turn_ratio: Demonstrated turn of the hand over turn of the part.
+        turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
     """
     depth = float(np.clip(demonstrated_depth, *DEPTHS_M))
     revolute = fitted.asset.joint.type == "revolute"

@@ -39,12 +39,7 @@ class IkLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IkPath:
-    """A solved path.
-
-    Attributes:
-        joints: (T, J), [rad].
-        residual_mm, residual_deg: Largest over the path.
-    """
+    """A solved path: joints, and its largest residuals."""
 
     joints: Annotated[Array, "_ _"]
     residual_mm: float
@@ -55,13 +50,7 @@ class IkPath:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IkSolver:
-    """The robot's compiled model, ready for many paths.
-
-    Attributes:
-        robot: The robot.
-        model: Its MuJoCo model without visual meshes.
-        addresses: qpos addresses of the arm joints (J,).
-    """
+    """The robot and its compiled model without visual meshes, ready for many paths; qpos addresses of the arm joints."""
 
     robot: RobotModel
     model: mujoco.MjModel
@@ -78,13 +67,10 @@ def ik_solver(robot: RobotModel) -> IkSolver:
 def solve_path(
     solver: IkSolver, Ts_world_ee: Array, start_joints: ArrayLike, limits: IkLimits
 ) -> IkPath | Rejection:
-    """Arm joints along a path of end effector poses.
+    """Arm joints along a path of end effector poses (T, 4, 4), close enough together for the arm to follow.
 
-    Args:
-        solver: From `ik_solver`.
-        Ts_world_ee: (T, 4, 4), close enough together for the arm to follow.
-        start_joints: Where the arm is before the first pose (J,), [rad]; sets the branch.
-        limits: Acceptance; speed is left to `check_speed`, as only the caller knows the time.
+    Where the arm is before the first pose (J,) sets its branch. Speed is left to `check_speed`, as only the caller
+    knows the time.
 
     Returns:
         The path; or a Rejection "unreachable" or "joint_limit" at the first pose that breaks a limit.

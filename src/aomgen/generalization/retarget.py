@@ -71,12 +71,12 @@ class HandMotion:
     """A retargeted hand motion at a constant rate.
 
     Attributes:
-        Ts_world_ee: (T, 4, 4).
-        gripper: Commanded (T,), 0..1.
-        thetas: Planned joint value (T,), [rad] or [m].
-        phases: (T,) index into `PHASES`.
-        demo_times_s: Moment of the demonstration that each sample answers to (T,), [s].
-        blend: Share of the new grasp in each approach pose (T,): 0 at the start, 1 from where
+        Ts_world_ee: Of the hand.
+        gripper: Commanded, 0..1.
+        thetas: Planned joint value, [rad] or [m].
+        phases: Index into `PHASES`.
+        demo_times_s: Moment of the demonstration that each sample answers to, [s].
+        blend: Share of the new grasp in each approach pose: 0 at the start, 1 from where
             the hand moves with the object.
     """
 
@@ -138,19 +138,11 @@ def retarget(
     retreat: Style = "demonstrated",
     slow_down: float = 1.0,
 ) -> HandMotion:
-    """The hand's motion for an object at a new pose.
+    """The hand's motion for an object at a new pose (4, 4), `fps` samples a second.
 
-    Timing is the demonstration's; a longer approach or a longer opening takes
-    proportionally longer, so that speeds stay as demonstrated.
-
-    Args:
-        demo: The demonstration.
-        fitted: The object, with its planned motion.
-        T_world_object: Its pose (4, 4).
-        grasp: How it is held.
-        fps: Samples a second of the result.
-        approach, retreat: How the hand moves beside the handle.
-        slow_down: Stretches approach and contact further, at least 1.
+    Timing is the demonstration's; a longer approach or a longer opening takes proportionally longer, so that speeds
+    stay as demonstrated. `slow_down`, at least 1, stretches both further; `approach` and `retreat` tell how the hand
+    moves beside the handle.
 
     Not checked: reach, collisions.
     """
@@ -191,18 +183,17 @@ class _HandPath:
         self.demo, self.fitted, self.grasp, self.moments = demo, fitted, grasp, moments
         self.T_world_object = T_world_object
         self.times = demo.times_s - demo.times_s[0]
-        self._positions = Akima1DInterpolator(self.times, demo.Ts_world_ee[:, :3, 3])
-        quats = quat_from_matrix(demo.Ts_world_ee[:, :3, :3])
+        positions, quats = demo.Ts_world_ee[:, :3, 3], quat_from_matrix(demo.Ts_world_ee[:, :3, :3])
         flips = np.cumprod(np.sign(np.sum(quats[1:] * quats[:-1], 1)) + 1e-12)
         quats[1:] *= np.sign(flips)[:, None]
-        self._quats = Akima1DInterpolator(self.times, quats)
-        ways = np.linalg.norm(np.diff(demo.Ts_world_ee[:, :3, 3], axis=0), axis=1)
+        self._poses = Akima1DInterpolator(self.times, np.column_stack([positions, quats]))
+        ways = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._ways = np.concatenate([[0.0], np.cumsum(ways)])
 
     def demonstrated(self, times: Array) -> Array:
         """Recorded hand poses (N, 4, 4)."""
-        times = np.clip(times, self.times[0], self.times[-1])
-        return transform(matrix_from_quat(self._quats(times)), self._positions(times))
+        poses = self._poses(np.clip(times, self.times[0], self.times[-1]))
+        return transform(matrix_from_quat(poses[:, 3:]), poses[:, :3])
 
     def thetas(self, times: Array) -> Array:
         """Planned joint value (N,)."""

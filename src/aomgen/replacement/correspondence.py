@@ -1,4 +1,4 @@
-"""Which way the recorded object faces, and which point of an asset answers to the held one.
+"""What of an asset answers to what of the recorded object: its front, its held point and that point's path.
 
 Source: AOMGen, sec. 4.3, "Physical Interaction Adaptation" (the NOCS-like contact map). The paper
 normalises both parts in axis-aligned unit cubes; here the cubes are aligned with the objects' own
@@ -10,13 +10,16 @@ from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import isotonic_regression
+from scipy.signal import savgol_filter
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
 from aomgen.core.boxes import MIN_POINTS, QUANTILES, find_upright_axes
+from aomgen.core.demonstration import Demonstration, RecordedObject
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import angle_between, transform
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import EstimationError
 
 # World frame, z up.
@@ -35,7 +38,7 @@ class Frontal:
     """The upright frame of an object that looks at its user.
 
     Attributes:
-        R_world_front: Columns: right of the front, into the object, up (3, 3). An asset's own
+        R_world_front: Columns: right of the front, into the object, up. An asset's own
             frame is of this kind, as its front looks along -y.
         opens_left: Seen from the front, the part swings about its left side or slides to the left.
     """
@@ -49,6 +52,65 @@ class Frontal:
     def yaw(self) -> float:
         """Turn about the vertical that takes an asset's axes to this front, [rad]."""
         return float(np.arctan2(self.R_world_front[1, 0], self.R_world_front[0, 0]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedContact:
+    """The recorded motion as the fit needs it.
+
+    Attributes:
+        path_world: Held point while the part moves, [m].
+        shares: Time share 0..1 of each point.
+        thetas: Recovered joint value, first 0, never falling, [rad] or [m].
+        front: The recorded object's front.
+        held_share: Held point in the normalised cube of the moving part.
+        size: Extent of the moving part along right, inward, up, [m].
+        support_z: Height of the support, [m].
+    """
+
+    path_world: Annotated[Array, "K 3"]
+    shares: Annotated[Array, "K"]
+    thetas: Annotated[Array, "K"]
+    front: Frontal
+    held_share: Vector3
+    size: Vector3
+    support_z: float
+
+    __post_init__ = freeze_arrays
+
+
+def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedContact:
+    """Cut the contact out of the demonstration and describe the recorded object's front.
+
+    Raises:
+        EstimationError: The part's front is ambiguous (see `frontal`).
+    """
+    frames = demo.contact_frames
+    path = demo.grasp_path_world[frames]
+    # Both parts together are a box more often than a door with its handle is.
+    whole = np.concatenate([recorded.moving_points_world, recorded.static_points_world])
+    front = frontal(demo.joint, path[0], whole)
+    times = demo.times_s[frames]
+    aligned = recorded.moving_points_world @ front.R_world_front
+    return RecordedContact(
+        path_world=path,
+        shares=(times - times[0]) / max(times[-1] - times[0], 1e-9),
+        thetas=smooth_rise(demo.thetas[frames]),
+        front=front,
+        held_share=normalised_share(recorded.moving_points_world, path[0], front.R_world_front),
+        size=np.ptp(np.percentile(aligned, [1, 99], axis=0), axis=0),
+        support_z=recorded.support.height,
+    )
+
+
+def smooth_rise(thetas: Array) -> Array:
+    """The nearest never-falling curve to (K,) noisy joint values, smoothed, starting at 0."""
+    window = min(7, len(thetas) - (len(thetas) + 1) % 2)
+    smooth = savgol_filter(thetas, window, 2) if window >= 5 else np.asarray(thetas, np.float64)
+    smooth = smooth.copy()
+    smooth[0], smooth[-1] = thetas[0], max(thetas[-1], smooth[-1])
+    rising = isotonic_regression(smooth).x
+    return rising - rising[0]
 
 
 def opening_direction(joint: Joint, held_point: ArrayLike) -> Array:
@@ -67,18 +129,13 @@ def opening_direction(joint: Joint, held_point: ArrayLike) -> Array:
 
 
 def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
-    """Find the front of an object from the way it opens, refined by the box of its points.
+    """Find the front of an object from the way it opens, refined by the box of its points (N, 3).
 
     A part on an upright hinge starts to move out of its front; a handle stands off its door, so
     that motion leans a few degrees, and the side of the smallest upright box nearest to it is
     taken instead, when one lies within 25 degrees. A level hinge (lid, flap) runs along the
     front. A part that slides moves out of the front or along it: the front is where the held
-    point stands out farthest.
-
-    Args:
-        joint: Any frame with z up.
-        held_point: (3,), same frame, part closed, [m].
-        points: Surface of the object (N, 3), same frame, part closed, [m].
+    point stands out farthest. All in one frame with z up, part closed.
 
     Raises:
         EstimationError: The part neither opens forward or sideways nor swings up about a side.
@@ -103,14 +160,9 @@ def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
 
 
 def opens_left(joint: Joint, held_point: ArrayLike, right: ArrayLike) -> bool:
-    """Whether a part seen from the front swings about its left side, or slides to the left.
+    """Whether a part seen from the front swings about its left side, or slides to the left; `right` is unit (3,).
 
     What a mirror leaves as it is (a drawer, a lid, a flap) counts as not.
-
-    Args:
-        joint: Any frame with z up.
-        held_point: (3,), same frame, part closed, [m].
-        right: To the right of the front (3,), unit.
     """
     right = np.asarray(right, np.float64)
     if joint.type == "prismatic":
@@ -119,16 +171,10 @@ def opens_left(joint: Joint, held_point: ArrayLike, right: ArrayLike) -> bool:
 
 
 def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
-    """Point of an asset's moving part (3,) that answers to the recorded held point.
+    """Point of an asset's moving part (3,), asset frame, part closed, that answers to the recorded held point.
 
-    Args:
-        asset: Its handle's bar is held; the recorded height along the bar is kept as far as the
-            bar and the pads allow.
-        recorded_share: Held point in the normalised cube of the recorded moving part (3,), 0..1
-            along right, inward, up.
-
-    Returns:
-        Point in the asset frame, part closed, [m].
+    That lies at a share 0..1 (3,) of the recorded part's cube along right, inward, up. The height along the bar of
+    the asset's handle is kept as far as the bar and the pads allow.
 
     Not checked: an asset whose handle is not a straight bar is held at `handle_point`.
     """

@@ -17,8 +17,14 @@ from aomgen.core.plan import Adaptation, FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
-from aomgen.replacement.correspondence import bar_reach, held_point_of, mirror_asset, opens_left
-from aomgen.replacement.recorded_motion import RecordedContact, smooth_rise
+from aomgen.replacement.correspondence import (
+    RecordedContact,
+    bar_reach,
+    held_point_of,
+    mirror_asset,
+    opens_left,
+    smooth_rise,
+)
 
 # Allowed scale relative to the ratio of the moving parts' boxes: household sizes of one kind of object.
 SCALE_RANGE = (0.6, 1.6)
@@ -34,12 +40,8 @@ MAX_RESIDUAL_M = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitParams:
-    """How far and how firmly an asset is fitted.
-
-    Attributes:
-        noise_m: Standard deviation of the recorded path, [m].
-        theta_sd: Standard deviation of the recovered joint values, [rad] or [m].
-        allow_mirror: Mode "object" may mirror the asset when the hinge is on the other side.
+    """How far and how firmly an asset is fitted: standard deviations of the recorded path, [m], and of the recovered
+    joint values, [rad] or [m], and whether mode "object" may mirror the asset when the hinge is on the other side.
     """
 
     noise_m: float = 0.003
@@ -54,14 +56,7 @@ def fit_asset(
     mode: Adaptation,
     params: FitParams,
 ) -> FittedAsset | Rejection:
-    """Place an asset in the recorded object's stead.
-
-    Args:
-        asset: Closed at joint value 0, front along -y, support at z = 0.
-        contact: From `recorded_contact`.
-        recorded_type: Type of the recorded joint.
-        mode: "object" or "trajectory".
-        params: Bounds.
+    """Place an asset (closed at joint value 0, front along -y, support at z = 0) in the recorded object's stead.
 
     Returns:
         The fitted asset; or a Rejection "joint_type" (another kind of joint), "hinge_side"
@@ -198,7 +193,6 @@ class _NoiseAlong:
     Attributes:
         bar: Direction of the placed handle's bar (3,), world frame.
         bar_m: How far along it a hand may hold, [m].
-        params: Noise of the path itself.
     """
 
     bar: Array
@@ -229,13 +223,8 @@ def _shifted_along_bar(
 def face_thetas(joint: Joint, held_point: Array, path: Array) -> Array:
     """Joint values (K,) at which the part's face passes through the points of a path (K, 3).
 
-    Prismatic: the way along the axis. Revolute: the face keeps its distance h from the axis, so
-    `theta = atan2(y, x) - asin(h / rho)` whatever slides along it; exact where sliding is not.
-
-    Args:
-        joint: Same frame as the points.
-        held_point: Point of the part (3,) at joint value 0, [m].
-        path: (K, 3), [m].
+    Prismatic: the way along the axis. Revolute: the angle at which the half plane of the axis and the point held at
+    joint value 0 passes, whatever slides along it; exact where sliding is not.
     """
     if joint.type == "prismatic":
         return (path - held_point) @ joint.axis

@@ -5,8 +5,7 @@ color of the robot's model. Where too little of the robot was seen, the light fa
 with the brightness of the scene.
 """
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +14,12 @@ from scipy.spatial import cKDTree
 from aomgen.conventions import BACKGROUND, ROBOT, linear_from_srgb
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.light import COSINE_BANDS, Light, hemisphere_light
-from aomgen.core.mesh import sample_surface
+from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.visibility import sphere_directions
+from aomgen.splatting.surfaces import sphere_directions
 from aomgen.twin.twin import Twin, body_poses, posed
 
 # Robot surfaces darker than this say nothing about the light, linear.
@@ -39,30 +38,15 @@ MEAN_ALBEDO: Final = 0.4
 LIMITS: Final = (0.3, 1.6)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LightEstimate:
-    """A light and what speaks for it.
-
-    Attributes:
-        light: For `core.light`.
-        source: "robot", or "scene" when too little of the robot was seen.
-        samples: Gaussians that were used.
-        residual: Median relative error of the robot's predicted brightness; 0 for "scene".
-    """
+class LightEstimate(NamedTuple):
+    """A light, and where it comes from: "robot", or "scene" when too little of the robot was seen."""
 
     light: Light
     source: str
-    samples: int
-    residual: float
 
 
 def estimate_light(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> LightEstimate:
-    """Find the light that the scan was taken under.
-
-    Args:
-        twin: The scan bound to its bodies.
-        robot: The twin's robot, with the colors of its model.
-        rng: Chooses points on the robot.
+    """Find the light that the scan was taken under; `rng` chooses points on the robot.
 
     Not checked: the real robot may be painted otherwise than its model; a uniform difference
     enters the light's brightness, which is limited to `LIMITS`.
@@ -71,9 +55,8 @@ def estimate_light(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> L
     fallback = scene_light(world, twin.labels)
     normals, albedo, seen = _robot_samples(twin, world, robot, rng)
     if not len(normals) >= MIN_SAMPLES:
-        return LightEstimate(light=fallback, source="scene", samples=len(normals), residual=0.0)
-    light, residual = fit_light(normals, albedo, seen, fallback)
-    return LightEstimate(light=limit_light(light), source="robot", samples=len(normals), residual=residual)
+        return LightEstimate(fallback, "scene")
+    return LightEstimate(limit_light(fit_light(normals, albedo, seen, fallback)), "robot")
 
 
 def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
@@ -87,17 +70,11 @@ def scene_light(world: Gaussians, labels: NDArray[np.uint8]) -> Light:
     return hemisphere_light(np.full(3, level), np.full(3, 0.4 * level))
 
 
-def fit_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> tuple[Light, float]:
+def fit_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> Light:
     """Least squares of `seen = albedo * irradiance(normal) / pi` over nine coefficients.
 
-    Args:
-        normals: Unit (N, 3), world frame.
-        albedo: Known colors (N, 3), linear.
-        seen: Observed colors (N, 3), linear.
-        prior: Shape that bands 1 and 2 are pulled to, at the brightness found.
-
-    Returns:
-        The light, nowhere negative on a surface, and the median relative residual.
+    Linear colors (N, 3); bands 1 and 2 are pulled to those of a prior at the brightness found. No surface direction
+    of the result is darker than a tenth of the mean.
     """
     basis = sh_basis(normals, 2) * (COSINE_BANDS / np.pi)
     brightness = float(
@@ -118,9 +95,7 @@ def fit_light(normals: Array, albedo: Array, seen: Array, prior: Light) -> tuple
         error = np.abs((albedo * (basis @ coefficients) - seen).mean(1))
         # Specular reflections and wrong links are outliers: Cauchy weights.
         weights = 1 / (1 + (error / max(2 * float(np.median(error)), 1e-6)) ** 2)
-    light = _positive(coefficients)
-    predicted = (albedo * light.irradiance(normals)).mean(1)
-    return light, float(np.median(np.abs(predicted / np.maximum(seen.mean(1), 1e-6) - 1)))
+    return _positive(coefficients)
 
 
 def limit_light(light: Light) -> Light:
@@ -131,16 +106,10 @@ def limit_light(light: Light) -> Light:
 
 def _positive(coefficients: Array) -> Light:
     """Bands 1 and 2 shrunk until no surface direction is darker than a tenth of the mean."""
-    directions = sphere_directions(200)
-    floor = 0.1 * np.sqrt(np.pi) / np.pi * coefficients[0] * 0.5
-    share = 1.0
-    for _ in range(20):
-        shrunk = np.concatenate([coefficients[:1], coefficients[1:] * share])
-        irradiance = sh_basis(directions, 2) * (COSINE_BANDS / np.pi) @ shrunk
-        if (irradiance >= floor).all():
-            break
-        share *= 0.85
-    return Light(radiance_sh=np.concatenate([coefficients[:1], coefficients[1:] * share]))
+    weighted = sh_basis(sphere_directions(200), 2) * COSINE_BANDS
+    mean, rest = weighted[:, :1] @ coefficients[:1], weighted[:, 1:] @ coefficients[1:]
+    share = min(1.0, float((0.9 * mean / np.maximum(-rest, 1e-9)).min()))
+    return Light(radiance_sh=np.concatenate([coefficients[:1], coefficients[1:] * max(share, 0.0)]))
 
 
 def _robot_samples(
@@ -150,8 +119,8 @@ def _robot_samples(
     Ts = body_poses(twin, robot, twin.scan_state)
     points, normals, colors = _surface_points(robot, Ts[1 : 1 + len(robot.body_names)], rng)
     mine = np.flatnonzero((twin.labels == ROBOT) & (world.opacities > 0.3) & (twin.bodies > 0))
-    if not len(mine) or not len(points):
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
+    if not len(points):
+        return points, normals, colors
     distances, nearest = cKDTree(points).query(world.means[mine])
     close = (distances < MAX_DISTANCE) & (colors[nearest].mean(1) > MIN_ALBEDO)
     mine, nearest = mine[close], nearest[close]
@@ -162,15 +131,12 @@ def _robot_samples(
 def _surface_points(
     robot: RobotModel, Ts_world_body: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    points, normals, colors = [], [], []
+    samples: list[Array] = [np.zeros((3, 0, 3))]
     for mesh in robot.meshes:
         vertices = apply(Ts_world_body[mesh.body], mesh.vertices_body)
-        places, faces, _ = sample_surface(vertices, mesh.faces, POINTS_PER_BODY, rng)
-        corners = vertices[mesh.faces[faces]]
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        points.append(places)
-        normals.append(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30))
-        colors.append(np.broadcast_to(linear_from_srgb(mesh.color_srgb), (len(places), 3)))
-    if not points:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3))
-    return np.concatenate(points), np.concatenate(normals), np.concatenate(colors)
+        points, faces, _ = sample_surface(vertices, mesh.faces, POINTS_PER_BODY, rng)
+        normals = face_normals_areas(vertices, mesh.faces)[0][faces]
+        color = np.broadcast_to(linear_from_srgb(mesh.color_srgb), points.shape)
+        samples.append(np.asarray([points, normals, color], np.float64))
+    points, normals, colors = np.concatenate(samples, 1)
+    return points, normals, colors

@@ -1,18 +1,22 @@
-"""Take the recorded object out of the scene and close the surface it stood on."""
+"""Take the recorded object out of the scene and close the surface it stood on.
 
-from dataclasses import dataclass, replace
-from typing import Final
+Unknown places of that get smooth color from their border and texture from patches.
+"""
+
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, binary_opening, gaussian_filter, label
+from scipy.ndimage import binary_dilation, binary_opening, distance_transform_edt, gaussian_filter, label
+from scipy.sparse.linalg import LaplacianNd, spsolve
 from scipy.spatial import ConvexHull
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
-from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
+from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
-from aomgen.replacement.inpaint import inpaint
 from aomgen.robots.robot import RobotModel
 from aomgen.twin.support import SURFACE, Support, find_support, on_surface, seen_from_above
 from aomgen.twin.twin import Twin, posed
@@ -37,10 +41,17 @@ MIN_TINT: Final = 0.07
 MAX_GAIN: Final = 2.0
 # In log color; wood or cloth is allowed more where the shadow is deep.
 MAX_TINT: Final = 0.04
+# Patch side, [px].
+PATCH: Final = 17
+# Neighbouring patches overlap by more than half, [px].
+STEP: Final = 8
+# Random patches compared at each place; the neighbourhood of the best is searched after.
+CANDIDATES: Final = 600
+# Structure wider than this [px] is color, finer is texture.
+SMOOTHING: Final = 9.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cleared:
+class Cleared(NamedTuple):
     """A scene without its object.
 
     Attributes:
@@ -48,23 +59,16 @@ class Cleared:
         support: The plane the object stood on.
         removed: Gaussians taken away beyond those labelled as the object.
         filled: Gaussians of new surface.
-        shadow_gain: Largest factor by which the table was lightened.
     """
 
     twin: Twin
     support: Support
     removed: int
     filled: int
-    shadow_gain: float
 
 
 def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cleared:
-    """Remove the recorded object.
-
-    Args:
-        twin: The scan bound to its bodies.
-        robot: The twin's robot.
-        rng: Chooses texture patches.
+    """Remove the recorded object from a bound scan; `rng` chooses texture patches.
 
     Raises:
         ReconstructionError: No supporting plane was scanned.
@@ -76,8 +80,7 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
         world.means[of_object], world.opacities[of_object], world.select(scene), twin.T_world_object
     )
     leftover = scene & _leftover(world, support)
-    kept = ~of_object & ~leftover
-    remaining = twin.select(kept)
+    remaining = twin.select(~of_object & ~leftover)
     table = (
         (remaining.labels == BACKGROUND) & (remaining.bodies == 0) & on_surface(remaining.gaussians, support)
     )
@@ -98,20 +101,8 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
     where = (outside <= 0) | (((outside <= MARGIN + OVERLAP) | thin) & _hull(extent > 0.5))
     fill = _surface(texture, xy, where, support, lightened.select(table))
-    count = len(fill)
-    cleared = replace(
-        remaining,
-        gaussians=concatenate([lightened, fill]),
-        bodies=np.concatenate([remaining.bodies, np.zeros(count, np.int32)]),
-        labels=np.concatenate([remaining.labels, np.full(count, BACKGROUND, np.uint8)]),
-    )
-    return Cleared(
-        twin=cleared,
-        support=support,
-        removed=int(leftover.sum() + rest.sum()),
-        filled=count,
-        shadow_gain=float(gain.max()),
-    )
+    cleared = replace(remaining, gaussians=lightened).extended(fill, 0, BACKGROUND)
+    return Cleared(cleared, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill))
 
 
 def _leftover(world: Gaussians, support: Support) -> NDArray[np.bool_]:
@@ -237,3 +228,82 @@ def _surface(
         opacities=np.full(count, 0.98),
         sh=sh,
     )
+
+
+def inpaint(image: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
+    """Complete an image (H, W, 3) where it is not known (H, W); without any known pixel it is grey.
+
+    `rng` chooses candidate patches.
+    """
+    if not known.any():
+        return np.full(image.shape, 0.5)
+    smooth = _membrane(_blurred(image, known), known)
+    detail = np.where(known[..., None], image - smooth, 0.0)
+    texture = _quilted(detail, known, rng)
+    return np.where(known[..., None], image, smooth + texture)
+
+
+def _blurred(image: Array, known: NDArray[np.bool_]) -> Array:
+    """Known colors averaged over known neighbours."""
+    weight = gaussian_filter(known.astype(float), SMOOTHING)
+    masked = np.where(known[..., None], image, 0.0)
+    total = np.stack([gaussian_filter(masked[..., k], SMOOTHING) for k in range(3)], -1)
+    return total / np.maximum(weight, 1e-6)[..., None]
+
+
+def _membrane(image: Array, known: NDArray[np.bool_]) -> Array:
+    """The smoothest continuation into unknown pixels: Laplace's equation."""
+    if known.all():
+        return image
+    flat = known.ravel()
+    laplacian = LaplacianNd(known.shape, boundary_conditions="neumann").tosparse().astype(np.float64)
+    rows = laplacian.tocsr()[~flat]
+    colors = np.array(image, np.float64).reshape(-1, 3)
+    filled = spsolve(rows[:, ~flat].tocsc(), -rows[:, flat] @ colors[flat])
+    colors[~flat] = np.asarray(filled).reshape(-1, 3)
+    return colors.reshape(image.shape)
+
+
+def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) -> Array:
+    """Texture copied patch by patch from the known part, from the border inwards.
+
+    Source: Efros & Freeman 2001, with soft seams.
+    """
+    half = PATCH // 2
+    result, sure = np.array(detail), known.astype(float)
+    whole = np.asarray(sliding_window_view(known, (PATCH, PATCH)).all((2, 3)))
+    sources = np.argwhere(whole)
+    if not len(sources):
+        return result
+    windows = np.asarray(sliding_window_view(detail, (PATCH, PATCH, 3)))[:, :, 0]
+    inner = np.asarray(distance_transform_edt(~known))
+    grid = np.argwhere(~known)
+    grid = grid[(grid % STEP == 0).all(1)]
+    grid = grid[np.argsort(inner[tuple(grid.T)], kind="stable")]
+    ramp = 1 - np.abs(np.arange(PATCH) - half) / (half + 1)
+    feather = np.minimum.outer(ramp, ramp)
+    height, width = known.shape
+    for row, column in grid:
+        r = int(np.clip(row - half, 0, height - PATCH))
+        c = int(np.clip(column - half, 0, width - PATCH))
+        box = (slice(r, r + PATCH), slice(c, c + PATCH))
+        weight = sure[box]
+        tries = sources[rng.integers(0, len(sources), CANDIDATES)]
+        best = _closest(windows, tries, result[box], weight)
+        around = best + np.argwhere(np.ones((7, 7), bool)) - 3
+        inside = ((around >= 0) & (around < whole.shape)).all(1)
+        around = around[inside]
+        best = _closest(windows, around[whole[tuple(around.T)]], result[box], weight)
+        patch = windows[best[0], best[1]]
+        # A sharp share: averaging many patches would wash the texture out.
+        share = np.where(known[box], 0.0, feather**4 / (feather**4 + weight**4))[..., None]
+        result[box] = (1 - share) * result[box] + share * patch
+        sure[box] = np.where(known[box], 1.0, np.maximum(weight, feather))
+    return result
+
+
+def _closest(windows: NDArray, places: NDArray[np.int64], target: Array, weight: Array) -> NDArray[np.int64]:
+    """The place (2,) whose window (P, P, 3) differs least from the target (P, P, 3)."""
+    found = windows[places[:, 0], places[:, 1]]
+    difference = (found - target) ** 2
+    return places[int(np.argmin(np.einsum("nijk,ij->n", difference, weight)))]

@@ -1,9 +1,11 @@
 """The scene without its object, its light, and every asset fitted to the motion. [paper 4.3]"""
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_closing
 
 from aomgen.assets.choice import open_asset
@@ -22,10 +24,9 @@ from aomgen.core.values import Array
 from aomgen.core.verdict import Rejection
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
+from aomgen.replacement.correspondence import recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
-from aomgen.replacement.free_space import free_rectangle
 from aomgen.replacement.light_estimation import estimate_light
-from aomgen.replacement.recorded_motion import recorded_contact
 from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.replacement.viewpoint import choose_viewpoint
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
@@ -36,13 +37,15 @@ from aomgen.twin.twin import Twin, TwinState
 
 # Surfels of an asset, half on each link: one every 7 mm on a surface of 1.5 m2.
 SURFELS = 30_000
-# How far around the object the table is looked for, in which cells, and what counts as seen.
+# How far around the object the table is looked for, [m].
 TABLE_REACH_M = 1.0
-# Cell of the image in which the table is found, [m]: finer than its outline has to be known.
-TABLE_CELL_M = 0.01
+# Cell of the image in which the table is found, and of the grid on which free table grows, [m]: finer than its
+# outline has to be known.
+TABLE_CELL_M, FREE_CELL_M = 0.01, 0.02
 # A cell with less accumulated alpha than this was not seen.
 SURFACE_ALPHA = 0.15
-# Holes of this many cells between Gaussians are closed.
+# Holes of this many cells between Gaussians are closed, and a strip of cells counts as free table when no run of
+# hidden ones in it is longer.
 GAP_CELLS = 3
 # Folder of the twin without its object.
 BACKGROUND_FOLDER = "background"
@@ -131,8 +134,8 @@ def episode_cameras(results: Results) -> dict[str, Camera]:
     key_points = [
         np.stack([demo.Ts_world_ee[t][:3, 3], apply(demo.joint.motion(demo.thetas[t]), held)]) for t in frames
     ]
-    chosen = choose_viewpoint(results.scan_cameras, first, results.twin, results.robot, states, key_points)
-    return {results.demo_camera: first, NEW_CAMERA: chosen.camera}
+    side = choose_viewpoint(results.scan_cameras, first, results.twin, results.robot, states, key_points)
+    return {results.demo_camera: first, NEW_CAMERA: side}
 
 
 def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:
@@ -162,3 +165,45 @@ def support_plane(cleared: Cleared) -> SupportPlane:
     footprint = in_world(np.array(xy_corners))
     free_low, free_high = free_rectangle(in_world(xy), footprint.min(0), footprint.max(0))
     return SupportPlane(height=float(support.T_world_plane[2, 3]), low_xy=free_low, high_xy=free_high)
+
+
+def free_rectangle(
+    surface_xy: ArrayLike, low: ArrayLike, high: ArrayLike, reach_m: float = TABLE_REACH_M
+) -> tuple[Array, Array]:
+    """Grow a rectangle over the surface around an object, until it meets an edge or another object.
+
+    What stands on the surface hides it, so its cells are empty and stop the growth: the rectangle
+    is table that is there and has nothing else on it.
+
+    Args:
+        surface_xy: Points of the surface (N, 2), seen from above, [m].
+        low, high: Corners (2,) of the object's own footprint, taken as free.
+        reach_m: Farthest growth on each side, [m].
+    """
+    xy = np.asarray(surface_xy, np.float64)
+    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    origin = low - reach_m
+    shape = np.ceil((high + reach_m - origin) / FREE_CELL_M).astype(int)
+    cells = np.floor((xy - origin) / FREE_CELL_M).astype(int)
+    inside = np.all((cells >= 0) & (cells < shape), axis=1)
+    free = np.zeros(shape, bool)
+    free[tuple(cells[inside].T)] = True
+    start = np.floor((low - origin) / FREE_CELL_M).astype(int)
+    end = np.ceil((high - origin) / FREE_CELL_M).astype(int)
+    free[start[0] : end[0], start[1] : end[1]] = True
+    growing = True
+    while growing:
+        growing = False
+        for axis, (ends, step) in product((0, 1), ((start, -1), (end, 1))):
+            strip = ends[axis] - 1 if step < 0 else ends[axis]
+            across = slice(start[1 - axis], end[1 - axis])
+            if 0 <= strip < shape[axis] and _longest_gap(free.take(strip, axis)[across]) <= GAP_CELLS:
+                ends[axis] += step
+                growing = True
+    return origin + start * FREE_CELL_M, origin + end * FREE_CELL_M
+
+
+def _longest_gap(free: NDArray[np.bool_]) -> int:
+    """Length of the longest run of cells that are not free."""
+    edges = np.flatnonzero(np.concatenate([[True], free, [True]]))
+    return int(np.diff(edges).max()) - 1

@@ -1,11 +1,10 @@
 """Choose a second camera: where the scan looked from, so that the scene is well known there."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
@@ -14,7 +13,7 @@ from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
-from aomgen.twin.twin import Twin, TwinState, body_poses, rig
+from aomgen.twin.twin import Twin, TwinState, posed
 
 # Size of the images in which visibility is judged, [px].
 LOOK: Final = (160, 120)
@@ -27,23 +26,6 @@ DEMANDS: Final = ((0.35, 0.9), (0.9, 0.6))
 WANTED_SPAN: Final = 0.6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Viewpoint:
-    """A chosen camera.
-
-    Attributes:
-        camera: World frame.
-        scan_image: The scan image whose place it takes.
-        score: Higher is better; visible share, spread and difference of direction.
-        visible: Share of the key points that it sees.
-    """
-
-    camera: Camera
-    scan_image: str
-    score: float
-    visible: float
-
-
 def choose_viewpoint(
     scan_cameras: Mapping[str, Camera],
     first: Camera,
@@ -51,14 +33,11 @@ def choose_viewpoint(
     robot: RobotModel,
     states: Sequence[TwinState],
     key_points: Sequence[Array],
-) -> Viewpoint:
-    """Find a camera that sees gripper and object from another side than the first one.
+) -> Camera:
+    """Find a camera that sees gripper and object from another side than the first one, whose optics it keeps.
 
     Args:
         scan_cameras: Registered scan cameras, world frame, by image name.
-        first: The demonstration's camera; its size and field of view are kept.
-        twin: The scene.
-        robot: Its robot.
         states: A few states along the demonstration.
         key_points: What must be seen in each state, for example gripper and handle, (P, 3) each.
 
@@ -68,23 +47,22 @@ def choose_viewpoint(
     if not scan_cameras:
         raise ReconstructionError("viewpoint", "no scan camera is registered", "scan the scene again")
     every = np.concatenate(list(key_points))
-    rigged = rig(twin)
-    scenes = [rigged.pose(body_poses(twin, robot, state)) for state in states]
-    of_object = np.isin(twin.labels[rigged.order], (STATIC, MOVING))
+    scenes = [posed(twin, robot, state) for state in states]
+    of_object = np.isin(twin.labels, (STATIC, MOVING))
     framed = np.concatenate([every, *(_corners(scene.means[of_object]) for scene in scenes)])
     target = framed.mean(0)
     for max_turn, share in DEMANDS:
-        best: Viewpoint | None = None
+        best, best_score = None, -np.inf
         for name in sorted(scan_cameras):
-            camera = aim_camera(first, scan_cameras[name], target, max_turn)
-            if camera is not None:
-                promise = _promise(camera, first, framed, share)
-                if promise is not None and (best is None or promise + 1.0 > best.score):
-                    visible = _visible_share(camera.resized(*LOOK), scenes, key_points)
-                    if best is None or promise + visible > best.score:
-                        best = Viewpoint(
-                            camera=camera, scan_image=name, score=promise + visible, visible=visible
-                        )
+            camera = first.moved(look_at(scan_cameras[name].center, target))
+            if not camera.T_world_cam[:3, 2] @ scan_cameras[name].T_world_cam[:3, 2] > np.cos(max_turn):
+                continue
+            score = _framing_score(camera, first, framed, share)
+            # Seeing everything adds 1; only those are drawn that can still win.
+            if score + 1.0 > best_score:
+                score += _visible_share(camera.resized(*LOOK), scenes, key_points)
+                if score > best_score:
+                    best, best_score = camera, score
         if best is not None:
             return best
     raise ReconstructionError(
@@ -101,14 +79,14 @@ def _corners(points: ArrayLike) -> Array:
     return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 0, low, high)
 
 
-def _promise(camera: Camera, first: Camera, points: Array, share: float) -> float | None:
-    """What can be told of a camera's score without drawing; None when it misses the points."""
+def _framing_score(camera: Camera, first: Camera, points: Array, share: float) -> float:
+    """Score by distance from the first camera's direction and by framing; -inf when it misses the points."""
     small = camera.resized(*LOOK)
     pixels, depths = small.project(points)
     size = np.array(LOOK)
     inside = (depths > 0.3) & ((pixels > 0.06 * size) & (pixels < 0.94 * size)).all(1)
     if not inside.mean() >= share:
-        return None
+        return -np.inf
     span = float(np.ptp(pixels[:, 0])) / LOOK[0]
     target = points.mean(0)
     angle = _azimuth_between(camera.center - target, first.center - target)
@@ -116,31 +94,16 @@ def _promise(camera: Camera, first: Camera, points: Array, share: float) -> floa
 
 
 def _visible_share(camera: Camera, scenes: list[Gaussians], key_points: Sequence[Array]) -> float:
-    shares = [
-        _visible(render(scene, camera).depth, camera, points).mean()
-        for scene, points in zip(scenes, key_points, strict=True)
-    ]
+    """Share of the key points that nothing hides."""
+    shares = []
+    for scene, points in zip(scenes, key_points, strict=True):
+        pixels, depths = camera.project(points)
+        u, v = np.clip(pixels, 0, np.array(LOOK) - 1).astype(int).T
+        nearest = render(scene, camera).depth[v, u]
+        shares.append(((nearest <= 0) | (depths < nearest + CLEARANCE)).mean())
     return float(np.mean(shares))
-
-
-def aim_camera(optics: Camera, place: Camera, target: Array, max_turn: float) -> Camera | None:
-    """`optics` at the place of another camera, turned to the target; None if that turns too far."""
-    T = look_at(place.center, target)
-    cosine = float(T[:3, 2] @ place.T_world_cam[:3, 2])
-    if not cosine > np.cos(max_turn):
-        return None
-    return replace(optics, T_world_cam=T)
 
 
 def _azimuth_between(a: Array, b: Array) -> float:
     turn = np.arctan2(a[1], a[0]) - np.arctan2(b[1], b[0])
     return float(abs((turn + np.pi) % (2 * np.pi) - np.pi))
-
-
-def _visible(depth: NDArray[np.float32], camera: Camera, points: Array) -> NDArray[np.bool_]:
-    """Which points (P, 3) are not hidden in a depth image."""
-    pixels, depths = camera.project(points)
-    u = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
-    v = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
-    nearest = depth[v, u]
-    return (nearest <= 0) | (depths < nearest + CLEARANCE)

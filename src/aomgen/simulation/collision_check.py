@@ -1,6 +1,7 @@
 """Tier A: does a commanded trajectory avoid collisions and reach the handle, before anything is simulated."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -38,15 +39,12 @@ def check_kinematics(
     holding: NDArray[np.bool_],
     limits: KinematicLimits,
 ) -> dict[str, float] | Rejection:
-    """Place robot and object along a trajectory and measure overlaps and the grip.
+    """Place robot and object along a trajectory of T samples and measure overlaps and the grip.
 
     Args:
         scene: With the object at its pose.
-        joints: Arm joints (T, J), [rad].
-        gripper: Finger opening (T,), 0 open .. 1 closed, as it will settle on the handle.
-        thetas: Object joint (T,), [rad] or [m].
-        holding: Frames (T,) in which fingers and handle are meant to touch.
-        limits: Acceptance.
+        gripper: Finger opening, 0 open .. 1 closed, as it will settle on the handle.
+        holding: Frames in which fingers and handle are meant to touch.
 
     Returns:
         Figures `penetration_mm`, `handle_penetration_mm`, `self_penetration_mm`, `grip_gap_mm`; or a
@@ -74,19 +72,15 @@ def check_kinematics(
         "grip_gap_mm": gap,
     }
     tests = [
-        ("collision", "penetration_mm", limits.max_penetration_mm),
-        ("self_collision", "self_penetration_mm", allowed_self),
-        ("grip_collision", "handle_penetration_mm", limits.max_handle_penetration_mm),
-        ("no_grip", "grip_gap_mm", limits.max_gap_mm),
+        ("collision", "penetration_mm", limits.max_penetration_mm, f" ({where})"),
+        ("self_collision", "self_penetration_mm", allowed_self, ""),
+        ("grip_collision", "handle_penetration_mm", limits.max_handle_penetration_mm, ""),
+        ("no_grip", "grip_gap_mm", limits.max_gap_mm, ""),
     ]
-    for reason, name, limit in tests:
+    for reason, name, limit, place in tests:
         if not figures[name] <= limit:
-            detail = f"{name} is {figures[name]:.1f}, limit {limit:.1f}"
-            return Rejection(
-                reason=reason,
-                detail=f"{detail} ({where})" if reason == "collision" else detail,
-                metrics=figures,
-            )
+            detail = f"{name} is {figures[name]:.1f}, limit {limit:.1f}{place}"
+            return Rejection(reason=reason, detail=detail, metrics=figures)
     return figures
 
 
@@ -106,25 +100,15 @@ def table_overlap_m(scene: Scene, joints: Array) -> float:
 
 
 def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float:
-    """Gripper value 0..1 at which the pads stand `width_m` apart.
-
-    Args:
-        robot: Without pads, `fallback` is returned.
-        width_m: Thickness of what is held, [m].
-        fallback: For example the value measured while the recorded handle was held.
-    """
+    """Gripper value 0..1 at which the pads stand `width_m` apart; `fallback` for a robot without pads."""
     by_finger = {pad.finger: pad for pad in robot.pads}
     if set(by_finger) != {"left", "right"}:
         return fallback
+    left, right = by_finger["left"], by_finger["right"]
     values = np.linspace(0.0, 1.0, 65)
-    joints = np.zeros((len(values), len(robot.joint_names)))
-    poses = robot.link_poses(joints, values)
-    faces, normals = [], []
-    for side in ("left", "right"):
-        pad = by_finger[side]
-        faces.append(apply(poses[:, pad.body], pad.face_body))
-        normals.append(poses[:, pad.body, :3, :3] @ pad.normal_body)
-    widths = np.einsum("ti,ti->t", faces[1] - faces[0], normals[0])
+    poses = robot.link_poses(np.zeros((len(values), len(robot.joint_names))), values)
+    between = apply(poses[:, right.body], right.face_body) - apply(poses[:, left.body], left.face_body)
+    widths = np.einsum("ti,ti->t", between, poses[:, left.body, :3, :3] @ left.normal_body)
     return float(np.interp(-width_m, -widths, values))
 
 
@@ -164,13 +148,12 @@ def _start_overlap(scene: Scene, data: mujoco.MjData, joints: Array, gripper: fl
 def _grip_gap_mm(scene: Scene, data: mujoco.MjData) -> float:
     """Distance between the handle and the farther finger's pads, [mm]; 0 for a robot without pads."""
     handle = np.flatnonzero(scene.roles.handle if scene.roles.handle.any() else scene.roles.moving)
-    gaps = []
+    gap = 0.0
     for finger in (0, 1):
         pads = np.flatnonzero(scene.roles.finger == finger)
         distances = [
             mujoco.mj_geomDistance(scene.model, data, int(pad), int(part), 0.2, None)
-            for pad in pads
-            for part in handle
+            for pad, part in product(pads, handle)
         ]
-        gaps.append(min(distances, default=0.0))
-    return 1000.0 * max(max(gaps), 0.0)
+        gap = max(gap, min(distances, default=0.0))
+    return 1000.0 * gap

@@ -30,13 +30,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmDrive:
-    """Addresses of the arm and its actuators in the model (J,) and their position gains.
-
-    Attributes:
-        qpos, dofs, actuators: Addresses.
-        kp: Stiffness, [N m/rad].
-        kv: Damping, [N m s/rad].
-    """
+    """Addresses of the arm and its actuators in the model, and their stiffness [N m/rad] and damping [N m s/rad], (J,)."""
 
     qpos: Indices
     dofs: Indices
@@ -113,12 +107,9 @@ class Scene:
     def placed(
         self, T_world_object: ArrayLike, *, damping: float | None = None, frictionloss: float | None = None
     ) -> "Scene":
-        """The same scene with the object elsewhere, and with another joint resistance.
+        """The same scene with the object at a pose (4, 4), and with another joint resistance if one is given.
 
-        Args:
-            T_world_object: Pose (4, 4).
-            damping: [N m s/rad] or [N s/m]; None keeps it.
-            frictionloss: [N m] or [N], beyond what holds a lid's weight; None keeps it.
+        Damping is in [N m s/rad] or [N s/m], friction beyond what holds a lid's weight in [N m] or [N].
         """
         model = copy.copy(self.model)
         T = np.asarray(T_world_object, np.float64)
@@ -160,15 +151,10 @@ def build_scene(
 
     Every robot body is gravity compensated, as an arm's own controller does. The table is a slab
     under the support plane, as large as it is known to be, else 1.4 m about the object; the
-    arm's foot does not collide with it.
+    arm's foot does not collide with it. `damping` and `frictionloss` as in `Scene.placed`.
 
     Args:
         robot: With position actuators on all arm joints.
-        asset: Passive; only contact moves it.
-        T_world_object: Pose (4, 4).
-        support: Plane that the object stands on.
-        damping: Of the object's joint, [N m s/rad] or [N s/m].
-        frictionloss: Dry friction of the object's joint beyond what holds a lid's weight, [N m] or [N].
         bolted: Weld the object to the world instead of letting it stand by friction.
         visual: Also add what is seen, for rendering.
 
@@ -235,15 +221,11 @@ def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, ce
 
 def _foot_bodies(spec: mujoco.MjSpec, robot: RobotModel) -> list[str]:
     """Bodies that less than `FOOT_JOINTS` of the robot's joints move."""
-    result = []
-    for name in robot.body_names:
-        body, joints = spec.body(name), 0
-        while body.name != "world":
-            joints += len(body.joints)
-            body = body.parent
-        if joints < FOOT_JOINTS:
-            result.append(name)
-    return result
+
+    def joints_above(body: mujoco.MjsBody) -> int:
+        return 0 if body.name == "world" else len(body.joints) + joints_above(body.parent)
+
+    return [name for name in robot.body_names if joints_above(spec.body(name)) < FOOT_JOINTS]
 
 
 def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:

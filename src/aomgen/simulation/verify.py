@@ -55,9 +55,7 @@ class PassRule:
 def verify_plan(plan: EpisodePlan, scene: Scene) -> VerifiedEpisode | Rejection:
     """Simulate a plan in all settings (`RESISTANCES`) and keep what the nominal one, the first, reached.
 
-    Args:
-        plan: Its target, the planned final joint value, is fixed before any simulation.
-        scene: The plan's asset; moved to the plan's pose here.
+    The plan's target, its final joint value, is fixed before any simulation; the scene's asset is moved to its pose.
 
     Returns:
         The episode with its verdict; or a Rejection "target_too_small", "diverged", "pre_opened",
@@ -95,14 +93,7 @@ def verify_plan(plan: EpisodePlan, scene: Scene) -> VerifiedEpisode | Rejection:
 def judge(
     run: SimulatedRun, target: float, scene: Scene, setting: JointResistance, rule: PassRule
 ) -> SettingOutcome | Rejection:
-    """Hold one run against the pass rule.
-
-    Args:
-        run: What happened.
-        target: Planned final joint value, [rad] or [m].
-        scene: For the object's mass and whether it is bolted.
-        setting: For the record.
-        rule: Limits.
+    """Hold one run against the pass rule; the target is the planned final joint value, [rad] or [m].
 
     Returns:
         The figures; or a Rejection "pre_opened", "target", "contact" or "slides".
@@ -127,7 +118,6 @@ def judge(
         tracking_mm=_tracking_mm(scene, run, errors),
     )
     mass = scene.asset.static.mass + scene.asset.moving.mass
-    hold_n = rule.base_friction * mass * GRAVITY
     tests = [
         ("pre_opened", before <= rule.max_start_share, f"the part stood at {before:.0%} before contact"),
         ("target", outcome.target_share >= rule.target_share,
@@ -137,16 +127,16 @@ def judge(
         ("slides", scene.bolted or run.drift_m.max() <= rule.max_drift_m,
          f"the base slid {1000 * run.drift_m.max():.1f} mm"),
     ]  # fmt: skip
+    metrics = {
+        "target_share": outcome.target_share,
+        "contact_share": contact_share,
+        "start_share": before,
+        "peak_reaction_n": outcome.peak_reaction_n,
+        "friction_limit_n": rule.base_friction * mass * GRAVITY,
+        "tracking_mm": outcome.tracking_mm,
+    }
     for reason, passed, detail in tests:
         if not passed:
-            metrics = {
-                "target_share": outcome.target_share,
-                "contact_share": contact_share,
-                "start_share": before,
-                "peak_reaction_n": outcome.peak_reaction_n,
-                "friction_limit_n": hold_n,
-                "tracking_mm": outcome.tracking_mm,
-            }
             return Rejection(reason=reason, detail=f"{detail} (setting {setting.name})", metrics=metrics)
     return outcome
 
@@ -159,15 +149,14 @@ def _tracking_mm(scene: Scene, run: SimulatedRun, errors: np.ndarray) -> float:
 
 
 def _episode(plan: EpisodePlan, run: SimulatedRun, verdict: Verdict) -> VerifiedEpisode:
-    ticks = run.frame_ticks
-    frame_of = {int(tick): frame for frame, tick in enumerate(ticks)}
-    rows = [(frame_of[touch.tick], touch) for touch in run.touches if touch.tick in frame_of]
+    ticks, touched = run.frame_ticks, run.contacts
+    kept = np.isin(touched.frames, ticks)
     contacts = ContactLog(
-        frames=np.array([frame for frame, _ in rows], np.int64),
-        fingers=np.array([touch.finger for _, touch in rows], np.int64),
-        points_world=np.array([touch.point_world for _, touch in rows]).reshape(-1, 3),
-        normals_world=np.array([touch.normal_world for _, touch in rows]).reshape(-1, 3),
-        forces=np.array([touch.force for _, touch in rows]),
+        frames=np.searchsorted(ticks, touched.frames[kept]),
+        fingers=touched.fingers[kept],
+        points_world=touched.points_world[kept],
+        normals_world=touched.normals_world[kept],
+        forces=touched.forces[kept],
     )
     return VerifiedEpisode(
         plan=plan,

@@ -31,13 +31,8 @@ MOMENTS = ("values", "averages", "squares")
 class TrainingState:
     """Where a training stands; from here on everything is determined by images and parameters.
 
-    Attributes:
-        parameters: Gaussians with their optimizer state.
-        exposure: Gains of the images with their optimizer state.
-        poses: Corrections of the cameras with their optimizer state.
-        order: Indices of the images still to be drawn before the next shuffle.
-        iteration: Iterations done.
-        rng: Source of everything random.
+    Exposures and poses are the images' own parameters, `order` the indices of the images still to be drawn before
+    the next shuffle, `rng` the source of everything random.
     """
 
     parameters: Parameters
@@ -74,20 +69,16 @@ def training_digest(
     for array in (initial.means, initial.quats, initial.scales, initial.opacities, initial.sh):
         _add(digest, array)
     for camera, image in zip(cameras, images, strict=True):
-        _add(digest, np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height]))
-        _add(digest, camera.T_world_cam)
-        _add(digest, image)
+        optics = [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height]
+        for array in (np.array(optics), camera.T_world_cam, image):
+            _add(digest, array)
     choices = [__version__, asdict(params), rng.bit_generator.state]
     digest.update(json.dumps(choices, sort_keys=True, default=np.ndarray.tolist).encode())
     return digest.hexdigest()
 
 
 def save_checkpoint(path: Path, state: TrainingState, digest: str) -> None:
-    """Write or replace a checkpoint.
-
-    Raises:
-        StorageError: The disk refuses.
-    """
+    """Write or replace a checkpoint."""
     content = npz_bytes(state_arrays(state))
     header = b" ".join([FORMAT, digest.encode(), hashlib.sha256(content).hexdigest().encode()])
     write_bytes(path, header + b"\n" + content)
@@ -96,17 +87,17 @@ def save_checkpoint(path: Path, state: TrainingState, digest: str) -> None:
 def load_checkpoint(path: Path, digest: str, rng: np.random.Generator) -> TrainingState:
     """Read a checkpoint back; the generator continues where it was.
 
-    Args:
-        path: What `save_checkpoint` wrote.
-        digest: `training_digest` of the training that wants to continue.
-        rng: Set to the state it had at the checkpoint.
-
     Raises:
         MissingFileError, LimitExceededError: No such file, or one of more than 8 GiB.
-        CorruptArtifactError: The file is damaged, or belongs to other inputs or parameters.
+        CorruptArtifactError: The file is damaged, or belongs to other inputs or parameters than the digest's.
     """
     remedy = "delete it to start the training over"
-    header, _, payload = _content(path).partition(b"\n")
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "train without a checkpoint")
+    size = path.stat().st_size
+    if not size <= MAX_BYTES:
+        raise LimitExceededError(path, f"has {size} bytes, limit {MAX_BYTES}")
+    header, _, payload = path.read_bytes().partition(b"\n")
     words = header.rsplit(b" ", 2)
     if len(words) != 3 or words[0] != FORMAT or len(words[1]) != 2 * hashlib.sha256().digest_size:
         raise CorruptArtifactError(path, "is not a checkpoint of this version", remedy)
@@ -118,15 +109,6 @@ def load_checkpoint(path: Path, digest: str, rng: np.random.Generator) -> Traini
         return state_of_arrays(arrays_from_bytes(payload, path), rng)
     except (KeyError, TypeError, ValueError) as error:
         raise CorruptArtifactError(path, f"holds no training state ({error!r})", remedy) from error
-
-
-def _content(path: Path) -> bytes:
-    if not path.is_file():
-        raise MissingFileError(path, "is missing", "train without a checkpoint")
-    size = path.stat().st_size
-    if not size <= MAX_BYTES:
-        raise LimitExceededError(path, f"has {size} bytes, limit {MAX_BYTES}")
-    return path.read_bytes()
 
 
 def _add(digest: "hashlib._Hash", array: NDArray) -> None:
@@ -156,27 +138,23 @@ def state_arrays(state: TrainingState) -> dict[str, NDArray]:
 
 
 def state_of_arrays(arrays: Mapping[str, NDArray], rng: np.random.Generator) -> TrainingState:
-    """The state that `state_arrays` took apart; the generator is set to where it was.
-
-    Raises:
-        KeyError, TypeError, ValueError: Arrays are missing, or the generator is of another kind.
-    """
+    """The state that `state_arrays` took apart; the generator is set to where it was."""
     counters = json.loads(arrays["counters"].tobytes())
+
+    def group(prefix: str) -> dict[str, Tensor]:
+        names = (name for name in arrays if name.startswith(prefix))
+        return {name.removeprefix(prefix): _tensor(arrays[name]) for name in names}
+
     moments = {moment: {name: _tensor(arrays[f"{moment}.{name}"]) for name in NAMES} for moment in MOMENTS}
     rng.bit_generator.state = counters["rng"]
     return TrainingState(
         parameters=Parameters(reach=_tensor(arrays["reach"]), steps=counters["steps"], **moments),
-        exposure=Exposure(enabled=counters["exposure"], **_tensors(arrays, "Exposure.")),
-        poses=PoseIncrements(enabled=counters["poses"], **_tensors(arrays, "PoseIncrements.")),
+        exposure=Exposure(enabled=counters["exposure"], **group("Exposure.")),
+        poses=PoseIncrements(enabled=counters["poses"], **group("PoseIncrements.")),
         order=np.array(arrays["order"]),
         iteration=counters["iteration"],
         rng=rng,
     )
-
-
-def _tensors(arrays: Mapping[str, NDArray], prefix: str) -> dict[str, Tensor]:
-    names = [name for name in arrays if name.startswith(prefix)]
-    return {name.removeprefix(prefix): _tensor(arrays[name]) for name in names}
 
 
 def _tensor(array: NDArray) -> Tensor:

@@ -23,7 +23,7 @@ class Compute(Protocol):
     draw: Rasterizer
 
     def image_loss(self, rendered: Tensor, target: Tensor, *, gains: Tensor | None) -> Tensor:
-        """L1 and D-SSIM, see `image_loss`."""
+        """L1 and D-SSIM, see the function `image_loss`."""
         ...
 
     def adam_step(
@@ -34,51 +34,40 @@ class Compute(Protocol):
 
 
 class NativeCompute:
-    """The engine, on the processor."""
+    """The engine, on the processor; implements `Compute`."""
 
     device = "cpu"
 
-    def __init__(self, context: native.Context | None = None) -> None:
-        self._context = context or native.Context()
+    def __init__(self) -> None:
+        self._context = native.Context()
         self.draw: Rasterizer = CpuRasterizer(self._context)
 
     def image_loss(self, rendered: Tensor, target: Tensor, *, gains: Tensor | None) -> Tensor:
-        """See `Compute`."""
         return image_loss(rendered, target, gains=gains, context=self._context)
 
     def adam_step(
         self, values: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rates: Tensor, step: int
     ) -> None:
-        """See `Compute`."""
-        columns = values[0].numel() if len(values) else 1
-        tensors = (values, gradient.contiguous(), *moments, rates)
-        first, second, third, fourth, fifth = (tensor.data_ptr() for tensor in tensors)
-        self._context.adam_step((len(values), columns), (first, second, third, fourth, fifth), step)
+        native_adam_step(self._context, values, gradient, moments, rates, step)
 
 
 class TorchCompute:
-    """Plain torch around a rasterizer, on its device."""
+    """Plain torch around a rasterizer, on its device; implements `Compute`."""
 
     def __init__(self, device: str, draw: Rasterizer) -> None:
         self.device, self.draw = device, draw
 
     def image_loss(self, rendered: Tensor, target: Tensor, *, gains: Tensor | None) -> Tensor:
-        """See `Compute`."""
         return torch_image_loss(rendered, target, gains=gains)
 
     def adam_step(
         self, values: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rates: Tensor, step: int
     ) -> None:
-        """See `Compute`."""
         torch_adam_step(values, gradient, *moments, rates, step)
 
 
 def make_compute(device: str) -> Compute:
-    """The engine for "cpu", torch and gsplat for "cuda".
-
-    Raises:
-        BackendError: Another device, or what the device needs is missing.
-    """
+    """The engine for "cpu", torch and gsplat for "cuda"; raises as `make_rasterizer`."""
     if device == "cpu":
         return NativeCompute()
     return TorchCompute(device, make_rasterizer(device))
@@ -117,7 +106,6 @@ def image_loss(
         context: Engine memory to use; may be the one of the rasterizer.
 
     Raises:
-        BackendError: The engine is missing or refuses the arguments.
         TypeError: A tensor is not float32 on the CPU; the engine reads by address.
     """
     for tensor in (rendered, target) if gains is None else (rendered, target, gains):
@@ -167,15 +155,7 @@ class _ImageLoss(torch.autograd.Function):
 def torch_image_loss(
     rendered: Tensor, target: Tensor, *, gains: Tensor | None = None, dssim_weight: float = 0.2
 ) -> Tensor:
-    """(1 - w) * mean|g x - y| + w * (1 - SSIM(g x, y)), differentiable by x and g.
-
-    SSIM uses an 11x11 Gaussian window of sigma 1.5 and zeros outside the image, as 3DGS does.
-
-    Args:
-        rendered: x, (C, H, W) float, any device.
-        target: y, (C, H, W), same device and type.
-        gains: g, (C,), a factor for every channel (exposure).
-        dssim_weight: w, 0..1.
+    """As `image_loss`, for floats on any device.
 
     Source: Wang et al. 2004, doi:10.1109/TIP.2003.819861; Kerbl et al. 2023, eq. 7.
     """
@@ -209,18 +189,27 @@ def _blur(planes: Tensor) -> Tensor:
     return conv2d(rows, taps[:, :, :, None], padding=(radius, 0), groups=len(planes))[0]
 
 
+def native_adam_step(
+    context: native.Context,
+    values: Tensor,
+    gradient: Tensor,
+    moments: tuple[Tensor, Tensor],
+    rates: Tensor,
+    step: int,
+) -> None:
+    """As `torch_adam_step`, by the engine."""
+    columns = values[0].numel() if len(values) else 1
+    tensors = (values, gradient.contiguous(), *moments, rates)
+    context.adam_step((len(values), columns), tuple(tensor.data_ptr() for tensor in tensors), step)
+
+
 @torch.no_grad()
 def torch_adam_step(
     values: Tensor, gradient: Tensor, average: Tensor, square: Tensor, rates: Tensor, step: int
 ) -> None:
-    """Change values, average and square in place.
+    """Change values (N, ...) and the running moments of their gradient in place; `step` counts from 1.
 
-    Args:
-        values: (N, ...) of C numbers a row.
-        gradient: Of the loss by the values, same shape.
-        average, square: Running moments of the gradient, same shape.
-        rates: (C,) learning rate of every number of a row, same device.
-        step: Counted from 1.
+    `rates` (C,) has a learning rate for each of the C numbers of a row.
 
     Source: Kingma & Ba 2015, arXiv:1412.6980, algorithm 1.
     """

@@ -138,6 +138,7 @@ class CpuRasterizer:
         parts: PartTensors | None = None,
     ) -> TensorRendering:
         """See `Rasterizer`."""
+        check_tensors(gaussians, torch.device("cpu"))
         if T_cam_world is None:
             T_cam_world = torch.tensor(camera.T_cam_world, dtype=torch.float32)
         Ts = T_cam_world[None] if parts is None else T_cam_world @ parts.Ts_world_part
@@ -147,6 +148,13 @@ class CpuRasterizer:
             context=self.context,
             parts=None if parts is None else parts.indices.to(torch.int32).contiguous(),
         )
+        count = len(gaussians.means)
+        if call.parts is not None and call.parts.shape != (count,):
+            raise ValueError(f"part indices have shape {tuple(call.parts.shape)}, want ({count},)")
+        if Ts.ndim != 3 or Ts.shape[1:] != (4, 4) or Ts.dtype != torch.float32 or Ts.device.type != "cpu":
+            raise ValueError(
+                f"poses are {tuple(Ts.shape)} {Ts.dtype} on {Ts.device}, want (P, 4, 4) float32 on cpu"
+            )
         g = gaussians
         images = _Rasterize.apply(
             g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, g.features, Ts[:, :3], call
@@ -196,9 +204,8 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *arguments: Any) -> tuple[Tensor | None, ...]:  # type: ignore[override]
         call: _Call = arguments[7]
-        *inputs, poses = (_plain(tensor) for tensor in (*arguments[:5], arguments[6]))
-        features = None if arguments[5] is None else _plain(arguments[5])
-        _check(inputs, features, poses, call)
+        *inputs, poses = (tensor.detach().contiguous() for tensor in (*arguments[:5], arguments[6]))
+        features = None if arguments[5] is None else arguments[5].detach().contiguous()
         height, width = image_shape(call.camera)
         rgb = torch.empty((3, height, width))
         depth, alpha = torch.empty((height, width)), torch.empty((height, width))
@@ -252,26 +259,30 @@ class _Rasterize(torch.autograd.Function):
         return *results, result_features, by_poses, None
 
 
-def _check(inputs: list[Tensor], features: Tensor | None, poses: Tensor, call: _Call) -> None:
-    """The engine reads by address, so shapes are settled here."""
-    count = len(inputs[0])
-    shapes = [tuple(tensor.shape) for tensor in inputs]
-    coefficients = shapes[4][1] if len(shapes[4]) == 3 else -1
-    want = [(count, 3), (count, 4), (count, 3), (count,), (count, coefficients, 3)]
-    if shapes != want:
-        raise ValueError(f"means, quats, log_scales, logit_opacities, sh have shapes {shapes}, want {want}")
-    if features is not None and (features.ndim != 2 or len(features) != count):
-        raise ValueError(f"features have shape {tuple(features.shape)}, want ({count}, D)")
-    if poses.ndim != 3 or poses.shape[1:] != (3, 4):
-        raise ValueError(f"poses have shape {tuple(poses.shape)}, want (P, 3, 4)")
-    if call.parts is not None and tuple(call.parts.shape) != (count,):
-        raise ValueError(f"part indices have shape {tuple(call.parts.shape)}, want ({count},)")
+def check_tensors(gaussians: GaussianTensors, device: torch.device) -> None:
+    """Refuse tensors that do not fit each other: engines read by address, and on a GPU a wrong index ends the process.
 
-
-def _plain(tensor: Tensor) -> Tensor:
-    if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
-        raise TypeError(f"want float32 tensors on the CPU, got {tensor.dtype} on {tensor.device}")
-    return tensor.detach().contiguous()
+    Raises:
+        TypeError: Not float32, or not on the device.
+        ValueError: Shapes that do not belong together.
+    """
+    count, features, sh = len(gaussians.means), gaussians.features, gaussians.sh
+    shapes = {
+        "means": (count, 3),
+        "quats": (count, 4),
+        "log_scales": (count, 3),
+        "logit_opacities": (count,),
+        "sh": (count, sh.shape[1] if sh.ndim == 3 else 1, 3),
+        "features": None if features is None else (count, features.shape[-1]),
+    }
+    for name, shape in shapes.items():
+        tensor: Tensor | None = getattr(gaussians, name)
+        if tensor is None:
+            continue
+        if tensor.dtype != torch.float32 or tensor.device != device:
+            raise TypeError(f"{name}: want float32 on {device}, got {tensor.dtype} on {tensor.device}")
+        if tensor.shape != shape:
+            raise ValueError(f"{name} have shape {tuple(tensor.shape)}, want {shape}")
 
 
 def _address(tensor: Tensor | None) -> int | None:

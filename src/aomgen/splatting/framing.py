@@ -48,14 +48,9 @@ def framing_camera(
     width, height = size
     focal_px = 1.2 * min(width, height)
     optics = Camera(
-        fx=focal_px,
-        fy=focal_px,
-        cx=width / 2,
-        cy=height / 2,
-        width=width,
-        height=height,
+        fx=focal_px, fy=focal_px, cx=width / 2, cy=height / 2, width=width, height=height,
         T_world_cam=np.eye(4),
-    )
+    )  # fmt: skip
     # The shorter side sees up to this angle from the axis; a little air is left around.
     half_angle = np.arctan(0.5 * min(width, height) / focal_px)
     distance = 1.05 * radius / np.sin(half_angle)

@@ -49,18 +49,7 @@ class GsplatRasterizer:
         T_cam_world: Tensor | None = None,
         parts: PartTensors | None = None,
     ) -> TensorRendering:
-        """Draw Gaussians; those with NaN or infinite values are left out.
-
-        Args:
-            gaussians: float32 tensors on one device.
-            camera: Optics and, without `T_cam_world`, the pose.
-            options: What to draw.
-            T_cam_world: (4, 4) rigid pose on any device, replaces the camera's; differentiable.
-            parts: Gaussians are in the frames of these parts; differentiable by the transforms.
-
-        Raises:
-            BackendError: The scene or the camera cannot be drawn.
-        """
+        """Draw as `Rasterizer` says; Gaussians with NaN or infinite values are left out."""
         check_scene(gaussians, camera, options.sh_degree)
         if parts is not None:
             check_parts(gaussians, parts)
@@ -97,20 +86,10 @@ class GsplatRasterizer:
         *,
         parts: PartTensors | None = None,
     ) -> Tensor:
-        """How much of every mask each Gaussian paints: sums (N, M) of blended weight times mask value.
+        """As `rasterizer.contribution_weights`, for masks (M, H, W) on the same device.
 
         A feature's image is the sum of weights times the feature, so the gradient by the features of the
         image's product with the masks is the answer.
-
-        Args:
-            gaussians: N Gaussians.
-            camera: View of the masks.
-            masks: (M, H, W) float32 on the same device, any real values, 1 <= M.
-            options: Near depth and antialiasing of the view.
-            parts: Gaussians are in the frames of these parts.
-
-        Raises:
-            BackendError: The scene or the camera cannot be drawn.
         """
         check_scene(gaussians, camera, 0)
         if parts is not None:
@@ -223,8 +202,7 @@ def median_depth_and_max_id(
         shape: Height and width of the images.
 
     Returns:
-        Median depth, float32, 0 where half of the light gets through; largest contribution, int32, -1
-        where nothing is drawn (the nearest of equals).
+        Median depth, 0 where half of the light gets through; largest contribution, -1 where nothing is drawn.
     """
     count = shape[0] * shape[1]
     depth = torch.zeros(count, dtype=torch.float32, device=depths.device)

@@ -10,54 +10,30 @@ from torch.nn.functional import normalize
 
 from aomgen.core.camera import Camera
 from aomgen.errors import BackendError
-from aomgen.splatting.differentiable import GaussianTensors, PartTensors
+from aomgen.splatting.differentiable import GaussianTensors, PartTensors, check_tensors
 
 FIRST_VERSION, END_VERSION = (1, 5, 3), (2,)
 _EXTRA = "pip install 'aomgen[gpu]'"
 
 
 def check_scene(gaussians: GaussianTensors, camera: Camera, sh_degree: int) -> None:
-    """Refuse tensors that do not fit each other or the camera.
+    """Refuse tensors that do not fit each other (see `check_tensors`) or the camera.
 
     Raises:
         BackendError: An image without pixels, or more SH degrees than coefficients.
-        TypeError: Not float32, or on several devices.
-        ValueError: Shapes that do not belong together.
     """
     if camera.width < 1 or camera.height < 1:
         raise BackendError(
             "gsplat", f"an image of {camera.width} x {camera.height} pixels", "check the camera"
         )
-    count, device = len(gaussians.means), gaussians.means.device
-    features = gaussians.features
-    shapes = {
-        "means": (count, 3),
-        "quats": (count, 4),
-        "log_scales": (count, 3),
-        "logit_opacities": (count,),
-        "sh": (count, gaussians.sh.shape[1] if gaussians.sh.ndim == 3 else 1, 3),
-        "features": None if features is None else (count, features.shape[-1]),
-    }
-    for name, shape in shapes.items():
-        tensor: Tensor | None = getattr(gaussians, name)
-        if tensor is None:
-            continue
-        if tensor.dtype != torch.float32 or tensor.device != device:
-            raise TypeError(f"{name}: want float32 on {device}, got {tensor.dtype} on {tensor.device}")
-        if tensor.shape != shape:
-            raise ValueError(f"{name} have shape {tuple(tensor.shape)}, want {shape}")
+    check_tensors(gaussians, gaussians.means.device)
     if not 0 <= sh_degree <= 3 or (sh_degree + 1) ** 2 > gaussians.sh.shape[1]:
         problem = f"SH degree {sh_degree} of {gaussians.sh.shape[1]} coefficients"
         raise BackendError("gsplat", problem, "choose a degree of 0 to 3 that the Gaussians have")
 
 
 def check_parts(gaussians: GaussianTensors, parts: PartTensors) -> None:
-    """Refuse parts that some Gaussian's index does not name.
-
-    Raises:
-        BackendError: An index below zero or past the transforms.
-        ValueError: Shapes that do not belong together.
-    """
+    """Refuse parts that some Gaussian's index does not name."""
     count, shape = len(gaussians.means), tuple(parts.Ts_world_part.shape)
     if parts.indices.shape != (count,) or shape[1:] != (4, 4):
         raise ValueError(f"parts {tuple(parts.indices.shape)} and transforms {shape} of {count} Gaussians")
@@ -118,11 +94,7 @@ def load_gsplat() -> ModuleType:
 
 
 def check_version(version: str) -> None:
-    """Refuse versions of gsplat whose functions are not known here.
-
-    Raises:
-        BackendError: Older than `FIRST_VERSION`, or `END_VERSION` and later.
-    """
+    """Refuse versions of gsplat whose functions are not known here."""
     numbers = tuple(int(part) for part in version.split("+")[0].split(".") if part.isdigit())
     if not FIRST_VERSION <= numbers < END_VERSION:
         first, end = (".".join(map(str, limit)) for limit in (FIRST_VERSION, END_VERSION))
@@ -130,13 +102,7 @@ def check_version(version: str) -> None:
 
 
 def place_in_world(means: Tensor, quats: Tensor, parts: PartTensors) -> tuple[Tensor, Tensor]:
-    """Means (N, 3) and quaternions (N, 4) of Gaussians in the world, differentiable by all inputs.
-
-    Args:
-        means: (N, 3), in the frame of the Gaussian's part.
-        quats: (N, 4) wxyz, in the frame of the Gaussian's part, any length.
-        parts: Which part every Gaussian belongs to, and where the parts are.
-    """
+    """Means (N, 3) and quaternions (N, 4) of Gaussians in the world, of any length; differentiable by all inputs."""
     rows = parts.indices.long()
     R_world_part, t_world_part = parts.Ts_world_part[:, :3, :3], parts.Ts_world_part[:, :3, 3]
     turned = (R_world_part[rows] * means[:, None, :]).sum(-1)
@@ -148,11 +114,6 @@ def view_directions(means: Tensor, T_cam_world: Tensor, parts: PartTensors | Non
 
     The camera's centre is carried into every part's frame, which turns the directions exactly without
     touching the coefficients.
-
-    Args:
-        means: (N, 3), in the frame of the Gaussian's part, or the world without parts.
-        T_cam_world: (4, 4) rigid.
-        parts: None where the Gaussians are in the world frame.
     """
     center_world = -T_cam_world[:3, :3].T @ T_cam_world[:3, 3]
     if parts is None:

@@ -11,16 +11,7 @@ from aomgen.core.values import Array
 def gaussians_from_points(
     points: ArrayLike, colors_srgb: NDArray[np.uint8], *, opacity: float = 0.3, size: float = 0.7
 ) -> Gaussians:
-    """One round Gaussian a point, as wide as the distance to its neighbours.
-
-    Args:
-        points: (N, 3), any frame and unit; the result is in the same.
-        colors_srgb: (N, 3) uint8.
-        opacity: Of every Gaussian, 0..1.
-        size: Standard deviation over the distance that `neighbour_distances` gives.
-
-    Returns:
-        N Gaussians of SH degree 0.
+    """One round Gaussian a point (N, 3), as wide as `size` times the distance to its neighbours, of SH degree 0.
 
     Raises:
         ValueError: Fewer than two points, coordinates that are not finite, or colors for other
@@ -47,9 +38,6 @@ def neighbour_distances(points: Array, neighbours: int = 3) -> Array:
 
     Points that coincide get a thousandth of the median, lonely ones at most the 99th percentile,
     so that no Gaussian starts without size and none covers the scene.
-
-    Raises:
-        ValueError: Fewer than two points, or coordinates that are not finite.
     """
     if not len(points) >= 2 or not np.isfinite(points).all():
         raise ValueError(f"{len(points)} points, want at least two with finite coordinates")

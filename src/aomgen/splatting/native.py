@@ -235,7 +235,7 @@ class Context:
         self._check(call(self._handle, *shape, *images, gains, dssim_weight, loss, *gradients))
         return loss.value
 
-    def adam_step(self, shape: tuple[int, int], addresses: tuple[int, int, int, int, int], step: int) -> None:
+    def adam_step(self, shape: tuple[int, int], addresses: tuple[int, ...], step: int) -> None:
         """Adam in place; addresses of values, gradients, means, squares (rows, columns), rates (columns,)."""
         self._check(self._library.aomgen_adam_step(self._handle, *shape, *addresses, step))
 

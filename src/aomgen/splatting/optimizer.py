@@ -59,17 +59,12 @@ class Parameters:
 
     def moved(self, device: str) -> "Parameters":
         """The same parameters on a device."""
-
-        def on_device(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-            return {name: tensor.to(device) for name, tensor in tensors.items()}
-
-        return Parameters(
-            values=on_device(self.values),
-            averages=on_device(self.averages),
-            squares=on_device(self.squares),
-            reach=self.reach.to(device),
-            steps=self.steps,
+        values, averages, squares = (
+            {name: tensor.to(device) for name, tensor in tensors.items()}
+            for tensors in (self.values, self.averages, self.squares)
         )
+        reach = self.reach.to(device)
+        return Parameters(values=values, averages=averages, squares=squares, reach=reach, steps=self.steps)
 
     def opacities(self) -> Tensor:
         """(N,), 0..1."""
@@ -89,21 +84,14 @@ class Parameters:
         torch.lerp(means, self.values["means"], self.reach[:, None], out=self.values["means"])
 
     def rebuilt(self, kept: Tensor, parents: Tensor, added: dict[str, Tensor]) -> "Parameters":
-        """The rows `kept` (indices) followed by new rows, whose gradient averages start at zero.
-
-        Args:
-            kept: Indices of rows that stay.
-            parents: Index of the row that each new row came from.
-            added: New rows.
-        """
+        """The rows `kept` (indices) followed by new rows of these parents, whose gradient averages start at zero."""
         rest = {name: torch.zeros_like(value) for name, value in added.items()}
-        return Parameters(
-            values={name: torch.cat([self.values[name][kept], added[name]]) for name in NAMES},
-            averages={name: torch.cat([self.averages[name][kept], rest[name]]) for name in NAMES},
-            squares={name: torch.cat([self.squares[name][kept], rest[name]]) for name in NAMES},
-            reach=self.reach[torch.cat([kept, parents])],
-            steps=self.steps,
+        values, averages, squares = (
+            {name: torch.cat([tensors[name][kept], new[name]]) for name in NAMES}
+            for tensors, new in ((self.values, added), (self.averages, rest), (self.squares, rest))
         )
+        reach = self.reach[torch.cat([kept, parents])]
+        return Parameters(values=values, averages=averages, squares=squares, reach=reach, steps=self.steps)
 
 
 def parameter_rates(
@@ -123,13 +111,7 @@ def parameter_rates(
 def parameters_of(
     gaussians: Gaussians, sh_degree: int, reach: NDArray[np.float64] | None = None
 ) -> Parameters:
-    """Parameters that start at the given Gaussians, with room for SH up to a degree.
-
-    Args:
-        gaussians: N Gaussians.
-        sh_degree: 0..3.
-        reach: See `Parameters`; ones by default.
-    """
+    """Parameters that start at the given Gaussians, with room for SH up to a degree 0..3; `reach` is ones by default."""
     padded = gaussians.with_sh_degree(sh_degree)
     opacities = np.clip(padded.opacities.astype(np.float64), 1e-6, 1 - 1e-6)
     arrays = {
@@ -162,13 +144,7 @@ def gaussians_of(parameters: Parameters) -> Gaussians:
 
 
 def error_shares(gaussians: Gaussians, cameras: list[Camera], images: list[np.ndarray]) -> np.ndarray:
-    """How much of the images' absolute error each Gaussian paints, (N,) float64.
-
-    Args:
-        gaussians: What is drawn.
-        cameras: One for every image, at the image's size.
-        images: Planar (3, H, W) float32 sRGB 0..1.
-    """
+    """How much of the absolute error of images, planar (3, H, W) sRGB 0..1, each Gaussian paints, (N,)."""
     shares = np.zeros(len(gaussians))
     for camera, image in zip(cameras, images, strict=True):
         error = np.abs(render(gaussians, camera).rgb - image.transpose(1, 2, 0)).mean(-1)
@@ -190,19 +166,15 @@ def relocate_and_grow(
     `count` than what is left after dropping adds nothing.
 
     Args:
-        parameters: N Gaussians under optimization.
         shares: Error painted by each, (N,).
-        count: Number of Gaussians wanted.
         min_opacity: Fainter ones are dropped.
-        rng: Source of the draw.
         dropped: Gaussians (N,) to drop however opaque they are.
 
     Source: relocation within a fixed budget follows Kheradmand et al., "3D Gaussian splatting as
     Markov chain Monte Carlo", 2024; drawing by error and splitting the longest axis are ours.
     """
     alive = (parameters.opacities() >= min_opacity).cpu().numpy()
-    if dropped is not None:
-        alive &= ~dropped
+    alive &= True if dropped is None else ~dropped
     weights = np.where(alive, shares, 0.0)
     wanted = min(count - int(alive.sum()), int((weights > 0).sum()))
     if wanted <= 0:
@@ -235,12 +207,9 @@ def _halves(rows: dict[str, Tensor]) -> dict[str, Tensor]:
 def rotation_columns(quats: Tensor, column: Tensor) -> Tensor:
     """Column (N,) 0..2 of each quaternion's rotation matrix, (N, 3)."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
-    columns = torch.stack(
-        [
-            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], -1),
-            torch.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], -1),
-            torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        1,
-    )
-    return columns[torch.arange(len(quats), device=quats.device), column]
+    rows = [
+        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+    ]
+    return torch.stack(rows, 1).gather(2, column[:, None, None].expand(-1, 3, 1))[..., 0]

@@ -1,6 +1,6 @@
 """Gaussians to images on the CPU, without gradients."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -26,14 +26,13 @@ class Rendering:
     """What one camera sees.
 
     Attributes:
-        rgb: (H, W, 3) float32, sRGB 0..1, blended over the background.
-        alpha: (H, W) float32, 0..1.
-        depth: (H, W) float32, blended depth divided by alpha, [m]; 0 where alpha is about 0.
-        median_depth: (H, W) float32, depth of the Gaussian at which less than half of the light
-            is left, [m]; 0 where half is never reached. Only with `with_ids`.
-        max_id: (H, W) int32, index of the Gaussian with the largest weight, -1 for none. Only
-            with `with_ids`.
-        features: (H, W, D) float32, blended (not divided by alpha). Only with features.
+        rgb: (H, W, 3), sRGB 0..1, blended over the background.
+        alpha: (H, W), 0..1.
+        depth: (H, W), blended depth divided by alpha, [m]; 0 where alpha is about 0.
+        median_depth: (H, W), depth of the Gaussian at which less than half of the light is left,
+            [m]; 0 where half is never reached. Only with `with_ids`.
+        max_id: (H, W), index of the Gaussian with the largest weight, -1 for none. Only with `with_ids`.
+        features: (H, W, D), blended (not divided by alpha). Only with features.
     """
 
     rgb: NDArray[np.float32]
@@ -49,8 +48,8 @@ class RigidParts:
     """Gaussians that move in rigid groups: each is given in the frame of its part.
 
     Attributes:
-        indices: Part of every Gaussian (N,) int32, 0..P-1.
-        Ts_world_part: Rigid poses of the parts (P, 4, 4).
+        indices: Part of every Gaussian, 0..P-1.
+        Ts_world_part: Rigid poses of the parts.
     """
 
     indices: Annotated[NDArray[np.int32], "_"]
@@ -87,35 +86,20 @@ def render(
     Raises:
         BackendError: The engine is missing, or refuses the scene or camera.
     """
-    shape = image_shape(camera)
-    rgb = np.empty((*shape, 3), np.float32)
-    alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    median = np.empty(shape, np.float32) if with_ids else None
-    max_id = np.empty(shape, np.int32) if with_ids else None
-    feature_image = None
+    images = empty_images(camera, with_ids)
     if features is not None:
         features = np.ascontiguousarray(features, np.float32)
         if features.ndim != 2 or len(features) != len(gaussians):
             raise ValueError(f"features have shape {features.shape}, want ({len(gaussians)}, D)")
-        feature_image = np.empty((*shape, features.shape[1]), np.float32)
-    images = native.Images(
-        rgb=rgb.ctypes.data,
-        interleaved=1,
-        depth=depth.ctypes.data,
-        alpha=alpha.ctypes.data,
-        median_depth=_address(median),
-        max_id=_address(max_id),
-        features=_address(feature_image) if features is not None and features.size else None,
-    )
+        images["features"] = np.empty((*images["depth"].shape, features.shape[1]), np.float32)
     poses = cam_from_parts(camera, parts)
     view = native_view(camera, poses, background=background, antialiased=antialiased)
     context = native.scratch_context()
     context.configure(threads)
-    context.forward(native_scene(gaussians, features, parts), view, images)
-    settle(rgb, depth, alpha)
-    return Rendering(
-        rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id, features=feature_image
-    )
+    outputs = native.Images(interleaved=1, **addresses_of(images))
+    context.forward(native_scene(gaussians, features, parts), view, outputs)
+    settle(images)
+    return Rendering(**images)
 
 
 def contribution_weights(
@@ -143,19 +127,32 @@ def contribution_weights(
     return weights
 
 
-def settle(rgb: NDArray[np.float32], depth: NDArray[np.float32], alpha: NDArray[np.float32]) -> None:
+def empty_images(camera: Camera, with_ids: bool) -> dict[str, NDArray]:
+    """The arrays of a `Rendering` by name, for the engine to write into."""
+    shape = image_shape(camera)
+    images: dict[str, NDArray] = {"rgb": np.empty((*shape, 3), np.float32)}
+    images |= {name: np.empty(shape, np.float32) for name in ("alpha", "depth")}
+    if with_ids:
+        images["median_depth"] = np.empty(shape, np.float32)
+        images["max_id"] = np.empty(shape, np.int32)
+    return images
+
+
+def addresses_of(arrays: Mapping[str, NDArray]) -> dict[str, int]:
+    """Where the arrays lie, those without elements left out."""
+    return {name: array.ctypes.data for name, array in arrays.items() if array.size}
+
+
+def settle(images: Mapping[str, NDArray]) -> None:
     """In place, from the engine's sums to what `Rendering` holds: colors up to 1, depth divided by alpha."""
+    rgb, alpha, depth = (images[name] for name in ("rgb", "alpha", "depth"))
     np.minimum(rgb, 1, out=rgb)
     np.divide(depth, alpha, out=depth, where=alpha > MIN_ALPHA)
     depth[~(alpha > MIN_ALPHA)] = 0
 
 
 def image_shape(camera: Camera) -> tuple[int, int]:
-    """Height and width of a camera's images, checked before anyone allocates them.
-
-    Raises:
-        BackendError: A side is not 1 to `MAX_SIDE` pixels long.
-    """
+    """Height and width of a camera's images, refused before anyone allocates more than `MAX_SIDE` pixels a side."""
     shape = (camera.height, camera.width)
     if not all(1 <= side <= MAX_SIDE for side in shape):
         raise BackendError(
@@ -182,7 +179,7 @@ def native_scene(
         scales=gaussians.scales.ctypes.data,
         opacities=gaussians.opacities.ctypes.data,
         sh=gaussians.sh.ctypes.data,
-        features=_address(features),
+        features=None if features is None else features.ctypes.data,
         parts=None if parts is None else parts.indices.ctypes.data,
     )
 
@@ -201,11 +198,7 @@ def native_view(
     antialiased: bool = False,
     near_depth: float = NEAR_DEPTH,
 ) -> native.NativeView:
-    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used.
-
-    Raises:
-        BackendError: As `image_shape`.
-    """
+    """The engine's view of a camera; `poses` (P, 3, 4) must stay alive while it is used."""
     height, width = image_shape(camera)
     return native.NativeView(
         width=width,
@@ -220,7 +213,3 @@ def native_view(
         part_count=len(poses),
         cam_from_part=poses.ctypes.data,
     )
-
-
-def _address(array: NDArray | None) -> int | None:
-    return None if array is None else array.ctypes.data

@@ -17,7 +17,9 @@ from aomgen.splatting import native
 from aomgen.splatting.rasterizer import (
     Rendering,
     RigidParts,
+    addresses_of,
     cam_from_parts,
+    empty_images,
     native_scene,
     native_view,
     settle,
@@ -32,10 +34,9 @@ class Motion:
     """What changes from frame to frame, T frames.
 
     Attributes:
-        parts: Part of every moving Gaussian (N,) int32, 0..P-1; each is given in its part's frame.
-        Ts_world_part: Rigid poses of the parts (T, P, 4, 4).
-        colors: (T, M, 3) float32, sRGB of the last M moving Gaussians, in place of their harmonics'
-            constant term; None for none.
+        parts: Part of every moving Gaussian, 0..P-1; each is given in its part's frame.
+        Ts_world_part: Rigid poses of the parts.
+        colors: sRGB of the last M moving Gaussians, in place of their harmonics' constant term; None for none.
     """
 
     parts: Annotated[NDArray[np.int32], "_"]
@@ -121,16 +122,10 @@ class RenderSession:
         Raises:
             BackendError: The engine refuses the Gaussians.
         """
-        shape = (self.camera.height, self.camera.width)
-        rgb = np.empty((*shape, 3), np.float32)
-        alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        median = np.empty(shape, np.float32) if with_ids else None
-        max_id = np.empty(shape, np.int32) if with_ids else None
-        outputs = {"rgb": rgb, "alpha": alpha, "depth": depth, "median_depth": median, "max_id": max_id}
-        outputs["tiles"] = self._unknown_tiles(1)[0]
-        self._draw_one(moving, parts, shade, outputs)
-        settle(rgb, depth, alpha)
-        return Rendering(rgb=rgb, alpha=alpha, depth=depth, median_depth=median, max_id=max_id)
+        images = empty_images(self.camera, with_ids)
+        self._draw_one(moving, parts, shade, {**images, "tiles": self._unknown_tiles(1)})
+        settle(images)
+        return Rendering(**images)
 
     def picture(
         self,
@@ -142,12 +137,8 @@ class RenderSession:
     ) -> RenderedFrame:
         """Draw one 8-bit image with all threads; arguments as in `draw`.
 
-        Args:
-            into: An image of this session that is no longer wanted. It is drawn over, and only
-                where something has changed: the fastest way to one frame after the other.
-
-        Raises:
-            BackendError: The engine refuses the Gaussians.
+        `into` is an image of this session that is no longer wanted. It is drawn over, and only
+        where something has changed: the fastest way to one frame after the other.
         """
         shape = (self.camera.height, self.camera.width, 3)
         if into is None:
@@ -166,16 +157,7 @@ class RenderSession:
         motion: Motion,
         shades: NDArray[np.float32] | None = None,
     ) -> NDArray[np.uint8]:
-        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread.
-
-        Args:
-            moving: N Gaussians in the frames of their parts.
-            motion: Where the parts are in each frame.
-            shades: Factors (T, H, W) on the sRGB colors of what never moves, for shadows.
-
-        Raises:
-            BackendError: The engine refuses the Gaussians.
-        """
+        """Frames (T, H, W, 3) uint8 of moving Gaussians, each drawn by one thread; see `draw_sessions`."""
         return draw_sessions([self], moving, motion, None if shades is None else [shades], self.threads)[0]
 
     def _unknown_tiles(self, frames: int) -> NDArray[np.uint8]:
@@ -187,24 +169,18 @@ class RenderSession:
         moving: Gaussians,
         parts: RigidParts | None,
         shade: ArrayLike | None,
-        outputs: dict[str, NDArray | None],
+        outputs: dict[str, NDArray],
     ) -> None:
         poses = cam_from_parts(self.camera, parts)
-        shade = self._checked_shades(shade, ())
-        addresses = {name: array.ctypes.data for name, array in outputs.items() if array is not None}
-        frame = native.Frame(
-            session=self._handle,
-            cam_from_part=poses.ctypes.data,
-            shade=None if shade is None else shade.ctypes.data,
-            **addresses,
-        )
+        inputs = {"cam_from_part": poses}
+        if shade is not None:
+            inputs["shade"] = self._checked_shades(shade, ())
         context = native.scratch_context()
         context.configure(self.threads)
+        frame = native.Frame(session=self._handle, **addresses_of(inputs | outputs))
         context.draw_session(native_scene(moving, parts=parts), len(poses), 0, [frame])
 
-    def _checked_shades(self, shades: ArrayLike | None, leading: tuple[int, ...]) -> NDArray | None:
-        if shades is None:
-            return None
+    def _checked_shades(self, shades: ArrayLike, leading: tuple[int, ...]) -> NDArray[np.float32]:
         shades = np.ascontiguousarray(shades, np.float32)
         want = (*leading, self.camera.height, self.camera.width)
         if shades.shape != want:
@@ -213,26 +189,27 @@ class RenderSession:
 
     def _frames(
         self, motion: Motion, shades: ArrayLike | None
-    ) -> tuple[NDArray[np.uint8], list[native.Frame], tuple]:
+    ) -> tuple[NDArray[np.uint8], list[native.Frame], dict[str, NDArray]]:
         """Images to be drawn, what the engine draws them by, and arrays that must stay alive meanwhile."""
         count = len(motion)
         images = np.empty((count, self.camera.height, self.camera.width, 3), np.uint8)
         Ts = self.camera.T_cam_world @ motion.Ts_world_part
-        poses = np.ascontiguousarray(Ts[:, :, :3], np.float32)
-        tiles = self._unknown_tiles(count)
-        shades = self._checked_shades(shades, (count,))
+        arrays = {
+            "cam_from_part": np.ascontiguousarray(Ts[:, :, :3], np.float32),
+            "tiles": self._unknown_tiles(count),
+            "rgb8": images,
+        }
+        if motion.colors is not None:
+            arrays["colors"] = motion.colors
+        if shades is not None:
+            arrays["shade"] = self._checked_shades(shades, (count,))
         frames = [
             native.Frame(
-                session=self._handle,
-                cam_from_part=poses[t].ctypes.data,
-                colors=None if motion.colors is None else motion.colors[t].ctypes.data,
-                shade=None if shades is None else shades[t].ctypes.data,
-                tiles=tiles[t].ctypes.data,
-                rgb8=images[t].ctypes.data,
+                session=self._handle, **addresses_of({name: array[t] for name, array in arrays.items()})
             )
             for t in range(count)
         ]
-        return images, frames, (poses, tiles, shades)
+        return images, frames, arrays
 
 
 def draw_sessions(
@@ -250,9 +227,6 @@ def draw_sessions(
         motion: Where the parts are in each frame.
         shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
         threads: None for all processors of the process.
-
-    Raises:
-        BackendError: The engine refuses the Gaussians.
     """
     if len(motion.parts) != len(moving):
         raise ValueError(f"{len(motion.parts)} part indices for {len(moving)} Gaussians")

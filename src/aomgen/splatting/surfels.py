@@ -10,6 +10,7 @@ from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import linear_from_srgb
@@ -20,7 +21,7 @@ from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import AssetError
 from aomgen.io.images import resize
-from aomgen.splatting.visibility import estimate_transfer
+from aomgen.splatting.surfaces import estimate_transfer
 
 # Candidates drawn for each disc that is kept; more gives a more even spread.
 OVERSAMPLING: Final = 5
@@ -48,9 +49,9 @@ class Surfels:
 
     Attributes:
         gaussians: N discs colored with their albedo, in the frame of the meshes.
-        normals: (N, 3) unit, outward.
-        albedo_linear: (N, 3), 0..1.
-        transfer: (N, 9), see `core.light`.
+        normals: Unit, outward.
+        albedo_linear: 0..1.
+        transfer: See `core.light`.
     """
 
     gaussians: Annotated[Gaussians, "N"]
@@ -72,14 +73,12 @@ class _Candidates:
     colors_srgb: Array
     fine: NDArray[np.bool_]
 
+    def select(self, which: NDArray) -> "_Candidates":
+        return _Candidates(*(getattr(self, name)[which] for name in _Candidates.__slots__))
+
 
 def surfels_of(meshes: Sequence[Mesh], count: int, rng: np.random.Generator) -> Surfels:
-    """Cover meshes with about `count` discs.
-
-    Args:
-        meshes: Surfaces of one rigid link; they shade each other.
-        count: How many discs, within about a third.
-        rng: Chooses the places.
+    """Cover the meshes of one rigid link, which shade each other, with discs: `count` within about a third.
 
     Raises:
         AssetError: The meshes have no surface.
@@ -157,14 +156,9 @@ def _bilinear(texture: Array, uv: Array) -> Array:
     """Texture values (N, 3) at uv (N, 2), v up; it repeats outside 0..1."""
     height, width = texture.shape[:2]
     inside = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
-    x = np.clip(inside[:, 0] * width - 0.5, 0, width - 1)
-    y = np.clip((1 - inside[:, 1]) * height - 0.5, 0, height - 1)
-    x0, y0 = x.astype(int), y.astype(int)
-    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-    top = texture[y0, x0] * (1 - fx) + texture[y0, x1] * fx
-    bottom = texture[y1, x0] * (1 - fx) + texture[y1, x1] * fx
-    return top * (1 - fy) + bottom * fy
+    places = np.stack([(1 - inside[:, 1]) * height - 0.5, inside[:, 0] * width - 0.5])
+    channels = [map_coordinates(texture[..., k], places, order=1, mode="nearest") for k in range(3)]
+    return np.stack(channels, 1)
 
 
 def _uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
@@ -181,10 +175,7 @@ def _uncovered(parts: list[_Candidates], radius: float) -> list[_Candidates]:
     parallel = np.abs(np.einsum("nkd,nd->nk", joined.normals[near], joined.normals)) > PARALLEL
     covers = np.isfinite(distances) & (owners[near] != owners[:, None]) & parallel & (height > radius * 1e-3)
     covered = covers.any(1)
-    kept = [
-        _Candidates(*(getattr(part, name)[~covered[owners == i]] for name in _Candidates.__slots__))
-        for i, part in enumerate(parts)
-    ]
+    kept = [part.select(~covered[owners == i]) for i, part in enumerate(parts)]
     return [part for part in kept if len(part.points)]
 
 
@@ -197,8 +188,7 @@ def _thinned(part: _Candidates, radius: float, rng: np.random.Generator) -> tupl
             # Both sides of a thin sheet are kept: the normal is part of the place.
             places = np.column_stack([part.points[members], part.normals[members] * reach])
             kept.append(members[_poisson_discs(places, reach, rng)])
-    which = np.concatenate(kept)
-    selected = _Candidates(*(getattr(part, name)[which] for name in _Candidates.__slots__))
+    selected = part.select(np.concatenate(kept))
     return selected, np.where(selected.fine, radius * FINER, radius)
 
 
@@ -234,7 +224,6 @@ def _discs(kept: _Candidates, normals: Array, radii: Array, transfer: NDArray[np
     # Near a crease a disc is only as wide as the room it has, so that outlines stay sharp.
     room = np.clip(kept.crease_distances, 0.35 * radii, SPREAD * radii)
     scales = np.stack([SPREAD * radii, room, THICKNESS * radii], 1)
-    albedo = linear_from_srgb(kept.colors_srgb)
     gaussians = gaussians_of(
         means=kept.points,
         quats=quat_from_matrix(R),
@@ -245,7 +234,7 @@ def _discs(kept: _Candidates, normals: Array, radii: Array, transfer: NDArray[np
     return Surfels(
         gaussians=gaussians,
         normals=normals.astype(np.float32),
-        albedo_linear=albedo.astype(np.float32),
+        albedo_linear=linear_from_srgb(kept.colors_srgb).astype(np.float32),
         transfer=transfer,
     )
 
@@ -275,9 +264,7 @@ def crease_distances(
 ) -> tuple[Array, Array]:
     """Distance (N,) of points on faces to the nearest crease of their own face, and its direction.
 
-    Returns:
-        Distances, infinite without a crease, and unit directions (N, 3) in the surface, across
-        the crease (any tangent without one).
+    Distances are infinite without a crease; unit directions (N, 3) lie in the surface, across the crease.
     """
     creased = crease_edges(vertices, faces)[face_ids]
     normals, _ = face_normals_areas(vertices, faces)

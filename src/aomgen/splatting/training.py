@@ -164,13 +164,8 @@ def learning(
 ) -> Iterator[float]:
     """Advance a state, iteration by iteration, until the last; gives the loss of each.
 
-    Between two iterations the state is whole: it may be looked at and saved.
-
-    Args:
-        state: Changed in place.
-        cameras, images, params: See `train`.
-        extent: Length that steps are measured in, `scene_extent` of the start.
-        compute: Where to compute, the engine by default; the state's Gaussians are on its device.
+    Between two iterations the state is whole: it may be looked at and saved. Steps are measured in `extent`,
+    `scene_extent` of the start; the state's Gaussians are on the device of `compute`, by default the engine's.
     """
     compute, context = compute or NativeCompute(), native.Context(threads=1)
     views: list[TrainingView] = []

@@ -10,6 +10,7 @@ from torch import Tensor
 from aomgen.core.camera import Camera
 from aomgen.core.values import Array
 from aomgen.splatting import native
+from aomgen.splatting.compute import native_adam_step
 
 # A color value from which on a photograph only says "at least this bright".
 SATURATED = 250 / 255
@@ -59,11 +60,9 @@ class ImageParameters:
     def adam_step(self, index: int, gradient: Tensor, rate: float, context: native.Context) -> None:
         """One step of one image's numbers."""
         self.steps[index] += 1
-        columns = self.values.shape[1]
-        gradient, rates = gradient.contiguous(), torch.full((columns,), rate)
-        rows = (self.values[index], gradient, self.averages[index], self.squares[index], rates)
-        first, second, third, fourth, fifth = (row.data_ptr() for row in rows)
-        context.adam_step((1, columns), (first, second, third, fourth, fifth), int(self.steps[index]))
+        row = slice(index, index + 1)
+        moments, rates = (self.averages[row], self.squares[row]), torch.full(gradient.shape, rate)
+        native_adam_step(context, self.values[row], gradient[None], moments, rates, int(self.steps[index]))
 
 
 def _zeros(count: int, columns: int) -> dict[str, Tensor]:
@@ -105,16 +104,9 @@ def reduce_image(camera: Camera, image: NDArray[np.uint8], factor: int) -> Train
         return TrainingView(camera=camera, image=planar)
     pooled = torch.nn.functional.avg_pool2d(planar.float(), factor).round_().to(torch.uint8)
     height, width = pooled.shape[1:]
-    small = replace(
-        camera,
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=camera.cx / factor,
-        cy=camera.cy / factor,
-        width=int(width),
-        height=int(height),
-    )
-    return TrainingView(camera=small, image=pooled)
+    # What is cut at the border moves nothing, so `Camera.resized` would be wrong.
+    optics = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
+    return TrainingView(camera=replace(camera, width=width, height=height, **optics), image=pooled)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -179,8 +171,7 @@ class PoseIncrements(ImageParameters):
 def gauge_motions(centers: Array) -> Array:
     """Orthonormal (6 M, 7): twists of M cameras that a similarity of the whole scene explains.
 
-    Args:
-        centers: Of the cameras (M, 3), relative to the point that twists are taken about.
+    Centers (M, 3) are relative to the point that twists are taken about.
     """
     count = len(centers)
     motions = np.zeros((count, 6, 7))

@@ -12,7 +12,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.replay import servo_control
+from aomgen.simulation.replay import Commands, read_touches, track
 from aomgen.simulation.scene import Scene
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
 from aomgen.synthetic.demonstration_planning import plan
@@ -154,29 +154,22 @@ def _succeeded(performance: Performance) -> bool:
 
 
 def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstration:
-    """Run a script with position control and velocity feed-forward; the object's joint is passive.
-
-    Nothing is written into the state after the first step. Autoreset is off.
-    """
+    """Run a script; the object's joint is passive. Autoreset is off."""
     model = copy.copy(scene.model)
     model.opt.timestep = CONTROL_STEP_S
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     model.actuator_forcerange[scene.gripper.actuator] *= script.grip
-    data = mujoco.MjData(model)
-    data.qpos[:] = scene.qpos(script.joints[:1], script.gripper[0], script.theta_start)[0]
-    velocities = np.gradient(script.joints, CONTROL_STEP_S, axis=0)
-    data.ctrl[:] = servo_control(scene, script.joints[0], np.zeros_like(velocities[0]), script.gripper[0])
-    mujoco.mj_step(model, data, round(SETTLE_S / CONTROL_STEP_S))
+    start = scene.qpos(script.joints[:1], script.gripper[0], script.theta_start)[0]
+    commands = Commands(script.joints, np.gradient(script.joints, CONTROL_STEP_S, axis=0), script.gripper)
     sides = _name_sides(model, scene.robot)
     qpos = np.empty((len(script.times_s), model.nq))
-    contacts, foreign = [], False
-    for step in range(len(script.times_s)):
+    contacts, foreign, warned = [], False, False
+    for step, data in enumerate(track(scene, model, start, commands, SETTLE_S)):
         qpos[step] = data.qpos
         touches, strange = _read_touches(scene, data, sides)
         contacts.append(touches)
         foreign |= strange
-        data.ctrl[:] = servo_control(scene, script.joints[step], velocities[step], script.gripper[step])
-        mujoco.mj_step(model, data)
+        warned = bool(data.warning.number.sum() > 0)
     opened, closed = scene.gripper.driver_range
     return SimulatedDemonstration(
         times_s=script.times_s,
@@ -186,7 +179,7 @@ def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstratio
         theta=qpos[:, scene.object_qpos],
         contacts=tuple(contacts),
         foreign=foreign,
-        diverged=bool(data.warning.number.sum() > 0) or not np.isfinite(qpos).all(),
+        diverged=warned or not np.isfinite(qpos).all(),
     )
 
 
@@ -195,20 +188,17 @@ def _read_touches(
 ) -> tuple[tuple[TrueContact, ...], bool]:
     """Touches of the hand on the moving part, and whether the robot touches anything else."""
     roles, found, strange = scene.roles, [], False
-    wrench = np.zeros(6)
-    for number in range(data.ncon):
-        contact = data.contact[number]
-        a, b = contact.geom
-        if roles.robot[a] == roles.robot[b] or contact.dist > 0:
+    for touch in read_touches(scene, data):
+        if touch.distance > 0:
             continue
-        ours, other = (a, b) if roles.robot[a] else (b, a)
-        if not (roles.moving[other] and roles.gripper[ours]):
+        if roles.moving[touch.other_geom] and roles.gripper[touch.robot_geom]:
+            finger = sides[int(scene.model.geom_bodyid[touch.robot_geom])]
+            normal = -touch.normal_world
+            found.append(
+                TrueContact(finger=finger, point=touch.point_world, normal=normal, force=touch.force)
+            )
+        else:
             strange = True
-            continue
-        mujoco.mj_contactForce(scene.model, data, number, wrench)
-        normal = contact.frame[:3] * (1.0 if ours == a else -1.0)
-        finger = sides[int(scene.model.geom_bodyid[ours])]
-        found.append(TrueContact(finger=finger, point=contact.pos, normal=normal, force=float(wrench[0])))
     return tuple(found), strange
 
 

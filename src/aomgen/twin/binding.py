@@ -14,7 +14,7 @@ from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels
 from aomgen.twin.relighting import Relit, join_relit
-from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses
+from aomgen.twin.twin import OBJECT, PART, Twin, TwinState, body_list, body_poses, move_bodies
 
 
 def bind(
@@ -25,17 +25,13 @@ def bind(
     joint_world: Joint,
     scan_state: TwinState,
 ) -> Twin:
-    """Fix the Gaussians of an aligned scan to the bodies they belong to.
+    """Fix the Gaussians (N) of an aligned scan to the bodies they belong to.
 
     Args:
-        gaussians_world: The scan (N), world frame.
         labels: (N,) part labels, see `conventions.PART_LABELS`.
-        robot_bodies: (N,) index into `robot.body_names`, -1 where a Gaussian is not of the robot.
-        robot: The robot.
-        joint_world: The object's joint, world frame, value 0 = scan.
+        robot_bodies: (N,) index into `robot.body_names`, -1 where a Gaussian is not of the robot. What is labelled
+            robot without a link stays with the world.
         scan_state: State during the scan; its `T_world_object` becomes the object's pose.
-
-    Gaussians labelled robot without a link stay with the world.
     """
     names = body_list(robot)
     bodies = np.zeros(len(gaussians_world), np.int32)
@@ -53,21 +49,8 @@ def bind(
         T_world_object=scan_state.T_world_object,
         scan_state=scan_state,
     )
-    return replace(
-        twin, gaussians=in_body_frames(gaussians_world, bodies, body_poses(twin, robot, scan_state))
-    )
-
-
-def in_body_frames(gaussians_world: Gaussians, bodies: NDArray[np.int32], Ts_world_body: Array) -> Gaussians:
-    """Gaussians (N) moved from the world into their bodies' frames, order kept."""
-    order = np.argsort(bodies, kind="stable")
-    pieces = []
-    for body in np.unique(bodies):
-        members = gaussians_world.select(np.flatnonzero(bodies == body))
-        pieces.append(members if body == 0 else members.transformed(invert(Ts_world_body[body])))
-    back = np.empty(len(order), np.int64)
-    back[order] = np.arange(len(order))
-    return concatenate(pieces).select(back)
+    Ts_body_world = invert(body_poses(twin, robot, scan_state))
+    return replace(twin, gaussians=move_bodies(gaussians_world, bodies, Ts_body_world))
 
 
 def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_points_world: ArrayLike) -> Array:
@@ -101,31 +84,27 @@ def object_frame(static_points_world: ArrayLike, joint_world: Joint, moving_poin
 def with_object(
     background: Twin, static: Surfels, moving: Surfels, joint: Joint, light: Light, T_world_object: ArrayLike
 ) -> Twin:
-    """A twin in which an asset stands on the cleared scene.
+    """A twin in which an asset stands on the cleared scene, at a pose (4, 4).
 
     Args:
         background: Twin whose recorded object was removed.
         static, moving: The asset's links, asset frame at joint value 0.
         joint: The asset's joint, asset frame.
         light: What the asset is lit by.
-        T_world_object: Where it stands (4, 4).
     """
     cleared = background.select(~np.isin(background.labels, (STATIC, MOVING)))
-    count, first, second = len(cleared.gaussians), len(static.gaussians), len(moving.gaussians)
-    bodies = [np.full(first, cleared.body(OBJECT)), np.full(second, cleared.body(PART))]
-    labels = [np.full(first, STATIC), np.full(second, MOVING)]
+    counts = [len(static.gaussians), len(moving.gaussians)]
     lit = Relit(
-        indices=np.arange(count, count + first + second),
+        indices=len(cleared.gaussians) + np.arange(sum(counts)),
         albedo_linear=np.concatenate([static.albedo_linear, moving.albedo_linear]),
         transfer=np.concatenate([static.transfer, moving.transfer]),
-        light_of=np.zeros(first + second, np.int32),
+        light_of=np.zeros(sum(counts), np.int32),
         lights=(light,),
     )
-    return replace(
-        cleared,
-        gaussians=concatenate([cleared.gaussians, static.gaussians, moving.gaussians]),
-        bodies=np.concatenate([cleared.bodies, *bodies]),
-        labels=np.concatenate([cleared.labels, *labels]),
+    return cleared.extended(
+        concatenate([static.gaussians, moving.gaussians]),
+        np.repeat([cleared.body(OBJECT), cleared.body(PART)], counts),
+        np.repeat([STATIC, MOVING], counts),
         joint=joint,
         T_world_object=T_world_object,
         scan_state=replace(cleared.scan_state, theta=0.0, T_world_object=T_world_object),

@@ -1,6 +1,7 @@
-"""The soft shadow that an object casts on the surface it stands on, contact shadow included.
+"""What lights see of bodies, and the shadows that these throw: crisp from one strong light, soft from all around.
 
-The light of every direction is stopped by what the object's silhouette covers as seen from there.
+Whether a point is in shadow is read off an image of the bodies taken from the light (shadow
+mapping: Williams 1978, "Casting curved shadows on curved surfaces").
 """
 
 from collections.abc import Sequence
@@ -11,32 +12,174 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from aomgen.core.gaussians import Gaussians
+from aomgen.core.camera import Camera
+from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.light import Light
 from aomgen.core.sh import sh_basis
-from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array, Matrix4, freeze_arrays
-from aomgen.splatting.visibility import sphere_directions
-from aomgen.twin.directional_shadow import HEIGHTS, silhouette
+from aomgen.core.transforms import apply, invert, transform
+from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
+from aomgen.splatting.rasterizer import RigidParts, render
+from aomgen.splatting.surfaces import sphere_directions
 
-# Cell of the map, [m]: soft light leaves no finer detail in a shadow.
+# Distance of a camera whose image counts as an orthographic one, [m].
+FAR: Final = 60.0
+# Longer side of the image from a light, [px]: a few millimeters each for an arm's shadow.
+MAP_SIDE: Final = 384
+# Heights over which a seen point fades in and out of the surface, [m]. Depth of trained
+# surfaces is uncertain, mostly downwards, because lower Gaussians shine through.
+HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
+# The role of Gaussians for shadows: what they fall on, what throws one that is always the same, and what throws one
+# that comes and goes.
+SCENE, STANDS, MOVES = range(3)
+# Cell of a map of soft light, [m]: it leaves no finer detail in a shadow.
 CELL: Final = 0.015
-# Shadow is followed this far from the object, and fades out over the last third, [m].
+# Soft shadow is followed this far from the object, and fades out over the last third, [m].
 REACH: Final = 0.35
-# Directions of light over the whole sphere, of which half lie above the plane; the map is smoothed after.
+# Directions of soft light over the whole sphere, of which half lie above the plane; the map is smoothed after.
 DIRECTIONS: Final = 160
 # Light that things around throw into a shadow, as a share of what is blocked.
 FILL: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShadowMap:
-    """Share of light that still arrives.
+class DirectionalLight:
+    """A light that throws crisp shadows on a level surface.
 
     Attributes:
-        T_world_plane: Frame of the surface (4, 4), z = 0 on it.
-        low: Corner (2,) of cell (0, 0), plane frame, [m].
-        share: (H, W), 0..1, linear.
+        direction: Unit, from the scene to the light, world frame.
+        T_world_plane: The surface, z = 0 on it.
+        shade: Color in shadow divided by color in light, sRGB, 0..1.
+    """
+
+    direction: Vector3
+    T_world_plane: Matrix4
+    shade: Vector3
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+        if abs(np.linalg.norm(self.direction) - 1) > 1e-6:
+            raise ValueError("DirectionalLight.direction has not length 1")
+        if not ((self.shade > 0) & (self.shade <= 1)).all():
+            raise ValueError("DirectionalLight.shade is not in 0..1")
+
+    def factors(self, dark: Array) -> NDArray[np.float32]:
+        """Factors (..., 3) on sRGB colors where a share (...,) of the light is taken."""
+        return (1 - dark[..., None] * (1 - self.shade)).astype(np.float32)
+
+    def shadow_seen(self, world: Gaussians, roles: NDArray[np.uint8], camera: Camera) -> tuple[Array, Array]:
+        """How much of each pixel (H, W) is the surface, and how much of the light is taken there, 0..1.
+
+        Args:
+            world, roles: See `cast_directional_shadow`.
+            camera: Where to look from.
+        """
+        still = (roles == SCENE).astype(np.float32)[:, None]
+        drawn = render(world, camera, features=still, with_ids=True)
+        depth = np.asarray(drawn.median_depth, np.float64)
+        points, belongs = intersect_surface(self.T_world_plane, camera, depth)
+        taken = cast_directional_shadow(world, roles, self.direction, points)
+        return belongs * np.asarray(drawn.features)[..., 0], taken
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silhouette:
+    """What a light sees of some bodies.
+
+    Attributes:
+        camera: At the light; None when there is nothing to see.
+        alpha: (H, W), how much of its light is stopped.
+    """
+
+    camera: Camera | None
+    alpha: NDArray[np.float32]
+
+    def at(self, points_world: ArrayLike) -> Array:
+        """Share (...,) of the light that does not reach points (..., 3) behind the bodies."""
+        points = np.asarray(points_world, np.float64)
+        if self.camera is None:
+            return np.zeros(points.shape[:-1])
+        pixels, _ = self.camera.project(points)
+        # Order 1 with constant 0 outside; pixel centers lie at +0.5.
+        return map_coordinates(self.alpha, [pixels[..., 1] - 0.5, pixels[..., 0] - 0.5], order=1)
+
+
+def silhouette(bodies: Gaussians, direction: ArrayLike, parts: RigidParts | None = None) -> Silhouette:
+    """Draw bodies as a light in a direction (3,) sees them; in the world frame, or in the frames of `parts`."""
+    if not len(bodies):
+        return Silhouette(camera=None, alpha=np.zeros((1, 1), np.float32))
+    forward = -np.asarray(direction, np.float64)
+    side = np.eye(3)[np.argmin(np.abs(forward))]
+    right = np.cross(side, forward)
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward], 1)
+    means = np.asarray(bodies.means, np.float64)
+    if parts is not None:
+        Ts = parts.Ts_world_part[parts.indices]
+        means = np.einsum("nij,nj->ni", Ts[:, :3, :3], means) + Ts[:, :3, 3]
+    along = means @ R
+    reach = 3 * float(bodies.scales.max(1).max())
+    low, high = along[:, :2].min(0) - reach, along[:, :2].max(0) + reach
+    cell = float((high - low).max()) / MAP_SIDE
+    width, height = (int(n) + 2 for n in np.ceil((high - low) / cell))
+    center = R @ np.append((low + high) / 2, along[:, 2].mean())
+    camera = distant_camera(R, center, cell, (width, height))
+    return Silhouette(camera=camera, alpha=render(bodies.with_sh_degree(0), camera, parts=parts).alpha)
+
+
+def distant_camera(R_world_cam: Array, center: Array, cell: float, size: tuple[int, int]) -> Camera:
+    """A camera so far from a center (3,) that its pixels show squares of a size `cell` there, [m]."""
+    width, height = size
+    return Camera(
+        fx=FAR / cell, fy=FAR / cell, cx=width / 2, cy=height / 2, width=width, height=height,
+        T_world_cam=transform(R_world_cam, center - FAR * R_world_cam[:, 2]),
+    )  # fmt: skip
+
+
+def cast_directional_shadow(
+    world: Gaussians, roles: NDArray[np.uint8], direction: ArrayLike, points: ArrayLike
+) -> Array:
+    """Share (...,) of a light in a direction that moving bodies take from points (..., 3) of a surface below them.
+
+    Where something that stands throws its shadow there is nothing left to take: `roles` (N,) tells what each of the
+    world's Gaussians is, `SCENE`, `STANDS` or `MOVES`.
+    """
+    taken = silhouette(world.select(roles == MOVES), direction).at(points)
+    return taken * (1 - silhouette(world.select(roles == STANDS), direction).at(points))
+
+
+def intersect_surface(T_world_plane: Array, camera: Camera, depth: Array) -> tuple[Array, Array]:
+    """Where lines of sight meet a plane (H, W, 3), and how much the depth seen (H, W) belongs to it, 0..1."""
+    rays = camera.directions()
+    to_plane = invert(T_world_plane)
+    eye, falls = apply(to_plane, camera.center)[2], rays @ to_plane[2, :3]
+    met = -eye / np.where(np.abs(falls) < 1e-9, 1e-9, falls)
+    usable = (depth > 0) & (met > 0) & np.isfinite(met)
+    belongs = surface_share(T_world_plane, camera.center + rays * depth[..., None]) * usable
+    return camera.center + rays * np.where(usable, met, 0.0)[..., None], belongs
+
+
+def surface_share(T_world_plane: Array, points_world: ArrayLike) -> Array:
+    """How much points (..., 3) belong to a surface, 0..1, by their height over it."""
+    heights = apply(invert(T_world_plane), points_world)[..., 2]
+    return np.interp(heights, HEIGHTS, (0.0, 1.0, 1.0, 0.0))
+
+
+def remove_shadow(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
+    """Gaussians without a shadow that lies on them to some share `dark` (N,), 0..1."""
+    factor = 1 / (1 - dark[:, None] * (1 - shade))
+    sh = gaussians.sh * factor[:, None]
+    sh[:, 0] = ((0.5 + SH_C0 * gaussians.sh[:, 0]) * factor - 0.5) / SH_C0
+    return gaussians.with_sh(sh)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShadowMap:
+    """Share of soft light that still arrives on a surface.
+
+    Attributes:
+        T_world_plane: Frame of the surface, z = 0 on it.
+        low: Corner of cell (0, 0), plane frame, [m].
+        share: 0..1, linear.
     """
 
     T_world_plane: Matrix4
@@ -52,27 +195,22 @@ class ShadowMap:
         """
         T_plane_world = invert(self.T_world_plane)
         places, eye = apply(T_plane_world, points_world), apply(T_plane_world, eye_world)
-        heights = places[..., 2]
-        along = eye[2] / np.maximum(eye[2] - heights, 1e-6)
+        along = eye[2] / np.maximum(eye[2] - places[..., 2], 1e-6)
         met = eye[:2] + along[..., None] * (places[..., :2] - eye[:2])
         cells = (met - self.low) / CELL - 0.5
         share = map_coordinates(self.share, [cells[..., 1], cells[..., 0]], order=1, cval=1.0)
         # sRGB is close to the power 1 / 2.2 of linear light.
         factor = np.maximum(share, 0) ** (1 / 2.2)
-        belongs = np.interp(heights, HEIGHTS, (0.0, 1.0, 1.0, 0.0))
-        return (1 - belongs * (1 - factor)).astype(np.float32)
+        return (1 - surface_share(self.T_world_plane, points_world) * (1 - factor)).astype(np.float32)
 
 
 def cast_shadow(
     still: Gaussians, moving: Sequence[Gaussians], T_world_plane: ArrayLike, light: Light
 ) -> list[ShadowMap]:
-    """Shadows of an object on a plane, one for every place of its moving part.
+    """Soft shadows of an object on the plane it stands on, one for every place of its moving part.
 
-    Args:
-        still: What does not move, at least one, world frame.
-        moving: The moving part, world frame, in each of its places.
-        T_world_plane: The surface (4, 4).
-        light: What shines.
+    The light of every direction is stopped by what the object's silhouette covers as seen from there. All Gaussians
+    are in the world frame; `still` holds at least one.
     """
     T = np.asarray(T_world_plane, np.float64)
     T_plane_world = invert(T)
@@ -91,16 +229,11 @@ def cast_shadow(
             for shares, part in zip(arriving, moving, strict=True):
                 shares += passed * (1 - silhouette(part, direction).at(cells))
             total += weight
-    fade = _edge_fade((rows, columns))
+    # The cell's distance from the border, as a share of the last third of the reach.
+    from_side, from_end = (np.minimum(np.arange(n), n - 1 - np.arange(n)) for n in (rows, columns))
+    fade = np.clip(np.minimum(from_side[:, None], from_end) * CELL / (REACH / 3), 0, 1)
     maps = []
     for shares in arriving:
         share = gaussian_filter(FILL + (1 - FILL) * shares / max(total, 1e-9), 1.0)
         maps.append(ShadowMap(T_world_plane=T, low=low, share=1 - (1 - share) * fade))
     return maps
-
-
-def _edge_fade(shape: tuple[int, ...]) -> Array:
-    """1 inside, falling to 0 at the border of a grid over a third of the reach."""
-    rows, columns = (np.minimum(np.arange(n), n - 1 - np.arange(n)) for n in shape)
-    border = np.minimum(rows[:, None], columns[None]) * CELL / (REACH / 3)
-    return np.clip(border, 0, 1)

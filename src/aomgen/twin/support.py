@@ -6,12 +6,12 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import ReconstructionError
 from aomgen.splatting.rasterizer import render
+from aomgen.twin.shadow import distant_camera
 
 # Height above the plane up to which a Gaussian belongs to its surface, [m].
 SURFACE: Final = 0.012
@@ -21,8 +21,6 @@ TAIL: Final = 0.035
 MIN_SUPPORT: Final = 40
 # This share of the object's height stands on the surface, without handles that reach out.
 LOWER_SHARE: Final = 0.2
-# Height of the camera that looks down; so far away that its image is an orthographic one, [m].
-FAR: Final = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,9 +28,9 @@ class Support:
     """A nearly level plane with coordinates; z = 0 is the surface, z points up.
 
     Attributes:
-        T_world_plane: Pose (4, 4); origin under the object, axes along its sides.
-        low, high: Rectangle (2,) that the object's lower part covers, plane frame, [m].
-        reach_low, reach_high: Rectangle (2,) that the whole object covers from above.
+        T_world_plane: Origin under the object, axes along its sides.
+        low, high: Rectangle that the object's lower part covers, plane frame, [m].
+        reach_low, reach_high: Rectangle that the whole object covers from above.
         top: Height of the object above the plane, [m].
     """
 
@@ -51,12 +49,16 @@ class Support:
 
     def outside(self, xy: Array) -> Array:
         """Distance (...,) of plane points (..., 2) from the lower part's rectangle, 0 inside, [m]."""
-        return np.linalg.norm(np.maximum(np.maximum(self.low - xy, xy - self.high), 0), axis=-1)
+        return _distance(xy, self.low, self.high)
 
     def beyond_reach(self, xy: Array) -> Array:
         """Distance (...,) of plane points (..., 2) from the whole object's rectangle, 0 inside, [m]."""
-        gap = np.maximum(np.maximum(self.reach_low - xy, xy - self.reach_high), 0)
-        return np.linalg.norm(gap, axis=-1)
+        return _distance(xy, self.reach_low, self.reach_high)
+
+
+def _distance(xy: Array, low: Array, high: Array) -> Array:
+    """Of points (..., 2) from a rectangle, 0 inside."""
+    return np.linalg.norm(np.maximum(np.maximum(low - xy, xy - high), 0), axis=-1)
 
 
 def find_support(
@@ -77,7 +79,7 @@ def find_support(
     local = apply(invert(T_world_object), solid)
     low, high = np.quantile(local, 0.003, axis=0), np.quantile(local, 0.997, axis=0)
     means = apply(invert(T_world_object), surroundings.means)
-    gap = np.linalg.norm(np.maximum(np.maximum(low[:2] - means[:, :2], means[:, :2] - high[:2]), 0), axis=1)
+    gap = _distance(means[:, :2], low[:2], high[:2])
     near = (
         (surroundings.opacities > 0.3) & (gap < 0.35) & (gap > 0.01) & (np.abs(means[:, 2] - low[2]) < 0.08)
     )
@@ -127,11 +129,9 @@ def find_support(
 def seen_from_above(
     gaussians: Gaussians, support: Support, low: Array, high: Array, cell: float
 ) -> tuple[Array, Array]:
-    """Image of the plane's surface, cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
+    """Image of what lies on the plane, in its mean color; cell (i, j) at `low + (j + 0.5, i + 0.5) * cell`.
 
     Args:
-        gaussians: World frame; only those on the surface are drawn, in their mean color.
-        support: The plane.
         low, high: Rectangle (2,), plane frame, [m].
         cell: Size of a pixel, [m].
 
@@ -141,13 +141,9 @@ def seen_from_above(
     flat = on_surface(gaussians, support)
     width, height = (int(n) for n in np.ceil((high - low) / cell))
     # x right, y forward in the plane: a camera above, looking down, with its y axis along +y.
-    R = np.stack([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]], 1)
-    center = np.array([(low[0] + low[0] + width * cell) / 2, (low[1] + low[1] + height * cell) / 2, FAR])
-    focal = FAR / cell
-    camera = Camera(
-        fx=focal, fy=focal, cx=width / 2, cy=height / 2, width=width, height=height,
-        T_world_cam=support.T_world_plane @ transform(R, center),
-    )  # fmt: skip
+    R = support.T_world_plane[:3, :3] * [1.0, -1.0, -1.0]
+    center = apply(support.T_world_plane, np.append(low + np.array([width, height]) * cell / 2, 0.0))
+    camera = distant_camera(R, center, cell, (width, height))
     drawn = render(gaussians.select(flat).with_sh_degree(0), camera)
     rgb = drawn.rgb / np.maximum(drawn.alpha, 1e-3)[..., None]
     return rgb[::-1].astype(np.float64), drawn.alpha[::-1].astype(np.float64)

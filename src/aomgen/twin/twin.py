@@ -1,32 +1,24 @@
 """The twin: a robot and an articulated object whose bodies carry Gaussians.
 
-A state gives body poses, body poses move Gaussians, Gaussians give images.
+A state gives body poses, body poses move Gaussians, Gaussians give images. For many images from a fixed
+camera, what never moves is drawn once, and what moves stays in its bodies' frames.
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.camera import Camera
-from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
+from aomgen.core.gaussians import SH_C0, Gaussians, concatenate
 from aomgen.core.joint import Joint
-from aomgen.core.sh import rotate_sh
-from aomgen.core.transforms import apply, quat_from_matrix, quat_multiply
 from aomgen.core.values import Array, Matrix4, freeze_arrays, require_indices
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
-from aomgen.twin.directional_shadow import (
-    MOVES,
-    SCENE,
-    STANDS,
-    DirectionalLight,
-    compute_shadow_factors,
-    draw_lit,
-)
-from aomgen.twin.relighting import LitSurface, Relit, surfaces_of
+from aomgen.splatting.session import Motion, RenderSession
+from aomgen.twin.relighting import Relit
+from aomgen.twin.shadow import MOVES, SCENE, STANDS, DirectionalLight
 
 WORLD: Final = "world"
 OBJECT: Final = "object"
@@ -38,10 +30,10 @@ class TwinState:
     """One configuration.
 
     Attributes:
-        joints: Arm joints (J,), [rad].
+        joints: Of the arm, [rad].
         gripper: 0 open .. 1 closed.
         theta: Object joint value, [rad] or [m].
-        T_world_object: Object pose (4, 4).
+        T_world_object: Object pose.
     """
 
     joints: Annotated[Array, "_"]
@@ -57,13 +49,13 @@ class Twin:
     """A scene that can be posed; N Gaussians, B bodies.
 
     Attributes:
-        robot: Model that `physics.robot.load_robot` knows.
+        robot: Name of the robot's model.
         gaussians: Each in its body's frame.
-        bodies: (N,) index into `body_names`.
-        labels: (N,) part label, see `conventions.PART_LABELS`.
+        bodies: Index into `body_names`.
+        labels: Part label, see `conventions.PART_LABELS`.
         body_names: "world", the robot's bodies, "object" (static part), "part" (moving part).
         joint: The object's joint, object frame; "part" coincides with "object" at value 0.
-        T_world_object: Object pose (4, 4) in the scan.
+        T_world_object: Object pose in the scan.
         scan_state: The state that was scanned.
         relit: Surfaces that are lit per frame; None when all colors come from the scan.
         directional_light: What throws the shadow of moving bodies on the surface they work over, whose own colors
@@ -83,7 +75,6 @@ class Twin:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-        freeze_arrays(self)
         require_indices(self.bodies, len(self.body_names))
         if self.relit is not None:
             require_indices(self.relit.indices, len(self.gaussians))
@@ -93,9 +84,25 @@ class Twin:
         return self.body_names.index(name)
 
     @property
+    def relit_bodies(self) -> NDArray[np.int32]:
+        """Body of every relit Gaussian (M,)."""
+        return self.bodies[self.relit.indices] if self.relit is not None else np.zeros(0, np.int32)
+
+    @property
     def moves(self) -> NDArray[np.bool_]:
         """Which Gaussians (N,) are not fixed to the world."""
         return self.bodies != 0
+
+    def extended(self, gaussians: Gaussians, bodies: ArrayLike, labels: ArrayLike, **changes: Any) -> "Twin":
+        """The twin with more Gaussians (N) at its end, in body frames; bodies and labels (N,), or one for all."""
+        count = len(gaussians)
+        return replace(
+            self,
+            gaussians=concatenate([self.gaussians, gaussians]),
+            bodies=np.append(self.bodies, np.broadcast_to(bodies, count)),
+            labels=np.append(self.labels, np.broadcast_to(labels, count)),
+            **changes,
+        )
 
     def select(self, which: NDArray[np.bool_]) -> "Twin":
         """The twin with a part of its Gaussians, boolean mask (N,)."""
@@ -108,61 +115,6 @@ class Twin:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rig:
-    """A twin prepared for posing again and again: Gaussians sorted by body.
-
-    Attributes:
-        gaussians: N, in body frames.
-        order: (N,) index of each in the twin.
-        spans: (body, first, past the last) of every body that carries something.
-        surfaces: What is lit anew, each with its places (M,) among the sorted Gaussians.
-    """
-
-    gaussians: Gaussians
-    order: NDArray[np.int64]
-    spans: tuple[tuple[int, int, int], ...]
-    surfaces: tuple[tuple[LitSurface, NDArray[np.int64]], ...]
-
-    def pose(self, Ts_world_body: Array) -> Gaussians:
-        """The Gaussians in the world frame, in this rig's order, for body poses (B, 4, 4).
-
-        Gaussians turn with their bodies, their harmonics too; relit surfaces are lit anew.
-        """
-        source = self.gaussians
-        means, quats, sh = np.array(source.means), np.array(source.quats), np.array(source.sh)
-        for body, start, end in self.spans:
-            T, span = Ts_world_body[body], slice(start, end)
-            if np.array_equal(T, np.eye(4)):
-                continue
-            means[span] = apply(T, source.means[span])
-            quats[span] = quat_multiply(quat_from_matrix(T[:3, :3]), source.quats[span])
-            if sh.shape[1] > 1:
-                sh[span] = rotate_sh(sh[span], T[:3, :3])
-        for surface, places in self.surfaces:
-            colors = surface.colors_srgb(Ts_world_body[surface.body, :3, :3])
-            sh[places, 0] = (colors - 0.5) / SH_C0
-        return gaussians_of(means=means, quats=quats, scales=source.scales, opacities=source.opacities, sh=sh)
-
-
-def rig(twin: Twin) -> Rig:
-    """Prepare a twin for posing."""
-    order = np.argsort(twin.bodies, kind="stable")
-    edges = np.searchsorted(twin.bodies[order], np.arange(len(twin.body_names) + 1))
-    spans = tuple((body, a, b) for body, (a, b) in enumerate(pairwise(edges.tolist())) if b > a)
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    indices = twin.relit.indices if twin.relit is not None else np.zeros(0, np.int64)
-    return Rig(
-        gaussians=twin.gaussians.select(order),
-        order=order,
-        spans=spans,
-        surfaces=tuple(
-            (surface, place[indices[surface.rows]]) for surface in surfaces_of(twin.relit, twin.bodies)
-        ),
-    )
-
-
 def trajectory_body_poses(
     twin: Twin,
     robot: RobotModel,
@@ -171,16 +123,7 @@ def trajectory_body_poses(
     thetas: ArrayLike,
     T_world_object: ArrayLike,
 ) -> Array:
-    """Body poses (T, B, 4, 4) along a trajectory.
-
-    Args:
-        twin: The twin.
-        robot: Its robot.
-        joints: Arm joints (T, J), [rad].
-        gripper: (T,), 0..1.
-        thetas: Object joint values (T,), [rad] or [m].
-        T_world_object: Object pose (4, 4).
-    """
+    """Body poses (T, B, 4, 4) for arm joints (T, J), gripper (T,), and joint values (T,) of an object at a pose (4, 4)."""
     joints, thetas = np.asarray(joints, np.float64), np.asarray(thetas, np.float64)
     Ts = np.tile(np.eye(4), (len(joints), len(twin.body_names), 1, 1))
     Ts[:, 1 : 1 + len(robot.body_names)] = robot.link_poses(joints, np.asarray(gripper, np.float64))
@@ -202,28 +145,40 @@ def posed(twin: Twin, robot: RobotModel, state: TwinState) -> Gaussians:
 
 
 def posed_by(twin: Twin, Ts_world_body: Array) -> Gaussians:
-    """All Gaussians in the world frame, in the twin's order, for body poses (B, 4, 4)."""
-    rigged = rig(twin)
-    back = np.empty(len(rigged.order), np.int64)
-    back[rigged.order] = np.arange(len(rigged.order))
-    return rigged.pose(Ts_world_body).select(back)
+    """All Gaussians in the world frame, in the twin's order, for body poses (B, 4, 4); relit ones are lit anew."""
+    world = move_bodies(twin.gaussians, twin.bodies, Ts_world_body)
+    if twin.relit is None:
+        return world
+    sh = np.array(world.sh)
+    colors = twin.relit.colors_srgb(twin.relit_bodies, Ts_world_body[None])[0]
+    sh[twin.relit.indices, 0] = (colors - 0.5) / SH_C0
+    return world.with_sh(sh)
+
+
+def move_bodies(gaussians: Gaussians, bodies: NDArray[np.int32], Ts: Array) -> Gaussians:
+    """Gaussians (N), each moved by the transform (B, 4, 4) of its body (N,), order kept; body 0 is the world."""
+    order = np.argsort(bodies, kind="stable")
+    pieces = []
+    for body in np.unique(bodies):
+        members = gaussians.select(np.flatnonzero(bodies == body))
+        pieces.append(members if body == 0 else members.transformed(Ts[body]))
+    return concatenate(pieces).select(np.argsort(order))
 
 
 def render_state(
     twin: Twin, robot: RobotModel, state: TwinState, camera: Camera, **options: Any
 ) -> Rendering:
     """Draw a state with its shadows; `options` go to `splatting.rasterizer.render`."""
-    world = posed(twin, robot, state)
-    if twin.directional_light is None:
-        return render(world, camera, **options)
-    drawn, surface, taken = draw_lit(
-        twin.directional_light, world, shadow_roles(twin, robot), camera, **options
-    )
-    return replace(drawn, rgb=drawn.rgb * compute_shadow_factors(twin.directional_light, surface * taken))
+    world, light = posed(twin, robot, state), twin.directional_light
+    drawn = render(world, camera, **options)
+    if light is None:
+        return drawn
+    surface, taken = light.shadow_seen(world, shadow_roles(twin, robot), camera)
+    return replace(drawn, rgb=drawn.rgb * light.factors(surface * taken))
 
 
 def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
-    """What each Gaussian (N,) does for shadows, see `directional_shadow`.
+    """What each Gaussian (N,) does for shadows, see `twin.shadow`.
 
     The object's static part and the robot's base stand where they were scanned, with their shadows.
     """
@@ -238,3 +193,63 @@ def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
 def body_list(robot: RobotModel) -> tuple[str, ...]:
     """Names of a twin's bodies for a robot."""
     return (WORLD, *robot.body_names, OBJECT, PART)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StaticLayer:
+    """What a camera sees without anything that moves.
+
+    Attributes:
+        session: Draws the moving Gaussians into it.
+        depth: (H, W) median depth, infinite where nothing is, [m].
+    """
+
+    session: RenderSession
+    depth: NDArray[np.float32]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+        return self.session.camera
+
+
+def static_layer(twin: Twin, camera: Camera, threads: int | None = None) -> StaticLayer:
+    """Prepare a camera's view of what does not move; `threads` as in `RenderSession`."""
+    session = RenderSession(twin.gaussians.select(~twin.moves), camera, threads=threads)
+    drawn = session.draw(twin.gaussians.select(np.zeros(0, np.int64)), with_ids=True)
+    median = np.asarray(drawn.median_depth)
+    depth = np.where(median > 0, median, drawn.depth)
+    return StaticLayer(session=session, depth=np.where(drawn.alpha > 0.1, depth, np.inf).astype(np.float32))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovingLayer:
+    """The Gaussians of a twin that move, prepared for many frames.
+
+    Attributes:
+        gaussians: In body frames; the M relit ones last, in the order of `relit`.
+        bodies: Body of each.
+        relit: What is lit anew as it turns.
+    """
+
+    gaussians: Gaussians
+    bodies: NDArray[np.int32]
+    relit: Relit | None
+
+    def motion(self, Ts_world_body: ArrayLike) -> Motion:
+        """The layer's frames for body poses (T, B, 4, 4): Gaussians turn with their bodies, surfaces are lit."""
+        Ts, colors = np.asarray(Ts_world_body, np.float64), None
+        if self.relit is not None and (count := len(self.relit.indices)):
+            colors = self.relit.colors_srgb(self.bodies[-count:], Ts).astype(np.float32)
+        return Motion(parts=self.bodies, Ts_world_part=Ts, colors=colors)
+
+
+def moving_layer(twin: Twin) -> MovingLayer:
+    """Prepare what moves in a twin."""
+    moving = twin.select(twin.moves)
+    lit = np.zeros(0, np.int64) if moving.relit is None else moving.relit.indices
+    plain = np.setdiff1d(np.arange(len(moving.bodies)), lit)
+    order = np.concatenate([plain[np.argsort(moving.bodies[plain], kind="stable")], lit])
+    return MovingLayer(
+        gaussians=moving.gaussians.select(order), bodies=moving.bodies[order], relit=moving.relit
+    )

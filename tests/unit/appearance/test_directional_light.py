@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_closing
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.directional_light import EDGE_M, close_at, find_directional_light, remove_baked_shadow
+from aomgen.appearance.directional_light import EDGE_M, find_directional_light, remove_baked_shadow
 from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.core.gaussians import SH_C0
@@ -15,7 +14,7 @@ from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.jsonfile import read_json
-from aomgen.twin.directional_shadow import DirectionalLight, cast_directional_shadow, remove_shadow
+from aomgen.twin.shadow import DirectionalLight, cast_directional_shadow, remove_shadow
 from aomgen.twin.twin import Twin, posed, render_state, shadow_roles
 
 SHADE = np.array([0.6, 0.58, 0.55])
@@ -185,10 +184,3 @@ def test_a_lamp_needs_a_direction_and_a_shade():
         DirectionalLight(direction=np.zeros(3), T_world_plane=PLANE, shade=SHADE)
     with pytest.raises(ValueError, match="shade"):
         DirectionalLight(direction=np.array([0, 0, 1.0]), T_world_plane=PLANE, shade=np.zeros(3))
-
-
-def test_gaps_are_closed_at_single_cells_as_on_the_whole_grid() -> None:
-    rng = np.random.default_rng(5)
-    grid = rng.random((40, 30)) < 0.3
-    x, y = (part.ravel() for part in np.meshgrid(np.arange(2, 38), np.arange(2, 28), indexing="ij"))
-    assert np.array_equal(close_at(grid, (x, y)), binary_closing(grid)[x, y])

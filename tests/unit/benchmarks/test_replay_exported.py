@@ -20,8 +20,7 @@ from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.episodes.stage import episode_of
 from aomgen.errors import MissingFileError
 from aomgen.generalization.episode_planning import PlanParams
-from aomgen.generalization.generate import GenerationParams, generate_episodes
-from aomgen.generalization.variations import PoseRanges
+from aomgen.generalization.generate import GenerationParams, PoseRanges, generate_episodes
 from aomgen.io.episode_folder import commit_episode, read_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.loading import save_robot

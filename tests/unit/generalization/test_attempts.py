@@ -12,11 +12,9 @@ from aomgen.core.plan import FittedAsset, Variation, VerifiedEpisode
 from aomgen.core.verdict import Rejection
 from aomgen.errors import MalformedFileError, NotEnoughEpisodesError
 from aomgen.generalization import generate
-from aomgen.generalization.attempts import FOLDER, AttemptStore, read_attempt
-from aomgen.generalization.generate import GenerationParams, generate_episodes
+from aomgen.generalization.generate import GenerationParams, PoseRanges, generate_episodes
 from aomgen.generalization.ik import ik_solver
-from aomgen.generalization.stage import generate_in, load_generalization
-from aomgen.generalization.variations import PoseRanges
+from aomgen.generalization.stage import FOLDER, generate_in, load_generalization, read_attempt, recall_attempt
 from aomgen.robots.robot import RobotModel
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
@@ -118,21 +116,26 @@ def test_what_is_read_back_is_what_was_made(robot, demo, fitted, whole):
 def test_a_rejection_keeps_its_figures(fitted, tmp_path):
     rejection = Rejection(reason="collision", detail="the hand", metrics={"penetration_mm": 1.7})
     variation = Variation(seed=3, index=7, x=0.0, y=0.0, yaw=0.0)
-    store = AttemptStore(tmp_path)
-    assert store(fitted, variation, lambda: rejection) == rejection
-    assert AttemptStore(tmp_path)(fitted, variation, lambda: pytest.fail("made twice")) == rejection
+    assert recall_attempt(tmp_path, fitted, variation, lambda: rejection) == rejection
+    assert recall_attempt(tmp_path, fitted, variation, lambda: pytest.fail("made twice")) == rejection
 
 
 def test_records_that_cannot_be_used_are_refused(fitted, whole, tmp_path):
     folder = Path(shutil.copytree(whole, tmp_path / "run"))
     record = folder / FOLDER / "5-00000.json"
     with pytest.raises(MalformedFileError, match=r"drawer-1' is unknown; known assets: other"):
-        read_attempt(record, {"other": fitted})
+        read_attempt(folder, "5-00000", {"other": fitted})
     content = json.loads(record.read_text())
-    del content["verified"]["verdict"]
-    record.write_text(json.dumps(content))
-    with pytest.raises(MalformedFileError, match="no attempt"):
-        load_generalization(folder, [fitted])
-    record.write_text('{"rejected": {"reason": "collision"}}')
+    for damage, message in (
+        ({"verdict": None}, "no Attempt"),
+        ({"plan": {}}, "no attempt"),
+    ):
+        episode = {**content["value"]["episode"], **damage}
+        record.write_text(json.dumps({**content, "value": {**content["value"], "episode": episode}}))
+        with pytest.raises(MalformedFileError, match=message):
+            load_generalization(folder, [fitted])
+    rejection = {"reason": "collision", "detail": "", "metrics": {}}
+    value = {"asset": fitted.asset.name, "episode": None, "rejection": rejection}
+    record.write_text(json.dumps({**content, "value": value}))
     with pytest.raises(MalformedFileError, match="no verified episode"):
         load_generalization(folder, [fitted])

@@ -13,12 +13,18 @@ from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.episode_planning import PlanParams, plan_episode
-from aomgen.generalization.generate import GenerationParams, generate_episodes
+from aomgen.generalization.generate import (
+    GenerationParams,
+    PoseRanges,
+    generate_episodes,
+    in_view,
+    variations,
+    worth_trying,
+)
 from aomgen.generalization.grasps import Grasp, grasps, orientations
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
 from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
 from aomgen.generalization.stage import generate_in, load_generalization
-from aomgen.generalization.variations import PoseRanges, in_view, variations, worth_trying
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from toy_drawer import SUPPORT, fitted_drawer, opening

@@ -14,9 +14,14 @@ from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.verdict import Rejection
 from aomgen.errors import EstimationError
-from aomgen.replacement.correspondence import frontal, held_point_of, mirror_asset
+from aomgen.replacement.correspondence import (
+    frontal,
+    held_point_of,
+    mirror_asset,
+    recorded_contact,
+    smooth_rise,
+)
 from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
-from aomgen.replacement.recorded_motion import recorded_contact, smooth_rise
 from benchmarks.other_objects import make_object
 
 YAW = np.deg2rad(-70.0)

@@ -7,8 +7,8 @@ from aomgen.core.mesh import Mesh
 from aomgen.core.transforms import matrix_from_rotvec
 from aomgen.errors import AssetError
 from aomgen.splatting.rasterizer import render
+from aomgen.splatting.surfaces import estimate_transfer
 from aomgen.splatting.surfels import crease_edges, surfels_of
-from aomgen.splatting.visibility import estimate_transfer
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 

@@ -10,9 +10,17 @@ from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.binding import object_frame, with_object
-from aomgen.twin.layers import moving_layer, static_layer
 from aomgen.twin.shadow import cast_shadow
-from aomgen.twin.twin import PART, Twin, body_poses, posed, render_state, rig
+from aomgen.twin.twin import (
+    PART,
+    Twin,
+    body_poses,
+    moving_layer,
+    posed,
+    posed_by,
+    render_state,
+    static_layer,
+)
 
 
 def test_the_scanned_state_gives_the_scan_back(toy_scene):
@@ -64,18 +72,17 @@ def test_a_door_gets_darker_when_it_turns_away_from_the_light(toy_scene):
     )
     surface = twin.relit
     assert surface is not None
-    rigged = rig(twin)
-    closed = rigged.pose(body_poses(twin, toy_scene.robot, twin.scan_state))
-    opened = rigged.pose(body_poses(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5)))
-    part = twin.bodies[rigged.order] == twin.body(PART)
+    closed = posed(twin, toy_scene.robot, twin.scan_state)
+    opened = posed(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5))
+    part = twin.bodies == twin.body(PART)
     assert np.abs(closed.sh[part, 0] - opened.sh[part, 0]).mean() > 0.05
     normals = np.concatenate([static.normals, moving.normals])
     assert len(normals) == len(surface.indices)
     # The same door in a light without direction stays as it is.
     even = replace(toy_scene.light, radiance_sh=toy_scene.light.radiance_sh * (np.arange(9) == 0)[:, None])
-    flat = rig(replace(twin, relit=replace(surface, lights=(even,))))
-    a = flat.pose(body_poses(twin, toy_scene.robot, twin.scan_state)).sh[part, 0]
-    b = flat.pose(body_poses(twin, toy_scene.robot, replace(twin.scan_state, theta=1.5))).sh[part, 0]
+    flat = replace(twin, relit=replace(surface, lights=(even,)))
+    a = posed(flat, toy_scene.robot, twin.scan_state).sh[part, 0]
+    b = posed(flat, toy_scene.robot, replace(twin.scan_state, theta=1.5)).sh[part, 0]
     np.testing.assert_allclose(a, b, atol=1e-5)
 
 
@@ -107,7 +114,7 @@ def test_the_object_frame_is_found_from_points(toy_scene):
 def test_layers_are_the_picture_of_everything(toy_scene):
     twin, state = toy_scene.twin, replace(toy_scene.twin.scan_state, theta=0.9)
     everything = render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb
-    layer, moving = static_layer(twin.gaussians.select(~twin.moves), toy_scene.camera), moving_layer(twin)
+    layer, moving = static_layer(twin, toy_scene.camera), moving_layer(twin)
     motion = moving.motion(body_poses(twin, toy_scene.robot, state)[None])
     (layered,) = layer.session.draw_many(moving.gaussians, motion)
     # Rounded to 8 bits; posing by numpy rounds a little otherwise.
@@ -118,21 +125,21 @@ def test_layers_are_the_picture_of_everything(toy_scene):
     assert np.isfinite(layer.depth).any()
 
 
-def test_lit_surfaces_move_as_the_rig_moves_them(toy_scene):
+def test_lit_surfaces_of_a_layer_move_as_the_posed_twin_does(toy_scene):
     static, moving = toy_scene.surfels
     twin = with_object(
         toy_scene.twin, static, moving, toy_scene.asset.joint, toy_scene.light, toy_scene.twin.T_world_object
     )
     states = [replace(twin.scan_state, theta=theta) for theta in (0.0, 0.0, 1.2)]
     Ts = np.stack([body_poses(twin, toy_scene.robot, state) for state in states])
-    layer = static_layer(twin.gaussians.select(~twin.moves), toy_scene.camera)
+    layer = static_layer(twin, toy_scene.camera)
     prepared = moving_layer(twin)
     frames = layer.session.draw_many(prepared.gaussians, prepared.motion(Ts))
     np.testing.assert_array_equal(frames[0], frames[1])
     assert (frames[2] != frames[1]).any()
-    posed_rig = rig(twin.select(twin.moves))
+    bodies_alone = twin.select(twin.moves)
     for frame, poses in zip(frames[1:], Ts[1:], strict=True):
-        want = layer.session.draw(posed_rig.pose(poses)).rgb
+        want = layer.session.draw(posed_by(bodies_alone, poses)).rgb
         assert np.abs(frame / 255 - want).max() < 0.502 / 255 + 2e-3
 
 
