@@ -16,7 +16,7 @@ from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.ee_path import average_poses
-from aomgen.motion.gripper_signals import EMPTY_GRIP
+from aomgen.motion.inputs import EMPTY_GRIP
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 

@@ -35,7 +35,7 @@ class JointModel:
     path: EePath
     start: Array
 
-    # Sizes of the unknowns (P,), and what each row of `data` is an error of, see `noise_model`.
+    # Sizes of the unknowns (P,), and what each row of `data` is an error of, see `NoisePrior`.
     steps: ClassVar[Array] = np.full(4, 1e-2)
     kinds: ClassVar[tuple[str, ...]] = ()
 

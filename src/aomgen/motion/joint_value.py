@@ -15,9 +15,8 @@ from aomgen.core.joint import Joint, JointType
 from aomgen.core.robust import SD_OF_MAD
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.motion.filters import smooth
-from aomgen.motion.keyframes import Departures
-from aomgen.motion.onset import STILL_M, GripperPath, detect_offset, detect_onset
+from aomgen.motion.ee_path import GripperPath, smooth
+from aomgen.motion.keyframes import STILL_M, Departures, detect_offset, detect_onset
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7

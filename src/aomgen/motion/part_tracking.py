@@ -21,8 +21,8 @@ from aomgen.core.robust import masked_median, regress_robustly
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.motion.filters import dilate
 from aomgen.motion.inputs import MotionInput
+from aomgen.motion.keyframes import widen
 from aomgen.motion.photometric import SETTLED_S
 from aomgen.robots.robot_masks import MasksAt, robot_masks
 from aomgen.splatting.rasterizer import RigidParts, render
@@ -111,7 +111,7 @@ def track_log_likelihood_ratio(
     def read(frames: NDArray[np.intp]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         images = [resize(demo.video.frames_srgb[k], camera.width, camera.height) for k in frames]
         masks = masks_at(times[frames], camera.width, camera.height)
-        return np.stack(images), ~np.stack([dilate(mask, _ROBOT_MARGIN_PX) for mask in masks])
+        return np.stack(images), ~widen(masks, _ROBOT_MARGIN_PX)
 
     stands = np.flatnonzero(demo.labels != ROBOT)
     rest = _RestState.of(demo.scene.select(stands), demo.labels[stands] == MOVING, camera, *read(resting))
