@@ -17,12 +17,9 @@ from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
-from aomgen.parts.panel import Panel
-from aomgen.parts.panel_plane import panel_frame
-from aomgen.parts.panel_views import MAX_MASK_MISFIT, Crop, PromptedView, box_misfit, within
-from aomgen.parts.tracked_points import TrackedPoints
+from aomgen.parts.panel import STAGE, Panel, panel_frame
+from aomgen.parts.panel_views import MAX_MASK_MISFIT, Crop, PromptedView, TrackedPoints, box_misfit, within
 
-STAGE = "parts"
 COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
 # Steps of the search, as shares of the panel's diagonal: coarse ones on fewer pixels.
 COARSE_STEPS = (0.2, 0.1, 0.05, 0.025)
