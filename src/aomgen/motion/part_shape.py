@@ -5,7 +5,7 @@ thickness; a drawer runs along an edge. Which side, and whether the rule holds a
 decides: every possibility is offered with its odds.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -45,11 +45,9 @@ class AxisHint:
     """One possibility for the joint's axis, world frame.
 
     Attributes:
-        axis: Unit direction (3,), either sign.
-        axis_sd_rad: Its standard deviation each way, infinite for any direction, [rad].
-        at: A point (3,) near the line, [m].
-        across: Directions (M, 3) in which the line's place is known; M is 0 or 2.
-        across_sds_m: Their standard deviations (M,), [m].
+        axis, axis_sd_rad: Unit direction, either sign, and its standard deviation each way, infinite for any direction.
+        at: A point near the line, [m].
+        across, across_sds_m: Directions in which the line's place is known, none or two, and standard deviations.
         probability: Prior probability.
     """
 
@@ -98,12 +96,12 @@ ANYWHERE = AxisHint(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartShape:
-    """The moving part's box and what follows from it.
+    """The moving part's box and what follows from it, world frame.
 
     Attributes:
         box: Around the part at its scanned place; its axes need not be upright.
-        face_normal: Unit direction (3,) in which the part sticks out of the static one, world frame.
-        corners: Of the upright box around both parts (8, 3), world frame, [m].
+        face_normal: Unit direction in which the part sticks out of the static one.
+        corners: Of the upright box around both parts, [m].
     """
 
     box: OrientedBox
@@ -129,14 +127,8 @@ class PartShape:
         return [self._direction(k, (SIDE + ALONG) / 3) for k in range(3)]
 
     def _direction(self, k: int, probability: float) -> AxisHint:
-        return AxisHint(
-            axis=self.box.T_world_box[:3, k],
-            axis_sd_rad=DIRECTION_SD_RAD,
-            at=self.box.T_world_box[:3, 3],
-            across=np.zeros((0, 3)),
-            across_sds_m=np.zeros(0),
-            probability=probability,
-        )
+        axis = self.box.T_world_box[:3, k]
+        return replace(ANYWHERE, axis=axis, axis_sd_rad=DIRECTION_SD_RAD, probability=probability)
 
     def _side(self, k: int, side: int, sign: float) -> AxisHint:
         depth = 3 - k - side
@@ -159,8 +151,7 @@ def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
     smaller: a door ajar has its own yaw, a lid or an object on a slope leans.
 
     Args:
-        points_static: Points of the static part (N, 3), world frame, [m].
-        points_moving: Points of the moving part as scanned (M, 3), world frame, [m].
+        points_static, points_moving: Points of the parts as scanned (N, 3), (M, 3), world frame, [m].
 
     Raises:
         InputError: A part has fewer than 20 points.
@@ -228,10 +219,8 @@ def infer_direction(joint: Joint, theta: float, points_static: Array, points_mov
     front, and closes by covering what was open.
 
     Args:
-        joint: Value 0 is the scanned place, world frame.
-        theta: Value at the end of the motion, [rad] or [m].
-        points_static: Of the body (N, 3), world frame, [m].
-        points_moving: Of the part at its scanned place (M, 3), world frame, [m].
+        joint, theta: Value 0 is the scanned place, world frame; value at the end of the motion, [rad] or [m].
+        points_static, points_moving: Of the body (N, 3) and the part at its scanned place (M, 3), world frame, [m].
 
     Not checked: a door that swings from half a turn open to a quarter is as far from the body as before.
     """
