@@ -29,16 +29,13 @@ from aomgen.motion.joint_posterior import (
 from aomgen.motion.part_shape import PartShape
 
 _REMEDY = "record a longer demonstration"
-# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad].
-_MIN_TURN_RAD = float(np.radians(15.0))
-# Shortest travel that tells a joint, [m]: less is what a hand may slip.
-_MIN_TRAVEL_M = 0.03
+# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad]; less travel is what a hand may
+# slip, [m].
+_MIN_TURN_RAD, _MIN_TRAVEL_M = float(np.radians(15.0)), 0.03
 # Smallest difference of the types' evidence, twice the logarithm as in BIC: "positive" evidence begins at 2.
 _MIN_MARGIN = 3.0
-# A path is called straight only if an arc of a wide door's radius, [m], would stand out ...
-_DOOR_RADIUS_M = 0.6
-# ... by so many standard deviations.
-_STRAIGHT_SD = 3.0
+# A path is called straight only if an arc of a wide door's radius, [m], would stand out by so many standard deviations.
+_DOOR_RADIUS_M, _STRAIGHT_SD = 0.6, 3.0
 # Sizes of flaws this many standard deviations above their medians are looked into.
 _UNUSUAL = 2.0
 _TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
@@ -122,8 +119,7 @@ def fit_candidates(
     """Explain the hand's poses while it holds the part by either type of joint.
 
     Args:
-        Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
-        hold: Where and how the hand holds the part.
+        Ts_world_ee, hold: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
         shape: The parts' shape, or None to use the path alone.
         params: How the path is read.
 
@@ -159,11 +155,7 @@ def fit_candidates(
 
 
 def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
-    """The type of joint, by the hand's path and the video together.
-
-    Args:
-        found: From `fit_candidates`.
-        video_margin: Twice the log evidence of the video for revolute over prismatic.
+    """The type of joint, by the hand's path and the video: twice its log evidence for revolute over prismatic.
 
     Raises:
         DemonstrationTooShortError: Less than 15 degrees were shown.
@@ -209,10 +201,7 @@ def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> 
 
 
 def _loosen_ends(noise: PathNoise, types: tuple[list[Revolute], list[Prismatic]]) -> PathNoise:
-    """The noise with nodes at the ends loosened at which the hand did not hold the part yet or any more.
-
-    Only looked for where a path is much less steady than paths are.
-    """
+    """The noise with nodes at the ends loosened at which the hand did not hold the part, if the path is very unsteady."""
 
     def fit(noise: PathNoise) -> tuple[float, float]:
         fits = [fit_path(models, noise) for models in types]
@@ -268,8 +257,8 @@ def _estimate(path: EePath, found: Posterior, joint_type: JointType, margin: flo
             upper=abs(travel),
         ),
         grasp_ee=model.grasp(x),
-        axis_sd_rad=_rms(angles),
-        origin_sd_m=_rms(gaps),
+        axis_sd_rad=float(np.sqrt(np.mean(angles**2))),
+        origin_sd_m=float(np.sqrt(np.mean(gaps**2))),
         axis_ci95_rad=float(np.percentile(angles, 95)),
         origin_ci95_m=float(np.percentile(gaps, 95)),
         residual_m=float(found.scales[0]),
@@ -286,7 +275,3 @@ def _near(model: JointModel, x: Array, point: Array) -> tuple[Array, Array]:
     """Directions (S, 3) of the axes that unknowns (S, P) mean and their points (S, 3) nearest to a point."""
     axes, points = model.lines(x)
     return axes, points + axes * ((point - points) * axes).sum(1, keepdims=True)
-
-
-def _rms(distances: Array) -> float:
-    return float(np.sqrt(np.mean(distances**2)))

@@ -173,8 +173,7 @@ class LinearizedModel:
 
     Attributes:
         data: Residuals (C, K) and their Jacobian (C, K, P).
-        prior: Residuals (Q,) in standard deviations and their Jacobian (Q, P).
-        log_prior: Normalization of the prior.
+        prior, log_prior: Residuals (Q,) in standard deviations, their Jacobian (Q, P), and their normalization.
     """
 
     model: Revolute | Prismatic
@@ -323,5 +322,4 @@ def _draw(weights: Array, parts: Sequence[tuple[float, Array, Array]]) -> Array:
 
 def _normal_points(count: int, size: int) -> Array:
     """Low-discrepancy points (count, size) of the standard normal distribution, always the same."""
-    even = qmc.Halton(size, scramble=False).random(count + 1)[1:]
-    return np.asarray(ndtri(even), np.float64)
+    return np.asarray(ndtri(qmc.Halton(size, scramble=False).random(count + 1)[1:]), np.float64)

@@ -101,8 +101,7 @@ def measure_departures(
     """Compare every frame of the touch with the two states at its ends.
 
     Args:
-        frames_srgb: Small frames (T, H, W, 3), one exposure.
-        robot: The robot's masks (T, H, W) in them.
+        frames_srgb, robot: Small frames (T, H, W, 3) of one exposure, and the robot's masks (T, H, W) in them.
         region: The part's pixels (H, W) at its scanned place.
         touch: When the hand can move the part. The two states are taken from its ends, so that the
             shadow of the arriving hand is in both pictures.
@@ -141,8 +140,7 @@ def find_interval(
     """First and last moment of the motion.
 
     Args:
-        times_s: Times of the frames (T,), [s].
-        seen: The part's departures in them.
+        times_s, seen: Of the frames (T,), [s], and the part's departures in them.
         way: The hand, over more than the touch.
         touch: When the hand can move the part.
         pixel_m: Size of a pixel at the part, [m].

@@ -124,10 +124,8 @@ def estimate_following(
 
     Args:
         scene, labels: As scanned, with the part at the place that it has in the first frame.
-        camera: Of the frames.
-        frames_srgb: (T, H, W, 3), one exposure, without bad frames.
-        hidden: Where the robot is (T, H, W).
-        Ts_world_ee: The end effector (T, 4, 4).
+        camera, frames_srgb: Frames (T, H, W, 3) of one exposure, without bad ones.
+        hidden, Ts_world_ee: Where the robot is (T, H, W), and the end effector (T, 4, 4).
 
     Not checked: how the gripper turns in its hold. The part is drawn turning with it and not turning
     at all, and the better drawing counts.
@@ -244,10 +242,9 @@ def identify_part(
 
     Args:
         regions: Pixels of the moving and of the static part, see `find_visible_regions`.
-        signals: The hand at the frames' times, and its distances to the moving part.
-        rival_distances_m: Its distances to the static part and to everything else (T,), [m].
-        frames_srgb: Small frames of the demonstration (T, H, W, 3).
-        robot: The robot's masks (T, H, W) in them.
+        signals, rival_distances_m: The hand at the frames' times, and its distances to the static part and to everything
+            else (T,), [m].
+        frames_srgb, robot: Small frames of the demonstration (T, H, W, 3), and the robot's masks (T, H, W) in them.
 
     Source: AOMGen, sec. 4.1: the movable part is the one that the gripper touches.
     Not checked: that the prompted box holds the whole part.

@@ -110,7 +110,7 @@ def make_part_renderer(
         max_pixels: The crop is scaled to this many pixels at most.
     """
     resting, moving, largest = moments
-    chosen = resting[np.unique(np.linspace(0, len(resting) - 1, _REST_FRAMES).round().astype(int))]
+    chosen = sample_resting(resting)
     frames = np.unique(np.concatenate([chosen, moving]))
     kept = demo.labels != ROBOT
     scene, moves = demo.scene.select(kept), demo.labels[kept] == MOVING
@@ -139,6 +139,11 @@ def make_part_renderer(
         reach_m=float(np.sqrt(((solid - solid.mean(0)) ** 2).sum(1).mean())),
     )
     return replace(renderer, features=_paint(renderer, np.isin(frames, chosen)))
+
+
+def sample_resting(frames: NDArray[np.intp]) -> NDArray[np.intp]:
+    """A few of the frames (N,) at rest, evenly."""
+    return frames[np.unique(np.linspace(0, len(frames) - 1, _REST_FRAMES).round().astype(int))]
 
 
 def _choose_crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[Camera, tuple[slice, slice]]:

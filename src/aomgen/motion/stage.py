@@ -74,12 +74,8 @@ def recover_motion(
 
 
 def motion_input(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) -> MotionInput:
-    """What AOMotion looks at: the first fixed camera's video, the log, and the scan in its parts.
-
-    Args:
-        results: Of a run that is finished up to its alignment.
-        scene: The scan, world frame.
-        labels: Part label of every Gaussian.
+    """What AOMotion looks at in a run that is finished up to its alignment: the first fixed camera's video, the log,
+    and the scan, world frame, with a label of every Gaussian.
 
     Raises:
         SyncError: The clock offset is unknown.
