@@ -35,7 +35,7 @@ _NEAR_TOUCH_M = 0.01
 # Length of the still stretches at the beginning and the end of a touch, [s].
 REST_S = 0.25
 # Every so many points of the hand's surface tell its distance, 1 cm apart.
-_EVERY = 6
+_EVERY = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
