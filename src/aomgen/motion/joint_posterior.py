@@ -1,10 +1,9 @@
 """The posterior of a joint model, given how a hand errs while it moves a part.
 
-A hand errs by noise of the log, slow slip, a handle that turns in the fingers. Slip is smooth: it grows steadily and
-bends a little, so neither many samples nor small residuals make it small. It enters as a Gaussian process along the
-path whose size each demonstration shows by its bends, starting from what grasps usually do. Every hint of the shape
-times every size of these flaws is a Gaussian with an evidence; together they are the answer, and the evidence of a
-joint type is their sum.
+It errs by noise of the log, slow slip, a handle that turns in the fingers. Slip grows steadily and bends a little, so
+neither many samples nor small residuals make it small: it is a Gaussian process along the path, whose size each
+demonstration shows by its bends. Every hint of the shape times every size of these flaws is a Gaussian with an
+evidence; together they are the answer, and the evidence of a joint type is their sum.
 """
 
 from collections.abc import Sequence
@@ -220,13 +219,8 @@ class LinearizedModel:
 
     def likeliest(self, first: Array) -> Array:
         """Sizes of the flaws (7,), looked for from given ones."""
-        result = minimize(
-            lambda steps: -self.log_posterior(steps),
-            first,
-            method="L-BFGS-B",
-            bounds=[STEP_LIMITS] * len(first),
-            options={"maxiter": 15, "ftol": 1e-5},
-        )
+        limits = {"bounds": [STEP_LIMITS] * len(first), "options": {"maxiter": 15, "ftol": 1e-5}}
+        result = minimize(lambda steps: -self.log_posterior(steps), first, method="L-BFGS-B", **limits)
         return np.asarray(result.x, np.float64)
 
     def scale_points(self, center: Array) -> tuple[Array, Array]:
