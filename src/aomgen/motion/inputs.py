@@ -19,8 +19,7 @@ from aomgen.io.video import Video
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
-# Points along either side of a pad's face: pads are some 2 cm long, so 2 to 3 mm apart, as points of the
-# part.
+# Points along either side of a pad's face: pads are some 2 cm long, so 2 to 3 mm apart, as points of the part.
 _PAD_GRID = 9
 # Speeds are differences over this time, [s]: ten rows of a 100 Hz log, so that its noise averages out.
 _SPEED_WINDOW_S = 0.1

@@ -42,9 +42,8 @@ SIZE_PRICE = 0.03
 # Of panel outside the body's footprint, per diagonal: most objects are scanned closed, and a side that no
 # prompt shows is where the panel ends. Doors that stand open gain more than this by their masks.
 UNCOVERED_PRICE = 0.15
-# Of a body that is not square to its panel, per radian, and at most: closed and ajar ones are, open doors
-# stand
-# at any angle.
+# Of a body that is not square to its panel, per radian, and at most: closed and ajar ones are, open doors stand at
+# any angle.
 YAW_PRICE, MAX_YAW_PRICE = 0.5, 0.1
 # First seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
 SEAM_SHARES = (0.05, 0.015)

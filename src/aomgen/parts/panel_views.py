@@ -18,12 +18,9 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.panel import Panel
 from aomgen.segmentation.interface import Mask
 
-# A mask whose own extent is this far from its box (see `box_misfit`) shows something else.
-MAX_MASK_MISFIT = 0.25
-# So does one of which less than this share is inside the box.
-MIN_SHARE_INSIDE = 0.5
-# So does one that is this much farther from it than another.
-MASK_SPREAD = 0.1
+# A mask shows something else if its own extent is this far from its box (see `box_misfit`), or this much farther than
+# another one's, or if less than this share of it is inside the box.
+MAX_MASK_MISFIT, MASK_SPREAD, MIN_SHARE_INSIDE = 0.25, 0.1, 0.5
 # A mask beside a box: segmenters are wrong by whole faces, people by a few pixels.
 MASK_WEIGHT = 0.5
 # Log odds from which a point counts: e = 2.7 to 1.

@@ -21,9 +21,8 @@ from aomgen.splatting.surfaces import seen_points
 
 # Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
 MAX_MISFIT = 0.1
-# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as
-# far
-# as this share of it is inside the box.
+# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as far as this
+# share of it is inside the box.
 GRID, MIN_INSIDE = 6, 0.95
 
 

@@ -18,12 +18,11 @@ from aomgen.robots.configuration import RobotConfiguration
 from aomgen.segmentation.interface import Mask
 from aomgen.splatting.rasterizer import contribution_weights, render
 
-# Largest distance of a robot Gaussian from its links, [m]: covers cables and housings that the model omits.
-LOOSE_DISTANCE_M = 0.06
 # Views whose masks vote.
 VIEWS = 20
-# Distance from a link within which a Gaussian belongs to it, [m]: scan noise plus alignment error.
-MAX_DISTANCE_M = 0.02
+# Distance from a link within which a Gaussian belongs to it, [m]: scan noise plus alignment error; and within which it
+# may do so: cables and housings that the model omits.
+MAX_DISTANCE_M, LOOSE_DISTANCE_M = 0.02, 0.06
 # Surface samples a square metre: about 4 mm apart, well below the distance above.
 SAMPLES_PER_M2 = 60_000.0
 
