@@ -8,7 +8,7 @@ from typing import Any
 from aomgen.appearance.stage import bind_scan
 from aomgen.core.progress import silent
 from aomgen.paper.methods import run_alignment, run_parts
-from aomgen.parts.moving_parts import MotionEvidence
+from aomgen.parts.label import MotionEvidence
 from aomgen.results import Results
 from aomgen.twin.twin import Twin
 from benchmarks.table import as_table

@@ -9,9 +9,9 @@ import numpy as np
 from aomgen.core.transforms import angle_between
 from aomgen.core.values import Array
 from aomgen.errors import EstimationError
-from aomgen.motion.axis_prior import measure_shape
 from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.joint_estimation import JointEstimate, estimate_joint
+from aomgen.motion.part_shape import measure_shape
 from benchmarks.joint_worlds import GRASP_SD_M, JointWorld, draw_world
 
 

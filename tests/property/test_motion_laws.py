@@ -29,14 +29,13 @@ from aomgen.core.transforms import (
 from aomgen.core.values import Array
 from aomgen.io.video import Video
 from aomgen.motion.contact import WINDOW_S
-from aomgen.motion.estimate import estimate_motion
+from aomgen.motion.estimate import MotionParams, estimate_motion
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointParams
-from aomgen.motion.joint_trajectory import find_first_frame, prepare_recovery, recover_motion
+from aomgen.motion.joint_trajectory import TouchRecovery, find_first_frame
 from aomgen.motion.observations import VideoObservations
-from aomgen.motion.params import MotionParams
+from aomgen.motion.part_renderer import Band
 from aomgen.motion.photometric import PhotometricParams
-from aomgen.motion.photometric_residuals import Band
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.robots.silhouette import robot_masks
@@ -255,13 +254,13 @@ def test_contacts_are_where_the_hand_is_when_the_answered_motion_begins() -> Non
     """The first round may read the hand's way about a poor joint, and find another beginning."""
     demo = world("drawer")
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        view = VideoObservations.of(demo, masks_at, QUICK)
-        departures, interval = view.interval()
-    first = prepare_recovery(demo, view, departures, interval, QUICK)
-    guess = first.found.prismatic
+        view = VideoObservations.of(demo, masks_at, QUICK.width)
+    recovery = TouchRecovery.of(demo, view, QUICK.joint, QUICK.contact_steps)
+    first = recovery.first_candidates()
+    guess = first.prismatic
     axis = matrix_from_rotvec([0, 0, np.radians(80)]) @ guess.joint.axis
-    poor = replace(first.found, prismatic=replace(guess, joint=replace(guess.joint, axis=axis)))
-    found = recover_motion(replace(first, found=poor), "prismatic", QUICK)
+    poor = replace(first, prismatic=replace(guess, joint=replace(guess.joint, axis=axis)))
+    found = recovery.recover(poor, "prismatic")
     moments = find_first_frame(FRAMES_S, found.trajectory.interval[0]) + np.linspace(
         0, WINDOW_S, QUICK.contact_steps
     )

@@ -38,6 +38,8 @@ from aomgen.twin.twin import Twin, posed, shadow_roles
 
 # Images that are compared; a half of them to find the lamp, the other to judge it.
 PICTURES: Final = 16
+# Of the images that are fitted, every so many judge the first directions.
+FIRST_EVERY: Final = 3
 # Places of the surface that are watched.
 PLACES: Final = 4000
 # A place is seen when nothing that moves covers more than this of it, so many pixels around.
@@ -113,10 +115,12 @@ def find_directional_light(
     directions = sphere_directions(DIRECTIONS)
     directions = directions[directions @ up > MIN_SINE]
 
-    def score(direction: Array) -> float:
-        return explained_variance(fitted, fitted.dark(direction))
+    def score(images: SurfaceObservations) -> Callable[[Array], float]:
+        return lambda direction: explained_variance(images, images.dark(direction))
 
-    best = _refine_direction(max(directions, key=score), score)
+    # Some of the images tell the first directions apart.
+    first = max(directions, key=score(fitted.part(slice(0, None, FIRST_EVERY))))
+    best = _refine_direction(first, score(fitted))
     if explained_variance(unseen, unseen.dark(best)) < MIN_EXPLAINED:
         return None
     shade = estimate_shadow_color(observed, observed.dark(best))

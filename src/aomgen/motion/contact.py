@@ -16,7 +16,7 @@ from aomgen.core.motion import ContactPatch
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.ee_path import average_poses
-from aomgen.motion.gripper_signals import EMPTY_GRIP
+from aomgen.motion.inputs import EMPTY_GRIP
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
@@ -43,12 +43,7 @@ _MIN_SHARE = 0.15
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contacts:
-    """Patches, and the held point that follows from them.
-
-    Attributes:
-        patches: One a finger; one named "hand" for a robot without known pads.
-        grasp_ee: Middle of the patches (3,), end-effector frame, [m].
-    """
+    """One patch a finger ("hand" for a robot without known pads), and their middle, end-effector frame, [m]."""
 
     patches: tuple[ContactPatch, ...]
     grasp_ee: Vector3
@@ -71,11 +66,9 @@ def find_contacts(
     them, and no patch is sought where the part was a moment ago.
 
     Args:
-        robot: Kinematics, pads and meshes.
-        log: The joint log, on the clock of `times_s`.
+        robot, log: Kinematics, pads and meshes; the joint log, on the clock of `times_s`.
         part: Dense points of the part as scanned (N, 3), and the unit axes (3, 3) in rows of its box; world frame, [m].
-        times_s: Moments (K,).
-        Ts_world_part: Where the part has gone since the scan at these (K, 4, 4).
+        times_s, Ts_world_part: Moments (K,), and where the part has gone since the scan at these (K, 4, 4).
 
     Source: AOMGen, sec. 4.2, "Contact Point Detection", with patches in place of one nearest pair.
     Not checked: that anything touches at all; `gap_m` tells.
@@ -103,13 +96,7 @@ def find_contacts(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Face:
-    """The inner face of a pad.
-
-    Attributes:
-        finger: Its name.
-        T_ee_face: Middle of the face, z towards the other pad (4, 4).
-        grid: Even points on it (G, 2), [m].
-    """
+    """The inner face of a finger's pad: its middle, z towards the other pad (4, 4), and even points on it (G, 2), [m]."""
 
     finger: str
     T_ee_face: Array
@@ -179,8 +166,7 @@ def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[Con
 def _lay_strip(seen: Array, grid: Array, least_m: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The straight piece of which points (N, 2) were seen before a face of points (G, 2), at least so wide.
 
-    Returns:
-        Units along and across it (K, 2), and the points that it covers (K, G), for each of `_TURNS`.
+    Units along and across it (K, 2), and the points that it covers (K, G), for each of `_TURNS`.
     """
     center = seen.mean(0)
     way = np.linalg.eigh((seen - center).T @ (seen - center))[1][:, 1]

@@ -1,15 +1,60 @@
-"""The hand's path while it holds the part: thinned to nodes at equal travel, and as seen from the part."""
+"""The hand's path: over dense times, while it holds the part thinned to equal travel, and as seen from the part."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, invert, rotvec_from_matrix, transform
 from aomgen.core.values import Array, Vector3, freeze_arrays
-from aomgen.motion import filters
+
+# Joint logs of a resting hand wander by less than this, smoothed, [m].
+_JITTER_M = 0.001
+# Window of the smoother for measuring travel, in samples of 10 ms: short against any motion.
+_TRAVEL_WINDOW = 11
+
+
+def smooth(values: Array, step_s: float, window_s: float) -> Array:
+    """Savitzky-Golay smoothed series (T,), second order, at least five samples wide."""
+    window = max(5, 2 * round(window_s / step_s / 2) + 1)
+    return np.asarray(savgol_filter(values, window, 2)) if len(values) > window else np.array(values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripperPath:
+    """Smooth places of the hand, world frame [m], at dense, increasing times [s]."""
+
+    times_s: Annotated[Array, "D"]
+    points: Annotated[Array, "D 3"]
+
+    __post_init__ = freeze_arrays
+
+    def between(self, first_s: float, last_s: float) -> "GripperPath":
+        """The part of the way inside an interval."""
+        inside = (self.times_s >= first_s - 1e-9) & (self.times_s <= last_s + 1e-9)
+        return GripperPath(times_s=self.times_s[inside], points=self.points[inside])
+
+    def reversed(self) -> "GripperPath":
+        """The way gone backwards, with negative times."""
+        return GripperPath(times_s=-self.times_s[::-1], points=self.points[::-1])
+
+    @property
+    def travel(self) -> Array:
+        """Farthest distance (D,) from the first point so far, [m]."""
+        return np.maximum.accumulate(np.linalg.norm(self.points - self.points[0], axis=1))
+
+    @property
+    def length(self) -> Array:
+        """Length (D,) of the way gone so far, [m]; to and fro within `_JITTER_M` is none."""
+        gone, anchor = np.zeros(len(self.points)), 0
+        for k in range(1, len(gone)):
+            step = float(np.linalg.norm(self.points[k] - self.points[anchor]))
+            gone[k] = max(gone[k - 1], gone[anchor] + step)
+            anchor = k if step >= _JITTER_M else anchor
+        return gone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,8 +62,8 @@ class GraspGuess:
     """Where and how a hand holds a part, end-effector frame.
 
     Attributes:
-        point_ee: First guess of the held point (3,), [m].
-        closing_ee: Unit direction (3,) in which fingers press on the part from both sides, or None.
+        point_ee: First guess of the held point, [m].
+        closing_ee: Unit direction in which fingers press on the part from both sides, or None.
         sd_m: Standard deviation of the guess in each direction, [m].
     """
 
@@ -34,10 +79,9 @@ class EePath:
     """Averaged end-effector poses, equally spaced along the path, in the order of time.
 
     Attributes:
-        Ts_world_ee: (K, 4, 4).
         hold: How it holds the part.
-        points_world: The held point (K, 3), [m].
-        turns_world: Rotation vectors (K, 3) of the hand since the first node, [rad].
+        points_world: The held point, [m].
+        turns_world: Rotation vectors of the hand since the first node, [rad].
     """
 
     Ts_world_ee: Annotated[Array, "K 4 4"]
@@ -65,20 +109,19 @@ class EePath:
         return np.zeros(3) if closing is None else self.Ts_world_ee[0, :3, :3] @ closing
 
 
-def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int, smooth: int) -> EePath:
-    """Average a dense pose series (T, 4, 4) into `nodes` stretches of equal travel.
+def thin_path(Ts_world_ee: Array, hold: GraspGuess, *, nodes: int) -> EePath:
+    """Average a dense pose series (T, 4, 4), in the order of time, into stretches of equal travel.
 
     Resting counts little this way, and noise of single samples averages out.
 
     Args:
-        Ts_world_ee: (T, 4, 4) in the order of time.
+        Ts_world_ee: See above.
         hold: Of the point whose travel is measured.
-        nodes: Largest number of nodes; empty stretches are left out.
-        smooth: Window of the smoother for measuring travel, in samples.
+        nodes: Largest number of stretches; empty ones are left out.
     """
     points = apply(Ts_world_ee, hold.point_ee)
     # A polynomial keeps the first and the last samples, in which a quick hand already goes far.
-    smoothed = np.stack([filters.smooth(column, 1.0, smooth) for column in points.T], 1)
+    smoothed = np.stack([smooth(column, 1.0, _TRAVEL_WINDOW) for column in points.T], 1)
     travel = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smoothed, axis=0), axis=1)))
     bins = np.minimum((travel / max(travel[-1], 1e-12) * nodes).astype(int), nodes - 1)
     return EePath.of(np.stack([average_poses(Ts_world_ee[bins == k]) for k in np.unique(bins)]), hold)
@@ -105,14 +148,14 @@ def measure_slip(
 ) -> tuple[Array, Array]:
     """How far the hand has slid along the part (T, 3), [m], and turned against it (T, 3), rotation vectors.
 
-    World axes with the part at its scanned place; zero at the reference.
+    World axes with the part at its scanned place; zero at the moment of index `reference`.
 
     Args:
         joint: Value 0 is the scanned place, world frame.
         thetas: Joint values (T,), [rad] or [m].
         Ts_world_ee: End-effector poses (T, 4, 4) at the same times, in the order of time.
         grasp_ee: Held point (3,), end-effector frame, [m].
-        reference: Index of the moment that both are told from.
+        reference: See above.
 
     Not checked: that the hand touches the part; values are only as independent of the hand's path as `thetas` are.
     """

@@ -1,10 +1,11 @@
 """AOMotion: from one demonstration to when, where and how the part moved."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from aomgen.core.joint import JointType
 from aomgen.core.motion import MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import apply
@@ -12,29 +13,40 @@ from aomgen.core.values import Array
 from aomgen.errors import InputError
 from aomgen.motion.ee_path import measure_slip
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.joint_estimation import JointCandidates, choose_type
-from aomgen.motion.joint_trajectory import (
-    RecoveredMotion,
-    find_first_frame,
-    prepare_recovery,
-    recover_motion,
-)
+from aomgen.motion.joint_estimation import JointCandidates, JointParams, choose_type
+from aomgen.motion.joint_trajectory import RecoveredMotion, TouchRecovery, find_first_frame
 from aomgen.motion.joint_value import compute_path_values, find_motion_tolerance, sample_at_frames
-from aomgen.motion.kinematic_prior import make_kinematic_prior
+from aomgen.motion.kinematic_prior import KinematicPrior
 from aomgen.motion.observations import VideoObservations
-from aomgen.motion.opening_direction import infer_direction
-from aomgen.motion.params import MotionParams
+from aomgen.motion.part_shape import infer_direction
 from aomgen.motion.photometric import (
     PhotometricFrames,
+    PhotometricParams,
     compute_type_margin,
-    refine_estimate,
+    refine,
     select_frames,
 )
-from aomgen.motion.photometric_residuals import JointMotion
-from aomgen.robots.silhouette import MasksAt, robot_masks
+from aomgen.robots.silhouette import robot_masks
 
 # One of so many samples of the joint is carried to the values.
 _EVERY = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionParams:
+    """Parameters of AOMotion.
+
+    Attributes:
+        joint: Of the joint's estimate.
+        photometric: Of its refinement on the video.
+        contact_steps: Moments at the start of the motion at which patches of contact are looked for.
+        width: Image width for keyframes, [px].
+    """
+
+    joint: JointParams = field(default_factory=JointParams)
+    photometric: PhotometricParams = field(default_factory=PhotometricParams)
+    contact_steps: int = 7
+    width: int = 320
 
 
 def _ignore_curve(curve: MotionCurve) -> None:
@@ -70,46 +82,50 @@ def estimate_motion(
             raise InputError(f"'{name}' part", f"has {len(points)} points, need 20", "correct its prompts")
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         progress(0.0, "keyframes")
-        view = VideoObservations.of(demo, masks_at, params)
-        seen, interval = view.interval()
-        curve = view.curve(seen, interval)
-        on_curve(curve)
-        signs = view.signs(demo, interval)
+        view = VideoObservations.of(demo, masks_at, params.width)
+        on_curve(view.curve)
+        evidence = view.weigh_motion(demo)
         moved = view.identify_part(demo)
-        if moved.gripped or signs.log_likelihood_ratio > 0:
+        if moved.gripped or evidence.log_likelihood_ratio > 0:
             moved.check()
-        signs.check()
+        evidence.check()
         progress(0.4, "joint")
-        first = prepare_recovery(demo, view, seen, interval, params)
-        doors, drawers = (
-            _estimate_type(
-                demo, masks_at, curve, moved.odds, recover_motion(first, joint_type, params), params
-            )
-            for joint_type in ("revolute", "prismatic")
-        )
+        recovery = TouchRecovery.of(demo, view, params.joint, params.contact_steps)
+        first = recovery.first_candidates()
+
+        def estimate_type(joint_type: JointType) -> _TypeEstimate:
+            recovered = recovery.recover(first, joint_type)
+            estimate = assemble(demo, view.curve, recovered, moved.odds)
+            lines = (recovered.estimate.axes, recovered.estimate.origins)
+            prior = KinematicPrior.of(demo, estimate, lines)
+            seen = select_frames(demo, masks_at, prior, params.photometric)
+            answer = refine(seen, prior, params.photometric)
+            refined = estimate if answer is None else _take_over(estimate, answer)
+            return _TypeEstimate(found=recovered.found, seen=seen, refined=refined)
+
+        doors, drawers = estimate_type("revolute"), estimate_type("prismatic")
     progress(0.9, "type of the joint")
-    video_margin = compute_type_margin(
-        doors.seen, (doors.joint_motion, drawers.joint_motion), params.photometric
-    )
+    motions = [(item.refined.joint, item.refined.thetas) for item in (doors, drawers)]
+    video_margin = compute_type_margin(doors.seen, (motions[0], motions[1]), params.photometric)
     found = min((doors.found, drawers.found), key=lambda item: abs(item.margin))
     answer = doors if choose_type(found, video_margin) == "revolute" else drawers
     return replace(answer.refined, type_margin=abs(found.margin + video_margin))
 
 
-def first_motion(demo: MotionInput, params: MotionParams | None = None) -> MotionEstimate:
+def first_motion(demo: MotionInput) -> MotionEstimate:
     """The motion by the hand's path alone, not refined on the video, and nothing of it judged.
 
     It tells which Gaussians move, also where labels are too poor for `estimate_motion`.
 
     Raises: as `estimate_motion`.
     """
-    params = params or MotionParams()
+    params = MotionParams()
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
-        view = VideoObservations.of(demo, masks_at, params)
-        seen, interval = view.interval()
-        first = prepare_recovery(demo, view, seen, interval, params)
-    joint_type = "revolute" if first.found.margin > 0 else "prismatic"
-    return assemble(demo, view.curve(seen, interval), recover_motion(first, joint_type, params), odds=1.0)
+        view = VideoObservations.of(demo, masks_at, params.width)
+    recovery = TouchRecovery.of(demo, view, params.joint, params.contact_steps)
+    first = recovery.first_candidates()
+    joint_type = "revolute" if first.margin > 0 else "prismatic"
+    return assemble(demo, view.curve, recovery.recover(first, joint_type), odds=1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,44 +136,48 @@ class _TypeEstimate:
     seen: PhotometricFrames | None
     refined: MotionEstimate
 
-    @property
-    def joint_motion(self) -> JointMotion:
-        """What the video is compared with."""
-        return self.refined.joint, self.refined.thetas
+
+def _take_over(estimate: MotionEstimate, answer: KinematicPrior) -> MotionEstimate:
+    """The estimate with joint, values and their errors of an answer."""
+    tilt, shift = answer.covariance[:2, :2], answer.covariance[2:, 2:]
+    return replace(
+        estimate,
+        joint=answer.joint,
+        thetas=answer.thetas,
+        theta_sd=answer.theta_sd,
+        axis_sd_rad=float(np.sqrt(np.trace(tilt))),
+        origin_sd_m=float(np.sqrt(np.trace(shift))),
+        axis_ci95_rad=find_radius_95(tilt),
+        origin_ci95_m=find_radius_95(shift) if len(shift) else 0.0,
+    )
 
 
-def _estimate_type(
-    demo: MotionInput,
-    masks_at: MasksAt,
-    curve: MotionCurve,
-    odds: float,
-    recovery: RecoveredMotion,
-    params: MotionParams,
-) -> _TypeEstimate:
-    lines = (recovery.estimate.axes, recovery.estimate.origins)
-    estimate = assemble(demo, curve, recovery, odds)
-    hand = make_kinematic_prior(demo, estimate, lines)
-    seen = select_frames(demo, masks_at, hand, params.photometric)
-    refined = refine_estimate(seen, estimate, hand, params.photometric)
-    return _TypeEstimate(found=recovery.found, seen=seen, refined=refined)
+def find_radius_95(covariance: Array) -> float:
+    """Radius around the mean that holds 95 % of a normal distribution in the plane, covariance (2, 2)."""
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(2), covariance, 4000)
+    return float(np.percentile(np.linalg.norm(draws, axis=1), 95))
 
 
-def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, odds: float) -> MotionEstimate:
+def assemble(
+    demo: MotionInput, curve: MotionCurve, recovered: RecoveredMotion, odds: float
+) -> MotionEstimate:
     """The estimate as the rest of the pipeline reads it."""
     frames = demo.video.times_s
-    estimate, trajectory = recovery.estimate, recovery.trajectory
+    estimate, trajectory = recovered.estimate, recovered.trajectory
+    start_s, end_s = trajectory.interval
     thetas = sample_at_frames(frames, trajectory, find_motion_tolerance(estimate.joint.type))
-    moving = (frames >= trajectory.interval[0]) & (frames <= trajectory.interval[1])
+    moving = (frames >= start_s) & (frames <= end_s)
+    before_end = frames[frames <= end_s + 1e-6]
     joint = replace(estimate.joint, lower=0.0, upper=float(thetas.max()))
     poses = demo.ee_poses_at(frames)
     slips, pivots = measure_slip(joint, thetas, poses, estimate.grasp_ee, int(np.argmax(moving)))
     return MotionEstimate(
         clock_offset_s=demo.clock.offset_s,
         clock_offset_sd_s=demo.clock.sd_s,
-        start_s=find_first_frame(frames, trajectory.interval[0]),
-        end_s=_last_frame(frames, trajectory.interval[1]),
+        start_s=find_first_frame(frames, start_s),
+        end_s=float(before_end[-1] if len(before_end) else frames[0]),
         curve=curve,
-        contacts=recovery.contacts.patches,
+        contacts=recovered.contacts.patches,
         grasp_ee=estimate.grasp_ee,
         joint=joint,
         axis_sd_rad=estimate.axis_sd_rad,
@@ -168,7 +188,7 @@ def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, o
         ee_turn_ratio=estimate.turn_ratio,
         times_s=frames,
         thetas=thetas,
-        theta_sd=_theta_sd(demo, recovery, thetas, frames),
+        theta_sd=_theta_sd(demo, recovered, thetas, frames),
         slip_m=np.where(moving, np.linalg.norm(slips, axis=1), 0.0),
         pivot_rad=np.where(moving, np.linalg.norm(pivots, axis=1), 0.0),
         direction=infer_direction(joint, float(thetas[-1]), demo.points_static, demo.points_moving),
@@ -176,16 +196,14 @@ def assemble(demo: MotionInput, curve: MotionCurve, recovery: RecoveredMotion, o
     )
 
 
-def _theta_sd(demo: MotionInput, recovery: RecoveredMotion, thetas: Array, frames: Array) -> Array:
+def _theta_sd(demo: MotionInput, recovered: RecoveredMotion, thetas: Array, frames: Array) -> Array:
     """Standard deviation (F,) of the values, [rad] or [m]: of the joint, the grasp, the clock and the level at rest."""
-    estimate, trajectory = recovery.estimate, recovery.trajectory
-    joint = estimate.joint
-    first, last = trajectory.interval
-    moments = np.clip(frames, first, last)
-    poses = demo.ee_poses_at(np.concatenate([[first], moments]))
+    estimate, trajectory = recovered.estimate, recovered.trajectory
+    joint, first = estimate.joint, trajectory.interval[0]
+    poses = demo.ee_poses_at(np.append(first, np.clip(frames, *trajectory.interval)))
     draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
     values = [
-        compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovery.face_normal)
+        compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovered.face_normal)
         for axis, origin, grasp in draws
     ]
     offset = apply(poses[0], estimate.grasp_ee) - joint.origin
@@ -193,10 +211,5 @@ def _theta_sd(demo: MotionInput, recovery: RecoveredMotion, thetas: Array, frame
     grasp_sd = np.hypot(estimate.residual_m / radius, estimate.give_rate * thetas)
     speed = np.abs(np.interp(frames, trajectory.times_s, np.gradient(trajectory.values, trajectory.times_s)))
     clock_sd = np.where(thetas > 0, speed, 0.0) * demo.clock.sd_s
-    level_sd = np.where(thetas > 0, recovery.level_sd, 0.0)
+    level_sd = np.where(thetas > 0, recovered.level_sd, 0.0)
     return np.sqrt(np.std(values, axis=0)[1:] ** 2 + grasp_sd**2 + clock_sd**2 + level_sd**2)
-
-
-def _last_frame(frames: Array, moment_s: float) -> float:
-    earlier = frames[frames <= moment_s + 1e-6]
-    return float(earlier[-1]) if len(earlier) else float(frames[0])

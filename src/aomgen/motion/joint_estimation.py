@@ -1,11 +1,11 @@
 """The joint behind a demonstration: type, axis, origin and how well they are known.
 
 The part moves on a one-parameter path and the hand moves with it. A handle may turn in the fingers and
-slip through them, so the hand's pose is evidence with flaws of its own (`noise_model`), and the parts'
-shape is a weak belief (`axis_prior`). Revolute and prismatic explanations compete by their evidence.
+slip through them, so the hand's pose is evidence with flaws of its own (`joint_posterior`), and the parts'
+shape is a weak belief (`part_shape`). Revolute and prismatic explanations compete by their evidence.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -13,30 +13,29 @@ import numpy as np
 from aomgen.core.joint import Joint, JointType
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import AmbiguousJointError, DemonstrationTooShortError
-from aomgen.motion.axis_prior import PartShape
 from aomgen.motion.ee_path import EePath, GraspGuess, thin_path
 from aomgen.motion.joint_models import JointModel, Prismatic, Revolute, make_models
-from aomgen.motion.joint_posterior import Posterior, compute_posterior, fit_path
-from aomgen.motion.noise_model import (
+from aomgen.motion.joint_posterior import (
     BEND_SHARE,
     SCALES,
     NoisePrior,
     PathNoise,
+    Posterior,
     compute_give_rate,
     compute_held_rate,
+    compute_posterior,
+    fit_path,
 )
+from aomgen.motion.part_shape import PartShape
 
 _REMEDY = "record a longer demonstration"
-# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad].
-_MIN_TURN_RAD = float(np.radians(15.0))
-# Shortest travel that tells a joint, [m]: less is what a hand may slip.
-_MIN_TRAVEL_M = 0.03
+# Shortest motion that tells a joint: an arc of fewer degrees hardly bends, [rad]; less travel is what a hand may
+# slip, [m].
+_MIN_TURN_RAD, _MIN_TRAVEL_M = float(np.radians(15.0)), 0.03
 # Smallest difference of the types' evidence, twice the logarithm as in BIC: "positive" evidence begins at 2.
 _MIN_MARGIN = 3.0
-# A path is called straight only if an arc of a wide door's radius, [m], would stand out ...
-_DOOR_RADIUS_M = 0.6
-# ... by so many standard deviations.
-_STRAIGHT_SD = 3.0
+# A path is called straight only if an arc of a wide door's radius, [m], would stand out by so many standard deviations.
+_DOOR_RADIUS_M, _STRAIGHT_SD = 0.6, 3.0
 # Sizes of flaws this many standard deviations above their medians are looked into.
 _UNUSUAL = 2.0
 _TURNS = [SCALES.index(name) for name in ("turn", "tilt", "pivot")]
@@ -49,12 +48,14 @@ class JointParams:
     Attributes:
         noise: Usual flaws of the evidence.
         nodes: Stretches the path is thinned to.
-        smooth: Samples averaged when measuring travel.
     """
 
     noise: NoisePrior = field(default_factory=NoisePrior)
     nodes: int = 24
-    smooth: int = 11
+
+    def loosened(self) -> "JointParams":
+        """For a path on which the hand only pushes or hooks."""
+        return replace(self, noise=self.noise.loosened())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +64,7 @@ class JointEstimate:
 
     Attributes:
         joint: Value 0 at the beginning of the path; `upper` is the observed travel.
-        grasp_ee: The held point (3,), end-effector frame, refined, [m].
+        grasp_ee: The held point, end-effector frame, refined, [m].
         axis_sd_rad: Standard deviation of the direction (root of both ways' variances), [rad].
         origin_sd_m: The same of the axis line near the contact, [m]; 0 for a prismatic joint.
         axis_ci95_rad, origin_ci95_m: Radii around direction and line that hold the true ones with 95 %.
@@ -71,7 +72,7 @@ class JointEstimate:
         give_rate: Slip along the way of the part per travel, standard deviation, [m/m].
         turn_ratio: Turn of the hand over turn of the part; 0 for a prismatic joint.
         margin: Twice the log evidence of this type over the other one.
-        axes, origins, grasps: Equally likely axes (S, 3), points on them (S, 3) [m] and held points (S, 3) [m].
+        axes, origins, grasps: Equally likely axes, points on them [m] and held points [m].
     """
 
     joint: Joint
@@ -96,7 +97,6 @@ class JointCandidates:
     """What either type of joint makes of a path.
 
     Attributes:
-        revolute, prismatic: Their best answers.
         margin: Twice the log evidence of revolute over prismatic.
         extent_m: Farthest that the held point came from its first place, [m].
         unseen_bulge_m: Arcs that bulge less than this from their chord look straight in this path, [m].
@@ -119,8 +119,7 @@ def fit_candidates(
     """Explain the hand's poses while it holds the part by either type of joint.
 
     Args:
-        Ts_world_ee: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
-        hold: Where and how the hand holds the part.
+        Ts_world_ee, hold: End-effector poses (T, 4, 4) from the start to the end of the motion, in order.
         shape: The parts' shape, or None to use the path alone.
         params: How the path is read.
 
@@ -131,7 +130,7 @@ def fit_candidates(
     the edges remain as a belief. Not checked: that the hand holds the same part all the time.
     """
     params = params or JointParams()
-    path = thin_path(Ts_world_ee, hold, nodes=params.nodes, smooth=params.smooth)
+    path = thin_path(Ts_world_ee, hold, nodes=params.nodes)
     points = path.points_world
     extent = float(np.linalg.norm(points - points[0], axis=1).max())
     if not extent >= _MIN_TRAVEL_M:
@@ -156,11 +155,7 @@ def fit_candidates(
 
 
 def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
-    """The type of joint, by the hand's path and the video together.
-
-    Args:
-        found: From `fit_candidates`.
-        video_margin: Twice the log evidence of the video for revolute over prismatic.
+    """The type of joint, by the hand's path and the video: twice its log evidence for revolute over prismatic.
 
     Raises:
         DemonstrationTooShortError: Less than 15 degrees were shown.
@@ -191,10 +186,7 @@ def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
 def estimate_joint(
     Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None, params: JointParams | None = None
 ) -> JointEstimate:
-    """The joint from the hand's poses alone, axis positive in the direction of the demonstration.
-
-    See `fit_candidates` for the arguments, and `choose_type` for what is refused.
-    """
+    """The joint from the hand's poses alone; arguments as in `fit_candidates`, refused as in `choose_type`."""
     found = fit_candidates(Ts_world_ee, hold, shape, params)
     return found.of(choose_type(found))
 
@@ -209,10 +201,7 @@ def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> 
 
 
 def _loosen_ends(noise: PathNoise, types: tuple[list[Revolute], list[Prismatic]]) -> PathNoise:
-    """The noise with nodes at the ends loosened at which the hand did not hold the part yet or any more.
-
-    Only looked for where a path is much less steady than paths are.
-    """
+    """The noise with nodes at the ends loosened at which the hand did not hold the part, if the path is very unsteady."""
 
     def fit(noise: PathNoise) -> tuple[float, float]:
         fits = [fit_path(models, noise) for models in types]
@@ -268,8 +257,8 @@ def _estimate(path: EePath, found: Posterior, joint_type: JointType, margin: flo
             upper=abs(travel),
         ),
         grasp_ee=model.grasp(x),
-        axis_sd_rad=_rms(angles),
-        origin_sd_m=_rms(gaps),
+        axis_sd_rad=float(np.sqrt(np.mean(angles**2))),
+        origin_sd_m=float(np.sqrt(np.mean(gaps**2))),
         axis_ci95_rad=float(np.percentile(angles, 95)),
         origin_ci95_m=float(np.percentile(gaps, 95)),
         residual_m=float(found.scales[0]),
@@ -286,7 +275,3 @@ def _near(model: JointModel, x: Array, point: Array) -> tuple[Array, Array]:
     """Directions (S, 3) of the axes that unknowns (S, P) mean and their points (S, 3) nearest to a point."""
     axes, points = model.lines(x)
     return axes, points + axes * ((point - points) * axes).sum(1, keepdims=True)
-
-
-def _rms(distances: Array) -> float:
-    return float(np.sqrt(np.mean(distances**2)))

@@ -27,15 +27,13 @@ class JointModel:
     The first four unknowns are the axis: its tilt against `start` (2), and its place across `start` from the path's
     middle (2). Without further ones nothing is assumed beforehand.
 
-    Attributes:
-        path: The hand's path.
-        start: First guess of the axis (3,).
+    `start`: First guess of the axis (3,).
     """
 
     path: EePath
     start: Array
 
-    # Sizes of the unknowns (P,), and what each row of `data` is an error of, see `noise_model`.
+    # Sizes of the unknowns (P,), and what each row of `data` is an error of, see `NoisePrior`.
     steps: ClassVar[Array] = np.full(4, 1e-2)
     kinds: ClassVar[tuple[str, ...]] = ()
 
@@ -96,8 +94,7 @@ class Revolute(JointModel):
     Further unknowns (6): radius and height of the held point (2), held point against its first guess (3), share of
     the turn.
 
-    Attributes:
-        reach_m: The object's farthest point from the path's middle; no hinge is farther away, [m].
+    `reach_m`: The object's farthest point from the path's middle; no hinge is farther away.
     """
 
     reach_m: float = np.inf

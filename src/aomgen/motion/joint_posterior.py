@@ -1,11 +1,13 @@
-"""The posterior of a joint model: fitted, with the sizes of its flaws, over what the shape suggests.
+"""The posterior of a joint model, given how a hand errs while it moves a part.
 
-Every hint of the shape times every size of the flaws is a Gaussian with an evidence; together they are the answer,
-and the evidence of a joint type is their sum.
+It errs by noise of the log, slow slip, a handle that turns in the fingers. Slip grows steadily and bends a little, so
+neither many samples nor small residuals make it small: it is a Gaussian process along the path, whose size each
+demonstration shows by its bends. Every hint of the shape times every size of these flaws is a Gaussian with an
+evidence; together they are the answer, and the evidence of a joint type is their sum.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, cast
 
 import numpy as np
@@ -14,11 +16,32 @@ from scipy.optimize import least_squares, minimize
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from aomgen.core.joint import JointType
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.motion.axis_prior import ANYWHERE, AxisHint
 from aomgen.motion.joint_models import Prismatic, Revolute
-from aomgen.motion.noise_model import SCALES, STEP_LIMITS, PathNoise
+from aomgen.motion.part_shape import ANYWHERE, AxisHint
 
+# A slow course bends at its middle by 0.15 to 0.3 of its end value, finer waves are smaller as their
+# number squared (doors opened by contact).
+BEND_SHARE = 0.22
+# Waves along a path; the next one would have 1/36 of the first one's amplitude.
+_WAVES = 5
+# Grasps give way along the motion by this per travel, more where a handle rolls between the fingers (simulated
+# contact with 27 doors and lids, 18 drawers and sliding panels), [m/m].
+_GIVE_RATES = {"prismatic": 0.002, "revolute": 0.004}
+# Hands that slide along the bar of a drawer lose 0.05 to 0.23 of that along the pull (10 drawers).
+_LOST_SHARE = 0.16
+# Unsteadiness of a node at which the hand may not have held the part, over that of the others.
+_INFLATION = 100.0
+# A hand that grips nothing slides along the part as it likes, by a centimeter or two in a motion of 5 to
+# 30 cm, [m/m]. It may slide evenly, so that its path's bends do not tell how much: hardly any spread.
+_LOOSE_RATE, _LOOSE_SPREAD = 0.06, 0.1
+# Sizes are looked for between so many standard deviations from their medians.
+STEP_LIMITS = (-3.0, 5.0)
+# What errs: place [m] and turn [rad] of the hand from stretch to stretch; slip along the part's face, and along the
+# handle's bar or the fingers' pads, per travel [m/m]; turn of the hand across the joint's axis, and uneven turn of the
+# handle in the fingers, per travel [rad/m]; slip in the direction in which the fingers close, per travel [m/m].
+SCALES = ("place", "turn", "face", "bar", "tilt", "pivot", "straight")
 # Possibilities this many nats below the best are left out.
 _NEGLIGIBLE = 7.0
 # Points of the quadrature over the noise scales, in seven dimensions; each costs one linear solution a hint.
@@ -32,15 +55,106 @@ _TOLERANCE, _MAX_STEPS = 1e-5, 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class NoisePrior:
+    """Usual sizes of the flaws in the order of `SCALES`, and standard deviations of their natural logarithms.
+
+    From simulated contact with doors and drawers and from joint logs with 0.5 mrad of noise, averaged over a stretch
+    of the path.
+    """
+
+    medians: tuple[float, ...] = (0.00015, 0.0005, 0.004, 0.006, 0.016, 0.015, 0.0015)
+    spreads: tuple[float, ...] = (0.7, 0.7, 1.0, 1.8, 1.4, 1.2, 1.2)
+
+    def scales(self, steps: Array) -> Array:
+        """Sizes (7,) that lie `steps` (7,) standard deviations from their medians."""
+        return np.array(self.medians) * np.exp(np.array(self.spreads) * steps)
+
+    def loosened(self) -> "NoisePrior":
+        """Usual flaws of a path on which the hand only pushes or hooks: it slides across the motion."""
+        medians, spreads = (dict(zip(SCALES, row, strict=True)) for row in (self.medians, self.spreads))
+        medians |= {"face": _LOOSE_RATE / 4, "bar": _LOOSE_RATE, "straight": _LOOSE_RATE}
+        spreads |= {"bar": _LOOSE_SPREAD, "straight": _LOOSE_SPREAD}
+        return NoisePrior(medians=tuple(medians.values()), spreads=tuple(spreads.values()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathNoise:
+    """Covariances of what a path's nodes may err by.
+
+    Attributes:
+        travel_m: Travel since the first node, [m].
+        inflation: Factor on the unsteadiness of each node, 1 where nothing is wrong.
+        waves: Covariance of an uneven course of length one.
+    """
+
+    prior: NoisePrior
+    travel_m: Annotated[Array, "K"]
+    inflation: Annotated[Array, "K"]
+    waves: Annotated[Array, "K K"]
+
+    __post_init__ = freeze_arrays
+
+    @staticmethod
+    def of(points: Array, prior: NoisePrior) -> "PathNoise":
+        """Along a path of points (K, 3), none of them loosened."""
+        travel = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        k = np.arange(1, _WAVES + 1)
+        waves = np.sin(np.pi * np.outer(travel / travel[-1], k)) / k**2
+        return PathNoise(prior=prior, travel_m=travel, inflation=np.ones(len(points)), waves=waves @ waves.T)
+
+    def loosened(self, nodes: slice) -> "PathNoise":
+        """The same with some nodes that may lie anywhere near."""
+        inflation = self.inflation.copy()
+        inflation[nodes] = _INFLATION
+        return replace(self, inflation=inflation)
+
+    def covariance(self, kind: str, scales: Array, firmness: float) -> Array:
+        """Covariance (K, K) of a kind of residual: "face", "bar", "straight" [m], "tilt", "pivot" [rad].
+
+        By sizes of the flaws (7,), and the square of the cosine between the "straight" direction and that in which
+        the fingers close; by the rest they give way as along the bar.
+        """
+        sizes = dict(zip(SCALES, scales, strict=True)) | {"straight": compute_held_rate(scales, firmness)}
+        steady, uneven = (0.0, sizes[kind]) if kind == "pivot" else (sizes[kind], BEND_SHARE * sizes[kind])
+        white = sizes["turn" if kind in ("tilt", "pivot") else "place"]
+        s = self.travel_m
+        course = steady**2 * np.outer(s, s) + (uneven * s[-1]) ** 2 * self.waves
+        return course + np.diag((white * self.inflation) ** 2)
+
+    def whiten(self, kinds: Sequence[str], steps: Array, firmness: float) -> tuple[Array, float]:
+        """Matrices (C, K, K) that make residuals of kinds white, and the sum of their log determinants."""
+        scales = self.prior.scales(steps)
+        factors = np.linalg.cholesky([self.covariance(kind, scales, firmness) for kind in kinds])
+        logs = np.log(np.diagonal(factors, axis1=1, axis2=2))
+        return np.asarray(np.linalg.inv(factors), np.float64), 2 * float(logs.sum())
+
+
+def compute_held_rate(scales: Array, firmness: float) -> float:
+    """Slip per travel [m/m] of a straight path in the direction across it that is held best, see `PathNoise.covariance`."""
+    straight, bar = scales[SCALES.index("straight")], scales[SCALES.index("bar")]
+    return float(np.sqrt(firmness * straight**2 + (1 - firmness) * bar**2))
+
+
+def compute_give_rate(joint_type: JointType, scales: Array, closing: float) -> float:
+    """Slip per travel [m/m] along the way of the part, which no path of a hand shows.
+
+    `closing`: Cosine between the way and the direction in which the fingers close.
+
+    Source: a sliding contact gives way against the whole of the force on it (Coulomb), so that a hand
+    that slides along the bar also loses a share of that along its pull.
+    """
+    along_pads = np.sqrt(max(1 - closing**2, 0.0))
+    return float(np.hypot(_GIVE_RATES[joint_type], _LOST_SHARE * along_pads * scales[SCALES.index("bar")]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
     """What is known of one joint type's unknowns.
 
     Attributes:
-        model: The joint type.
-        mean: Unknowns (P,).
-        draws: Samples of the unknowns (S, P), equally likely.
+        draws: Samples of the unknowns, equally likely.
         log_evidence: Of the type, up to a constant that all types share.
-        scales: Sizes of the flaws (7,) at their likeliest, see `noise_model.SCALES`.
+        scales: Sizes of the flaws at their likeliest.
     """
 
     model: Revolute | Prismatic
@@ -57,12 +171,8 @@ class LinearizedModel:
     """A joint model under a hint, linear about unknowns `x` (P,).
 
     Attributes:
-        model: The joint type.
-        noise: Of the path.
-        x: Unknowns.
         data: Residuals (C, K) and their Jacobian (C, K, P).
-        prior: Residuals (Q,) in standard deviations and their Jacobian (Q, P).
-        log_prior: Normalization of the prior.
+        prior, log_prior: Residuals (Q,) in standard deviations, their Jacobian (Q, P), and their normalization.
     """
 
     model: Revolute | Prismatic
@@ -109,13 +219,8 @@ class LinearizedModel:
 
     def likeliest(self, first: Array) -> Array:
         """Sizes of the flaws (7,), looked for from given ones."""
-        result = minimize(
-            lambda steps: -self.log_posterior(steps),
-            first,
-            method="L-BFGS-B",
-            bounds=[STEP_LIMITS] * len(first),
-            options={"maxiter": 15, "ftol": 1e-5},
-        )
+        limits = {"bounds": [STEP_LIMITS] * len(first), "options": {"maxiter": 15, "ftol": 1e-5}}
+        result = minimize(lambda steps: -self.log_posterior(steps), first, method="L-BFGS-B", **limits)
         return np.asarray(result.x, np.float64)
 
     def scale_points(self, center: Array) -> tuple[Array, Array]:
@@ -134,13 +239,7 @@ class LinearizedModel:
 def compute_posterior(
     models: Sequence[Revolute | Prismatic], noise: PathNoise, hints: Sequence[AxisHint]
 ) -> Posterior:
-    """What is known of one joint type.
-
-    Args:
-        models: The type, linearized about different first axes.
-        noise: Of the path.
-        hints: What the shape suggests; none of them may hold.
-    """
+    """What is known of one joint type, by its models about different first axes; none of the shape's hints may hold."""
     path, steps = fit_path(models, noise)
     model, x = path.model, path.x
     for _ in range(2):
@@ -155,11 +254,7 @@ def compute_posterior(
     best = found[int(np.argmax(evidences))]
     steps = best.likeliest(steps)
     points, log_weights = best.scale_points(steps)
-    kept = [
-        item
-        for item, evidence in zip(found, evidences, strict=True)
-        if evidence > evidences.max() - _NEGLIGIBLE
-    ]
+    kept = [found[k] for k in np.flatnonzero(evidences > evidences.max() - _NEGLIGIBLE)]
     parts = [item.gaussian(point) for item in kept for point in points]
     logs = np.array([part[0] for part in parts]) + np.tile(log_weights, len(kept))
     log_evidence = float(np.logaddexp.reduce(logs))
@@ -221,5 +316,4 @@ def _draw(weights: Array, parts: Sequence[tuple[float, Array, Array]]) -> Array:
 
 def _normal_points(count: int, size: int) -> Array:
     """Low-discrepancy points (count, size) of the standard normal distribution, always the same."""
-    even = qmc.Halton(size, scramble=False).random(count + 1)[1:]
-    return np.asarray(ndtri(even), np.float64)
+    return np.asarray(ndtri(qmc.Halton(size, scramble=False).random(count + 1)[1:]), np.float64)

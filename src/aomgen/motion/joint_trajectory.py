@@ -1,13 +1,12 @@
 """Contact, joint and joint values from the hand's path during the touch."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.motion.axis_prior import PartShape, measure_shape
 from aomgen.motion.contact import SURFACE_SD_M, WINDOW_S, Contacts, carry_part, find_contacts
 from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.inputs import MotionInput
@@ -22,16 +21,17 @@ from aomgen.motion.joint_value import (
     select_resting,
     smooth_within,
 )
-from aomgen.motion.keyframes import Departures, Interval
-from aomgen.motion.observations import VideoObservations
-from aomgen.motion.params import MotionParams
+from aomgen.motion.keyframes import Departures
+from aomgen.motion.observations import DENSE_STEP_S, VideoObservations
+from aomgen.motion.part_shape import PartShape, measure_shape
 
-# Step at which joint values are computed, [s]: that of a 100 Hz joint log.
-_DENSE_STEP_S = 0.01
 # Width of the smoother of joint values, [s]; short against any commanded motion.
 _SMOOTH_S = 0.2
 # Largest difference between a moment seen in the video and the one that the hand tells, [s].
 _AGREE_S = 0.8
+
+# Start and end of a motion, [s].
+Times = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,149 +55,126 @@ class RecoveredMotion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecoveryInput:
+class TouchRecovery:
     """What a recovery starts from, whichever type the joint is of.
 
     Attributes:
         demo: Video, log and scan.
-        seen: Start and end as seen in the picture, [s].
-        touch_s: First and last moment at which the hand can move the part, [s].
-        gripped: The hand held the part before and after.
-        joint: How the hand's way is read.
+        view: The touch, and the interval seen in the picture.
+        params: How the hand's way is read.
+        contact_steps: Moments at which contact is looked for.
         shape: Of the parts.
         surface: Points of the moving part (N, 3), world frame, [m].
-        contacts, found: By the interval seen.
-        picture: What the video shows of start and end.
     """
 
     demo: MotionInput
-    seen: tuple[float, float]
-    touch_s: tuple[float, float]
-    gripped: bool
-    joint: JointParams
+    view: VideoObservations
+    params: JointParams
+    contact_steps: int
     shape: PartShape
     surface: Array
-    contacts: Contacts
-    found: JointCandidates
-    picture: TouchObservation
 
+    @staticmethod
+    def of(
+        demo: MotionInput, view: VideoObservations, params: JointParams, contact_steps: int
+    ) -> "TouchRecovery":
+        """With the shape of the parts."""
+        return TouchRecovery(
+            demo=demo,
+            view=view,
+            params=params if view.touch.gripped else params.loosened(),
+            contact_steps=contact_steps,
+            shape=measure_shape(demo.points_static, demo.points_moving),
+            surface=demo.surface_moving(SURFACE_SD_M),
+        )
 
-def prepare_recovery(
-    demo: MotionInput,
-    view: VideoObservations,
-    departures: Departures,
-    interval: Interval,
-    params: MotionParams,
-) -> RecoveryInput:
-    """Contact, and either type's joint, by the interval seen and the departures that it was read from.
+    def first_candidates(self) -> JointCandidates:
+        """Either type's joint, by the interval seen.
 
-    Raises:
-        DemonstrationTooShortError: The hand moved the part less than 3 cm.
-    """
-    seen = (interval.start_s, interval.end_s)
-    touch, frame_times = view.touch, view.signals.times_s
-    touch_s = (float(frame_times[touch.first]), float(frame_times[touch.last]))
-    inside = slice(touch.first, touch.last + 1)
-    joint = params.joint if touch.gripped else replace(params.joint, noise=params.joint.noise.loosened())
-    shape = measure_shape(demo.points_static, demo.points_moving)
-    surface = demo.surface_moving(SURFACE_SD_M)
-    moments = _begin(seen, demo, params)
-    rested_s = (touch_s if touch.gripped else seen)[0]
-    begin = (moments, carry_part(demo.robot, demo.log, rested_s, moments))
-    contacts, found = _explained(demo, shape, surface, begin, seen, joint)
-    return RecoveryInput(
-        demo=demo,
-        seen=seen,
-        touch_s=touch_s,
-        gripped=touch.gripped,
-        joint=joint,
-        shape=shape,
-        surface=surface,
-        contacts=contacts,
-        found=found,
-        picture=TouchObservation(
-            times_s=frame_times[inside],
-            seen=Departures(left=departures.left[inside], ahead=departures.ahead[inside]),
-            noise=interval.threshold / 3,
-        ),
-    )
+        Raises:
+            DemonstrationTooShortError: The hand moved the part less than 3 cm.
+        """
+        interval, touch = self.view.interval, self.view.touch
+        moments = self._begin(interval.start_s)
+        rested_s = float(self.view.signals.times_s[touch.first]) if touch.gripped else interval.start_s
+        Ts_world_part = carry_part(self.demo.robot, self.demo.log, rested_s, moments)
+        return self._fit(self._contacts(moments, Ts_world_part), (interval.start_s, interval.end_s))
 
+    def recover(self, found: JointCandidates, joint_type: JointType) -> RecoveredMotion:
+        """Contact, joint and values, if the joint is of a type; `found` is from `first_candidates`.
 
-def recover_motion(first: RecoveryInput, joint_type: JointType, params: MotionParams) -> RecoveredMotion:
-    """Contact, joint and values, if the joint is of a type.
+        Twice: the second round uses the interval that the first one felt.
 
-    Twice: the second round uses the interval that the first one felt.
-
-    Raises:
-        DemonstrationTooShortError: The hand moved the part less than 3 cm.
-    """
-    demo, shape, seen = first.demo, first.shape, first.seen
-    times = _dense(first.touch_s)
-    poses = demo.ee_poses_at(times)
-    leave = find_motion_tolerance(joint_type)
-
-    def along(found: JointCandidates, interval: tuple[float, float]) -> ValueTrajectory:
+        Raises:
+            DemonstrationTooShortError: The hand moved the part less than 3 cm.
+        """
+        seen = (self.view.interval.start_s, self.view.interval.end_s)
+        trajectory = self._follow(found.of(joint_type), seen)
+        contacts = self._contacts(*self._beginning(found.of(joint_type), trajectory))
+        found = self._fit(contacts, trajectory.interval)
         estimate = found.of(joint_type)
+        trajectory = self._follow(estimate, trajectory.interval)
+        # A part that creeps off does not tell where it rested.
+        rest = select_resting(trajectory.times_s, trajectory.values, seen[0])
+        rest_sd = float(np.std(rest)) if len(rest) else 0.0
+        return RecoveredMotion(
+            contacts=self._contacts(*self._beginning(estimate, trajectory)),
+            found=found,
+            estimate=estimate,
+            trajectory=trajectory,
+            level_sd=rest_sd if self.view.touch.gripped else find_motion_tolerance(joint_type),
+            face_normal=self.shape.face_normal,
+        )
+
+    def _follow(self, estimate: JointEstimate, interval: Times) -> ValueTrajectory:
+        """Values along the touch, if the joint is so and moves in about this interval."""
+        view, touch = self.view, self.view.touch
+        frames_s = view.signals.times_s[touch.frames]
+        times = _dense((float(frames_s[0]), float(frames_s[-1])))
+        poses = self.demo.ee_poses_at(times)
+        leave = find_motion_tolerance(estimate.joint.type)
         reference = int(np.argmin(np.abs(times - interval[0])))
-        path = compute_path_values(estimate.joint, poses, estimate.grasp_ee, reference, shape.face_normal)
-        values = smooth_within(path, _DENSE_STEP_S, _SMOOTH_S, leave)
-        if not first.gripped:
+        path = compute_path_values(
+            estimate.joint, poses, estimate.grasp_ee, reference, self.shape.face_normal
+        )
+        values = smooth_within(path, DENSE_STEP_S, _SMOOTH_S, leave)
+        if not touch.gripped:
             points = apply(poses, estimate.grasp_ee[None])
             hand = (points, apply(invert(estimate.joint.motion(values)), points))
-            return follow_pushed_part(times, values, hand, interval, leave, first.picture)
+            picture = TouchObservation(
+                times_s=frames_s,
+                seen=Departures(left=view.seen.left[touch.frames], ahead=view.seen.ahead[touch.frames]),
+                noise=view.interval.threshold / 3,
+            )
+            return follow_pushed_part(times, values, hand, interval, leave, picture)
+        seen = (view.interval.start_s, view.interval.end_s)
         felt, levels = refine_interval(times, values, seen, leave)
-        start, end = (_nearby(felt[k], seen[k], _AGREE_S) for k in (0, 1))
+        # The moment felt by the hand, unless the picture contradicts it.
+        start, end = (f if abs(f - s) <= _AGREE_S else s for f, s in zip(felt, seen, strict=True))
         return ValueTrajectory(times_s=times, values=values, interval=(start, end), levels=levels)
 
-    def beginning(found: JointCandidates, trajectory: ValueTrajectory) -> tuple[Array, Array]:
-        moments = _begin(trajectory.interval, demo, params)
-        thetas = np.interp(moments, times, trajectory.values) - trajectory.levels[0]
-        return moments, found.of(joint_type).joint.motion(thetas)
+    def _beginning(self, estimate: JointEstimate, trajectory: ValueTrajectory) -> tuple[Array, Array]:
+        """First moments (K,) of a motion, and how far the part has gone by then (K, 4, 4)."""
+        moments = self._begin(trajectory.interval[0])
+        thetas = np.interp(moments, trajectory.times_s, trajectory.values) - trajectory.levels[0]
+        return moments, estimate.joint.motion(thetas)
 
-    trajectory = along(first.found, seen)
-    begin = beginning(first.found, trajectory)
-    _, found = _explained(demo, shape, first.surface, begin, trajectory.interval, first.joint)
-    trajectory = along(found, trajectory.interval)
-    contacts = _contacts(demo, shape, first.surface, beginning(found, trajectory))
-    # A part that creeps off does not tell where it rested.
-    rest = select_resting(times, trajectory.values, seen[0])
-    return RecoveredMotion(
-        contacts=contacts,
-        found=found,
-        estimate=found.of(joint_type),
-        trajectory=trajectory,
-        level_sd=(float(np.std(rest)) if len(rest) else 0.0) if first.gripped else leave,
-        face_normal=shape.face_normal,
-    )
+    def _begin(self, start_s: float) -> Array:
+        steps = np.linspace(0.0, WINDOW_S, self.contact_steps, dtype=np.float64)
+        return steps + find_first_frame(self.demo.video.times_s, start_s)
 
+    def _contacts(self, moments: Array, Ts_world_part: Array) -> Contacts:
+        part = (self.surface, self.shape.box.T_world_box[:3, :3].T)
+        return find_contacts(self.demo.robot, self.demo.log, part, moments, Ts_world_part)
 
-def _explained(
-    demo: MotionInput,
-    shape: PartShape,
-    surface: Array,
-    begin: tuple[Array, Array],
-    interval: tuple[float, float],
-    params: JointParams,
-) -> tuple[Contacts, JointCandidates]:
-    """Contact by the part's first moments, and either type's joint by the hand's way over an interval."""
-    contacts = _contacts(demo, shape, surface, begin)
-    held = demo.ee_poses_at(_dense(interval))
-    # Fingers that do not stand against each other push, and hold in no direction.
-    normals = [patch.normal for patch in contacts.patches]
-    pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
-    hold = GraspGuess(point_ee=contacts.grasp_ee, closing_ee=demo.robot.closing_ee if pinched else None)
-    return contacts, fit_candidates(held, hold, shape, params)
-
-
-def _contacts(demo: MotionInput, shape: PartShape, surface: Array, begin: tuple[Array, Array]) -> Contacts:
-    axes = shape.box.T_world_box[:3, :3].T
-    return find_contacts(demo.robot, demo.log, (surface, axes), *begin)
-
-
-def _begin(interval: tuple[float, float], demo: MotionInput, params: MotionParams) -> Array:
-    """First moments of the motion from its first frame on (K,), [s]."""
-    steps = np.linspace(0.0, WINDOW_S, params.contact_steps, dtype=np.float64)
-    return steps + find_first_frame(demo.video.times_s, interval[0])
+    def _fit(self, contacts: Contacts, interval: Times) -> JointCandidates:
+        """Either type's joint by the hand's way over an interval."""
+        # Fingers that do not stand against each other push, and hold in no direction.
+        normals = [patch.normal for patch in contacts.patches]
+        pinched = len(normals) == 2 and float(normals[0] @ normals[1]) < 0
+        closing_ee = self.demo.robot.closing_ee if pinched else None
+        hold = GraspGuess(point_ee=contacts.grasp_ee, closing_ee=closing_ee)
+        return fit_candidates(self.demo.ee_poses_at(_dense(interval)), hold, self.shape, self.params)
 
 
 def find_first_frame(frames: Array, moment_s: float) -> float:
@@ -206,11 +183,6 @@ def find_first_frame(frames: Array, moment_s: float) -> float:
     return float(later[0]) if len(later) else float(frames[-1])
 
 
-def _nearby(felt_s: float, seen_s: float, limit_s: float) -> float:
-    """The moment felt by the hand, unless the picture contradicts it."""
-    return felt_s if abs(felt_s - seen_s) <= limit_s else seen_s
-
-
-def _dense(interval: tuple[float, float]) -> Array:
-    count = max(2, round((interval[1] - interval[0]) / _DENSE_STEP_S) + 1)
+def _dense(interval: Times) -> Array:
+    count = max(2, round((interval[1] - interval[0]) / DENSE_STEP_S) + 1)
     return np.linspace(interval[0], interval[1], count, dtype=np.float64)

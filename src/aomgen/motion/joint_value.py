@@ -15,9 +15,8 @@ from aomgen.core.joint import Joint, JointType
 from aomgen.core.robust import SD_OF_MAD
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.motion.filters import smooth
-from aomgen.motion.keyframes import Departures
-from aomgen.motion.onset import STILL_M, GripperPath, detect_offset, detect_onset
+from aomgen.motion.ee_path import GripperPath, smooth
+from aomgen.motion.keyframes import STILL_M, Departures, detect_offset, detect_onset
 
 # Beyond this share of the radius the face passes too close to the axis to correct for sliding.
 _MAX_FACE_SHARE = 0.7
@@ -27,10 +26,9 @@ _NOISE_SDS = 3.0
 _REST_S = (0.5, 0.1)
 # A hand leaves for good when it goes aside, farther than along the part's way, by this much within this time.
 _ASIDE_M, _ASIDE_S = 0.004, 0.1
-# The part has left its first state when its value differs by this much.
-LEAVE_RAD = float(np.radians(0.5))
-# The same of a prismatic joint, [m]: half a degree of a door whose handle is 0.23 m from its hinge.
-LEAVE_M = 0.002
+# The part has left its first state when its value differs by this much, [rad], [m]: half a degree, and half a degree
+# of a door whose handle is 0.23 m from its hinge.
+LEAVE_RAD, LEAVE_M = float(np.radians(0.5)), 0.002
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,8 +36,8 @@ class ValueTrajectory:
     """Joint values along a touch, and when and where the part rests.
 
     Attributes:
-        times_s: Dense times (T,), [s].
-        values: (T,), smooth, growing in the demonstrated direction, [rad] or [m].
+        times_s: Dense times, [s].
+        values: Smooth, growing in the demonstrated direction, [rad] or [m].
         interval: Start and end of the motion, [s].
         levels: Values of the part at rest before and after.
     """
@@ -67,12 +65,10 @@ def compute_path_values(
     it does not change when the hand slides along the face.
 
     Args:
-        joint: Axis and origin, world frame.
-        Ts_world_ee: End-effector poses (T, 4, 4), in the order of time.
-        grasp_ee: Held point (3,), end-effector frame, [m].
+        joint, face_normal: Axis, origin and the outward normal of the part's face (3,) at value 0, world frame; without
+            a normal the point is fixed to the part.
+        Ts_world_ee, grasp_ee: Poses (T, 4, 4) in the order of time, and the held point (3,), end-effector frame, [m].
         reference: Index of the pose that has value 0.
-        face_normal: Outward normal of the part's face (3,) at value 0; None: the point is fixed to
-            the part.
 
     Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; its plane-trajectory intersection in
     closed form.
@@ -107,9 +103,8 @@ def smooth_within(values: Array, step_s: float, window_s: float, tolerance: floa
 
     Args:
         values: Dense joint values (T,), [rad] or [m].
-        step_s: Between samples, [s].
-        window_s: Of the smoother, [s].
-        tolerance: Backward motion that is noise, `LEAVE_RAD` or `LEAVE_M`.
+        step_s, window_s: Between samples, and of the smoother, [s].
+        tolerance: Backward motion that is noise, see `find_motion_tolerance`.
     """
     window = max(3, 2 * round(window_s / step_s / 2) + 1)
     low, high = minimum_filter1d(values, window), maximum_filter1d(values, window)
@@ -128,17 +123,15 @@ def smooth_within(values: Array, step_s: float, window_s: float, tolerance: floa
 def refine_interval(
     times_s: Array, values: Array, seen: tuple[float, float], tolerance: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Refine the motion's interval from the values along the touch of a hand that holds the part.
+    """First time at which the value differs from its first level, last time at which it differs from its last one.
 
     Args:
-        times_s: Dense times (T,) from touch to release, [s].
-        values: Joint values (T,), smooth.
+        times_s, values: Dense times [s] from touch to release of a hand that holds the part, and smooth joint values (T,).
         seen: Start and end as seen in the picture, [s].
-        tolerance: Difference that counts as motion, `LEAVE_RAD` or `LEAVE_M`.
+        tolerance: Difference that counts as motion, see `find_motion_tolerance`.
 
     Returns:
-        The interval (first time at which the value differs from its first level, last time at which
-        it differs from its last level), and these two levels.
+        These times, and the two levels.
     """
     start_s, end_s = seen
     first_level, last_level = np.interp(seen, times_s, values)
@@ -172,7 +165,7 @@ class TouchObservation:
     """What the video shows of the two ends.
 
     Attributes:
-        times_s: Times of the frames of the touch (T,), [s].
+        times_s: Times of the frames of the touch, [s].
         seen: The part's departures in them.
         noise: Standard deviation of a still part's departure.
     """
@@ -195,12 +188,11 @@ def follow_pushed_part(
     """Follow a part by the value that the hand's way would give it.
 
     Args:
-        times_s: Dense times of the touch (T,), [s].
-        values: The joint value if the hand held the part all the time (T,), smooth, growing in the
-            demonstrated direction.
+        times_s, values: Dense times of the touch [s], and the joint value if the hand held the part all the time (T,),
+            smooth, growing in the demonstrated direction.
         hand: The touching point (T, 3) in the world, and as it would be seen from the part if it held it, [m].
         seen_s: A first guess of start and end, [s]; the hand pushes at their middle.
-        leave: Change of the value at which a motion has begun, `LEAVE_RAD` or `LEAVE_M`.
+        leave: Change of the value at which a motion has begun, see `find_motion_tolerance`.
         picture: Of the touch.
     """
     middle = int(np.argmin(np.abs(times_s - sum(seen_s) / 2)))
@@ -241,10 +233,7 @@ def sample_at_frames(frame_times_s: Array, trajectory: ValueTrajectory, toleranc
     The interval begins when the value has left its first level by a tolerance. On the way there, from the
     last moment at that level on, the value is what the hand shows; so it is up to the last level.
 
-    Args:
-        frame_times_s: Video frame times (F,).
-        trajectory: Along the touch.
-        tolerance: `LEAVE_RAD` or `LEAVE_M`.
+    `tolerance`: see `find_motion_tolerance`.
     """
     times, values = trajectory.times_s, trajectory.values
     start_s, end_s = trajectory.interval

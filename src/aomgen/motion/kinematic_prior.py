@@ -22,12 +22,12 @@ class KinematicPrior:
 
     Attributes:
         joint: World frame; value 0 is the scanned state.
-        held_world: Held point when the motion begins (3,), [m].
-        covariance: Of `shift_joint`'s numbers (n, n): tilt [rad] and, if revolute, shift [m].
+        held_world: Held point when the motion begins, [m].
+        covariance: Of `shift_joint`'s numbers: tilt [rad] and, if revolute, shift [m].
         interval: First and last moment of the motion, [s].
-        times_s: Video frame times (T,).
-        thetas: Values (T,), [rad] or [m].
-        theta_sd: Their standard deviation (T,) if the joint is exact.
+        times_s: Of the video's frames.
+        thetas: Values, [rad] or [m].
+        theta_sd: Their standard deviation if the joint is exact.
     """
 
     joint: Joint
@@ -40,11 +40,29 @@ class KinematicPrior:
 
     __post_init__ = freeze_arrays
 
+    @staticmethod
+    def of(demo: MotionInput, estimate: MotionEstimate, lines: tuple[Array, Array]) -> "KinematicPrior":
+        """An estimate of a demonstration; `lines`: equally likely axes (S, 3) and points on them (S, 3) [m]."""
+        joint, held = estimate.joint, apply(demo.ee_poses_at([estimate.start_s]), estimate.grasp_ee)[0]
+        prior = KinematicPrior(
+            joint=joint,
+            held_world=held,
+            covariance=compute_line_covariance(joint, _find_pivot(joint, held), lines),
+            interval=(estimate.start_s, estimate.end_s),
+            times_s=estimate.times_s,
+            thetas=estimate.thetas,
+            theta_sd=estimate.theta_sd,
+        )
+        lever = prior.value_lever()
+        by_joint = np.einsum("ti,ij,tj->t", lever, prior.covariance, lever)
+        # What is left without the joint's error, and never nothing.
+        own = np.maximum(estimate.theta_sd**2 - by_joint, estimate.theta_sd**2 / 9)
+        return replace(prior, theta_sd=np.sqrt(own))
+
     @property
     def pivot(self) -> Array:
         """Point of the axis nearest the held point (3,), world frame, [m]."""
-        joint = self.joint
-        return joint.origin + joint.axis * ((self.held_world - joint.origin) @ joint.axis)
+        return _find_pivot(self.joint, self.held_world)
 
     def value_lever(self) -> Array:
         """Derivatives (T, n) of the values by `shift_joint`'s numbers, the held point's path being fixed.
@@ -60,38 +78,16 @@ class KinematicPrior:
         return lever
 
 
+def _find_pivot(joint: Joint, held_world: Array) -> Array:
+    return joint.origin + joint.axis * ((held_world - joint.origin) @ joint.axis)
+
+
 def shift_joint(joint: Joint, pivot: Array, x: Array) -> Joint:
     """A joint tilted by x[:2] [rad] and, if revolute, moved by x[2:4] [m] across its axis at `pivot` (3,)."""
     tangents = make_tangent_basis(joint.axis)
     axis = joint.axis + x[:2] @ tangents
     offset = x[2:4] @ tangents if joint.type == "revolute" else np.zeros(3)
     return replace(joint, axis=axis / np.linalg.norm(axis), origin=pivot + offset)
-
-
-def make_kinematic_prior(
-    demo: MotionInput, estimate: MotionEstimate, lines: tuple[Array, Array]
-) -> KinematicPrior:
-    """An estimate as a prior.
-
-    Args:
-        demo: What the estimate was made from.
-        estimate: By the gripper's path.
-        lines: Equally likely axes (S, 3) and points on them (S, 3) [m], world frame.
-    """
-    prior = KinematicPrior(
-        joint=estimate.joint,
-        held_world=apply(demo.ee_poses_at([estimate.start_s]), estimate.grasp_ee)[0],
-        covariance=_LEAST_VARIANCE * np.eye(4 if estimate.joint.type == "revolute" else 2),
-        interval=(estimate.start_s, estimate.end_s),
-        times_s=estimate.times_s,
-        thetas=estimate.thetas,
-        theta_sd=estimate.theta_sd,
-    )
-    covariance = compute_line_covariance(prior.joint, prior.pivot, lines)
-    by_joint = np.einsum("ti,ij,tj->t", prior.value_lever(), covariance, prior.value_lever())
-    # What is left without the joint's error, and never nothing.
-    own = np.maximum(estimate.theta_sd**2 - by_joint, estimate.theta_sd**2 / 9)
-    return replace(prior, covariance=covariance, theta_sd=np.sqrt(own))
 
 
 def compute_line_covariance(joint: Joint, pivot: Array, lines: tuple[Array, Array]) -> Array:

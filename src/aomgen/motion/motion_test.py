@@ -1,27 +1,29 @@
-"""Whether the part moved at all: the picture's change and the gripper's pull weighed together.
+"""Whether a part moved at all, and whether it was the prompted one.
 
 The scene is drawn with the part where the gripper would have taken it, and what changes in these drawings is
 compared with what changes in the video. A part that follows changes the video just so, one that stands does
 not, whatever shadows or the exposure do; changes of less than a pixel count.
+
+Prompts say which part moves. People swap parts, or draw boxes around the body or another object; the
+demonstration then contradicts them twice, by where the fingers closed and by what changed in the video.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.conventions import MOVING, ROBOT
+from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.values import Array
-from aomgen.errors import NoMotionError
-from aomgen.motion.onset import STILL_M
-from aomgen.splatting.rasterizer import RigidParts
+from aomgen.errors import NoMotionError, WrongPromptError
+from aomgen.motion.inputs import NEAR_M, GripperSignals, TouchInterval, find_touch
+from aomgen.motion.keyframes import STILL_M, count_reference_frames, measure_change
+from aomgen.splatting.rasterizer import RigidParts, render
 from aomgen.splatting.session import RenderSession
 
-# Fingers that stay farther away touch nothing, whatever the alignment's error, [m].
-_NEAR_M = 0.10
-# A standing part's picture changes all the same, by shadows of the arm: mean share.
+# A standing part's picture changes all the same, by shadows of the arm and of the part: mean share.
 _SHADOWS = 0.05
 # Change alone never convinces beyond these log odds, 20 to 1: shadows come in all sizes.
 _MOST = 3.0
@@ -34,6 +36,13 @@ _DRAWINGS = 12
 _CUT = 60.0
 # Noise of one pixel's difference, 8 bit; neighbors share it over about as many pixels.
 _NOISE, _SHARED = 3.0, 9.0
+# Reconstructed surfaces are off by this much where they are thin, as handles are, [m].
+_SURFACE_M = 0.01
+# A part that shows fewer pixels than this tells nothing about change.
+_MIN_PIXELS = 30
+# Odds below which prompts are doubted, and below whose inverse they are refused. On captures with right
+# prompts the odds are 5 and more; swapped ones reach 0.15, boxes around the whole object 0.5.
+MIN_ODDS = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,11 +92,11 @@ class MotionEvidence:
         Raises:
             NoMotionError: The gripper never comes near, or the part does not move.
         """
-        if not self.nearest_m <= _NEAR_M:
+        if not self.nearest_m <= NEAR_M:
             raise NoMotionError(
                 "demonstration video",
                 f"the hand never touches the part: it stays {100 * self.nearest_m:.0f} cm away, "
-                f"limit {100 * _NEAR_M:.0f} cm",
+                f"limit {100 * NEAR_M:.0f} cm",
                 "check the 'moving' prompts, and that video and joint log show the same demonstration",
             )
         if self.log_likelihood_ratio > 0:
@@ -115,16 +124,15 @@ def estimate_following(
 
     Args:
         scene, labels: As scanned, with the part at the place that it has in the first frame.
-        camera: Of the frames.
-        frames_srgb: (T, H, W, 3), one exposure, without bad frames.
-        hidden: Where the robot is (T, H, W).
-        Ts_world_ee: The end effector (T, 4, 4).
+        camera, frames_srgb: Frames (T, H, W, 3) of one exposure, without bad ones.
+        hidden, Ts_world_ee: Where the robot is (T, H, W), and the end effector (T, 4, 4).
 
     Not checked: how the gripper turns in its hold. The part is drawn turning with it and not turning
     at all, and the better drawing counts.
     """
+    nothing = FollowingEstimate(share=0.0, sd=float(np.inf))
     if len(frames_srgb) < 3:
-        return FollowingEstimate(share=0.0, sd=float(np.inf))
+        return nothing
     session = RenderSession(scene.select((labels != MOVING) & (labels != ROBOT)), camera)
     moving = scene.select(labels == MOVING)
     first = _draw(session, moving, np.eye(4))
@@ -141,7 +149,7 @@ def estimate_following(
             sums[row] += np.sum(observed * change), np.sum(change**2)
     together, alone = max(sums, key=lambda row: row[0] / np.sqrt(max(row[1], 1e-9)))
     if not alone > 0:
-        return FollowingEstimate(share=0.0, sd=float(np.inf))
+        return nothing
     return FollowingEstimate(share=float(together / alone), sd=float(_NOISE * np.sqrt(_SHARED / alone)))
 
 
@@ -149,3 +157,127 @@ def _draw(session: RenderSession, moving: Gaussians, T: Array) -> NDArray[np.flo
     """The scene (H, W, 3), 0..255, with the part moved by a transform."""
     parts = RigidParts(indices=np.zeros(len(moving), np.int32), Ts_world_part=T[None])
     return 255 * session.draw(moving, parts).rgb
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CandidateEvidence:
+    """What the demonstration shows of one part at its scanned place.
+
+    Attributes:
+        gap_m: Distance of the fingers from it when they took hold, [m].
+        changed: Share of its visible pixels that look different after the touch.
+    """
+
+    gap_m: float
+    changed: float
+
+    @property
+    def weight(self) -> float:
+        """How well the part fits as the one that moved: near the gripper and changed."""
+        return (self.changed + _SHADOWS) / (self.gap_m + _SURFACE_M)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartIdentification:
+    """The three candidates: prompted as moving, prompted as static, everything else.
+
+    Of everything else only the contact speaks; its change is taken to be a standing part's.
+    `gripped`: The gripper closed near one of them.
+    """
+
+    moving: CandidateEvidence
+    static: CandidateEvidence
+    other: CandidateEvidence
+    gripped: bool
+
+    @property
+    def odds(self) -> float:
+        """How many times better "moving" fits than the better of its rivals."""
+        return self.moving.weight / max(self.static.weight, self.other.weight, 1e-9)
+
+    def check(self) -> None:
+        """Refuse prompts that the demonstration contradicts.
+
+        Raises:
+            WrongPromptError: Another part fits clearly better.
+        """
+        if self.odds * MIN_ODDS >= 1.0:
+            return
+        near = f"the fingers closed {1e3 * self.moving.gap_m:.0f} mm from 'moving' and "
+        changed = f"the video changed {100 * self.moving.changed:.0f} % of 'moving'"
+        if self.static.weight >= self.other.weight:
+            raise WrongPromptError(
+                "prompts of the moving part",
+                f"what the hand moved is the part prompted as 'static': {near}{1e3 * self.static.gap_m:.0f} mm "
+                f"from 'static', and {changed} and {100 * self.static.changed:.0f} % of 'static'",
+                "in capture.toml, swap the boxes of 'moving' and 'static', or draw 'moving' around the door or "
+                "drawer alone",
+            )
+        raise WrongPromptError(
+            "prompts of the moving part",
+            f"what the hand moved is neither part: {near}{1e3 * self.other.gap_m:.0f} mm from something "
+            f"unprompted, and {changed}",
+            "in capture.toml, draw 'moving' around the part that the robot moves and 'static' around the rest of it",
+        )
+
+
+def list_warnings(odds: float) -> list[str]:
+    """Sentences about prompts that the demonstration does not clearly confirm."""
+    if odds >= MIN_ODDS:
+        return []
+    return [
+        f"contact and video fit the part prompted as 'moving' only {odds:.1f} times as well as anything else, "
+        f"want {MIN_ODDS:.0f}; check its boxes in capture.toml"
+    ]
+
+
+def identify_part(
+    regions: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    signals: GripperSignals,
+    rival_distances_m: tuple[Array, Array],
+    frames_srgb: NDArray[np.uint8],
+    robot: NDArray[np.bool_],
+) -> PartIdentification:
+    """Look at contact and change of the three candidates.
+
+    Args:
+        regions: Pixels of the moving and of the static part, see `find_visible_regions`.
+        signals, rival_distances_m: The hand at the frames' times, and its distances to the static part and to everything
+            else (T,), [m].
+        frames_srgb, robot: Small frames of the demonstration (T, H, W, 3), and the robot's masks (T, H, W) in them.
+
+    Source: AOMGen, sec. 4.1: the movable part is the one that the gripper touches.
+    Not checked: that the prompted box holds the whole part.
+    """
+    distances = np.stack([signals.distances_m, *rival_distances_m])
+    touch = _find_touch(signals, distances.min(0))
+    change, seen = measure_change(frames_srgb, robot, touch, count_reference_frames(signals.times_s))
+    shares = [
+        float(change[region & seen].mean()) if np.sum(region & seen) >= _MIN_PIXELS else _SHADOWS
+        for region in regions
+    ]
+    gaps = distances[:, touch.first] if touch.gripped else distances.min(1)
+    moving, static, other = (
+        CandidateEvidence(gap_m=float(gap), changed=changed)
+        for gap, changed in zip(gaps, (*shares, _SHADOWS), strict=True)
+    )
+    return PartIdentification(moving=moving, static=static, other=other, gripped=touch.gripped)
+
+
+def _find_touch(signals: GripperSignals, nearest_m: Array) -> TouchInterval:
+    """The grasp near the prompted part, else near anything; the whole video for grippers that do not grasp."""
+    for candidate in (signals, replace(signals, distances_m=nearest_m)):
+        touch = find_touch(candidate)
+        if touch.gripped:
+            return touch
+    return TouchInterval(first=0, last=len(nearest_m) - 1, gripped=False)
+
+
+def find_visible_regions(
+    scene: Gaussians, labels: NDArray[np.uint8], camera: Camera
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Pixels (H, W) that show mostly the moving part, and those that show mostly the static part."""
+    bare = labels != ROBOT
+    parts = np.stack([labels == MOVING, labels == STATIC], 1)[bare].astype(np.float32)
+    shown = np.asarray(render(scene.select(bare), camera, features=parts).features)
+    return shown[..., 0] > 0.5, shown[..., 1] > 0.5

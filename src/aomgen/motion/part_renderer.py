@@ -1,9 +1,12 @@
-"""The video around the moving part, and the part painted with what the video shows of it at rest.
+"""The video around the moving part, compared with the part painted with what the video shows of it at rest.
 
 The scan knows the part's shape; its colors under the video's light and exposure are read from the video
 before the motion. So neither the scan's exposure nor a constant error of the camera's pose counts as motion.
+A frame's picture depends on at most five numbers (axis 2, origin 2, value 1), so its derivatives are
+five more drawings: as cheap as one backward pass of the engine, and every pixel's derivative by every unknown.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,12 +17,12 @@ from aomgen.conventions import MOVING, ROBOT, luma_from_srgb
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.joint import Joint
-from aomgen.core.robust import masked_median
+from aomgen.core.robust import masked_median, regress, regress_robustly, weigh
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.motion.filters import dilate
 from aomgen.motion.inputs import MotionInput
+from aomgen.motion.keyframes import widen
 from aomgen.robots.silhouette import MasksAt
 from aomgen.splatting.rasterizer import RigidParts, contribution_weights, render
 
@@ -33,16 +36,18 @@ _PAINT_ROUNDS = 10
 _SEEN_WEIGHT = 0.02
 # Frames at rest whose median is the picture that is painted: noise falls to a third.
 _REST_FRAMES = 9
+# A grey level: no residual is trusted to be smaller, 0..1.
+_NOISE_FLOOR = 1 / 255
+# A joint and a value of it.
+JointState = tuple[Joint, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartRendering:
-    """The part as drawn at one joint value.
+    """The part as drawn at one joint value, images (H, W), 0..1.
 
-    Attributes:
-        luma: Blended luma (H, W), not divided by alpha, 0..1.
-        alpha: Coverage by the part (H, W), 0..1, what stands before it left out.
-        painted: Coverage by those of its Gaussians that the video shows at rest (H, W), 0..1.
+    Blended luma, not divided by alpha; coverage by the part, what stands before it left out; and coverage by those
+    of its Gaussians that the video shows at rest.
     """
 
     luma: FloatImage
@@ -60,7 +65,7 @@ class PartRenderer:
         luma: Their luma (N, H, W), 0..1.
         hidden: Robot with a margin (N, H, W).
         scene: Gaussians in the crop without the robot, degree 0.
-        parts: 0 what stands, 1 the moving part (G,).
+        parts: 0 for what stands, 1 for the moving part (G,).
         features: Luma, part and painted part (G, 3), zero for what stands.
         focus: Middle of the part (3,), world frame, [m].
         reach_m: RMS distance of the part's Gaussians from it, [m].
@@ -99,14 +104,13 @@ def make_part_renderer(
     """Cut the video to the part's way and paint the part.
 
     Args:
-        demo: Video, camera and scene.
-        masks_at: Draws the robot.
+        demo, masks_at: Video, camera and scene; draws the robot.
         joint: Where the part goes, roughly.
         moments: Frames at rest before the motion, frames of the motion, and the largest joint value.
         max_pixels: The crop is scaled to this many pixels at most.
     """
     resting, moving, largest = moments
-    chosen = resting[np.unique(np.linspace(0, len(resting) - 1, _REST_FRAMES).round().astype(int))]
+    chosen = sample_resting(resting)
     frames = np.unique(np.concatenate([chosen, moving]))
     kept = demo.labels != ROBOT
     scene, moves = demo.scene.select(kept), demo.labels[kept] == MOVING
@@ -127,7 +131,7 @@ def make_part_renderer(
         camera=camera,
         frames=frames,
         luma=luma_from_srgb(np.stack(images)),
-        hidden=np.stack([dilate(mask, _ROBOT_MARGIN_PX)[rows, columns] for mask in masks]),
+        hidden=widen(masks, _ROBOT_MARGIN_PX)[:, rows, columns],
         scene=scene.select(near).with_sh_degree(0),
         parts=moves[near].astype(np.int32),
         features=np.zeros((int(near.sum()), 3), np.float32),
@@ -135,6 +139,11 @@ def make_part_renderer(
         reach_m=float(np.sqrt(((solid - solid.mean(0)) ** 2).sum(1).mean())),
     )
     return replace(renderer, features=_paint(renderer, np.isin(frames, chosen)))
+
+
+def sample_resting(frames: NDArray[np.intp]) -> NDArray[np.intp]:
+    """A few of the frames (N,) at rest, evenly."""
+    return frames[np.unique(np.linspace(0, len(frames) - 1, _REST_FRAMES).round().astype(int))]
 
 
 def _choose_crop(camera: Camera, places: list[Array], max_pixels: int) -> tuple[Camera, tuple[slice, slice]]:
@@ -189,3 +198,104 @@ def find_interior(view: PartRendering, hidden: NDArray[np.bool_]) -> NDArray[np.
     """
     sure = ndimage.binary_opening((view.alpha > 0.9) & (view.painted > 0.8 * view.alpha))
     return np.asarray(ndimage.binary_erosion(sure, iterations=_RIM_PX) & ~hidden, bool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Band:
+    """Which image detail is compared: none finer than `blur_px`, no shading coarser than `wide_px`."""
+
+    blur_px: float
+    wide_px: float
+
+    @property
+    def noise_px(self) -> float:
+        """Pixels that share their noise: a Gaussian blur's area, [px^2]."""
+        return max(1.0, 4 * np.pi * self.blur_px**2)
+
+    @property
+    def shading_px(self) -> float:
+        """Pixels that may share what the drawing has wrong, [px^2]."""
+        return (2 * self.wide_px) ** 2
+
+
+def linearize_frame(
+    renderer: PartRenderer,
+    frame: int,
+    places: Sequence[JointState],
+    steps: Array,
+    band: Band,
+    shift_sd_px: float,
+) -> tuple[Array, Array, Array] | None:
+    """Residuals (P,) of a video frame, their derivatives (P, m) and weights (P,), 1 / variance, light fitted.
+
+    None where the frame shows too little of the part.
+
+    Args:
+        renderer, frame: The video and the painted part.
+        places: State to compare at, then those with one unknown each changed by its step.
+        steps: The changes (m,).
+        band: Detail that is compared.
+        shift_sd_px: Smooth displacements of the picture by this much are no evidence.
+    """
+    picture, hidden = renderer.at(frame)
+    first, *others = (renderer.draw(*place) for place in places)
+    mask = find_interior(first, hidden)
+    if mask.sum() < band.shading_px:
+        return None
+    changes = [
+        (view.luma - first.luma - picture * (view.alpha - first.alpha)) / step
+        for view, step in zip(others, steps, strict=True)
+    ]
+    slopes = np.gradient(first.luma)
+    light = fit_gain(picture, first, mask, band, [*changes, *slopes])
+    precisions = weigh(light.residuals, light.sd) / light.sd**2
+    derivatives, slopes = np.split(light.others, [len(steps)], axis=1)
+    shift_precision = np.linalg.eigvalsh(slopes.T * precisions @ slopes)[-1]
+    weights = precisions / (band.noise_px + shift_sd_px**2 * shift_precision)
+    return light.residuals, derivatives, weights
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainFit:
+    """The detail (P,) of a picture, and what a drawing at its best gain and offset leaves of it (P,), 0..1.
+
+    `sd`: Of the residuals, robust. `others`: other images' detail (P, M), gain and offset projected out.
+    """
+
+    detail: Array
+    residuals: Array
+    sd: float
+    others: Array
+
+
+def fit_gain(
+    picture: FloatImage,
+    view: PartRendering,
+    mask: NDArray[np.bool_],
+    band: Band,
+    others: Sequence[NDArray[np.floating]] = (),
+) -> GainFit:
+    """Compare a picture (H, W) with a drawing inside a mask, by a robust fit of gain and offset."""
+    images = [picture * view.alpha - view.luma, view.luma, view.alpha, *others]
+    bands = _extract_band(np.stack(images, -1).astype(np.float32), mask, band)
+    light, targets = bands[:, 1:3], np.delete(bands, (1, 2), axis=1)
+    _, weights, sd = regress_robustly(light, targets[:, 0], _NOISE_FLOOR)
+    left = targets - light @ regress(light, targets, weights)
+    return GainFit(detail=bands[:, 0] + bands[:, 1], residuals=left[:, 0], sd=sd, others=left[:, 1:])
+
+
+def _extract_band(images: FloatImage, mask: NDArray[np.bool_], band: Band) -> Array:
+    """Images (H, W, C) without the finest detail and without shading, inside the mask: (P, C).
+
+    Linear in the images, so that residuals and derivatives stay each other's.
+    """
+    inside = mask[..., None].astype(np.float32)
+    fine, coarse = (
+        _blur(images * inside, sigma) / np.maximum(_blur(inside, sigma), 1e-3)
+        for sigma in (band.blur_px, float(np.hypot(band.blur_px, band.wide_px)))
+    )
+    return np.asarray((fine - coarse)[mask], np.float64)
+
+
+def _blur(images: FloatImage, sigma: float) -> FloatImage:
+    return np.asarray(ndimage.gaussian_filter(images, (sigma, sigma, 0), mode="constant", truncate=3))

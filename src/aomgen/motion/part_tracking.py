@@ -21,16 +21,17 @@ from aomgen.core.robust import masked_median, regress_robustly
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.io.images import resize
-from aomgen.motion.filters import dilate
 from aomgen.motion.inputs import MotionInput
+from aomgen.motion.keyframes import widen
+from aomgen.motion.part_renderer import sample_resting
 from aomgen.motion.photometric import SETTLED_S
 from aomgen.robots.silhouette import MasksAt, robot_masks
 from aomgen.splatting.rasterizer import RigidParts, render
 
 # Frames wider than this are reduced, [px].
 _WIDTH = 640
-# Frames that are looked at: at rest, along the way, and at its end.
-_REST_FRAMES, _WAY_FRAMES, _END_FRAMES = 9, 9, 4
+# Frames that are looked at along the way, and at its end.
+_WAY_FRAMES, _END_FRAMES = 9, 4
 # Margin around the robot's masks, and width of the blur against noise and compression, [px].
 _ROBOT_MARGIN_PX, _BLUR_PX = 5, 1.0
 # Noise of a pixel's color, 0..1, compression and slight shading included.
@@ -56,9 +57,7 @@ _HELD_LOG_ODDS = 4.0
 def compute_log_likelihood_ratio(demo: MotionInput, motion: MotionEstimate) -> Array:
     """Natural logarithm (G,) of how much likelier the demonstration is if a Gaussian moves than if it stands.
 
-    Args:
-        demo: Video, log, and the scene with its present labels.
-        motion: Found with these labels.
+    `motion`: Found with the present labels.
 
     Not checked: that the motion is right. A wrong one moves nothing that looks alike elsewhere.
     """
@@ -92,18 +91,16 @@ def track_log_likelihood_ratio(
     """As `compute_log_likelihood_ratio` (G,), by the video alone; 0 for what it does not show.
 
     Args:
-        demo: Video, and the scene with its present labels.
-        joint: How the part moves.
-        thetas: Its values at the video's frames (T,).
+        demo, masks_at: Video, and the scene with its present labels; draws the robot.
+        joint, thetas: How the part moves, with values at the video's frames (T,).
         start_s: First moment of the motion, video clock.
-        masks_at: Draws the robot.
     """
     times = demo.video.times_s
     result = np.zeros(len(demo.scene))
     resting = np.flatnonzero(times < start_s - SETTLED_S)
     if not len(resting):
         return result
-    resting = resting[np.unique(np.linspace(0, len(resting) - 1, _REST_FRAMES).round().astype(int))]
+    resting = sample_resting(resting)
     moved = _choose_frames(times >= start_s, thetas)
     width = min(_WIDTH, demo.camera.width)
     camera = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
@@ -111,7 +108,7 @@ def track_log_likelihood_ratio(
     def read(frames: NDArray[np.intp]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         images = [resize(demo.video.frames_srgb[k], camera.width, camera.height) for k in frames]
         masks = masks_at(times[frames], camera.width, camera.height)
-        return np.stack(images), ~np.stack([dilate(mask, _ROBOT_MARGIN_PX) for mask in masks])
+        return np.stack(images), ~widen(masks, _ROBOT_MARGIN_PX)
 
     stands = np.flatnonzero(demo.labels != ROBOT)
     rest = _RestState.of(demo.scene.select(stands), demo.labels[stands] == MOVING, camera, *read(resting))
@@ -146,12 +143,7 @@ class _Appearance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _RestState:
-    """The scene without the robot (N Gaussians) as the video shows it at rest.
-
-    Attributes:
-        normals: (N, 3), towards the camera.
-        moving: Present labels (N,).
-    """
+    """The scene without the robot as the video shows it at rest; normals (N, 3) look towards the camera."""
 
     scene: Gaussians
     camera: Camera

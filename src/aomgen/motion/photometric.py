@@ -11,12 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.joint import Joint
-from aomgen.core.motion import MotionEstimate
+from aomgen.core.robust import OUTLIER_SD, weigh
 from aomgen.core.values import Array
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.kinematic_prior import KinematicPrior, shift_joint
-from aomgen.motion.part_renderer import PartRenderer, make_part_renderer
-from aomgen.motion.photometric_residuals import Band, Comparison, JointMotion, compare_frames, linearize_frame
+from aomgen.motion.part_renderer import (
+    Band,
+    JointState,
+    PartRenderer,
+    find_interior,
+    fit_gain,
+    linearize_frame,
+    make_part_renderer,
+)
 from aomgen.robots.silhouette import MasksAt
 
 # Time from the motion after which, and before which, the part surely rests, [s].
@@ -38,6 +45,8 @@ _ALIKE_SHARE, _ROUGHNESS = 0.5, 0.05
 _DISTORTION_PX, _DISTORTIONS = 0.1, 2
 # Change of the picture by which derivatives are measured, [px].
 _STEP_PX = 0.5
+# A joint, and its values at the video's frames (T,).
+JointMotion = tuple[Joint, Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,42 +68,27 @@ class PhotometricParams:
     )
 
 
+DEFAULTS = PhotometricParams()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricFrames:
-    """The video around the painted part: frames that answers are fitted to (N,), and that judge them (M,)."""
+    """The video around the painted part: frames that answers are fitted to, and that judge them."""
 
     renderer: PartRenderer
     fitted: NDArray[np.intp]
     held_out: NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotometricRefinement:
-    """The answer after the video was asked: the prior as it was where `reason` says why it stays."""
-
-    answer: KinematicPrior
-    reason: str = ""
-
-
 def select_frames(
-    demo: MotionInput, masks_at: MasksAt, prior: KinematicPrior, params: PhotometricParams | None = None
+    demo: MotionInput, masks_at: MasksAt, prior: KinematicPrior, params: PhotometricParams = DEFAULTS
 ) -> PhotometricFrames | None:
-    """Read the video; None where it shows too little of the part before or during the motion.
-
-    Args:
-        demo: Video, camera, and the scene as scanned.
-        masks_at: Draws the robot.
-        prior: Where and when the part goes, roughly.
-        params: See there.
-    """
-    params = params or PhotometricParams()
+    """Read the video by where and when the part goes, roughly; None where it shows too little before or during that."""
     fitted, held_out, resting = choose_frames(prior, params.knots)
     if len(fitted) < _MIN_FRAMES or len(resting) < _MIN_RESTING:
         return None
-    moving = np.concatenate([fitted, held_out])
-    renderer = make_part_renderer(
-        demo, masks_at, prior.joint, (resting, moving, float(prior.thetas.max())), params.max_pixels
-    )
+    moments = resting, np.concatenate([fitted, held_out]), float(prior.thetas.max())
+    renderer = make_part_renderer(demo, masks_at, prior.joint, moments, params.max_pixels)
     return PhotometricFrames(renderer=renderer, fitted=fitted, held_out=held_out)
 
 
@@ -121,73 +115,27 @@ def choose_frames(
     return chosen[1::2], chosen[::2], resting
 
 
-def refine_estimate(
-    seen: PhotometricFrames | None,
-    estimate: MotionEstimate,
-    prior: KinematicPrior,
-    params: PhotometricParams | None = None,
-) -> MotionEstimate:
-    """The estimate with joint, values and their errors refined on the video, or as it was.
-
-    Args:
-        seen: The video as read for this answer.
-        estimate: By the gripper's path.
-        prior: The same as a prior.
-        params: See there.
-    """
-    refined = refine(seen, prior, params)
-    if refined.reason:
-        return estimate
-    answer = refined.answer
-    tilt, shift = answer.covariance[:2, :2], answer.covariance[2:, 2:]
-    return replace(
-        estimate,
-        joint=answer.joint,
-        thetas=answer.thetas,
-        theta_sd=answer.theta_sd,
-        axis_sd_rad=float(np.sqrt(np.trace(tilt))),
-        origin_sd_m=float(np.sqrt(np.trace(shift))),
-        axis_ci95_rad=find_radius_95(tilt),
-        origin_ci95_m=find_radius_95(shift) if len(shift) else 0.0,
-    )
-
-
-def find_radius_95(covariance: Array) -> float:
-    """Radius around the mean that holds 95 % of a normal distribution in the plane, covariance (2, 2)."""
-    draws = np.random.default_rng(0).multivariate_normal(np.zeros(2), covariance, 4000)
-    return float(np.percentile(np.linalg.norm(draws, axis=1), 95))
-
-
 def refine(
-    seen: PhotometricFrames | None, prior: KinematicPrior, params: PhotometricParams | None = None
-) -> PhotometricRefinement:
-    """Ask the video about joint and joint values.
-
-    Args:
-        seen: The video as read for this answer; where it is None the prior stays.
-        prior: First answer.
-        params: See there.
+    seen: PhotometricFrames | None, prior: KinematicPrior, params: PhotometricParams = DEFAULTS
+) -> KinematicPrior | None:
+    """Joint and joint values by the video, starting from the prior; None where held-out frames do not confirm them.
 
     Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: camera
     errors that leave the part at rest where it is.
     """
     if seen is None:
-        return PhotometricRefinement(
-            answer=prior, reason="the video shows too few frames before or during the motion"
-        )
-    bands = (params or PhotometricParams()).bands
+        return None
     problem = _Problem.of(prior, seen.fitted)
-    y, covariance = _solve(problem, seen.renderer, bands)
-    answer = problem.answer(y, covariance)
+    answer = problem.answer(*_solve(problem, seen.renderer, params.bands))
     motions = (prior.joint, prior.thetas), (answer.joint, answer.thetas)
-    reason = _find_objection(compare_frames(seen.renderer, seen.held_out, motions, bands[-1]))
-    return PhotometricRefinement(answer=prior if reason else answer, reason=reason)
+    compared = compare_frames(seen.renderer, seen.held_out, motions, params.bands[-1])
+    return answer if _confirms(compared) else None
 
 
 def compute_type_margin(
     seen: PhotometricFrames | None,
     answers: tuple[JointMotion, JointMotion],
-    params: PhotometricParams | None = None,
+    params: PhotometricParams = DEFAULTS,
 ) -> float:
     """Twice the log evidence of the video for one answer over another; 0 where it cannot tell.
 
@@ -202,27 +150,68 @@ def compute_type_margin(
     """
     if seen is None:
         return 0.0
-    bands = (params or PhotometricParams()).bands
-    compared = compare_frames(seen.renderer, seen.held_out, (answers[1], answers[0]), bands[-1])
+    compared = compare_frames(seen.renderer, seen.held_out, (answers[1], answers[0]), params.bands[-1])
+    return compared.margin if _explains(compared, int(compared.margin > 0)) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """How well two answers explain F frames, over the pixels that both see.
+
+    Attributes:
+        gains: Mean robust cost of the first answer less that of the second (F,), -1..1.
+        explained: Share of the video's detail that is explained (F, 2), 1 at best.
+        squares: Independent squares that were compared (F,).
+    """
+
+    gains: Array
+    explained: Array
+    squares: Array
+
+    @property
+    def margin(self) -> float:
+        """Twice the log evidence of the second answer over the first: each square counts once."""
+        return OUTLIER_SD**2 * float(self.squares @ self.gains)
+
+
+def compare_frames(
+    renderer: PartRenderer, frames: NDArray[np.intp], answers: tuple[JointMotion, JointMotion], band: Band
+) -> Comparison:
+    """Compare two answers at frames (N,); those that show too little of the part are left out."""
+    gains, explained, squares = [], [], []
+    for frame in frames:
+        picture, hidden = renderer.at(frame)
+        views = [renderer.draw(joint, float(thetas[frame])) for joint, thetas in answers]
+        mask = find_interior(views[0], hidden) & find_interior(views[1], hidden)
+        if mask.sum() < band.shading_px:
+            continue
+        lights = [fit_gain(picture, view, mask, band) for view in views]
+        sd = min(light.sd for light in lights)
+        squared = np.stack([light.residuals for light in lights]) ** 2
+        weights = weigh(np.sqrt(squared), sd)
+        detail = np.stack([light.detail for light in lights]) ** 2
+        costs = np.mean(squared / (squared + (OUTLIER_SD * sd) ** 2), axis=1)
+        gains.append(costs[0] - costs[1])
+        explained.append(1 - (weights * squared).sum(1) / np.maximum((weights * detail).sum(1), 1e-12))
+        squares.append(mask.sum() / band.shading_px)
+    explained = np.reshape(explained, (len(squares), 2))
+    return Comparison(gains=np.array(gains), explained=explained, squares=np.array(squares))
+
+
+def _explains(compared: Comparison, answer: int) -> bool:
+    """Whether enough frames show the painted surface, and an answer explains most of its detail."""
     if len(compared.squares) < _MIN_FRAMES:
-        return 0.0
-    better = compared.explained[:, 1 if compared.margin > 0 else 0]
-    return compared.margin if float(np.median(better)) >= _MIN_EXPLAINED else 0.0
+        return False
+    return float(np.median(compared.explained[:, answer])) >= _MIN_EXPLAINED
 
 
-def _find_objection(compared: Comparison) -> str:
-    """Why held-out frames do not confirm the second answer, "" if they do."""
-    count = len(compared.squares)
-    if count < _MIN_FRAMES:
-        return f"{count} held-out frames show the part's painted surface, need {_MIN_FRAMES}"
-    explained = float(np.median(compared.explained[:, 1]))
-    if not explained >= _MIN_EXPLAINED:
-        return f"the painted part explains {explained:.2f} of the video's detail, need {_MIN_EXPLAINED:.2f}"
+def _confirms(compared: Comparison) -> bool:
+    """Whether frames speak for the second answer clearly."""
+    if not _explains(compared, 1):
+        return False
     gains = compared.gains
-    improvement = float(gains.mean() / max(gains.std(ddof=1) / np.sqrt(count), 1e-9))
-    if not improvement >= _ACCEPT_SD:
-        return f"held-out frames improve by {improvement:.1f} standard errors, need {_ACCEPT_SD:.1f}"
-    return ""
+    error = gains.std(ddof=1) / np.sqrt(len(gains))
+    return float(gains.mean() / max(error, 1e-9)) >= _ACCEPT_SD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,7 +220,7 @@ class _Problem:
 
     Attributes:
         prior: First answer, y = 0.
-        frames: (K,), video frames.
+        frames: (K,) of the video.
         lever: Change of the values with the unknowns (T, n + K).
         precision: Of the prior (n + K, n + K).
     """
@@ -262,8 +251,8 @@ class _Problem:
             precision=precision,
         )
 
-    def place(self, z: Array) -> tuple[Joint, float]:
-        """Joint and value of the joint's numbers and a value (n + 1,)."""
+    def place(self, z: Array) -> JointState:
+        """Of the joint's numbers and a value (n + 1,)."""
         return shift_joint(self.prior.joint, self.prior.pivot, z[:-1]), float(z[-1])
 
     def thetas(self, y: Array) -> Array:
@@ -299,9 +288,10 @@ def _solve(problem: _Problem, renderer: PartRenderer, bands: Sequence[Band]) -> 
             places = [problem.place(z + step) for step in np.vstack([0 * steps, np.diag(steps)])]
             seen = linearize_frame(renderer, int(frame), places, steps, band, shift_sd_px)
             if seen is not None:
-                J = seen.derivatives @ np.vstack([np.eye(count, len(y)), problem.lever[frame]])
-                total = total + J.T * seen.weights @ J
-                gradient = gradient + J.T @ (seen.weights * seen.residuals)
+                residuals, derivatives, weights = seen
+                J = derivatives @ np.vstack([np.eye(count, len(y)), problem.lever[frame]])
+                total = total + J.T * weights @ J
+                gradient = gradient + J.T @ (weights * residuals)
         y = y + np.linalg.solve(total, gradient)
     return y, np.asarray(np.linalg.inv(total), np.float64)
 

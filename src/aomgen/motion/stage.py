@@ -14,11 +14,10 @@ from aomgen.core.values import Array
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_json
-from aomgen.motion.estimate import estimate_motion, first_motion
+from aomgen.motion.estimate import MotionParams, estimate_motion, first_motion
 from aomgen.motion.estimates_file import ESTIMATES, REFUSED_MOTION, describe_estimates
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.params import MotionParams
-from aomgen.motion.part_identification import list_warnings
+from aomgen.motion.motion_test import list_warnings
 from aomgen.motion.part_tracking import compute_log_likelihood_ratio
 from aomgen.results import Results
 
@@ -75,12 +74,8 @@ def recover_motion(
 
 
 def motion_input(results: Results, scene: Gaussians, labels: NDArray[np.uint8]) -> MotionInput:
-    """What AOMotion looks at: the first fixed camera's video, the log, and the scan in its parts.
-
-    Args:
-        results: Of a run that is finished up to its alignment.
-        scene: The scan, world frame.
-        labels: Part label of every Gaussian.
+    """What AOMotion looks at in a run that is finished up to its alignment: the first fixed camera's video, the log,
+    and the scan, world frame, with a label of every Gaussian.
 
     Raises:
         SyncError: The clock offset is unknown.

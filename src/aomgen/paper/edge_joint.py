@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from aomgen.core.boxes import OrientedBox, find_upright_axes, fit_box
 from aomgen.core.joint import JointType
 from aomgen.core.values import Array, Vector3, freeze_arrays
-from aomgen.motion.axis_prior import find_face_normal
+from aomgen.motion.part_shape import find_face_normal
 from aomgen.paper.mask_keyframes import Variant
 
 # Points on each edge between which distances are taken; the score is their mean.

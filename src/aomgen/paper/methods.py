@@ -23,9 +23,8 @@ from aomgen.paper.link_boxes import bodies_in_boxes
 from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
 from aomgen.paper.true_part_masks import part_masks
 from aomgen.parts import stage as parts_stage
-from aomgen.parts.label import SEED
+from aomgen.parts.label import SEED, MotionEvidence
 from aomgen.parts.likelihood import PartEvidence
-from aomgen.parts.moving_parts import MotionEvidence
 from aomgen.parts.prompted_images import PromptedImage
 from aomgen.parts.scan_views import ScanView
 from aomgen.results import Results

@@ -11,10 +11,9 @@ from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.errors import InputError
-from aomgen.motion.gripper_signals import read_gripper_signals
-from aomgen.motion.inputs import MotionInput
-from aomgen.motion.opening_direction import infer_direction
-from aomgen.motion.part_identification import MIN_ODDS
+from aomgen.motion.inputs import MotionInput, read_gripper_signals
+from aomgen.motion.motion_test import MIN_ODDS
+from aomgen.motion.part_shape import infer_direction
 from aomgen.paper.contact_points import NearestPair, contact_path, nearest_pair
 from aomgen.paper.edge_joint import PairWeights, box_joint
 from aomgen.paper.joint_values import recovered_thetas
@@ -148,7 +147,7 @@ def _assemble(
 
 
 def _curve(demo: MotionInput, scored: Scores) -> MotionCurve:
-    signals = read_gripper_signals(demo.robot, demo.log, demo.points_moving, demo.video.times_s)
+    signals = read_gripper_signals(demo, demo.video.times_s)
     return MotionCurve(
         times_s=demo.video.times_s,
         scores=scored.scores,

@@ -8,13 +8,12 @@ covers is taken for its shadow, and where it moved along its own place its textu
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from aomgen.core.robust import SD_OF_MAD
-from aomgen.core.values import Array
+from aomgen.core.robust import SD_OF_MAD, masked_median
 from aomgen.io.images import resize
-from aomgen.motion.filters import close_gaps, dilate, keep_touching
 from aomgen.motion.inputs import MotionInput
-from aomgen.motion.keyframes import find_part_region
+from aomgen.motion.keyframes import find_part_region, keep_touching, widen
 from aomgen.paper.mask_keyframes import PartMasks
 from aomgen.robots.silhouette import robot_masks
 
@@ -59,20 +58,19 @@ def changed_masks(
 
     Not checked: what the robot hid in all of these counts as never changed.
     """
-    hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot])
-    bare = np.where(hidden[:still, ..., None], np.nan, frames_srgb[:still].astype(np.float32))
-    known = np.asarray(~hidden[:still].all(0))
-    bare[:, ~known] = 0
-    reference = np.nanmedian(bare, axis=0)
+    hidden = widen(robot, ROBOT_MARGIN_PX)
+    reference, known = masked_median(frames_srgb[:still], ~hidden[:still])
     masks = np.empty(robot.shape, bool)
     for k, frame in enumerate(frames_srgb):
         compared = known & ~hidden[k]
         changed = compared & _changed(frame, reference, compared)
-        masks[k] = keep_touching(close_gaps((region & ~changed) | (changed & ~region), 1), region) & ~robot[k]
+        masks[k] = keep_touching(ndimage.binary_closing(region ^ changed), region) & ~robot[k]
     return masks
 
 
-def _changed(frame: NDArray[np.uint8], reference: Array, compared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _changed(
+    frame: NDArray[np.uint8], reference: NDArray[np.float32], compared: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Pixels (H, W) that differ by more than noise, and by more than the brightness of their color."""
     picture = frame.astype(np.float32)
     shade = (picture * reference).sum(-1) / np.maximum((reference**2).sum(-1), 1.0)

@@ -1,23 +1,26 @@
 """Which part every Gaussian belongs to: robot, static part, moving part or background.
 
 Source: AOMGen, sec. 4.1. The robot needs no segmenter: its masks are drawn from the aligned model. The
-object's parts come from one labelling of all evidence (`evidence`, `labelling`): boxes fitted to prompts
-and masks, the masks themselves, and what the demonstration shows of each Gaussian.
+object's parts come from one smooth labelling of all evidence: boxes fitted to prompts and masks, the masks
+themselves, and what the demonstration shows of each Gaussian. Labels give a motion, and the motion tells which
+Gaussians move, in turn.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians
 from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.parts import Cut, Parts, no_cut
+from aomgen.core.progress import Progress
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError, WrongPromptError
-from aomgen.parts.cutting import cut_at_faces
 from aomgen.parts.likelihood import (
     LABELS,
     PartEvidence,
@@ -26,21 +29,36 @@ from aomgen.parts.likelihood import (
     prompted_evidence,
     surface_views,
 )
+from aomgen.parts.panel import STAGE, cut_at_faces
+from aomgen.parts.panel_views import iou
 from aomgen.parts.prompted_images import PromptedImage, PromptFit
 from aomgen.parts.scan_views import ScanView, spread
-from aomgen.parts.smoothing import smooth_posterior
 
-STAGE = "parts"
 # Of the robot's surface points and of the panel's search: the same draws in every round, so that rounds differ
 # by their evidence alone.
 SEED = 0
-# Views in which the boxes are drawn to label what they show.
-DRAWN_VIEWS = 20
 # Fewest Gaussians of a usable part.
 MIN_GAUSSIANS = 50
 # Parts of one object touch: this share of the moving part's diagonal between them is too much (0.03 on
 # captures with right prompts, 0.6 and more with boxes around a neighbor).
 MAX_APART_SHARE = 0.2
+# Logarithm of how much more likely the demonstration is if a Gaussian (N,) moves than if it stands still, given all
+# Gaussians and their labels; None where it tells no motion with these labels.
+MotionEvidence = Callable[[Gaussians, NDArray[np.uint8]], Array | None]
+# Most rounds, and overlap of the moving part (IoU) from which another round would not change it.
+MAX_ROUNDS, SETTLED_IOU = 2, 0.95
+# A demonstration that takes more than this share away from the prompted part contradicts the prompts: that is
+# for the motion stage to say, with labels as the prompts have them.
+MIN_KEPT = 0.5
+# Neighbours of a Gaussian in the graph: those around it on a surface.
+NEIGHBORS = 10
+# Coupling of two touching neighbors of one color, log odds; and the share of it that is left across an edge
+# in color.
+COUPLING, ACROSS_EDGE = 0.6, 0.2
+# Distance over which points are one surface, [m]; and over which colors are one, of 0..1.
+REACH_M, COLOR_SD = 0.01, 0.08
+# Mean-field iterations: labels can spread over as many neighbourhoods.
+ITERATIONS = 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,17 +94,14 @@ def segment_scan(
     Args:
         gaussians: The scan, world frame.
         views: Scan images with drawn robot masks, world frame, held-out ones left out.
-        bodies: (N,) robot bodies, see `label_robot`.
-        prompted: Answers to the prompts, see `segment_prompts`.
-        given: Evidence of the object's parts by another method than boxes.
+        bodies, prompted, given: See `PromptedScan`.
     """
-    surfaces = [] if given else surface_views(gaussians, spread(views, DRAWN_VIEWS))
     return PromptedScan(
         gaussians=gaussians,
         cut=no_cut(gaussians),
         bodies=bodies,
         prompted=prompted,
-        surfaces=surfaces,
+        surfaces=[] if given else surface_views(gaussians, spread(views)),
         given=given,
     )
 
@@ -108,12 +123,9 @@ def part_evidence(scan: PromptedScan, motion_log_odds: Array | None = None) -> P
 def cut_scan(
     scan: PromptedScan, evidence: PartEvidence, motion_log_odds: Array | None
 ) -> tuple[PromptedScan, PartEvidence]:
-    """The scan cut where faces of the fitted boxes pass through Gaussians, and evidence of all pieces.
+    """The scan cut where faces of the fitted boxes, if any, pass through Gaussians, and evidence of all pieces.
 
-    Args:
-        scan: Not cut yet.
-        evidence: See `part_evidence`; without boxes nothing is cut.
-        motion_log_odds: As they went into the evidence.
+    Args: as they went into `part_evidence`, and what came out.
     """
     if evidence.panel is None:
         return scan, evidence
@@ -173,3 +185,70 @@ def _check(gaussians: Gaussians, labels: NDArray[np.uint8]) -> None:
             f"{1e3 * MAX_APART_SHARE * size:.0f} mm), so it is another object",
             "in capture.toml, draw 'static' around the body that the moving part hangs on",
         )
+
+
+def find_moving_parts(scan: PromptedScan, motion_evidence: MotionEvidence, progress: Progress) -> Parts:
+    """Label all Gaussians by the prompts and by the demonstration.
+
+    Args:
+        scan: Prompts, masks and surfaces.
+        motion_evidence: What the demonstration says, given Gaussians, world frame, and their labels.
+        progress: Called after each round.
+
+    Raises:
+        ReconstructionError, WrongPromptError: See `find_parts`.
+    """
+    prompted = evidence = part_evidence(scan)
+    log_odds = None
+    labels = find_parts(scan, prompted).labels
+    first = moves = labels == MOVING
+    progress(0.3, "boxes fitted to the prompts")
+    for round_ in range(MAX_ROUNDS):
+        shown = motion_evidence(scan.gaussians, labels)
+        if shown is None:
+            break
+        new_evidence = part_evidence(scan, shown)
+        labels = find_parts(scan, new_evidence).labels
+        before, moves = moves, labels == MOVING
+        if not np.mean(moves[first]) >= MIN_KEPT:
+            evidence, log_odds = prompted, None
+            break
+        evidence, log_odds = new_evidence, shown
+        progress(0.3 + 0.6 * (round_ + 1) / MAX_ROUNDS, f"demonstration looked at, round {round_ + 1}")
+        if iou(before, moves) >= SETTLED_IOU:
+            break
+    return find_parts(*cut_scan(scan, evidence, log_odds))
+
+
+def smooth_posterior(points: ArrayLike, colors: ArrayLike, log_likelihoods: Array) -> Array:
+    """Probability (N, L) of each label at each point.
+
+    Args:
+        points: (N, 3), [m].
+        colors: (N, 3), 0..1.
+        log_likelihoods: (N, L), of all evidence about a point alone.
+    """
+    coupling = _coupling(np.asarray(points, np.float64), np.asarray(colors, np.float64))
+    posterior = _normalize(log_likelihoods)
+    for _ in range(ITERATIONS):
+        posterior = _normalize(log_likelihoods + coupling @ posterior)
+    return posterior
+
+
+def _coupling(points: Array, colors: Array) -> csr_matrix:
+    count = min(NEIGHBORS, len(points) - 1)
+    if count < 1:
+        return csr_matrix((len(points), len(points)))
+    distances, nearest = cKDTree(points).query(points, k=count + 1)
+    distances, nearest = distances[:, 1:], nearest[:, 1:]
+    contrast = np.linalg.norm(colors[:, None] - colors[nearest], axis=2)
+    alike = ACROSS_EDGE + (1 - ACROSS_EDGE) * np.exp(-0.5 * (contrast / COLOR_SD) ** 2)
+    weights = COUPLING * alike * np.exp(-0.5 * (distances / REACH_M) ** 2)
+    rows = np.repeat(np.arange(len(points)), count)
+    one_way = csr_matrix((weights.ravel(), (rows, nearest.ravel())), shape=(len(points), len(points)))
+    return csr_matrix((one_way + one_way.T) / 2)
+
+
+def _normalize(log_weights: Array) -> Array:
+    weights = np.exp(log_weights - log_weights.max(1, keepdims=True))
+    return np.asarray(weights / weights.sum(1, keepdims=True), np.float64)

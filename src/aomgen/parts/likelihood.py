@@ -12,10 +12,9 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import ReconstructionError
 from aomgen.parts.panel import Panel
 from aomgen.parts.panel_fit import fit_panel
-from aomgen.parts.panel_views import within
+from aomgen.parts.panel_views import TrackedPoints, within
 from aomgen.parts.prompted_images import PromptedImage, surface_seen
 from aomgen.parts.scan_views import ScanView, lift
-from aomgen.parts.tracked_points import TrackedPoints
 from aomgen.segmentation.interface import Mask
 
 # Columns of log-likelihoods and posteriors.

@@ -17,12 +17,9 @@ from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
-from aomgen.parts.panel import Panel
-from aomgen.parts.panel_plane import panel_frame
-from aomgen.parts.panel_views import MAX_MASK_MISFIT, Crop, PromptedView, box_misfit, within
-from aomgen.parts.tracked_points import TrackedPoints
+from aomgen.parts.panel import STAGE, Panel, panel_frame
+from aomgen.parts.panel_views import MAX_MASK_MISFIT, Crop, PromptedView, TrackedPoints, box_misfit, within
 
-STAGE = "parts"
 COARSE_PIXELS, FINE_PIXELS = 3_000, 16_000
 # Steps of the search, as shares of the panel's diagonal: coarse ones on fewer pixels.
 COARSE_STEPS = (0.2, 0.1, 0.05, 0.025)
@@ -45,9 +42,8 @@ SIZE_PRICE = 0.03
 # Of panel outside the body's footprint, per diagonal: most objects are scanned closed, and a side that no
 # prompt shows is where the panel ends. Doors that stand open gain more than this by their masks.
 UNCOVERED_PRICE = 0.15
-# Of a body that is not square to its panel, per radian, and at most: closed and ajar ones are, open doors
-# stand
-# at any angle.
+# Of a body that is not square to its panel, per radian, and at most: closed and ajar ones are, open doors stand at
+# any angle.
 YAW_PRICE, MAX_YAW_PRICE = 0.5, 0.1
 # First seams behind the panel, as shares of its diagonal: a thick door, a thin lid.
 SEAM_SHARES = (0.05, 0.015)

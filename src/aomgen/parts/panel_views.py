@@ -1,24 +1,34 @@
-"""How well a panel (see `panel`) explains prompted images: the boxes people drew, and masks that fill them."""
+"""How well a panel (see `panel`) explains prompted images and what is known to move.
+
+Of images: the boxes people drew, and masks that fill them. Of points: which of them move, from the grasp and from
+tracks in the video.
+"""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND, MOVING
 from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.parts.panel import Panel
 from aomgen.segmentation.interface import Mask
 
-# A mask whose own extent is this far from its box (see `box_misfit`) shows something else.
-MAX_MASK_MISFIT = 0.25
-# So does one of which less than this share is inside the box.
-MIN_SHARE_INSIDE = 0.5
-# So does one that is this much farther from it than another.
-MASK_SPREAD = 0.1
+# A mask shows something else if its own extent is this far from its box (see `box_misfit`), or this much farther than
+# another one's, or if less than this share of it is inside the box.
+MAX_MASK_MISFIT, MASK_SPREAD, MIN_SHARE_INSIDE = 0.25, 0.1, 0.5
 # A mask beside a box: segmenters are wrong by whole faces, people by a few pixels.
 MASK_WEIGHT = 0.5
+# Log odds from which a point counts: e = 2.7 to 1.
+MIN_LOG_ODDS = 1.0
+# Points farther from the panel than this, as share of its diagonal, are of other things.
+REACH_SHARE = 1.2
+# A few large Gaussians do not speak for all: areas are cut at this quantile.
+LARGEST_QUANTILE = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,3 +149,44 @@ class Crop:
             x0, y0, x1, y1 = np.maximum(np.rint(self.box), 0).astype(int)
             points = self.local[y0:y1, x0:x1].reshape(-1, 3)
         return points[np.isfinite(points[:, 0])]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackedPoints:
+    """Points and how surely they move.
+
+    Attributes:
+        points: (N, 3), world frame; panel frame once `near` a panel, [m].
+        moves: (N,).
+        weights: (N,), area times certainty.
+    """
+
+    points: Annotated[Array, "N 3"]
+    moves: Annotated[NDArray[np.bool_], "N"]
+    weights: Annotated[Array, "N"]
+
+    __post_init__ = freeze_arrays
+
+    @staticmethod
+    def of(gaussians: Gaussians, log_odds: Array) -> "TrackedPoints":
+        """Those Gaussians, world frame, whose log odds of moving over standing still (N,) tell."""
+        told = np.abs(log_odds) >= MIN_LOG_ODDS
+        sizes = np.sort(gaussians.scales[told], axis=1)[:, 1:].prod(1)
+        sizes = np.minimum(sizes, np.quantile(sizes, LARGEST_QUANTILE)) if len(sizes) else sizes
+        return TrackedPoints(
+            points=gaussians.means[told].astype(np.float64),
+            moves=log_odds[told] > 0,
+            weights=sizes * gaussians.opacities[told] * np.abs(log_odds[told]),
+        )
+
+    def near(self, T_world_panel: Array, size: float) -> "TrackedPoints":
+        """Those around a panel of a diagonal `size` [m], panel frame."""
+        local = apply(invert(T_world_panel), self.points)
+        kept = (np.abs(local) < REACH_SHARE * size).all(1)
+        return TrackedPoints(points=local[kept], moves=self.moves[kept], weights=self.weights[kept])
+
+    def loss(self, panel: Panel) -> float:
+        """Distance, 1 - IoU, of what moves by the panel from what was seen to move; 0 where nothing was."""
+        found = panel.labels_local(self.points) == MOVING
+        either = float(self.weights @ (found | self.moves))
+        return 1.0 - float(self.weights @ (found & self.moves)) / either if either > 0 else 0.0

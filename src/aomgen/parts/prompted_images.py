@@ -12,18 +12,17 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
+from aomgen.parts.panel import STAGE
 from aomgen.parts.panel_views import PromptedView, box_misfit, iou, share_inside
 from aomgen.parts.scan_views import ScanView, render_parts
 from aomgen.segmentation.interface import Mask, PreparedImage, Segmenter
 from aomgen.segmentation.segmenter import MasksOnDisk
 from aomgen.splatting.surfaces import seen_points
 
-STAGE = "parts"
 # Boxes explained as well as this (see `box_misfit`; 2.5 % of the box a side) need no second opinion.
 MAX_MISFIT = 0.1
-# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as
-# far
-# as this share of it is inside the box.
+# Masks that are farther from their box are joined with what lies under a grid of so many points a side, as far as this
+# share of it is inside the box.
 GRID, MIN_INSIDE = 6, 0.95
 
 

@@ -1,17 +1,30 @@
-"""Between Gaussians and the masks of scan images: what a mask shows, and masks that labels draw."""
+"""Between Gaussians and the masks of scan images: what a mask shows, masks that labels draw, and who is the robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
+from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.transforms import apply
+from aomgen.core.values import Array
 from aomgen.errors import BackendError
+from aomgen.robots.robot import RobotConfiguration
 from aomgen.segmentation.interface import Mask
 from aomgen.splatting.rasterizer import contribution_weights, render
+
+# Views whose masks vote.
+VIEWS = 20
+# Distance from a link within which a Gaussian belongs to it, [m]: scan noise plus alignment error; and within which it
+# may do so: cables and housings that the model omits.
+MAX_DISTANCE_M, LOOSE_DISTANCE_M = 0.02, 0.06
+# Surface samples a square metre: about 4 mm apart, well below the distance above.
+SAMPLES_PER_M2 = 60_000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,9 +37,9 @@ class ScanView:
     robot: Mask
 
 
-def spread(views: Sequence[ScanView], count: int) -> list[ScanView]:
-    """About so many of the views, evenly in their order."""
-    return list(views[:: max(1, len(views) // count)])
+def spread(views: Sequence[ScanView]) -> list[ScanView]:
+    """About `VIEWS` of the views, evenly in their order."""
+    return list(views[:: max(1, len(views) // VIEWS)])
 
 
 def lift(gaussians: Gaussians, view: ScanView, masks: list[Mask]) -> NDArray[np.float32]:
@@ -41,3 +54,69 @@ def render_parts(gaussians: Gaussians, labels: NDArray[np.uint8], camera: Camera
     if shares is None:
         raise BackendError("rasterizer", "drew no features", "rebuild the engine")
     return {STATIC: shares[..., 0] > 0.5, MOVING: shares[..., 1] > 0.5}
+
+
+def label_robot(
+    gaussians: Gaussians, views: list[ScanView], configuration: RobotConfiguration, rng: np.random.Generator
+) -> NDArray[np.int32]:
+    """Index into `robot.body_names` (N,) of the body that each Gaussian is of, -1 for none.
+
+    Args:
+        gaussians: The scan, world frame.
+        views: Scan images with drawn robot masks.
+        configuration: Robot as scanned.
+        rng: Spreads samples over the robot's surface.
+    """
+    means = np.asarray(gaussians.means, np.float64)
+    near, distances = nearest_links(means, configuration, rng, LOOSE_DISTANCE_M)
+    inside, seen = np.zeros(len(gaussians)), np.zeros(len(gaussians))
+    for view in spread(views):
+        weights = lift(gaussians, view, [view.robot, ~view.robot])
+        inside += weights[:, 0]
+        seen += weights.sum(1)
+    share = inside / np.maximum(seen, 1e-9)
+    close = (share > 0.5) & (distances < MAX_DISTANCE_M)
+    # A Gaussian on a thin finger paints well beyond the finger's outline.
+    close |= (share > 0.25) & (distances < 0.5 * MAX_DISTANCE_M)
+    # Rims that peep past the outline, and small Gaussians that nearly touch the model, are robot too.
+    close |= (distances < 0.3 * MAX_DISTANCE_M) & (gaussians.scales.max(1) < MAX_DISTANCE_M)
+    # Mirroring metal is reconstructed behind its surface: what all views see inside the robot is robot.
+    behind = (share > 0.85) & (distances < LOOSE_DISTANCE_M)
+    # What no view shows lies inside the robot when it is close to its surface.
+    robot = (near >= 0) & np.where(seen > 0.05, close | behind, distances < 0.01)
+    return np.where(robot, near, -1).astype(np.int32)
+
+
+def nearest_links(
+    points_world: Array,
+    configuration: RobotConfiguration,
+    rng: np.random.Generator,
+    max_distance_m: float = MAX_DISTANCE_M,
+) -> tuple[NDArray[np.int32], Array]:
+    """The robot body nearest to each point, by distance to the posed visual meshes.
+
+    Args:
+        points_world: (N, 3), [m].
+        configuration: Robot as scanned, fingers included.
+        rng: Spreads samples over the meshes, about 4 mm apart.
+        max_distance_m: Points farther away belong to no body.
+
+    Returns:
+        Index into `robot.body_names` (N,), -1 for none; and distances (N,) [m], infinite beyond
+        the limit.
+    """
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    samples, owners = [], []
+    for mesh in configuration.robot.meshes:
+        area = face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum()
+        if not area > 0:
+            continue
+        count = max(30, int(area * SAMPLES_PER_M2))
+        points, _, _ = sample_surface(mesh.vertices_body, mesh.faces, count, rng)
+        samples.append(apply(poses[mesh.body], points))
+        owners.append(np.full(count, mesh.body, np.int32))
+    distances, nearest = cKDTree(np.concatenate(samples)).query(
+        points_world, distance_upper_bound=max_distance_m
+    )
+    owners_padded = np.append(np.concatenate(owners), np.int32(-1))
+    return owners_padded[nearest].astype(np.int32), np.asarray(distances, np.float64)

@@ -13,12 +13,10 @@ from aomgen.core.parts import Parts
 from aomgen.core.progress import Progress, part
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
-from aomgen.parts.label import SEED, segment_scan
+from aomgen.parts.label import SEED, MotionEvidence, find_moving_parts, segment_scan
 from aomgen.parts.likelihood import PartEvidence
-from aomgen.parts.moving_parts import MotionEvidence, find_moving_parts
 from aomgen.parts.prompted_images import PromptedImage, segment_prompts
-from aomgen.parts.robot_labels import label_robot
-from aomgen.parts.scan_views import ScanView
+from aomgen.parts.scan_views import ScanView, label_robot
 from aomgen.parts.survey import Survey, survey
 from aomgen.results import Results
 from aomgen.robots.silhouette import SilhouetteRenderer

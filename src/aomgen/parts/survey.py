@@ -1,5 +1,6 @@
 """Coverage of the sides of object, robot and table by the scan, in numbers and in words.
 
+A view sees a place when it lies inside the image, faces the camera, and the surface drawn there is not in front of it.
 Sides are named as the robot sees them: the near side of the object faces the robot's base, left is
 the robot's left when it looks at the object.
 """
@@ -11,22 +12,71 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.boxes import QUANTILES, find_upright_axes
+from aomgen.core.boxes import find_upright_axes, fit_box
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.part_points import SOLID_OPACITY
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.parts.coverage import MIN_VIEWS, Coverage, coverage_of
 from aomgen.robots.robot import RobotConfiguration
 from aomgen.splatting.surfaces import PARALLAX_DEG, ViewDepth
 
+# Views that a depth needs: one, and two that confirm it.
+MIN_VIEWS = 3
+# A side under a flatter angle than this shows nothing.
+MIN_COSINE = 0.25
 # Points along each edge of a side.
 GRID = 12
+# Where they are: its rims belong to the neighbouring sides as well.
+SPAN = np.linspace(-0.9, 0.9, GRID)
 # Points on the robot's surface.
 ROBOT_POINTS = 6000
 # A side counts as seen when at least this share of its points is.
 MIN_SHARE = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coverage:
+    """Coverage of N places.
+
+    Attributes:
+        views: Number of views that see each.
+        spread_deg: Width of the cone around the mean direction that holds all directions from which each is
+            seen, [deg]; 0 with less than two views.
+    """
+
+    views: Annotated[NDArray[np.uint16], "N"]
+    spread_deg: Annotated[NDArray[np.float32], "N"]
+
+    __post_init__ = freeze_arrays
+
+    @property
+    def enough(self) -> NDArray[np.bool_]:
+        """Places (N,) whose depth the scan decides."""
+        return (self.views >= MIN_VIEWS) & (self.spread_deg >= PARALLAX_DEG)
+
+
+def coverage_of(points: Array, views: list[ViewDepth], normals: Array | None = None) -> Coverage:
+    """Compute the coverage of points (N, 3).
+
+    Args:
+        points: In the frame of the views' cameras.
+        views: What each view sees.
+        normals: Unit outward directions (N, 3); without them every side counts.
+    """
+    seen = np.zeros((len(views), len(points)), bool)
+    directions = np.zeros((len(views), len(points), 3), np.float32)
+    for row, view in enumerate(views):
+        rays = view.camera.center - points
+        directions[row] = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+        # NaN, where the view does not look, compares as False.
+        seen[row] = view.behind(points) <= 1
+        if normals is not None:
+            seen[row] &= (directions[row] * normals).sum(1) > MIN_COSINE
+    middle = np.einsum("vn,vnk->nk", seen.astype(np.float32), directions)
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-12)
+    cosines = np.where(seen, np.einsum("vnk,nk->vn", directions, middle), 1.0).min(0, initial=1.0)
+    return Coverage(views=seen.sum(0), spread_deg=2 * np.degrees(np.arccos(np.clip(cosines, -1, 1))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,14 +90,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """Coverage of all sides.
-
-    Attributes:
-        names: Of the sides.
-        points_world: Points on all sides (M, 3), [m].
-        sides: Index into `names` of each point (M,).
-        coverage: Of each point.
-    """
+    """Coverage of points [m] on all sides; `sides`: index into `names` of each."""
 
     names: tuple[str, ...]
     points_world: Annotated[Array, "M 3"]
@@ -95,8 +138,7 @@ def survey(
     """Measure the coverage of the sides of object, robot and table.
 
     Args:
-        gaussians_world: The scene, [m].
-        labels: Part of each Gaussian (N,).
+        gaussians_world, labels: The scene, [m], and the part of each Gaussian (N,).
         configuration: Robot as scanned.
         views: What the training views see, world frame.
         rng: Spreads points over the robot.
@@ -123,54 +165,36 @@ def object_sides(points: Array, forward: Array) -> list[Side]:
         points: On the object (N, 3), world frame, [m].
         forward: Level unit direction (2,) in which the robot looks at it.
     """
-    R, low, high = _box(points)
+    box = fit_box(points, find_upright_axes(points))
     words = {"near": "near side", "far": "far side", "left": "left side", "right": "right side"}
-    middle, half = (low + high) / 2, (high - low) / 2
-    # The rims belong to the neighbouring sides as well.
-    grid = np.stack(np.meshgrid(*[np.linspace(-0.9, 0.9, GRID)] * 2), -1).reshape(-1, 2)
-    result = []
-    for axis in (0, 1, 2):
-        for sign in (-1.0, 1.0):
-            if axis == 2 and sign < 0:
-                continue
-            local = np.zeros((len(grid), 3))
-            local[:, axis] = sign
-            local[:, [k for k in range(3) if k != axis]] = grid
-            normal = np.zeros(3)
-            normal[axis] = sign
-            turned = np.append(R @ normal[:2], normal[2])
-            word = "top" if axis == 2 else words[_bearing(turned[:2], forward)]
-            places = middle + local * half
-            places[:, :2] = places[:, :2] @ R.T
-            normals = np.tile(turned, (len(grid), 1))
-            result.append(Side(name=f"the {word} of the object", points=places, normals=normals))
-    return result
+    grid = _grid(SPAN, SPAN)
+    sides = []
+    for axis, sign in ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (2, 1.0)):
+        normal = sign * box.T_world_box[:3, axis]
+        word = "top" if axis == 2 else words[_bearing(normal[:2], forward)]
+        places = apply(box.T_world_box, np.insert(grid, axis, sign, axis=1) * box.half_extents)
+        normals = np.tile(normal, (len(grid), 1))
+        sides.append(Side(name=f"the {word} of the object", points=places, normals=normals))
+    return sides
 
 
 def table_sides(points: Array, forward: Array) -> list[Side]:
-    """The surface on which an object stands, in a band around it half as wide as the object's box.
-
-    Args:
-        points: On the object (N, 3), world frame, [m].
-        forward: Level unit direction (2,) in which the robot looks at it.
-    """
-    R, low, high = _box(points)
+    """The surface on which an object stands, in a band around it half as wide as the object's box; see `object_sides`."""
+    box = fit_box(points, find_upright_axes(points))
+    half = box.half_extents
     words = {"near": "before", "far": "behind", "left": "left of", "right": "right of"}
-    reach = 0.5 * float(np.linalg.norm(high[:2] - low[:2]))
-    across, outward = np.meshgrid(np.linspace(0.05, 0.95, GRID), np.linspace(0.1, 1.0, GRID))
-    result = []
-    for axis in (0, 1):
-        for sign in (-1.0, 1.0):
-            local = np.empty((GRID * GRID, 2))
-            edge = high[axis] if sign > 0 else low[axis]
-            local[:, axis] = edge + sign * reach * outward.reshape(-1)
-            other = 1 - axis
-            local[:, other] = low[other] + (high[other] - low[other]) * across.reshape(-1)
-            word = words[_bearing(sign * R[:, axis], forward)]
-            places = np.column_stack([local @ R.T, np.full(len(local), low[2])])
-            normals = np.tile([0.0, 0.0, 1.0], (len(local), 1))
-            result.append(Side(name=f"the table {word} the object", points=places, normals=normals))
-    return result
+    across, outward = _grid(SPAN, np.linspace(0.1, 1.0, GRID)).T
+    sides = []
+    for axis, sign in ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0)):
+        local = np.full((len(across), 3), -half[2])
+        local[:, axis] = sign * (half[axis] + float(np.linalg.norm(half[:2])) * outward)
+        local[:, 1 - axis] = half[1 - axis] * across
+        word = words[_bearing(sign * box.T_world_box[:2, axis], forward)]
+        normals = np.tile([0.0, 0.0, 1.0], (len(local), 1))
+        sides.append(
+            Side(name=f"the table {word} the object", points=apply(box.T_world_box, local), normals=normals)
+        )
+    return sides
 
 
 def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.random.Generator) -> list[Side]:
@@ -181,37 +205,28 @@ def robot_sides(configuration: RobotConfiguration, forward: Array, rng: np.rando
         forward: Level unit direction (2,) in which it looks at the object.
         rng: Spreads points over the meshes.
     """
-    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
-    areas = [
-        face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in configuration.robot.meshes
-    ]
-    points, normals = [], []
-    for mesh, area in zip(configuration.robot.meshes, areas, strict=True):
-        count = round(ROBOT_POINTS * area / sum(areas))
-        if count:
-            vertices = apply(poses[mesh.body], mesh.vertices_body)
-            sampled, faces, _ = sample_surface(vertices, mesh.faces, count, rng)
-            points.append(sampled)
-            normals.append(face_normals_areas(vertices, mesh.faces)[0][faces])
-    places, directions = np.concatenate(points), np.concatenate(normals)
+    robot = configuration.robot
+    poses = robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    posed = [apply(poses[mesh.body], mesh.vertices_body)[mesh.faces].reshape(-1, 3) for mesh in robot.meshes]
+    corners = np.concatenate(posed)
+    triangles = np.arange(len(corners)).reshape(-1, 3)
+    places, chosen, _ = sample_surface(corners, triangles, ROBOT_POINTS, rng)
+    directions = face_normals_areas(corners, triangles)[0][chosen]
     words = {"near": "back", "far": "front", "left": "left side", "right": "right side"}
     steep = np.abs(directions[:, 2]) > np.sqrt(0.5)
     kinds = np.array([_bearing(direction, forward) for direction in directions[:, :2]])
-    chosen = [("top", steep & (directions[:, 2] > 0))]
-    chosen += [(word, ~steep & (kinds == kind)) for kind, word in words.items()]
+    sides = [("top", steep & (directions[:, 2] > 0))]
+    sides += [(word, ~steep & (kinds == kind)) for kind, word in words.items()]
     return [
         Side(name=f"the {word} of the robot", points=places[which], normals=directions[which])
-        for word, which in chosen
+        for word, which in sides
         if which.any()
     ]
 
 
-def _box(points: Array) -> tuple[Array, Array, Array]:
-    """Level axes (2, 2) of the upright box around points, and its corners in them."""
-    R = find_upright_axes(points)[:2, :2]
-    local = np.column_stack([points[:, :2] @ R, points[:, 2]])
-    low, high = np.quantile(local, QUANTILES, axis=0)
-    return R, low, high
+def _grid(first: NDArray, second: NDArray) -> Array:
+    """All pairs (N, 2) of two rows of numbers."""
+    return np.stack(np.meshgrid(first, second), -1).reshape(-1, 2)
 
 
 def _forward(points: Array) -> Array:

@@ -28,7 +28,7 @@ PARAMETERS = {
     "structure": ("structure.reconstruct", "StructureParams"),
     "gaussians": ("gaussians.train", "GaussiansParams"),
     "alignment": ("alignment.align", "AlignmentParams"),
-    "motion": ("motion.params", "MotionParams"),
+    "motion": ("motion.estimate", "MotionParams"),
     "replacement": ("replacement.fitting", "FitParams"),
     "plans": ("generalization.generate", "GenerationParams"),
 }

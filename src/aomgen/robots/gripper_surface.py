@@ -9,8 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.stats import qmc
 
-from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.mesh import face_normals_areas
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.geom_meshes import find_visible_geoms, geom_surface
@@ -19,8 +20,8 @@ from aomgen.robots.reading import ArmChain, ancestors
 from aomgen.robots.robot import RobotModel, body_poses
 
 PALM = "palm"
-# Points on a whole hand: some 4 mm apart on a two-finger gripper.
-POINTS = 6000
+# Points on a whole hand: some 3 mm apart on a two-finger gripper.
+POINTS = 12000
 # A body that moves less than this against the palm while the hand closes is palm, [m].
 _STILL_M = 1e-4
 # A pair of fingers moves at least this share of what the pair that moves most does.
@@ -68,7 +69,7 @@ def hand_surface(robot: RobotModel) -> HandSurface:
         bodies, fingers = np.zeros(0, np.int64), np.zeros(0, np.str_)
         return HandSurface(points_body=none, normals_body=none, bodies=bodies, fingers=fingers)
     corners = np.concatenate([mesh.vertices_body[mesh.faces] for mesh in meshes]).reshape(-1, 3)
-    skin, chosen = _sample(corners, np.arange(len(corners)).reshape(-1, 3), np.random.default_rng(0))
+    skin, chosen = _sample(corners, np.arange(len(corners)).reshape(-1, 3))
     bodies = np.repeat([mesh.body for mesh in meshes], [len(mesh.faces) for mesh in meshes])[chosen]
     fingers = np.array([sides[int(body)] for body in bodies], np.str_)
     return HandSurface(points_body=skin.points, normals_body=skin.normals, bodies=bodies, fingers=fingers)
@@ -121,7 +122,7 @@ class Travel:
 
 def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamples]:
     """The surface of every rigid group of the hand's bodies, by the id of its root; what is seen if anything is."""
-    shown, rng = find_visible_geoms(model), np.random.default_rng(0)
+    shown = find_visible_geoms(model)
     Ts = body_poses(model, model.qpos0[None])[0]
     bodies = (chain.last_body, *chain.hand_bodies)
     result = {}
@@ -136,17 +137,23 @@ def sample_hand(model: mujoco.MjModel, chain: ArmChain) -> dict[int, SurfaceSamp
             vertices = np.concatenate([corners for corners, _ in meshes])
             first = np.cumsum([0, *(len(corners) for corners, _ in meshes)])
             faces = np.concatenate([part + start for (_, part), start in zip(meshes, first, strict=False)])
-            result[root] = _sample(vertices, faces, rng)[0]
+            result[root] = _sample(vertices, faces)[0]
     return result
 
 
-def _sample(
-    vertices: Array, faces: NDArray[np.int64], rng: np.random.Generator
-) -> tuple[SurfaceSamples, NDArray[np.int64]]:
-    """Points evenly over a surface, and their faces (N,)."""
-    points, owners, _ = sample_surface(vertices, faces, POINTS, rng)
-    normals = face_normals_areas(vertices, faces)[0][owners]
-    return SurfaceSamples(points=points, normals=normals), owners
+def _sample(vertices: Array, faces: NDArray[np.int64]) -> tuple[SurfaceSamples, NDArray[np.int64]]:
+    """Points at even steps of a surface's area, and the face of each (N,).
+
+    A pushed patch is the mean of few of them: of random ones it is off by 0.5 to 2 mm, of these by 0.4 mm.
+    """
+    normals, areas = face_normals_areas(vertices, faces)
+    covered = np.cumsum(areas)
+    owners = np.searchsorted(covered, (np.arange(POINTS) + 0.5) / POINTS * covered[-1])
+    first, second = qmc.Halton(2, scramble=False).random(POINTS + 1)[1:].T
+    root = np.sqrt(first)
+    weights = np.stack([1 - root, root * (1 - second), root * second], 1)
+    points = np.einsum("nk,nkj->nj", weights, vertices[faces[owners]])
+    return SurfaceSamples(points=points, normals=normals[owners]), owners
 
 
 def find_travel(

@@ -12,6 +12,7 @@ from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_fro
 from aomgen.errors import InputError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.motion.contact import Contacts, carry_part, find_contacts
+from aomgen.robots import gripper_surface
 from aomgen.robots.robot import RobotModel
 
 JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
@@ -249,6 +250,23 @@ def test_a_closed_gripper_pushes_with_its_tips(robot: RobotModel) -> None:
     assert {patch.finger for patch in contacts.patches} == {"left", "right"}
     assert contacts.grasp_ee == pytest.approx([0, 0, tip], abs=0.006)
     assert min(patch.gap_m for patch in contacts.patches) < 0.005
+
+
+def test_pushed_patches_are_where_a_denser_hand_has_them(
+    robot: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which points stand for the hand's surface makes half a millimeter of a difference."""
+    u, v = (grid.ravel() for grid in np.meshgrid(*[np.linspace(-0.1, 0.1, 101)] * 2))
+    door = np.stack([u, v, np.full(len(u), tip_m(robot) + 0.001)], 1)
+    log, T_world_ee = moving_log(robot, 0.98, np.array([0, 0, 0.02])), robot.ee_poses(JOINTS[None])[0]
+    leans = [matrix_from_rotvec(0.15 * np.array([np.cos(a), np.sin(a), 0])) for a in np.arange(6)]
+
+    def touched() -> np.ndarray:
+        return np.array([find(robot, log, apply(T_world_ee, door @ lean.T)).grasp_ee for lean in leans])
+
+    usual = touched()
+    monkeypatch.setattr(gripper_surface, "POINTS", 16 * gripper_surface.POINTS)
+    assert np.sqrt(np.mean(np.sum((touched() - usual) ** 2, axis=1))) < 6e-4
 
 
 def tip_m(robot: RobotModel) -> float:

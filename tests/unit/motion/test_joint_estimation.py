@@ -191,7 +191,7 @@ def test_running_the_film_backwards_turns_the_axis(joint: Joint, travel: float) 
 def test_a_quick_hand_is_seen_from_its_first_to_its_last_place() -> None:
     """12 cm in 0.2 s, looked at every 10 ms."""
     path = hand_path(DRAWER, 0.12, Flaws(), np.random.default_rng(0), count=21)
-    points = thin_path(path, HOLD, nodes=24, smooth=11).points_world
+    points = thin_path(path, HOLD, nodes=24).points_world
     assert np.linalg.norm(points[-1] - points[0]) > 0.96 * 0.12
 
 

@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.motion.gripper_signals import GripperSignals, TouchInterval, find_touch
+from aomgen.motion.ee_path import GripperPath
+from aomgen.motion.inputs import GripperSignals, TouchInterval, find_touch
 from aomgen.motion.keyframes import Departures, Interval, find_interval, find_part_region, measure_departures
-from aomgen.motion.onset import GripperPath
 
 COUNT, FPS = 90, 10.0
 TIMES = np.arange(COUNT, dtype=np.float64) / FPS

@@ -30,9 +30,9 @@ from aomgen.paper.automatic_masks import (
     segment_views,
     spread_views,
 )
+from aomgen.parts.label import smooth_posterior
 from aomgen.parts.prompted_images import PromptedImage, segment_prompts
 from aomgen.parts.scan_views import ScanView
-from aomgen.parts.smoothing import smooth_posterior
 from aomgen.segmentation.interface import PointMasks, given_masks, masks_of_logits
 from aomgen.splatting.rasterizer import render
 

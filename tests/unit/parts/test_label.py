@@ -1,6 +1,6 @@
-"""Parts of a small scene with known labels, robot binding, segmenters and their weights."""
+"""Labels of all Gaussians: by prompts and masks, by the demonstration in turn, and smooth over neighbors."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,21 +10,23 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.parts import Parts, no_cut
+from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.core.transforms import apply
 from aomgen.errors import BackendError, MalformedFileError, WrongPromptError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.io.images import read_labels, write_image
+from aomgen.parts import label
 from aomgen.parts.label import (
     PromptedScan,
     cut_scan,
     find_parts,
     part_evidence,
     segment_scan,
+    smooth_posterior,
 )
 from aomgen.parts.prompted_images import segment_prompts
-from aomgen.parts.robot_labels import label_robot, nearest_links
-from aomgen.parts.scan_views import ScanView
+from aomgen.parts.scan_views import ScanView, label_robot, nearest_links
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from aomgen.robots.silhouette import SilhouetteRenderer
 from aomgen.segmentation.interface import clean
@@ -267,3 +269,131 @@ def test_mobile_sam_masks_a_disc_from_a_box():
     prepared = MobileSam().prepare("disc.jpg", image)
     mask = prepared.mask("static", [90, 50, 170, 130], np.zeros((0, 3)))
     assert (mask & disc).sum() / (mask | disc).sum() > 0.9
+
+
+PROMPTED = np.repeat(np.array([BACKGROUND, STATIC, MOVING], np.uint8), 100)
+
+
+@dataclass
+class Labels:
+    labels: np.ndarray
+
+
+@dataclass
+class Scan:
+    gaussians: None = None
+
+
+@pytest.fixture
+def world(monkeypatch):
+    """Labels follow the log odds where there are some; `world.odds` is what the demonstration shows."""
+
+    class World:
+        odds: list[np.ndarray | None]
+        rounds = 0
+
+        def shown(self, scene, labels):
+            self.rounds += 1
+            return self.odds[min(self.rounds, len(self.odds)) - 1]
+
+    made = World()
+
+    def labelled(scan, log_odds):
+        if log_odds is None:
+            return Labels(PROMPTED)
+        return Labels(
+            np.where(log_odds > 1, MOVING, np.where(log_odds < -1, STATIC, PROMPTED)).astype(np.uint8)
+        )
+
+    # Evidence is what the demonstration showed.
+    monkeypatch.setattr(label, "part_evidence", lambda scan, log_odds=None: log_odds)
+    monkeypatch.setattr(label, "cut_scan", lambda scan, evidence, log_odds: (scan, evidence))
+    monkeypatch.setattr(label, "find_parts", labelled)
+    return made
+
+
+def found(world) -> np.ndarray:
+    return label.find_moving_parts(Scan(), world.shown, silent).labels  # type: ignore[arg-type]
+
+
+def test_a_demonstration_that_agrees_is_asked_once(world):
+    world.odds = [np.zeros(300)]
+    assert np.array_equal(found(world), PROMPTED)
+    assert world.rounds == 1
+
+
+def test_a_handle_that_was_left_out_is_taken_in_and_asked_again(world):
+    odds = np.zeros(300)
+    odds[180:200] = 3.0
+    world.odds = [odds]
+    assert np.sum(found(world) == MOVING) == 120
+    assert world.rounds == 2
+
+
+def test_a_part_that_stands_still_stays_as_prompted(world):
+    """Whether it moved at all is for the motion stage to say, of labels that the prompts gave."""
+    odds = np.zeros(300)
+    odds[200:290] = -3.0
+    world.odds = [odds]
+    assert np.array_equal(found(world), PROMPTED)
+
+
+def test_labels_that_never_settle_end_all_the_same(world):
+    first, second = np.zeros(300), np.zeros(300)
+    first[150:200] = 3.0
+    world.odds = [first, second, first, second]
+    found(world)
+    assert world.rounds == label.MAX_ROUNDS
+
+
+def test_a_demonstration_without_motion_leaves_the_labels(world):
+    world.odds = [None]
+    assert np.array_equal(found(world), PROMPTED)
+    assert world.rounds == 1
+
+
+GRID = np.stack(np.meshgrid(np.arange(20), np.arange(20), [0.0], indexing="ij"), -1).reshape(-1, 3) * 0.005
+LEFT = GRID[:, 0] < 0.05
+GRAY = np.full((len(GRID), 3), 0.5)
+
+
+def test_points_without_evidence_take_the_label_around_them():
+    evidence = np.where(LEFT[:, None], [2.0, 0.0], [0.0, 2.0])
+    unknown = np.random.default_rng(0).random(len(GRID)) < 0.5
+    evidence[unknown] = 0.0
+    found = np.argmax(smooth_posterior(GRID, GRAY, evidence), 1)
+    assert np.mean(found == np.where(LEFT, 0, 1)) > 0.95
+
+
+def test_single_points_that_err_are_outvoted_and_sure_ones_are_not():
+    evidence = np.tile([1.0, 0.0], (len(GRID), 1))
+    evidence[210] = [0.0, 0.5]
+    evidence[50] = [0.0, 20.0]
+    found = np.argmax(smooth_posterior(GRID, GRAY, evidence), 1)
+    assert found[210] == 0
+    assert found[50] == 1
+
+
+def test_an_edge_in_color_parts_labels():
+    """Evidence at two columns only: with an edge in color between, labels end there."""
+    evidence = np.zeros((len(GRID), 2))
+    evidence[GRID[:, 0] < 0.052] = [6.0, 0.0]
+    evidence[GRID[:, 0] > 0.083] = [0.0, 6.0]
+    edge = np.where((GRID[:, 0] < 0.067)[:, None], 0.1, 0.9) * np.ones(3)
+    found = np.argmax(smooth_posterior(GRID, edge, evidence), 1)
+    assert np.mean(found == np.where(GRID[:, 0] < 0.067, 0, 1)) > 0.95
+
+
+def test_posteriors_are_probabilities_whatever_the_order_of_points():
+    rng = np.random.default_rng(1)
+    evidence = rng.normal(size=(len(GRID), 3))
+    posterior = smooth_posterior(GRID + rng.normal(0, 1e-4, GRID.shape), GRAY, evidence)
+    assert np.allclose(posterior.sum(1), 1)
+    points = GRID + rng.normal(0, 1e-4, GRID.shape)
+    order = rng.permutation(len(GRID))
+    first, second = (smooth_posterior(points[k], GRAY, evidence[k]) for k in (np.arange(len(GRID)), order))
+    assert np.allclose(first[order], second)
+
+
+def test_one_point_has_no_neighbors():
+    assert np.argmax(smooth_posterior(np.zeros((1, 3)), np.zeros((1, 3)), np.array([[0.0, 1.0]]))) == 1

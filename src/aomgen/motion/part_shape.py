@@ -1,18 +1,23 @@
-"""What the parts' shape says about the joint: a weak belief, never a decision.
+"""What the parts' shape says: where the joint may be, and whether its motion opened or closed the object.
 
-Joints run along edges of things: a hinge lies along one side of the part it carries, somewhere in its
+Of the joint it is a weak belief, never a decision. Joints run along edges of things: a hinge lies along one side of the part it carries, somewhere in its
 thickness; a drawer runs along an edge. Which side, and whether the rule holds at all, the hand's path
 decides: every possibility is offered with its odds.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.optimize import minimize
+from scipy.spatial import cKDTree
 
 from aomgen.core.boxes import MIN_POINTS, OrientedBox, find_upright_axes, fit_box
-from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.joint import Joint
+from aomgen.core.motion import Direction
+from aomgen.core.transforms import apply, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.joint_models import make_tangent_basis
 
@@ -27,6 +32,12 @@ SIDE_SD_M = 0.01
 _CLEARLY = 0.75
 # A body's walls stand this far outside of its door's or drawer's sides at most, [m].
 _BESIDE_M = 0.02
+# A part that leaves the body takes along at least this share of its travel; one that slides within it none.
+_LEAVING_SHARE = 0.2
+# Cells of a sliding panel along its longer side.
+_CELLS = 12
+# Points beyond this percentile on either side are strays, [%].
+_TAIL_PERCENT = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,11 +45,9 @@ class AxisHint:
     """One possibility for the joint's axis, world frame.
 
     Attributes:
-        axis: Unit direction (3,), either sign.
-        axis_sd_rad: Its standard deviation each way, infinite for any direction, [rad].
-        at: A point (3,) near the line, [m].
-        across: Directions (M, 3) in which the line's place is known; M is 0 or 2.
-        across_sds_m: Their standard deviations (M,), [m].
+        axis, axis_sd_rad: Unit direction, either sign, and its standard deviation each way, infinite for any direction.
+        at: A point near the line, [m].
+        across, across_sds_m: Directions in which the line's place is known, none or two, and standard deviations.
         probability: Prior probability.
     """
 
@@ -87,12 +96,12 @@ ANYWHERE = AxisHint(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartShape:
-    """The moving part's box and what follows from it.
+    """The moving part's box and what follows from it, world frame.
 
     Attributes:
         box: Around the part at its scanned place; its axes need not be upright.
-        face_normal: Unit direction (3,) in which the part sticks out of the static one, world frame.
-        corners: Of the upright box around both parts (8, 3), world frame, [m].
+        face_normal: Unit direction in which the part sticks out of the static one.
+        corners: Of the upright box around both parts, [m].
     """
 
     box: OrientedBox
@@ -118,14 +127,8 @@ class PartShape:
         return [self._direction(k, (SIDE + ALONG) / 3) for k in range(3)]
 
     def _direction(self, k: int, probability: float) -> AxisHint:
-        return AxisHint(
-            axis=self.box.T_world_box[:3, k],
-            axis_sd_rad=DIRECTION_SD_RAD,
-            at=self.box.T_world_box[:3, 3],
-            across=np.zeros((0, 3)),
-            across_sds_m=np.zeros(0),
-            probability=probability,
-        )
+        axis = self.box.T_world_box[:3, k]
+        return replace(ANYWHERE, axis=axis, axis_sd_rad=DIRECTION_SD_RAD, probability=probability)
 
     def _side(self, k: int, side: int, sign: float) -> AxisHint:
         depth = 3 - k - side
@@ -148,8 +151,7 @@ def measure_shape(points_static: Array, points_moving: Array) -> PartShape:
     smaller: a door ajar has its own yaw, a lid or an object on a slope leans.
 
     Args:
-        points_static: Points of the static part (N, 3), world frame, [m].
-        points_moving: Points of the moving part as scanned (M, 3), world frame, [m].
+        points_static, points_moving: Points of the parts as scanned (N, 3), (M, 3), world frame, [m].
 
     Raises:
         InputError: A part has fewer than 20 points.
@@ -207,3 +209,71 @@ def _leaning_box(points: Array, upright: OrientedBox) -> OrientedBox:
 def _volume(box: OrientedBox) -> float:
     """Of the box with a centimeter more on each side, so that noise of thin parts counts little, [m3]."""
     return float(np.prod(box.half_extents + 0.005))
+
+
+def infer_direction(joint: Joint, theta: float, points_static: Array, points_moving: Array) -> Direction:
+    """Open or close: what a part does that goes from its scanned place to joint value `theta`.
+
+    A closed part is flush with the body: a door or lid lies on it, a drawer is inside of it. A panel
+    that slides along the body is flush everywhere; it opens by going before (or behind) the body's own
+    front, and closes by covering what was open.
+
+    Args:
+        joint, theta: Value 0 is the scanned place, world frame; value at the end of the motion, [rad] or [m].
+        points_static, points_moving: Of the body (N, 3) and the part at its scanned place (M, 3), world frame, [m].
+
+    Not checked: a door that swings from half a turn open to a quarter is as far from the body as before.
+    """
+    ends = (points_moving, apply(joint.motion(theta), points_moving))
+    if joint.type == "revolute":
+        tree = cKDTree(points_static)
+        first, last = (float(tree.query(points)[0].mean()) for points in ends)
+        return "opening" if last >= first else "closing"
+    beyond = [_beyond(points @ joint.axis, points_static @ joint.axis) for points in ends]
+    if abs(beyond[1] - beyond[0]) >= _LEAVING_SHARE * abs(theta):
+        return "opening" if beyond[1] > beyond[0] else "closing"
+    return "opening" if _lies_before_front(joint.axis, theta, points_static, points_moving) else "closing"
+
+
+def _beyond(places: Array, body: Array) -> float:
+    """How far places (M,) stick out of the range of the body's (N,) on average, [m]."""
+    low, high = np.percentile(body, [_TAIL_PERCENT, 100 - _TAIL_PERCENT])
+    return float(np.maximum(np.maximum(low - places, places - high), 0).mean())
+
+
+def _lies_before_front(axis: Array, travel_m: float, points_static: Array, points: Array) -> bool:
+    """Whether most of what a panel (M, 3) newly covers after its travel was the body's (N, 3) front already.
+
+    What it uncovers does not count: the scan could not see what was behind it.
+    """
+    across = _thin_direction(points, axis)
+    plane = np.stack([axis, np.cross(across, axis)], 1)
+    low, high = np.percentile(points @ plane, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+    cell = float((high - low).max()) / _CELLS
+    depth = points @ across
+    # Two panels run within a cell of each other; a handle does not make the panel thicker.
+    near = np.abs(points_static @ across - np.median(depth)) <= cell + np.ptp(np.percentile(depth, [25, 75]))
+    shift = np.array([travel_m, 0.0])
+    size = np.maximum(np.ceil((high - low + np.abs(shift)) / cell).astype(int), 1)
+    low = low + np.minimum(shift, 0.0)
+
+    def covered(places: Array) -> NDArray[np.bool_]:
+        cells = np.floor((places - low) / cell).astype(int)
+        cells = cells[np.all((cells >= 0) & (cells < size), axis=1)]
+        grid = np.zeros(size, bool)
+        grid[tuple(cells.T)] = True
+        return ndimage.binary_closing(grid)
+
+    start, end = (covered(points @ plane + offset) for offset in (0.0, shift))
+    fresh = end & ~start
+    return float(covered(points_static[near] @ plane)[fresh].mean()) >= 0.5 if fresh.any() else True
+
+
+def _thin_direction(points: Array, axis: Array) -> Array:
+    """Unit direction (3,) across `axis` in which points (M, 3) extend least."""
+    offsets = points - points.mean(0)
+    flat = offsets - np.outer(offsets @ axis, axis)
+    # The direction along the axis has no extent left and comes last.
+    direction = np.linalg.svd(flat, full_matrices=False)[2][1]
+    direction -= (direction @ axis) * axis
+    return np.asarray(direction / np.linalg.norm(direction), np.float64)

@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, similarity
-from aomgen.parts.coverage import Coverage, coverage_of
-from aomgen.parts.survey import Survey, object_sides, survey, table_sides
+from aomgen.parts.survey import Coverage, Survey, coverage_of, object_sides, survey, table_sides
 from aomgen.robots.robot import RobotConfiguration
 from aomgen.splatting.surfaces import ViewDepth, view_depths
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aomgen.core.values import Array
-from aomgen.motion.gripper_signals import GripperSignals, TouchInterval, find_touch, refine_touch
+from aomgen.motion.inputs import GripperSignals, TouchInterval, find_touch, refine_touch
 
 TIMES = np.arange(100) / 10
 
@@ -62,12 +62,8 @@ def test_a_grasp_of_the_part_counts_and_one_elsewhere_does_not() -> None:
 
 def test_a_touch_without_a_grip_begins_before_the_hand_is_near() -> None:
     times = np.arange(0.0, 4.0, 0.1, dtype=np.float64)
-    signals = GripperSignals(
-        times_s=times, Ts_world_ee=np.tile(np.eye(4), (40, 1, 1)), speeds_m_s=np.zeros(40),
-        gripper=np.ones(40), distances_m=np.full(40, 0.1),
-    )  # fmt: skip
     gaps = np.maximum(0.1 - 0.1 * (times - 1.0), 0.001)
-    touch = refine_touch(TouchInterval(first=30, last=39, gripped=False), signals, gaps)
+    touch = refine_touch(TouchInterval(first=30, last=39, gripped=False), times, gaps)
     # 11 mm are left at 1.89 s.
     assert times[touch.first] == pytest.approx(1.65, abs=0.1)
     assert touch.last == 39

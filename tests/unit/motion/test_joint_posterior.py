@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aomgen.motion.noise_model import (
+from aomgen.motion.joint_posterior import (
     SCALES,
     NoisePrior,
     PathNoise,
