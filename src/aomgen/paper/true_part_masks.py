@@ -1,6 +1,6 @@
 """Masks of the moving part over the demonstration, for the paper's keyframes."""
 
-from aomgen.capture.demo_masks import read_demo_masks
+from aomgen.capture.label_images import read_demo_masks
 from aomgen.conventions import MOVING
 from aomgen.core.recording import Capture, DemoCamera
 from aomgen.motion.inputs import MotionInput
