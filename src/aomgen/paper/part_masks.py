@@ -1,6 +1,6 @@
-"""Masks of the moving part where no video segmenter gave any: what changed since the video began.
+"""Masks of the moving part over the demonstration, for the paper's keyframes.
 
-The paper follows the part with SAM 2. Without it a pixel counts as the part's when it lies on the
+The paper follows the part with SAM 2. Without label images a pixel counts as the part's when it lies on the
 part's scanned place and still looks as it did, or beside it, joined to it, and looks different.
 Rougher than SAM 2: what the part uncovered beside itself counts too, a part in the color of what it
 covers is taken for its shadow, and where it moved along its own place its texture decides.
@@ -9,8 +9,10 @@ covers is taken for its shadow, and where it moved along its own place its textu
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.robust import SD_OF_MAD
-from aomgen.core.values import Array
+from aomgen.capture.label_images import read_demo_masks
+from aomgen.conventions import MOVING
+from aomgen.core.recording import Capture, DemoCamera
+from aomgen.core.robust import SD_OF_MAD, masked_median
 from aomgen.io.images import resize
 from aomgen.motion.filters import close_gaps, dilate, keep_touching
 from aomgen.motion.inputs import MotionInput
@@ -26,18 +28,29 @@ CHANGE_SD, MIN_CHANGE = 6.0, 12.0
 DARKEST_SHADE = 0.4
 # The model's outline is off by as much at this size, [px].
 ROBOT_MARGIN_PX = 2
+# Width of the masks by change, [px].
+WIDTH = 320
 
 
-def masks_by_change(demonstration: MotionInput, width: int = 320) -> PartMasks:
-    """Masks of part and robot in every frame of a demonstration, `width` px wide.
+def part_masks(capture: Capture, camera: DemoCamera, demonstration: MotionInput) -> PartMasks:
+    """Moving part and robot in every frame: the part's from the capture's own label images, else from
+    what changed in the video; the robot's drawn from its log.
 
-    Args:
-        demonstration: Its video, camera, log and scanned points are used.
-        width: Of the masks, [px]; the video's own at most.
+    Raises:
+        InputError: See `read_demo_masks`.
     """
     demo = demonstration
-    width = min(width, demo.camera.width)
-    small = demo.camera.resized(width, round(width * demo.camera.height / demo.camera.width))
+    count, height, width = demo.video.frames_srgb.shape[:3]
+    labels = read_demo_masks(capture, camera, (count, height, width))
+    if labels is None:
+        return _masks_by_change(demo)
+    with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
+        robot = masks_at(demo.video.times_s, width, height)
+    return PartMasks(moving=labels == MOVING, robot=robot)
+
+
+def _masks_by_change(demo: MotionInput) -> PartMasks:
+    small = demo.camera.narrowed(WIDTH)
     frames = [resize(frame, small.width, small.height) for frame in demo.video.frames_srgb]
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         robot = masks_at(demo.video.times_s, small.width, small.height)
@@ -60,10 +73,7 @@ def changed_masks(
     Not checked: what the robot hid in all of these counts as never changed.
     """
     hidden = np.stack([dilate(mask, ROBOT_MARGIN_PX) for mask in robot])
-    bare = np.where(hidden[:still, ..., None], np.nan, frames_srgb[:still].astype(np.float32))
-    known = np.asarray(~hidden[:still].all(0))
-    bare[:, ~known] = 0
-    reference = np.nanmedian(bare, axis=0)
+    reference, known = masked_median(frames_srgb[:still], ~hidden[:still])
     masks = np.empty(robot.shape, bool)
     for k, frame in enumerate(frames_srgb):
         compared = known & ~hidden[k]
@@ -72,7 +82,9 @@ def changed_masks(
     return masks
 
 
-def _changed(frame: NDArray[np.uint8], reference: Array, compared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _changed(
+    frame: NDArray[np.uint8], reference: NDArray[np.float32], compared: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Pixels (H, W) that differ by more than noise, and by more than the brightness of their color."""
     picture = frame.astype(np.float32)
     shade = (picture * reference).sum(-1) / np.maximum((reference**2).sum(-1), 1.0)
