@@ -25,6 +25,8 @@ INFINITY_HANDICAP = 1.5
 STRIDE = 2
 # Radius of the far sphere over the cameras' reach: a step aside moves it by less than a pixel.
 SHELL_DISTANCE = 500.0
+# Detail of points on planes, see `Samples`: below that of surfaces, as plane regions are plain.
+PLANE_DETAIL = 0.6
 # Directions of the coarse far sphere, about 4 degrees apart: only closes holes that no view covers.
 COARSE_DIRECTIONS = 3000
 # Weights of pixels that neighbours explain, and of those that only this view vouches for: the shell
@@ -121,30 +123,27 @@ def explain(
         undecided = votes[index][rows, columns] < 2
         explained = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
         depth = np.stack(depths)[best, np.arange(len(best))]
-        detail = contrast_detail(depth_map.image_srgb)[rows, columns]
-        at_infinity = explained & ~np.isfinite(depth)
+        on_plane, at_infinity = undecided & explained & np.isfinite(depth), explained & ~np.isfinite(depth)
         # What nothing explains is taken for far when the nearest pixel with a depth is.
         known = np.where(undecided & ~explained, 0, np.where(undecided & at_infinity, 2, 1)).reshape(shape)
         nearest = np.asarray(
             ndimage.distance_transform_edt(known == 0, return_distances=False, return_indices=True)
         )
         beyond = undecided & (known[nearest[0], nearest[1]].reshape(-1) == 2)
-        for target, which in ((on_planes, undecided & explained & np.isfinite(depth)), (far, beyond)):
-            finite = depth[which] if target is on_planes else np.ones(int(which.sum()))
-            normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best[which]]
-            facing = (normals * rays[which]).sum(1, keepdims=True) > 0
-            unit = rays[which] / np.linalg.norm(rays[which], axis=1, keepdims=True)
-            points = depth_map.camera.center + rays[which] * finite[:, None] if target is on_planes else unit
-            target.append(
-                Samples(
-                    points_recon=points,
-                    normals_recon=np.where(facing, -normals, normals),
-                    colors_srgb=depth_map.image_srgb[rows[which], columns[which]],
-                    footprints=STRIDE * finite / depth_map.camera.fx,
-                    detail=np.full(int(which.sum()), 0.6) if target is on_planes else detail[which],
-                    weights=np.where(explained[which], EXPLAINED_WEIGHT, OPEN_WEIGHT),
-                )
-            )
+        depth = np.where(on_plane, depth, 1.0)
+        normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best]
+        facing = (normals * rays).sum(1, keepdims=True) > 0
+        unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        samples = Samples(
+            points_recon=np.where(on_plane[:, None], depth_map.camera.center + rays * depth[:, None], unit),
+            normals_recon=np.where(facing, -normals, normals),
+            colors_srgb=depth_map.image_srgb[rows, columns],
+            footprints=STRIDE * depth / depth_map.camera.fx,
+            detail=np.where(on_plane, PLANE_DETAIL, contrast_detail(depth_map.image_srgb)[rows, columns]),
+            weights=np.where(explained, EXPLAINED_WEIGHT, OPEN_WEIGHT),
+        )
+        on_planes.append(samples.select(on_plane))
+        far.append(samples.select(beyond))
     return join_samples(on_planes), join_samples(far)
 
 

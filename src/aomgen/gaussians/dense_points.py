@@ -19,9 +19,9 @@ from aomgen.gaussians.depth_fusion import (
     confirmed_depth,
     confirmed_samples,
     count_confirmations,
+    plane_sweep,
     thin,
 )
-from aomgen.gaussians.plane_sweep import plane_sweep
 from aomgen.io.images import resize
 from aomgen.splatting.surfaces import in_free_space
 

@@ -13,8 +13,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
-from aomgen.structure.resection import Links
-from aomgen.structure.sparse_model import Pair, SparseModel, adjust, lens_of, read_model, set_camera
+from aomgen.structure.sparse_model import Links, Pair, SparseModel, adjust, lens_of, read_model, set_camera
 
 # Twice the error that verified matches may have: a lens that bends the border by more costs some.
 MAX_SHIFT_PX = 8.0

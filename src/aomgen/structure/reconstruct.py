@@ -21,9 +21,8 @@ from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_c
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import ImageSet, Workspace
 from aomgen.structure.outlier_rejection import InlierModel, duplicates, is_better, reject_outliers
-from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage
+from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage, undistort_prompts
 from aomgen.structure.sparse_model import SparseModel
-from aomgen.structure.undistortion import undistort_prompts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

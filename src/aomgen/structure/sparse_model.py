@@ -64,6 +64,14 @@ class Pair:
     pixels_b: Array
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Links:
+    """Pixels (M, 2) of an image, as photographed, and the points (M, 3) they show, with outliers."""
+
+    pixels: Array
+    points_recon: Array
+
+
 def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseModel:
     """Values of a model of one camera; `names` gives the image name of each file."""
     rows = {point_id: row for row, point_id in enumerate(sorted(model.points3D))}

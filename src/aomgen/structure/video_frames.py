@@ -21,7 +21,7 @@ from aomgen.io.atomic import write_json
 from aomgen.io.images import write_image
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import decode_frames, probe_video
-from aomgen.structure.tracking import Pyramid, follow, new_tracks, pyramid
+from aomgen.structure.tracking import follow, new_tracks, pyramid
 
 FRAMES_FOLDER = "frames"
 LISTING = "frames.json"
@@ -165,7 +165,7 @@ def _select_moved(candidates: list[Candidate], params: FrameParams) -> tuple[lis
     key = before = pyramid(candidates[0].gray)
     tracks, wanted, ways = new_tracks(key), [0], [0.0]
     for place, candidate in enumerate(candidates[1:], 1):
-        now: Pyramid = pyramid(candidate.gray)
+        now = pyramid(candidate.gray)
         tracks = follow(tracks, key, before, now)
         before = now
         if tracks.shift_px >= params.step * width or tracks.kept < MIN_KEPT:
@@ -182,7 +182,12 @@ def _candidates(video: Path, progress: Progress) -> Iterator[Candidate]:
     for index, (time_s, frame) in enumerate(decode_frames(video)):
         progress(index / total, "looking for sharp frames")
         gray = _gray(frame, SHARPNESS_WIDTH)
-        found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halve(gray))
+        found = Candidate(
+            index=index,
+            time_s=time_s,
+            sharpness=sharpness_of(gray),
+            gray=pyramid(gray)[1].round().astype(np.uint8),
+        )
         if best is not None and int(time_s / CANDIDATE_S) != int(best.time_s / CANDIDATE_S):
             yield best
             best = found
@@ -204,10 +209,6 @@ def _gray(frame: VideoFrame, width: int) -> NDArray[np.uint8]:
     height = round(frame.height * width / frame.width / 2) * 2
     small = frame.reformat(width=width, height=height, format="gray8", interpolation="AREA", threads=1)
     return np.asarray(small.to_ndarray(), np.uint8)
-
-
-def _halve(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return pyramid(gray).levels[1].round().astype(np.uint8)
 
 
 def _rgb(frame: VideoFrame) -> NDArray[np.uint8]:
