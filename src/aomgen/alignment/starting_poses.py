@@ -29,7 +29,6 @@ class RobotBox:
     """A box around the robot in one scan image.
 
     Attributes:
-        camera_recon: Camera of the image.
         box_px: x0, y0, x1, y1 (4,), [px]; a side on the image border may hide more robot.
     """
 
@@ -67,12 +66,9 @@ def find_starting_poses(
     Every guess but the first few has its own boxes, perturbed by the error of boxes drawn by hand.
 
     Args:
-        boxes: Prompted boxes, one or more.
         vertices_world: Points on the posed robot (V, 3), [m].
         ups_recon: Candidates (3,) for world z in the recon frame, best first.
         points_recon: Sparse points (P, 3); those seen in a box tell likely depths.
-        rng: Makes the guesses.
-        count: How many.
 
     Returns:
         Poses; their scores are minus the root mean square gap between box sides and the robot's extent, as a
@@ -125,9 +121,6 @@ def up_candidates(
     the scene (table, floor) sharpen it. Planes tilted more than 30 degrees from it are walls.
 
     Args:
-        cameras_recon: Scan cameras.
-        points_recon: Sparse or dense points (P, 3).
-        rng: Chooses the triples of the plane search.
         count: How many plane normals to return before the plain mean.
     """
     mean_up = -np.mean([camera.T_world_cam[:3, 1] for camera in cameras_recon], 0)

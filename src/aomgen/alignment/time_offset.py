@@ -52,8 +52,8 @@ MIN_CHANGE = 0.003
 MIN_GAIN_SD = 2.0
 # Segments of time left out in turn for the standard deviation (jackknife).
 _BLOCKS = 5
-# Smallest standard deviation believed, [s]: a few milliseconds are within the jitter of video time stamps.
-_MIN_SD_S = 0.002
+# Least standard deviation of a clock, [s]: time stamps are rounded to a millisecond.
+MIN_CLOCK_SD_S = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +110,6 @@ def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock
     """Find the offset, and roughly the drift, from the arm's own motion.
 
     Args:
-        video: The demonstration.
         log_times_s: Times of the joint log (T,), its own clock, [s].
         masks_at: Draws the robot at log times.
 
@@ -139,7 +138,12 @@ def _coarse_tables(frames: ClockFrames, log_times_s: Array, masks_at: MasksAt) -
     """For each lag, the score (K, M) of video frame k and its follower shown at grid time m."""
     grid = _grid(frames, log_times_s)
     if not len(grid) > max(LAGS):
-        raise _too_short(frames, log_times_s)
+        raise SyncError(
+            "joint log",
+            f"spans {log_times_s[-1] - log_times_s[0]:.1f} s, too little for a video of "
+            f"{len(frames.images) * frames.step_s:.1f} s",
+            "export the log of the whole demonstration",
+        )
     masks = masks_at(grid, *frames.size).reshape(len(grid), -1)
     moved = max(float((masks[:-lag] ^ masks[lag:]).mean(1).max()) for lag in LAGS)
     if not moved >= MIN_CHANGE:
@@ -169,8 +173,6 @@ def _coarse_scores(
     count, size = len(frames.images), len(_grid(frames, log_times_s))
     need = int(np.ceil(MIN_OVERLAP * count))
     shifts = np.arange(need - count, size - need + 1)
-    if not len(shifts):
-        raise _too_short(frames, log_times_s)
     # One step of drift moves the ends of the video by half a step of time.
     half = int(np.ceil(MAX_RATE * count))
     rates = np.arange(-half, half + 1) / count
@@ -198,15 +200,6 @@ def _guess(frames: ClockFrames, rates: Array, candidates: Array, scores: Array, 
 
 def _grid(frames: ClockFrames, log_times_s: Array) -> Array:
     return np.arange(log_times_s[0], log_times_s[-1], frames.step_s, dtype=np.float64)
-
-
-def _too_short(frames: ClockFrames, log_times_s: Array) -> SyncError:
-    return SyncError(
-        "joint log",
-        f"spans {log_times_s[-1] - log_times_s[0]:.1f} s, too little for a video of "
-        f"{len(frames.images) * frames.step_s:.1f} s",
-        "export the log of the whole demonstration",
-    )
 
 
 def _refuse_ambiguous(candidates: Array, scores: Array) -> None:
@@ -244,7 +237,7 @@ def _fine(frames: ClockFrames, guess: Clock, log_times_s: Array, masks_at: Masks
     left_out = np.array([_peak(offsets, np.delete(table, block, 0).sum(0)) for block in blocks])
     # Jackknife over segments of time, in which a wrong camera pose acts alike.
     sd = float(np.sqrt(jackknife_covariance(left_out[:, None])[0, 0]))
-    return replace(guess, offset_s=best, sd_s=max(sd, _MIN_SD_S)), float(table.sum(0).max())
+    return replace(guess, offset_s=best, sd_s=max(sd, MIN_CLOCK_SD_S)), float(table.sum(0).max())
 
 
 def _fine_scores(

@@ -26,7 +26,6 @@ class CheckedCapture:
     """What the check of a capture found.
 
     Attributes:
-        robot: Of the capture.
         scan_count: Stills, or frames of the scan video.
         videos_s: Length of every demonstration video by camera, [s].
         frames: Their numbers of frames.

@@ -153,8 +153,6 @@ def check_log(log: JointLog, path: Path, videos_s: dict[str, float], offset_s: f
     """Check a log against the lengths of its videos; warnings.
 
     Args:
-        log: As read.
-        path: Of the log.
         videos_s: Length of every video by the name of its camera, [s]; each begins at its own zero.
         offset_s: Known clock offset (log time = video time + offset), [s].
 

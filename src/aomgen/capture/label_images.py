@@ -26,8 +26,6 @@ def read_demo_masks(
     """Labels (T, H, W) of every frame as `read_demo_videos` gives them, undistorted; None without any.
 
     Args:
-        capture: Holds them.
-        camera: Whose video.
         shape: Frames, height and width of that video.
 
     Raises:

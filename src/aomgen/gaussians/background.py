@@ -50,7 +50,6 @@ def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) ->
 
     Args:
         points: (P, 3); thin them evenly first, or near surfaces win.
-        seed: Of the draws.
         min_share: Share of all points a plane must hold.
 
     Source: RANSAC (Fischler & Bolles, 1981), then least squares on the inliers.
@@ -88,7 +87,6 @@ def explain(
     """Samples for pixels that no neighbour confirmed: on planes, and rays to infinity.
 
     Args:
-        maps: Depth maps of all views.
         votes: Confirmations of each (H, W); 2 or more are settled already.
         planes: Explanations besides infinity.
 
@@ -198,7 +196,6 @@ def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) ->
     Args:
         rays: Samples whose points are unit directions and whose footprints are angles.
         points_recon: The scene's points (P, 3); the sphere is far outside of them.
-        centers: Camera centres (V, 3).
         limit: At most about this many fine points, more where the images have detail.
 
     The coarse directions take the color of the nearest fine one, so that no view looks into a hole.

@@ -126,7 +126,6 @@ class DepthMap:
 
     Attributes:
         camera: Camera at the map's resolution, recon frame.
-        image_srgb: (H, W, 3) uint8.
         inverse_depth: (H, W); 0 is infinity.
         score: Correlation at it (H, W), -1..1.
         step: Distance of two hypotheses in inverse depth.
@@ -143,11 +142,9 @@ class DepthMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Samples:
-    """Points with what thinning needs.
+    """P points with what thinning needs.
 
     Attributes:
-        points_recon, normals_recon: (P, 3).
-        colors_srgb: (P, 3) uint8.
         footprints: Size of a pixel at the point (P,), recon units.
         detail: How much finer than usual the point should be kept (P,), about 0.5..2.
         weights: How many pixels the point stands for (P,).

@@ -59,9 +59,6 @@ def align_as_paper(
     Args:
         views: Scan images, for the starts only.
         boxes: Prompted boxes around the robot, two or more.
-        gaussians_recon: The trained scene.
-        configuration: Robot during the scan.
-        rng: Starts, and samples of both clouds.
         min_matched: Least share of the robot points that has to lie on the model in the end.
 
     Raises:
@@ -181,7 +178,6 @@ class RigidFit:
     """Where the source lies on the target.
 
     Attributes:
-        T_target_source: Rigid motion (4, 4).
         matched: Share of the source within the kernel of the target.
         rms_m: Of the distances of that share, [m]; infinite when nothing matched.
     """

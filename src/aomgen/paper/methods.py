@@ -20,8 +20,8 @@ from aomgen.paper.affinity_features import AffinityParams
 from aomgen.paper.affinity_parts import affinity_evidence
 from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
 from aomgen.paper.icp_alignment import align_as_paper
+from aomgen.paper.mask_keyframes import part_masks
 from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
-from aomgen.paper.part_masks import part_masks
 from aomgen.parts import stage as parts_stage
 from aomgen.parts.label import SEED
 from aomgen.parts.likelihood import PartEvidence

@@ -37,7 +37,6 @@ class PaperMotionParams:
         threshold: Noise in the keyframes' threshold, see `keyframes.score_threshold`.
         signs: Signs of the edge cost, see `joint.pair_costs`; repaired also means that `v_ee` of a
             prismatic joint is the hand's displacement, where printed takes its approach.
-        weights: Of the edge cost.
     """
 
     joint_type: JointType
@@ -88,10 +87,7 @@ def estimate_motion_paper(
     nobody doubts; the axis points so that the motion ends at a positive value.
 
     Args:
-        demonstration: As our own estimator gets it.
         masks: Moving part and robot in every frame of its video, at any size.
-        params: Joint type and variants.
-        progress: Told about each submodule.
         on_curve: Hears the motion score before it is refused.
 
     Raises:
@@ -211,10 +207,8 @@ def nearest_pair(
 
     Args:
         robot: Kinematics and meshes, whose surfaces stand for the paper's robot Gaussians.
-        log: The joint log.
         points_moving: Points of the part at its scanned place (N, 3), world frame, [m].
         start_log_s: Start of the motion, log clock, [s].
-        rng: Spreads points over the robot's meshes.
 
     Raises:
         InputError: The robot has no meshes.

@@ -51,7 +51,6 @@ class DemoView:
     Attributes:
         first_srgb: (H, W, 3) uint8, robot as in the scan.
         median_srgb: (H, W, 3) uint8, most of the moving arm gone.
-        intrinsics: Stated intrinsics, a prior, or None.
     """
 
     first_srgb: NDArray[np.uint8]
@@ -65,7 +64,6 @@ class PlacedCamera:
 
     Attributes:
         camera_recon: Optics of its undistorted frames, and pose.
-        lens: Its optics as photographed.
         figures: What was found and which still is used (JSON values).
     """
 
@@ -185,10 +183,7 @@ def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resecti
     """Camera from matches, or None when fewer than `MIN_INLIERS` agree on one.
 
     Args:
-        links: Matches with outliers.
         lens: Optics; only its distortion and image size count when the focal length is unknown.
-        focal_known: Whether to keep the focal length.
-        seed: Of RANSAC.
 
     Source: P3P in LO-RANSAC, then robust refinement, as in COLMAP.
     """
@@ -236,11 +231,8 @@ def choose_view_lens(
     """Choose the lens model of one view, by matches that each fit has not seen.
 
     Args:
-        links: Matches.
         placed: The camera as it was placed, with the stated optics if there are any.
-        stated: The prior, or None when nothing is known.
         scan_lens: The scan's lens where the view may have it too; its own has to be clearly better.
-        seed: Of the folds.
 
     The matches are told inliers under the richest lens, because a pinhole drops those near the border.
     """

@@ -24,7 +24,6 @@ class ImageSet:
     """Images of one camera.
 
     Attributes:
-        group: Name of the set.
         images: Pairs of name and (H, W, 3) uint8, all of one size.
         intrinsics: Known intrinsics, or None to estimate one focal length.
     """
@@ -40,8 +39,6 @@ class Workspace:
 
     Attributes:
         folder: Scratch folder, empty at the start.
-        seed: Of RANSAC and of the mapper.
-        threads: -1 = all cores.
     """
 
     folder: Path

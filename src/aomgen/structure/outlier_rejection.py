@@ -40,12 +40,10 @@ SAME_PX = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Views:
-    """Poses of the registered images.
+    """Poses (4, 4) of the registered images by name, and their intrinsics K (3, 3), [px].
 
     Attributes:
-        Ts_recon_cam: Pose (4, 4) by image name.
         depths: Median depth of the points that an image shows, by image name.
-        K: Intrinsics (3, 3), [px].
     """
 
     Ts_recon_cam: dict[str, Array]
@@ -83,7 +81,6 @@ class InlierModel:
     """A model and the images that were rejected from it.
 
     Attributes:
-        mapped: The model.
         dropped: Rejected images, with the reason.
         worst_agreement: Smallest share of matches that fit the pose, over the inlier images.
     """
@@ -140,7 +137,6 @@ def wrong_groups(views: Views, pairs: list[Pair]) -> list[set[str]]:
     """Groups of images that the rest contradicts more than it supports; the larger side is kept.
 
     Args:
-        views: Registered images.
         pairs: Every pair that was tried, with its verified matches or with none.
 
     Not checked: a wrong group that shares no view with the rest, nor stands where the rest stands.
@@ -163,7 +159,6 @@ def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
     """Images that show nothing but what another one shows, and that other one.
 
     Args:
-        pairs: Verified matches.
         preferred: Of two equal images one of these stays.
     """
     found: dict[str, str] = {}
@@ -263,8 +258,6 @@ def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pai
     does not drag its neighbours down.
 
     Args:
-        Ts_recon_cam: Pose (4, 4) by image name.
-        K: Intrinsics (3, 3), [px].
         pairs: Verified matches; pairs with unregistered images are ignored.
 
     Returns:

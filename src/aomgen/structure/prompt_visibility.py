@@ -29,7 +29,6 @@ class PromptVisibility:
 
     Attributes:
         part: robot, moving or static.
-        image: The prompted image.
         registered: Whether that image is in the model.
         views: Registered images that have the place in their image.
         angle_deg: Largest angle between their directions to it.
@@ -83,7 +82,6 @@ def measure_prompt_visibility(
     Args:
         prompts: Pixels of the images that `cameras_recon` belong to (undistorted).
         cameras_recon: Registered images, in name order.
-        points_recon: (P, 3).
         observations: (M, 2), rows of (point, index of image).
 
     Not checked: occlusion.

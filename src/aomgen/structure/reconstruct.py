@@ -31,8 +31,6 @@ class Photographs:
 
     Attributes:
         images: Scan images by file name; all of one size and one camera.
-        intrinsics: Stated intrinsics, a prior, or None.
-        demo: Fixed cameras by name.
         prompts: In pixels of the images as recorded.
     """
 
@@ -64,7 +62,6 @@ class StructureParams:
 
     Attributes:
         max_features: SIFT features kept an image.
-        seed: Of every random choice.
         threads: -1 = all cores.
     """
 
@@ -75,11 +72,6 @@ class StructureParams:
 
 def reconstruct_structure(photographs: Photographs, params: StructureParams, progress: Progress) -> Structure:
     """Recover the cameras of a scan, and the fixed cameras in the same frame.
-
-    Args:
-        photographs: Scan, fixed cameras and prompts.
-        params: Limits and effort.
-        progress: Share done and a few words.
 
     Returns:
         The structure; misregistered images are dropped, never averaged in.

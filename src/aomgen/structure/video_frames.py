@@ -62,7 +62,6 @@ class Candidate:
 
     Attributes:
         index: Number of the frame in the video.
-        time_s: Its time.
         sharpness: See `sharpness_of`; compared only within one video.
         gray: (h, w) uint8, small.
     """
@@ -79,11 +78,8 @@ def extract_frames(
     """Choose frames of a scan video and write them as PNG below `folder`; done once, then kept.
 
     Args:
-        video: The scan.
         forced: Names of frames that must be among them (prompts were made on them).
         folder: The stage's folder; frames go to `frames/`, the choice to `frames.json`.
-        progress: Share done and a few words.
-        params: How to choose.
 
     Returns:
         Path by name, in the order of time.
