@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from aomgen.core.planes import fit_plane
 from aomgen.core.values import Array
 from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, join_samples, thin
 
 # Planes at most: walls, floor and ceiling of a room, or a table and its surroundings.
 MAX_PLANES = 5
+# Triples of points tried for each: a plane that holds a quarter of the points is met all but surely.
+PLANE_TRIALS = 400
 # Mean color difference between views that still is the same color, 0..255.
 MAX_DIFFERENCE = 11.0
 # Infinity must explain a pixel better than a plane by this much.
@@ -51,8 +54,6 @@ def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) ->
     Args:
         points: (P, 3); thin them evenly first, or near surfaces win.
         min_share: Share of all points a plane must hold.
-
-    Source: RANSAC (Fischler & Bolles, 1981), then least squares on the inliers.
     """
     rng = np.random.default_rng(seed)
     reach = np.median(np.linalg.norm(points - np.median(points, 0), axis=1))
@@ -61,19 +62,11 @@ def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) ->
     wanted = max(30, int(min_share * len(rest)))
     planes: list[Plane] = []
     while len(planes) < MAX_PLANES and len(rest) >= wanted:
-        triples = rest[rng.integers(0, len(rest), (400, 3))]
-        normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-        lengths = np.linalg.norm(normals, axis=1)
-        normals = normals[lengths > 0] / lengths[lengths > 0, None]
-        offsets = (normals * triples[lengths > 0, 0]).sum(1)
-        votes = (np.abs(rest @ normals.T - offsets) < tolerance).sum(0)
-        best = int(votes.argmax())
-        inliers = np.abs(rest @ normals[best] - offsets[best]) < tolerance
-        center, normal = np.zeros(3), normals[best]
-        for _ in range(3):
-            center = rest[inliers].mean(0)
-            normal = np.linalg.svd(rest[inliers] - center, full_matrices=False)[2][2]
-            inliers = np.abs((rest - center) @ normal) < tolerance
+        plane = fit_plane(rest, tolerance, rng, PLANE_TRIALS)
+        if plane is None:
+            break
+        normal, center = plane
+        inliers = np.abs((rest - center) @ normal) < tolerance
         if inliers.sum() < wanted:
             break
         planes.append(Plane(normal=normal, offset=float(normal @ center), support=rest[inliers]))

@@ -18,6 +18,7 @@ from aomgen.alignment.starting_poses import RobotBox, up_candidates
 from aomgen.core.alignment import Alignment
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas
+from aomgen.core.planes import fit_plane
 from aomgen.core.transforms import apply, rotvec_from_matrix, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import AlignmentError
@@ -149,23 +150,15 @@ def _thinned(points: Array, cell: float) -> Array:
 
 def _without_support(points: Array, up: Array, rng: np.random.Generator) -> Array:
     """The points without the level plane that holds most of them, if it holds a tenth."""
-    if len(points) < 10:
-        return points
-    triples = points[rng.integers(0, len(points), (_PLANE_TRIALS, 3))]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+    tolerance = 0.03 * _spread(points) if len(points) else 0.0
     # Within 15 degrees of level; other planes may be the arm's own.
-    level = np.abs(normals @ up) > np.cos(np.radians(15.0))
-    if not level.any():
+    plane = (
+        fit_plane(points, tolerance, rng, _PLANE_TRIALS, axis=up, max_tilt_deg=15.0) if len(points) else None
+    )
+    if plane is None:
         return points
-    sample = points[rng.permutation(len(points))[:3000]]
-    offsets = np.einsum("td,td->t", normals[level], triples[level, 0])
-    tolerance = 0.03 * _spread(points)
-    counts = (np.abs(sample @ normals[level].T - offsets) < tolerance).sum(0)
-    best = int(np.argmax(counts))
-    if not counts[best] >= 0.1 * len(sample):
-        return points
-    return points[np.abs(points @ normals[level][best] - offsets[best]) > 2 * tolerance]
+    heights = np.abs((points - plane[1]) @ plane[0])
+    return points[heights > 2 * tolerance] if np.mean(heights < tolerance) >= 0.1 else points
 
 
 def _starts(scan: Scan, configuration: RobotConfiguration, rng: np.random.Generator) -> Array:
