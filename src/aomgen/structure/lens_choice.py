@@ -166,7 +166,7 @@ def residuals(model: pycolmap.Reconstruction) -> list[tuple[Array, Array]]:
     found = []
     for image_id in sorted(model.reg_image_ids()):
         image = model.images[image_id]
-        seen = [point for point in image.points2D if point.has_point3D()]
+        seen = image.get_observation_points2D()
         pixels = np.array([point.xy for point in seen], np.float64).reshape(-1, 2)
         points = np.array([model.points3D[point.point3D_id].xyz for point in seen], np.float64).reshape(-1, 3)
         T_cam_recon = image.cam_from_world()

@@ -141,10 +141,7 @@ class Workspace:
         models = pycolmap.incremental_mapping(
             self.database, self.folder / "images", self.folder / "models", self._mapper_options(group)
         )
-        if not models:
-            return None
-        self._model = max(models.values(), key=lambda model: model.num_reg_images())
-        return self.mapped(group)
+        return self._take_largest(models, group)
 
     def map_globally(self, group: str) -> SparseModel | None:
         """Global mapping of one set: all rotations at once, then all positions; the model, or None.
@@ -156,10 +153,14 @@ class Workspace:
         models = pycolmap.global_mapping(
             self.database, self.folder / "images", self.folder / "global", self._global_options(group)
         )
+        for model in models.values():
+            model.update_point_3d_errors()
+        return self._take_largest(models, group)
+
+    def _take_largest(self, models: dict[int, pycolmap.Reconstruction], group: str) -> SparseModel | None:
         if not models:
             return None
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
-        self._model.update_point_3d_errors()
         return self.mapped(group)
 
     @property

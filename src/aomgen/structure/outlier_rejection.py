@@ -11,6 +11,7 @@ the poses, and images that stand side by side by their poses and yet have nothin
 from dataclasses import dataclass
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from aomgen.core.transforms import apply, invert, skew
@@ -236,19 +237,11 @@ def _converge_signs(evidence: Array, side: Array) -> Array:
 
 
 def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array) -> Array:
-    """Sampson distance (M,) of matched pixels under two poses, [px].
-
-    Source: Hartley & Zisserman, Multiple View Geometry, eq. 11.9.
-    """
+    """Sampson distance (M,) of matched pixels under two poses, [px]."""
     T_b_a = np.linalg.inv(T_recon_b) @ T_recon_a
     K_inverse = np.linalg.inv(K)
     F = K_inverse.T @ skew(T_b_a[:3, 3]) @ T_b_a[:3, :3] @ K_inverse
-    a = np.concatenate([pair.pixels_a, np.ones((len(pair.pixels_a), 1))], 1).astype(np.float64)
-    b = np.concatenate([pair.pixels_b, np.ones((len(pair.pixels_b), 1))], 1).astype(np.float64)
-    lines_b, lines_a = a @ F.T, b @ F
-    numerator = np.abs((b * lines_b).sum(1))
-    gradient = np.sqrt((lines_a[:, :2] ** 2).sum(1) + (lines_b[:, :2] ** 2).sum(1))
-    return numerator / np.maximum(gradient, 1e-12)
+    return np.sqrt(pycolmap.compute_squared_sampson_error(pair.pixels_a, pair.pixels_b, F))
 
 
 def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
