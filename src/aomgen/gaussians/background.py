@@ -14,7 +14,14 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.planes import fit_plane
 from aomgen.core.values import Array
-from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, join_samples, thin
+from aomgen.gaussians.depth_fusion import (
+    MIN_CONFIRMATIONS,
+    DepthMap,
+    Samples,
+    contrast_detail,
+    join_samples,
+    thin,
+)
 
 # Planes at most: walls, floor and ceiling of a room, or a table and its surroundings.
 MAX_PLANES = 5
@@ -80,7 +87,7 @@ def explain(
     """Samples for pixels that no neighbour confirmed: on planes, and rays to infinity.
 
     Args:
-        votes: Confirmations of each (H, W); 2 or more are settled already.
+        votes: Confirmations of each (H, W); `MIN_CONFIRMATIONS` or more are settled already.
         planes: Explanations besides infinity.
 
     Returns:
@@ -111,7 +118,7 @@ def explain(
         depths.append(np.full(len(rays), np.inf))
         table = np.stack([_smooth(cost.reshape(shape)).reshape(-1) for cost in costs])
         best = table.argmin(0)
-        undecided = votes[index][rows, columns] < 2
+        undecided = votes[index][rows, columns] < MIN_CONFIRMATIONS
         explained = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
         depth = np.stack(depths)[best, np.arange(len(best))]
         on_plane, at_infinity = undecided & explained & np.isfinite(depth), explained & ~np.isfinite(depth)
@@ -164,7 +171,7 @@ def _differences(
         inside = (depths > 0) & (columns >= 0) & (rows >= 0)
         inside &= (columns < other.camera.width) & (rows < other.camera.height)
         r, c = rows[inside], columns[inside]
-        settled = votes[index][r, c] >= 2
+        settled = votes[index][r, c] >= MIN_CONFIRMATIONS
         hidden = settled & (other.inverse_depth[r, c] - 1.0 / depths[inside] > 2 * other.step)
         # A settled surface behind the point contradicts it: the neighbour looks through.
         through = settled & (1.0 / depths[inside] - other.inverse_depth[r, c] > 2 * other.step)
