@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.capture.capture_check import read_demo_videos
+from aomgen.capture.demo_videos import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.alignment import Alignment
 from aomgen.core.camera import Camera, camera_in_world

@@ -30,6 +30,8 @@ from aomgen.alignment.silhouette_fit import (
     spread,
 )
 from aomgen.alignment.uncertainty import (
+    MAX_JOINT_OFFSET_RAD,
+    SIGNIFICANT_SDS,
     CameraErrors,
     covariance_from_cameras,
     joint_offsets,
@@ -45,20 +47,16 @@ from aomgen.robots.robot import RobotConfiguration
 STAGE = "alignment"
 # Least support beyond chance of the whole robot, 0..1; contours beside the robot reach 0 by definition.
 MIN_LIFT = 0.2
-# The same for every segment of the arm that a joint moves; half, because a segment has few contour points.
-MIN_SEGMENT_LIFT = 0.1
+# The same for every segment of the arm that a joint moves: half, because a segment has few contour points.
+MIN_SEGMENT_LIFT = MIN_LIFT / 2
 # Least lead in support over a different hypothesis: half of the least support itself.
-MIN_MARGIN = 0.1
+MIN_MARGIN = MIN_LIFT / 2
 # Hypotheses whose color score is this share of the best one are fitted to contours; color alone ranks
 # coarsely.
 FINALIST_SHARE = 0.5
 # Hypotheses whose robots are farther apart than this are different, [m]: far outside the reach of the
 # contour fit.
 DISTINCT_M = 0.05
-# Largest joint offset that the images may show, [rad]; mastered arms are within it.
-MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
-# An offset counts when it is this many of its standard deviations: four, as many joints are tested.
-JOINT_SDS = 4.0
 # An offset counts when it moves the contour by more than the error of an image edge, [px].
 MIN_JOINT_MOVE_PX = 0.5
 # Images wider than this are reduced, [px]: the sparse structure's own accuracy needs no more.
@@ -72,7 +70,6 @@ class AlignmentParams:
     """Effort and limits.
 
     Attributes:
-        search: Effort of the search for hypotheses.
         guesses: Factors of its guesses, tried in turn until a hypothesis is confirmed.
         views: Scan images used, spread over the walk.
         contour_points: Outline points a view.
@@ -96,9 +93,6 @@ def align(
     Args:
         scan: Images that show the robot in `configuration`, with at least one prompted box.
         configuration: Robot and its joint values during the scan.
-        progress: Called after each hypothesis.
-        rng: Random choices of the search.
-        params: See `AlignmentParams`.
 
     Raises:
         AlignmentError: No box, the outlines are not confirmed by the images, or two different
@@ -247,7 +241,7 @@ def _refuse_unconfirmed(found: Confirmation, runner_up: float, configuration: Ro
 def _refuse_wrong_joints(evidence: list[ViewEvidence], configuration: RobotConfiguration) -> None:
     found = joint_offsets(evidence)
     sizes = np.abs(found.offsets_rad)
-    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > JOINT_SDS * found.sds_rad)
+    wrong = (sizes > MAX_JOINT_OFFSET_RAD) & (sizes > SIGNIFICANT_SDS * found.sds_rad)
     wrong &= found.moves_px > MIN_JOINT_MOVE_PX
     if wrong.any():
         worst = int(np.argmax(np.where(wrong, sizes, 0)))

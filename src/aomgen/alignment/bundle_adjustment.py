@@ -19,6 +19,8 @@ from aomgen.alignment.bundle_terms import (
     CameraState,
     pose_difference,
 )
+from aomgen.alignment.time_offset import MIN_CLOCK_SD_S
+from aomgen.alignment.uncertainty import MAX_JOINT_OFFSET_RAD, SIGNIFICANT_SDS
 from aomgen.core.camera import camera_in_world
 from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm, jackknife_covariance, solve
@@ -30,17 +32,11 @@ from aomgen.errors import AlignmentError
 _ROUNDS = ((10, 3.0), (6, 1.5), (4, 1.0))
 # Steps between two renderings at most, and the relative decrease of the cost that ends them: a tenth of a deviation.
 _STEPS, _TOLERANCE = 10, 1e-6
-# Least standard deviation of a clock, [s]: time stamps are rounded to a millisecond.
-_MIN_CLOCK_SD_S = 0.001
 # A drift that shifts the ends of the video by less than this against one another is none: 20 ms at either
 # end are 6 mm of an arm that moves at 0.3 m/s, [s].
 _MAX_DRIFT_S = 0.04
-# Standard deviations that a drift has to be away from none; four, so that chance never makes one.
-_DRIFT_SDS = 4.0
 # Edges unrelated to the arm lie anywhere in reach of its contour, which gives a misfit of 2/3.
 _MAX_MISFIT = 0.5
-# Joint zeros of mastered arms are below this, [rad].
-_MAX_ZERO_RAD = float(np.radians(2.0))
 # Standard errors by which held-out frames must fit better before joint zeros are believed, so that chance takes
 # one in forty; zeros that are a quarter of a degree off gave 3 to 5 on made captures.
 _CLEAR_SDS = 2.0
@@ -73,7 +69,6 @@ def adjust_bundle(problem: BundleProblem, near: BundleSolution | None = None) ->
     A camera without frames is placed by structure and calibration alone.
 
     Args:
-        problem: Data and initial values.
         near: An earlier solution to start from: the search begins with less reach.
     """
     x, bundle = near or _start(problem), Bundle(problem)
@@ -89,7 +84,7 @@ def adjust_bundle(problem: BundleProblem, near: BundleSolution | None = None) ->
         clock = problem.cameras[name].clock
         if name in free:
             rate = 0.0 if name in steady else state.clock.rate
-            clock = replace(state.clock, sd_s=max(state.clock.sd_s, _MIN_CLOCK_SD_S), rate=rate)
+            clock = replace(state.clock, sd_s=max(state.clock.sd_s, MIN_CLOCK_SD_S), rate=rate)
         cameras[name] = replace(state, clock=clock)
     return replace(x, cameras=cameras)
 
@@ -97,7 +92,7 @@ def adjust_bundle(problem: BundleProblem, near: BundleSolution | None = None) ->
 def drifts(clock: Clock, seconds: float) -> bool:
     """Whether a clock's drift matters over so many seconds, and is known well enough to say so."""
     shift = abs(clock.rate) * seconds
-    return shift > _MAX_DRIFT_S and abs(clock.rate) > _DRIFT_SDS * clock.rate_sd
+    return shift > _MAX_DRIFT_S and abs(clock.rate) > SIGNIFICANT_SDS * clock.rate_sd
 
 
 def _drifts(item: CameraEvidence, clock: Clock) -> bool:
@@ -165,11 +160,11 @@ def _estimate_joint_zeros(problem: BundleProblem, logged: BundleSolution) -> Bun
     if not (len(gains) > 1 and gains.mean() > _CLEAR_SDS * gains.std(ddof=1) / np.sqrt(len(gains))):
         return logged
     worst = int(np.argmax(np.abs(found.zeros_rad)))
-    if not abs(found.zeros_rad[worst]) <= _MAX_ZERO_RAD:
+    if not abs(found.zeros_rad[worst]) <= MAX_JOINT_OFFSET_RAD:
         raise AlignmentError(
             f"joint '{problem.arm.log.joint_names[worst]}'",
             f"is {np.degrees(found.zeros_rad[worst]):+.1f} deg (+-{np.degrees(found.zero_sds_rad[worst]):.1f}) "
-            f"from where the log has it, scan and videos say; limit {np.degrees(_MAX_ZERO_RAD):.0f} deg",
+            f"from where the log has it, scan and videos say; limit {np.degrees(MAX_JOINT_OFFSET_RAD):.0f} deg",
             "master this joint again, or add its offset to the log",
         )
     return found

@@ -13,8 +13,16 @@ from typing import Annotated, Final
 import numpy as np
 
 from aomgen.alignment.arm_contours import ArmContour, GrayFrames, LoggedRobot, trace, trace_scan
-from aomgen.alignment.contours import AlignmentImage, Contour, edge_sds, edge_shifts, shift_jacobian
+from aomgen.alignment.contours import (
+    CORRELATED_POINTS,
+    AlignmentImage,
+    Contour,
+    edge_sds,
+    edge_shifts,
+    shift_jacobian,
+)
 from aomgen.alignment.silhouette_fit import RobotDrawing, gray_levels, move_similarity
+from aomgen.alignment.uncertainty import JACKKNIFE_GROUPS
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm
@@ -23,14 +31,10 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 # Unknowns of a camera: rotation and translation of the robot before it, clock offset, drift, bias.
 _POSE, OFFSET, RATE, _BIAS, _COLUMNS = slice(0, 6), 6, 7, 8, 9
-# Errors of neighbouring contour points are correlated: ten points count as one.
-_TOGETHER = 10.0
 # Edges are trusted to a tenth of a pixel at best, [px].
 _EDGE_SD_PX = 0.1
 # How far blur, tone curves and simple meshes widen all contours of one camera, [px].
 _BIAS_SD_PX = 1.0
-# Segments of a video that are left out in turn (jackknife).
-_SEGMENTS = 8
 # Standard deviation of what is known, in the unit of the unknown: far below that of any data.
 KNOWN_SD = 1e-6
 # Points that carry the pose of a camera in the structure; six degrees of freedom need no more.
@@ -86,13 +90,7 @@ class BundleProblem:
     """Data and initial values of the bundle adjustment.
 
     Attributes:
-        S_world_recon: Aligned similarity (4, 4).
         views: Scan views at the size they are rendered at.
-        drawing: The robot as scanned.
-        points_recon: The structure's points (P, 3).
-        arm: Robot, log and renderer.
-        cameras: By name.
-        params: Priors and effort.
     """
 
     S_world_recon: Array
@@ -189,7 +187,10 @@ class Bundle:
         for name, item in problem.cameras.items():
             count, state = len(item.frames.times_s), x.cameras[name]
             drawn = trace(item.frames, state.camera, state.clock, arm, problem.params.points)
-            parts = [[one for one in drawn if one.index * _SEGMENTS // count == k] for k in range(_SEGMENTS)]
+            parts = [
+                [one for one in drawn if one.index * JACKKNIFE_GROUPS // count == k]
+                for k in range(JACKKNIFE_GROUPS)
+            ]
             terms += self._edges(name, x, [part for part in parts if part], reach, kernel)
         return terms
 
@@ -207,7 +208,7 @@ class Bundle:
         residuals = shifts - self._bias(name, x)
         weights = kernel.weights(residuals) / edge_sds(strength) ** 2
         sd = max(_EDGE_SD_PX, float(np.sqrt(np.average(residuals**2, weights=weights))))
-        sds = np.sqrt(_TOGETHER) * sd * edge_sds(strength)
+        sds = np.sqrt(CORRELATED_POINTS) * sd * edge_sds(strength)
         ends = np.cumsum([sum(len(one.turns) for one in part) for part in parts])
 
         def residual(part: list[ArmContour], x: BundleSolution) -> Array:

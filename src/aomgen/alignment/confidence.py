@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.alignment.contours import (
+    CORRELATED_POINTS,
     AlignmentImage,
     Contour,
     border_kernel,
@@ -41,8 +42,6 @@ ASIDE = 0.06
 # Beyond the reach of edges, and close enough together that one of them is near any turn. A parallel
 # gripper looks alike after half a turn.
 TURNS_DEG = (-60.0, -30.0, -15.0, 15.0, 30.0, 60.0, 90.0)
-# Neighbors on an outline are confirmed together: ten count as one.
-CORRELATED = 10
 # Standard deviations by which a rotated wrist must fit better, so that chance does not report one.
 CLEAR_SDS = 3.0
 
@@ -52,9 +51,7 @@ class ViewEvidence:
     """Evidence of one image for the contour rendered into it; C points, J arm joints.
 
     Attributes:
-        name: Of the view.
         segments: Number (C,) of arm joints that move the body at each point.
-        confirmed: (C,) bool.
         by_chance: (D,) bool, the same for those points that stay in the image moved aside.
         edge_px, edge_weights: Signed shift outwards to the image's edge (C,), and its weight.
         border_px, border_weights: The same for the border between two colors, farther reaching.
@@ -62,7 +59,6 @@ class ViewEvidence:
         joint_jacobian: (C, J), shift of the outline for a turn of each joint, [px/rad].
         camera_jacobian: (C, 6), the shift that an error of the camera looks like: centre [m], then
             rotation vector [rad], world frame.
-        normals: (C, 2), see `Contour`.
     """
 
     name: str
@@ -84,14 +80,7 @@ class ViewEvidence:
 def collect_evidence(
     S: Array, views: list[AlignmentImage], drawing: RobotDrawing, contour_points: int
 ) -> list[ViewEvidence]:
-    """Collect the evidence of every view that shows enough of the robot.
-
-    Args:
-        S: `S_world_recon` to evaluate.
-        views: Images.
-        drawing: Renders the robot.
-        contour_points: Outline points a view.
-    """
+    """Collect the evidence of every view that shows enough of the robot."""
     found = []
     for number, view in enumerate(views):
         drawn = drawing.draw(camera_in_world(S, view.camera_recon), contour_points)
@@ -174,7 +163,6 @@ def confirmation(evidence: list[ViewEvidence], min_points: int = 100) -> Confirm
     """Pool the evidence of all views; nothing is confirmed where there is none.
 
     Args:
-        evidence: Of one similarity.
         min_points: Segments with fewer outline points say nothing (ten neighbours count as one).
     """
     if not evidence:
@@ -221,10 +209,7 @@ def find_wrist_rotation(
     """Render the gripper at several rotations of the last joint and compare how far images confirm it.
 
     Args:
-        S: `S_world_recon`.
-        views: Images.
         drawing: Draws the robot as logged.
-        contour_points: Outline points a view.
         logged: What the images say of the robot as logged; of these views and perhaps more.
 
     Not checked: the last joint turns (one that slides finds no better turn).
@@ -248,7 +233,7 @@ def find_wrist_rotation(
     best = int(np.argmax(shares))
     if count == 0 or shares[best] <= own:
         return WristRotation(turn_rad=0.0, gain=0.0, gain_sd=0.0)
-    variance = (own * (1 - own) + shares[best] * (1 - shares[best])) * CORRELATED / count
+    variance = (own * (1 - own) + shares[best] * (1 - shares[best])) * CORRELATED_POINTS / count
     return WristRotation(
         turn_rad=float(np.radians(TURNS_DEG[best])), gain=shares[best] - own, gain_sd=float(np.sqrt(variance))
     )

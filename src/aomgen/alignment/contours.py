@@ -23,17 +23,13 @@ BINS = 16
 CLEAR_EDGE = 0.05
 # Variance of the border between two colors that no sharpness takes away, [px^2].
 BORDER_VARIANCE = 0.5
+# Errors of neighboring contour points are correlated: so many count as one.
+CORRELATED_POINTS = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlignmentImage:
-    """One image to align with.
-
-    Attributes:
-        name: File or camera name.
-        camera_recon: Its camera, recon frame.
-        image_srgb: (H, W, 3) uint8.
-    """
+    """One image (H, W, 3) to align with, of a scan or the first of a fixed camera, by name."""
 
     name: str
     camera_recon: Camera

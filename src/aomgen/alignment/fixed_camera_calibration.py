@@ -49,7 +49,6 @@ class FixedCameraVideo:
     """One fixed camera of a capture.
 
     Attributes:
-        video: Of the demonstration.
         camera_recon: As structure from motion placed it, recon frame, the video's size.
         T_world_cam: Hand-eye calibration (4, 4), or None.
     """
@@ -66,11 +65,8 @@ class AlignedScan:
     """Initial values of the refinement.
 
     Attributes:
-        alignment: With the similarity.
         views: Scan images that may be used.
-        points_recon: Sparse points (P, 3) of the structure.
         configuration: Robot during the scan.
-        log: Joint log of the demonstration.
         clock_offset_s: Log time minus video time when it is known.
     """
 
@@ -90,12 +86,6 @@ def calibrate_fixed_cameras(
 ) -> Alignment:
     """The alignment with pose and clock of every fixed camera, joint zeros, and the similarity that fits them.
 
-    Args:
-        scene: Alignment, scan and robot.
-        videos: Fixed cameras by name.
-        progress: Called after each step.
-        params: Priors and effort.
-
     Raises:
         AlignmentError: A calibrated camera grossly contradicts the scan.
 
@@ -111,7 +101,9 @@ def calibrate_fixed_cameras(
         progress(0.5 * index / len(videos), f"looking for the clock of camera '{name}'")
         clocks[name] = _first_clock(scene, item)
     views = [limit_width(view, params.width) for view in scene.views]
-    sizes = [view.camera_recon for view in views] + [_small(item, params) for item in videos.values()]
+    sizes = [view.camera_recon for view in views] + [
+        item.camera_recon.narrowed(params.width) for item in videos.values()
+    ]
     width, height = max(camera.width for camera in sizes), max(camera.height for camera in sizes)
     with robot_drawing(scene.configuration, width, height) as drawing:
         arm = LoggedRobot(
@@ -146,12 +138,6 @@ def calibrate_fixed_cameras(
     )
 
 
-def _small(item: FixedCameraVideo, params: BundleParams) -> Camera:
-    camera = item.camera_recon
-    width = min(camera.width, params.width)
-    return camera.resized(width, round(camera.height * width / camera.width))
-
-
 def _first_clock(scene: AlignedScan, item: FixedCameraVideo) -> Clock | SyncError:
     times = item.video.times_s
     if scene.clock_offset_s is not None:
@@ -168,7 +154,7 @@ def _evidence(
     S: Array, item: FixedCameraVideo, clock: Clock | SyncError, arm: LoggedRobot, params: BundleParams
 ) -> CameraEvidence:
     """A camera with frames to fit and frames to validate, if enough of them show the arm."""
-    small = _small(item, params)
+    small = item.camera_recon.narrowed(params.width)
     unused = CameraEvidence(
         camera_recon=small,
         frames=NO_FRAMES,
@@ -249,7 +235,6 @@ def refuse_gross(name: str, T_world_cam: Array, camera: Camera, robot_world: Arr
     """Refuse a calibration that shows the robot where the scan's camera does not.
 
     Args:
-        name: Of the camera.
         T_world_cam: From capture.toml (4, 4).
         camera: As scan and alignment place it, world frame.
         robot_world: Points on the robot (N, 3), [m].

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,15 +219,11 @@ def far_apart(centers: list[Array], target: Array, count: int) -> list[int]:
 
 def limit_width(view: AlignmentImage, width: int) -> AlignmentImage:
     """Reduce a view to at most `width` pixels."""
-    camera = view.camera_recon
-    if camera.width <= width:
+    if view.camera_recon.width <= width:
         return view
-    height = round(camera.height * width / camera.width)
-    return AlignmentImage(
-        name=view.name,
-        camera_recon=camera.resized(width, height),
-        image_srgb=resize(view.image_srgb, width, height),
-    )
+    camera = view.camera_recon.narrowed(width)
+    image = resize(view.image_srgb, camera.width, camera.height)
+    return replace(view, camera_recon=camera, image_srgb=image)
 
 
 def gray_levels(image: NDArray[np.uint8]) -> NDArray[np.float32]:

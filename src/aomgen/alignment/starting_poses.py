@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.least_squares import Kernel
+from aomgen.core.planes import fit_plane
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity
 from aomgen.core.values import Array, freeze_arrays
 
@@ -22,6 +24,8 @@ _SIDE_ERROR = 0.1
 _GUESS_SPREAD, _GUESS_WEIGHT = np.array([1.0, 1.0, 1.0, 0.5]), 0.02
 # Gauss-Newton steps of a starting pose; it is refined on contours later.
 _STEPS = 12
+# Triples tried in the search for a level plane: one that holds a tenth of the points is met all but surely.
+_PLANE_TRIALS = 1500
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +33,6 @@ class RobotBox:
     """A box around the robot in one scan image.
 
     Attributes:
-        camera_recon: Camera of the image.
         box_px: x0, y0, x1, y1 (4,), [px]; a side on the image border may hide more robot.
     """
 
@@ -67,12 +70,9 @@ def find_starting_poses(
     Every guess but the first few has its own boxes, perturbed by the error of boxes drawn by hand.
 
     Args:
-        boxes: Prompted boxes, one or more.
         vertices_world: Points on the posed robot (V, 3), [m].
         ups_recon: Candidates (3,) for world z in the recon frame, best first.
         points_recon: Sparse points (P, 3); those seen in a box tell likely depths.
-        rng: Makes the guesses.
-        count: How many.
 
     Returns:
         Poses; their scores are minus the root mean square gap between box sides and the robot's extent, as a
@@ -87,25 +87,22 @@ def find_starting_poses(
     center, depth, size = _guesses(boxes, points_recon, float(np.ptp(hull, axis=0).max()), rng, count)
     sides = [_perturb_box(box, rng, count) for box in boxes]
     cuts = [_maybe_cut(box, rng, count) for box in boxes]
-    x = np.zeros((count, 4))
+
+    def measure(x: Array) -> tuple[Array, Array]:
+        arms = turned * (size * np.exp(x[:, 3]))[:, None, None]
+        points = arms + (center + depth[:, None] * x[:, :3])[:, None]
+        found = [_gaps(*item, points, arms, depth) for item in zip(boxes, sides, cuts, strict=True)]
+        gaps, J = (np.concatenate(parts, axis=1) for parts in zip(*found, strict=True))
+        return gaps, J
+
+    x, prior = np.zeros((count, 4)), (_GUESS_WEIGHT / _GUESS_SPREAD) ** 2
     for _ in range(_STEPS):
-        A = np.tile(np.diag((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2), (count, 1, 1))
-        b = -((_GUESS_WEIGHT / _GUESS_SPREAD) ** 2) * x
-        arms, points = _place_points(turned, center, depth, size, x)
-        for box, own, cut in zip(boxes, sides, cuts, strict=True):
-            gaps, J = _gaps(box, own, cut, points, arms, depth)
-            weights = 1 / np.sqrt(1 + (gaps / _SIDE_ERROR) ** 2)
-            A += np.einsum("hk,hki,hkj->hij", weights, J, J)
-            b -= np.einsum("hk,hki,hk->hi", weights, J, gaps)
+        gaps, J = measure(x)
+        weights = Kernel(scale=_SIDE_ERROR, power=0.5).weights(gaps)
+        A = np.einsum("hk,hki,hkj->hij", weights, J, J) + np.diag(prior)
+        b = -np.einsum("hk,hki,hk->hi", weights, J, gaps) - prior * x
         x = x + np.clip(np.linalg.solve(A, b[..., None])[..., 0], -0.3, 0.3)
-    arms, points = _place_points(turned, center, depth, size, x)
-    gaps = np.concatenate(
-        [
-            _gaps(box, own, cut, points, arms, depth)[0]
-            for box, own, cut in zip(boxes, sides, cuts, strict=True)
-        ],
-        axis=1,
-    )
+    gaps, _ = measure(x)
     scales_recon = size * np.exp(x[:, 3])
     places = center + depth[:, None] * x[:, :3]
     # p_recon_point = s_recon * R^T (p_world - middle) + p_recon, turned around:
@@ -125,9 +122,6 @@ def up_candidates(
     the scene (table, floor) sharpen it. Planes tilted more than 30 degrees from it are walls.
 
     Args:
-        cameras_recon: Scan cameras.
-        points_recon: Sparse or dense points (P, 3).
-        rng: Chooses the triples of the plane search.
         count: How many plane normals to return before the plain mean.
     """
     mean_up = -np.mean([camera.T_world_cam[:3, 1] for camera in cameras_recon], 0)
@@ -138,42 +132,18 @@ def up_candidates(
     for _ in range(count):
         if len(left) < 50:
             break
-        normal, near = _largest_plane(left, mean_up, 0.01 * extent, rng)
+        tolerance = 0.01 * extent
+        plane = fit_plane(left, tolerance, rng, _PLANE_TRIALS, axis=mean_up, max_tilt_deg=30.0)
+        if plane is None:
+            break
+        normal, center = plane
+        near = np.abs((left - center) @ normal) < 2 * tolerance
         if near.sum() < 0.03 * len(points_recon):
             break
         if all(normal @ up < np.cos(np.radians(2.0)) for up in ups):
             ups.append(normal)
         left = left[~near]
     return [*ups, mean_up]
-
-
-def _largest_plane(
-    points: Array, up: Array, tolerance: float, rng: np.random.Generator, trials: int = 1500
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Normal (3,) towards `up` and members (P,) of the plane that most points lie on."""
-    triples = points[rng.integers(0, len(points), (trials, 3))]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(lengths, 1e-12)[:, None]
-    normals *= np.sign(normals @ up)[:, None]
-    usable = (lengths > 1e-9) & (normals @ up > np.cos(np.radians(30.0)))
-    if not usable.any():
-        return up, np.zeros(len(points), bool)
-    normals, anchors = normals[usable], triples[usable, 0]
-    offsets = np.einsum("td,td->t", normals, anchors)
-    sample = points[rng.permutation(len(points))[:2000]]
-    counts = (np.abs(sample @ normals.T - offsets) < tolerance).sum(0)
-    best = int(np.argmax(counts))
-    normal, offset = normals[best], offsets[best]
-    for _ in range(3):
-        near = np.abs(points @ normal - offset) < tolerance
-        if near.sum() < 3:
-            break
-        center = points[near].mean(0)
-        normal = np.linalg.svd(points[near] - center, full_matrices=False)[2][2]
-        normal *= np.sign(normal @ up)
-        offset = normal @ center
-    return normal, np.abs(points @ normal - offset) < 2 * tolerance
 
 
 def _outline_points(points: Array, rng: np.random.Generator, count: int = 150) -> Array:
@@ -250,12 +220,6 @@ def _perturb_box(box: RobotBox, rng: np.random.Generator, count: int) -> Array:
     noise = rng.uniform(-_SIDE_ERROR, _SIDE_ERROR, (count, 4)) * spans
     noise[::4] = 0
     return np.asarray(box.box_px + np.where(_cut(box), 0.0, noise), np.float64)
-
-
-def _place_points(turned: Array, center: Array, depth: Array, size: Array, x: Array) -> tuple[Array, Array]:
-    """Place points of the robot: about its middle (H, V, 3), and in the recon frame."""
-    arms = turned * (size * np.exp(x[:, 3]))[:, None, None]
-    return arms, arms + (center + depth[:, None] * x[:, :3])[:, None]
 
 
 def _gaps(

@@ -52,8 +52,8 @@ MIN_CHANGE = 0.003
 MIN_GAIN_SD = 2.0
 # Segments of time left out in turn for the standard deviation (jackknife).
 _BLOCKS = 5
-# Smallest standard deviation believed, [s]: a few milliseconds are within the jitter of video time stamps.
-_MIN_SD_S = 0.002
+# Least standard deviation of a clock, [s]: time stamps are rounded to a millisecond.
+MIN_CLOCK_SD_S = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +110,6 @@ def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock
     """Find the offset, and roughly the drift, from the arm's own motion.
 
     Args:
-        video: The demonstration.
         log_times_s: Times of the joint log (T,), its own clock, [s].
         masks_at: Draws the robot at log times.
 
@@ -124,8 +123,9 @@ def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock
     Not checked: a drift that changes during the demonstration.
     """
     frames = ClockFrames.of(video)
-    tables = _coarse_tables(frames, log_times_s, masks_at)
-    rates, candidates, scores = _coarse_scores(frames, tables, log_times_s)
+    grid = np.arange(log_times_s[0], log_times_s[-1], frames.step_s, dtype=np.float64)
+    tables = _coarse_tables(frames, grid, masks_at)
+    rates, candidates, scores = _coarse_scores(frames, tables, grid)
     none, best = len(rates) // 2, int(np.argmax(scores.max(1)))
     _refuse_ambiguous(candidates, scores[best])
     found = [
@@ -135,11 +135,15 @@ def estimate_clock(video: Video, log_times_s: Array, masks_at: MasksAt) -> Clock
     return max(found, key=lambda item: item[1])[0]
 
 
-def _coarse_tables(frames: ClockFrames, log_times_s: Array, masks_at: MasksAt) -> list[Array]:
-    """For each lag, the score (K, M) of video frame k and its follower shown at grid time m."""
-    grid = _grid(frames, log_times_s)
+def _coarse_tables(frames: ClockFrames, grid: Array, masks_at: MasksAt) -> list[Array]:
+    """For each lag, the score (K, M) of video frame k and its follower shown at grid time m, log clock."""
     if not len(grid) > max(LAGS):
-        raise _too_short(frames, log_times_s)
+        raise SyncError(
+            "joint log",
+            f"spans {len(grid) * frames.step_s:.1f} s, too little for a video of "
+            f"{len(frames.images) * frames.step_s:.1f} s",
+            "export the log of the whole demonstration",
+        )
     masks = masks_at(grid, *frames.size).reshape(len(grid), -1)
     moved = max(float((masks[:-lag] ^ masks[lag:]).mean(1).max()) for lag in LAGS)
     if not moved >= MIN_CHANGE:
@@ -159,18 +163,14 @@ def _coarse_tables(frames: ClockFrames, log_times_s: Array, masks_at: MasksAt) -
     return tables
 
 
-def _coarse_scores(
-    frames: ClockFrames, tables: list[Array], log_times_s: Array
-) -> tuple[Array, Array, Array]:
+def _coarse_scores(frames: ClockFrames, tables: list[Array], grid: Array) -> tuple[Array, Array, Array]:
     """Drifts (R,), offsets at the middle of the video (C,), and the score (R, C) of each pair of them.
 
     Frame pairs that the log does not cover neither help nor hurt.
     """
-    count, size = len(frames.images), len(_grid(frames, log_times_s))
+    count, size = len(frames.images), len(grid)
     need = int(np.ceil(MIN_OVERLAP * count))
     shifts = np.arange(need - count, size - need + 1)
-    if not len(shifts):
-        raise _too_short(frames, log_times_s)
     # One step of drift moves the ends of the video by half a step of time.
     half = int(np.ceil(MAX_RATE * count))
     rates = np.arange(-half, half + 1) / count
@@ -181,7 +181,7 @@ def _coarse_scores(
             places = np.round(k + rate * (k - (count - 1) / 2)).astype(int)[:, None] + shifts
             inside = (places >= 0) & (places < table.shape[1])
             scores[row] += (table[k[:, None], places.clip(0, table.shape[1] - 1)] * inside).sum(0)
-    return rates, log_times_s[0] + shifts * frames.step_s - frames.times_s[0], scores
+    return rates, grid[0] + shifts * frames.step_s - frames.times_s[0], scores
 
 
 def _guess(frames: ClockFrames, rates: Array, candidates: Array, scores: Array, row: int) -> Clock:
@@ -193,19 +193,6 @@ def _guess(frames: ClockFrames, rates: Array, candidates: Array, scores: Array, 
         rate=float(rates[row]),
         rate_sd=float(rates[1] - rates[0]) / 2,
         middle_s=frames.middle_s,
-    )
-
-
-def _grid(frames: ClockFrames, log_times_s: Array) -> Array:
-    return np.arange(log_times_s[0], log_times_s[-1], frames.step_s, dtype=np.float64)
-
-
-def _too_short(frames: ClockFrames, log_times_s: Array) -> SyncError:
-    return SyncError(
-        "joint log",
-        f"spans {log_times_s[-1] - log_times_s[0]:.1f} s, too little for a video of "
-        f"{len(frames.images) * frames.step_s:.1f} s",
-        "export the log of the whole demonstration",
     )
 
 
@@ -239,12 +226,12 @@ def _fine(frames: ClockFrames, guess: Clock, log_times_s: Array, masks_at: Masks
     offsets = guess.offset_s + np.arange(-FINE_STEPS, FINE_STEPS + 1) * frames.step_s / FINE_STEPS
     clocks = [replace(guess, offset_s=float(offset)) for offset in offsets]
     table = np.stack([_fine_scores(frames, pairs, weights, clock, masks_at) for clock in clocks], 1)
-    best = _peak(offsets, table.sum(0))
+    best = _vertex(offsets, table.sum(0).max(1))
     blocks = np.array_split(np.arange(len(pairs)), min(_BLOCKS, len(pairs)))
-    left_out = np.array([_peak(offsets, np.delete(table, block, 0).sum(0)) for block in blocks])
+    left_out = np.array([_vertex(offsets, np.delete(table, block, 0).sum(0).max(1)) for block in blocks])
     # Jackknife over segments of time, in which a wrong camera pose acts alike.
     sd = float(np.sqrt(jackknife_covariance(left_out[:, None])[0, 0]))
-    return replace(guess, offset_s=best, sd_s=max(sd, _MIN_SD_S)), float(table.sum(0).max())
+    return replace(guess, offset_s=best, sd_s=max(sd, MIN_CLOCK_SD_S)), float(table.sum(0).max())
 
 
 def _fine_scores(
@@ -287,11 +274,6 @@ def _telling_pairs(frames: ClockFrames, clock: Clock, log_times_s: Array) -> lis
     marks = (np.arange(FINE_PAIRS) + 0.5) / FINE_PAIRS * energy[-1]
     chosen = np.unique(np.searchsorted(energy, marks))
     return [(covered[i], covered[i] + lag) for i in chosen]
-
-
-def _peak(offsets: NDArray, table: NDArray) -> float:
-    """Maximum of a score over offsets and shifts (D, S)."""
-    return _vertex(offsets, table.max(1))
 
 
 def _vertex(offsets: NDArray, scores: NDArray) -> float:

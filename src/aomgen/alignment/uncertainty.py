@@ -19,15 +19,18 @@ from scipy.sparse import bsr_matrix, csr_matrix
 from aomgen.alignment.confidence import ViewEvidence
 from aomgen.alignment.silhouette_fit import EDGE_KERNEL
 from aomgen.core.camera import Camera
-from aomgen.core.least_squares import ResidualTerm, add, jackknife_covariance, solve
+from aomgen.core.least_squares import Kernel, ResidualTerm, add, jackknife_covariance, solve
 from aomgen.core.transforms import similarity_parts, skew
 from aomgen.core.values import Array, freeze_arrays
 
-# Groups of views left out in turn (jackknife): each must still determine all joints.
-GROUPS = 8
+# Groups of views, or segments of a video, left out in turn (jackknife): the rest must still determine all joints.
+JACKKNIFE_GROUPS = 8
+# Largest joint offset of a mastered arm, [rad].
+MAX_JOINT_OFFSET_RAD = float(np.radians(2.0))
+# What should not be there counts when it is this many of its standard deviations: four, as many things are tested.
+SIGNIFICANT_SDS = 4.0
 # Arms report their joints to a fraction of a degree; offsets beyond this are not expected at all.
 JOINT_PRIOR_RAD = np.radians(20.0)
-
 # The mean length of a plane normal error over its deviation along one axis.
 _RAYLEIGH = float(np.sqrt(np.pi / 2))
 
@@ -37,7 +40,6 @@ class CameraErrors:
     """Joint covariance of camera poses.
 
     Attributes:
-        names: Of N cameras.
         covariance: (6 N, 6 N), of each camera's centre, then its rotation vector [rad], in the axes
             and units of a frame.
     """
@@ -68,9 +70,7 @@ def camera_covariance(
 
     Args:
         cameras: In any frame; lengths of the result are in its unit.
-        points: (P, 3), same frame.
         observations: (M, 2) rows of (point, camera).
-        error_px: Mean reprojection error.
 
     Not checked: intrinsics are taken as exact, and every point errs for itself.
     """
@@ -151,7 +151,6 @@ def covariance_from_cameras(evidence: list[ViewEvidence], errors: CameraErrors) 
     scaled up.
 
     Args:
-        evidence: Of the aligned robot.
         errors: Of the cameras, world frame; views that are not among them are taken as exact.
     """
     rows = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(errors.names)}
@@ -201,9 +200,9 @@ def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:
     """
     offsets = _joint_step(evidence)[7:]
     covariance = _jackknife(evidence, _joint_step, 7 + len(offsets))
-    weights = np.concatenate([view.border_weights for view in evidence])
-    whole = np.concatenate([view.jacobian for view in evidence])
-    own = np.concatenate([view.joint_jacobian for view in evidence])
+    weights, whole, own = (
+        _pool(evidence, field) for field in ("border_weights", "jacobian", "joint_jacobian")
+    )
     same = np.linalg.lstsq(np.sqrt(weights)[:, None] * whole, np.sqrt(weights)[:, None] * own, rcond=None)[0]
     left = own - whole @ same
     return JointOffsets(
@@ -214,44 +213,48 @@ def joint_offsets(evidence: list[ViewEvidence]) -> JointOffsets:
 
 
 def _jackknife(
-    evidence: list[ViewEvidence], solve: Callable[[list[ViewEvidence]], Array], size: int = 7
+    evidence: list[ViewEvidence], step: Callable[[list[ViewEvidence]], Array], size: int = 7
 ) -> Array:
-    groups = min(GROUPS, len(evidence))
+    groups = min(JACKKNIFE_GROUPS, len(evidence))
     if groups < 3:
         return np.diag(np.full(size, np.inf))
     member = np.arange(len(evidence)) * groups // len(evidence)
-    left_out = np.stack(
-        [
-            solve([view for view, own in zip(evidence, member, strict=True) if own != group])
-            for group in range(groups)
-        ]
-    )
-    return jackknife_covariance(left_out)
+    rest = [[evidence[view] for view in np.flatnonzero(member != group)] for group in range(groups)]
+    return jackknife_covariance(np.stack([step(views) for views in rest]))
 
 
 def _similarity_step(evidence: list[ViewEvidence]) -> Array:
     """Step (7,) to the robust optimum of the edges, from the rendered pose."""
-    J = np.concatenate([view.jacobian for view in evidence])
-    shifts = np.concatenate([view.edge_px for view in evidence])
-    weights = np.concatenate([view.edge_weights for view in evidence])
-    sds = np.sqrt(EDGE_KERNEL.weights(shifts) / np.maximum(weights, 1e-12))
-    edges: ResidualTerm[Array] = ResidualTerm(
-        name="edges", residual=lambda x: J @ x - shifts, sd=sds, kernel=EDGE_KERNEL, jacobian=lambda x: J
-    )
-    return solve([edges], np.zeros(7), retract=add, dimension=7, max_iterations=10).state
+    J, shifts = _pool(evidence, "jacobian"), _pool(evidence, "edge_px")
+    weights = _pool(evidence, "edge_weights") / EDGE_KERNEL.weights(shifts)
+    return _solve([_shifts_term(J, shifts, weights, EDGE_KERNEL)], J.shape[1])
 
 
 def _joint_step(evidence: list[ViewEvidence]) -> Array:
     """Step (7 + J,) of similarity and joints to the color borders."""
-    J = np.concatenate([np.concatenate([view.jacobian, view.joint_jacobian], axis=1) for view in evidence])
-    shifts = np.concatenate([view.border_px for view in evidence])
-    weights = np.concatenate([view.border_weights for view in evidence])
-    prior = np.zeros(J.shape[1])
-    prior[7:] = 1 / JOINT_PRIOR_RAD**2
-    return _solve(J, weights, shifts, prior)
+    J = np.concatenate([_pool(evidence, "jacobian"), _pool(evidence, "joint_jacobian")], axis=1)
+    borders = _shifts_term(J, _pool(evidence, "border_px"), _pool(evidence, "border_weights"))
+    prior: ResidualTerm[Array] = ResidualTerm(
+        name="joints", residual=lambda x: x[7:], sd=JOINT_PRIOR_RAD, jacobian=lambda x: np.eye(len(x))[7:]
+    )
+    return _solve([borders, prior], J.shape[1])
 
 
-def _solve(J: Array, weights: Array, shifts: Array, prior: Array | float = 0.0) -> Array:
-    A = J.T @ (weights[:, None] * J)
-    A += np.diag(np.full(len(A), 1e-9 * np.trace(A)) + prior)
-    return np.asarray(np.linalg.solve(A, J.T @ (weights * shifts)), np.float64)
+def _pool(evidence: list[ViewEvidence], field: str) -> Array:
+    return np.concatenate([getattr(view, field) for view in evidence])
+
+
+def _shifts_term(
+    J: Array, shifts: Array, weights: Array, kernel: Kernel | None = None
+) -> ResidualTerm[Array]:
+    return ResidualTerm(
+        name="shifts",
+        residual=lambda x: J @ x - shifts,
+        sd=1 / np.sqrt(np.maximum(weights, 1e-12)),
+        kernel=kernel,
+        jacobian=lambda x: J,
+    )
+
+
+def _solve(terms: list[ResidualTerm[Array]], dimension: int) -> Array:
+    return solve(terms, np.zeros(dimension), retract=add, dimension=dimension, max_iterations=10).state

@@ -21,10 +21,8 @@ def read_prompts(
     """Check the prompts of a capture.
 
     Args:
-        sections: As in capture.toml.
         names: Of the scan images.
         size: Width and height of the scan images, [px].
-        path: capture.toml.
 
     Raises:
         MissingFileError: A prompt names no scan image.

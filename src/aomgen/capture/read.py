@@ -12,7 +12,7 @@ from aomgen.capture.capture_schema import (
     ScanSection,
     read_manifest,
 )
-from aomgen.capture.joint_csv import read_joint_log
+from aomgen.capture.joint_csv import REST_S, read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
 from aomgen.core.joint_log import JointLog
@@ -33,8 +33,6 @@ from aomgen.robots.description import robot_references
 
 # Two seconds of video; a walk around the scene takes ten times as long.
 MIN_SCAN_FRAMES = 60
-# The log's first rows are averaged over this time to beat encoder noise while the arm rests.
-REST_S = 0.1
 # No camera records a table-top arm from further away; calibrations in millimetres pass it at once.
 MAX_CAMERA_DISTANCE_M = 20.0
 # A principal point further than this from the middle (share of the size) is another image's.
@@ -60,10 +58,8 @@ def read_capture(folder: Path) -> Capture:
     scan_intrinsics = _intrinsics(manifest.scan, f"{path}: scan")
     if scan_intrinsics:
         check_intrinsics(scan_intrinsics, size, f"{path}: scan.intrinsics")
-    masks = folder / "masks"
     # A hidden folder is one that is still being written.
-    visible = [item for item in sorted(masks.glob("[!.]*")) if item.is_dir()]
-    mask_folders = {item.name: item for item in visible}
+    mask_folders = {item.name: item for item in sorted((folder / "masks").glob("[!.]*")) if item.is_dir()}
     return Capture(
         folder=folder,
         name=manifest.name,

@@ -12,11 +12,21 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from aomgen.core.planes import fit_plane
 from aomgen.core.values import Array
-from aomgen.gaussians.depth_fusion import DepthMap, Samples, contrast_detail, join_samples, thin
+from aomgen.gaussians.depth_fusion import (
+    MIN_CONFIRMATIONS,
+    DepthMap,
+    Samples,
+    contrast_detail,
+    join_samples,
+    thin,
+)
 
 # Planes at most: walls, floor and ceiling of a room, or a table and its surroundings.
 MAX_PLANES = 5
+# Triples of points tried for each: a plane that holds a quarter of the points is met all but surely.
+PLANE_TRIALS = 400
 # Mean color difference between views that still is the same color, 0..255.
 MAX_DIFFERENCE = 11.0
 # Infinity must explain a pixel better than a plane by this much.
@@ -25,6 +35,8 @@ INFINITY_HANDICAP = 1.5
 STRIDE = 2
 # Radius of the far sphere over the cameras' reach: a step aside moves it by less than a pixel.
 SHELL_DISTANCE = 500.0
+# Detail of points on planes, see `Samples`: below that of surfaces, as plane regions are plain.
+PLANE_DETAIL = 0.6
 # Directions of the coarse far sphere, about 4 degrees apart: only closes holes that no view covers.
 COARSE_DIRECTIONS = 3000
 # Weights of pixels that neighbours explain, and of those that only this view vouches for: the shell
@@ -48,10 +60,7 @@ def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) ->
 
     Args:
         points: (P, 3); thin them evenly first, or near surfaces win.
-        seed: Of the draws.
         min_share: Share of all points a plane must hold.
-
-    Source: RANSAC (Fischler & Bolles, 1981), then least squares on the inliers.
     """
     rng = np.random.default_rng(seed)
     reach = np.median(np.linalg.norm(points - np.median(points, 0), axis=1))
@@ -60,19 +69,11 @@ def dominant_planes(points: Array, seed: int = 0, *, min_share: float = 0.03) ->
     wanted = max(30, int(min_share * len(rest)))
     planes: list[Plane] = []
     while len(planes) < MAX_PLANES and len(rest) >= wanted:
-        triples = rest[rng.integers(0, len(rest), (400, 3))]
-        normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-        lengths = np.linalg.norm(normals, axis=1)
-        normals = normals[lengths > 0] / lengths[lengths > 0, None]
-        offsets = (normals * triples[lengths > 0, 0]).sum(1)
-        votes = (np.abs(rest @ normals.T - offsets) < tolerance).sum(0)
-        best = int(votes.argmax())
-        inliers = np.abs(rest @ normals[best] - offsets[best]) < tolerance
-        center, normal = np.zeros(3), normals[best]
-        for _ in range(3):
-            center = rest[inliers].mean(0)
-            normal = np.linalg.svd(rest[inliers] - center, full_matrices=False)[2][2]
-            inliers = np.abs((rest - center) @ normal) < tolerance
+        plane = fit_plane(rest, tolerance, rng, PLANE_TRIALS)
+        if plane is None:
+            break
+        normal, center = plane
+        inliers = np.abs((rest - center) @ normal) < tolerance
         if inliers.sum() < wanted:
             break
         planes.append(Plane(normal=normal, offset=float(normal @ center), support=rest[inliers]))
@@ -86,8 +87,7 @@ def explain(
     """Samples for pixels that no neighbour confirmed: on planes, and rays to infinity.
 
     Args:
-        maps: Depth maps of all views.
-        votes: Confirmations of each (H, W); 2 or more are settled already.
+        votes: Confirmations of each (H, W); `MIN_CONFIRMATIONS` or more are settled already.
         planes: Explanations besides infinity.
 
     Returns:
@@ -118,33 +118,30 @@ def explain(
         depths.append(np.full(len(rays), np.inf))
         table = np.stack([_smooth(cost.reshape(shape)).reshape(-1) for cost in costs])
         best = table.argmin(0)
-        undecided = votes[index][rows, columns] < 2
+        undecided = votes[index][rows, columns] < MIN_CONFIRMATIONS
         explained = table[best, np.arange(len(best))] <= MAX_DIFFERENCE
         depth = np.stack(depths)[best, np.arange(len(best))]
-        detail = contrast_detail(depth_map.image_srgb)[rows, columns]
-        at_infinity = explained & ~np.isfinite(depth)
+        on_plane, at_infinity = undecided & explained & np.isfinite(depth), explained & ~np.isfinite(depth)
         # What nothing explains is taken for far when the nearest pixel with a depth is.
         known = np.where(undecided & ~explained, 0, np.where(undecided & at_infinity, 2, 1)).reshape(shape)
         nearest = np.asarray(
             ndimage.distance_transform_edt(known == 0, return_distances=False, return_indices=True)
         )
         beyond = undecided & (known[nearest[0], nearest[1]].reshape(-1) == 2)
-        for target, which in ((on_planes, undecided & explained & np.isfinite(depth)), (far, beyond)):
-            finite = depth[which] if target is on_planes else np.ones(int(which.sum()))
-            normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best[which]]
-            facing = (normals * rays[which]).sum(1, keepdims=True) > 0
-            unit = rays[which] / np.linalg.norm(rays[which], axis=1, keepdims=True)
-            points = depth_map.camera.center + rays[which] * finite[:, None] if target is on_planes else unit
-            target.append(
-                Samples(
-                    points_recon=points,
-                    normals_recon=np.where(facing, -normals, normals),
-                    colors_srgb=depth_map.image_srgb[rows[which], columns[which]],
-                    footprints=STRIDE * finite / depth_map.camera.fx,
-                    detail=np.full(int(which.sum()), 0.6) if target is on_planes else detail[which],
-                    weights=np.where(explained[which], EXPLAINED_WEIGHT, OPEN_WEIGHT),
-                )
-            )
+        depth = np.where(on_plane, depth, 1.0)
+        normals = np.stack([p.normal for p in planes] + [np.zeros(3)])[best]
+        facing = (normals * rays).sum(1, keepdims=True) > 0
+        unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        samples = Samples(
+            points_recon=np.where(on_plane[:, None], depth_map.camera.center + rays * depth[:, None], unit),
+            normals_recon=np.where(facing, -normals, normals),
+            colors_srgb=depth_map.image_srgb[rows, columns],
+            footprints=STRIDE * depth / depth_map.camera.fx,
+            detail=np.where(on_plane, PLANE_DETAIL, contrast_detail(depth_map.image_srgb)[rows, columns]),
+            weights=np.where(explained, EXPLAINED_WEIGHT, OPEN_WEIGHT),
+        )
+        on_planes.append(samples.select(on_plane))
+        far.append(samples.select(beyond))
     return join_samples(on_planes), join_samples(far)
 
 
@@ -174,7 +171,7 @@ def _differences(
         inside = (depths > 0) & (columns >= 0) & (rows >= 0)
         inside &= (columns < other.camera.width) & (rows < other.camera.height)
         r, c = rows[inside], columns[inside]
-        settled = votes[index][r, c] >= 2
+        settled = votes[index][r, c] >= MIN_CONFIRMATIONS
         hidden = settled & (other.inverse_depth[r, c] - 1.0 / depths[inside] > 2 * other.step)
         # A settled surface behind the point contradicts it: the neighbour looks through.
         through = settled & (1.0 / depths[inside] - other.inverse_depth[r, c] > 2 * other.step)
@@ -199,7 +196,6 @@ def far_shell(rays: Samples, points_recon: Array, centers: Array, limit: int) ->
     Args:
         rays: Samples whose points are unit directions and whose footprints are angles.
         points_recon: The scene's points (P, 3); the sphere is far outside of them.
-        centers: Camera centres (V, 3).
         limit: At most about this many fine points, more where the images have detail.
 
     The coarse directions take the color of the nearest fine one, so that no view looks into a hole.

@@ -19,9 +19,9 @@ from aomgen.gaussians.depth_fusion import (
     confirmed_depth,
     confirmed_samples,
     count_confirmations,
+    plane_sweep,
     thin,
 )
-from aomgen.gaussians.plane_sweep import plane_sweep
 from aomgen.io.images import resize
 from aomgen.splatting.surfaces import in_free_space
 
@@ -52,9 +52,7 @@ class DensePoints:
     """Colored surface points, and a far shell after them.
 
     Attributes:
-        points_recon: (P, 3).
         normals_recon: (P, 3) unit, towards the cameras; zero where unknown.
-        colors_srgb: (P, 3) uint8.
         sizes: Width of what each point stands for (P,), recon units.
         shell: (P,) True for points of the far shell.
     """
@@ -77,10 +75,7 @@ def densify(
     """Dense points from plane sweeps that neighbouring views confirm.
 
     Args:
-        structure: Cameras and sparse points.
         images_srgb: The images to use, (H, W, 3) uint8, by name; a subset of the structure's.
-        params: Effort and limits.
-        progress: Share done and a few words.
 
     Returns:
         Points on surfaces, thinned by their size in the nearest view and more where the image has
@@ -189,10 +184,10 @@ def nearest_depth(structure: Structure, names: list[str]) -> Array:
 
 
 def _limit_width(camera: Camera, image: NDArray[np.uint8], width: int) -> tuple[Camera, NDArray[np.uint8]]:
-    height = round(camera.height * width / camera.width)
     if width >= camera.width:
         return camera, image
-    return camera.resized(width, height), resize(image, width, height)
+    small = camera.narrowed(width)
+    return small, resize(image, small.width, small.height)
 
 
 def _gray(image: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -31,7 +31,6 @@ class GaussiansParams:
         training: How they learn.
         near_share: Gaussians nearer to a camera than this share of its nearest depth are removed.
         min_psnr_db: Mean over the held-out images below which the scene is refused.
-        seed: Of the training's random choices.
     """
 
     densify: DensifyParams = field(default_factory=DensifyParams)
@@ -63,7 +62,6 @@ class TrainedScene:
 
     Attributes:
         gaussians_recon: The scene, background included.
-        heldout: Judgement by image name.
         figures: Measured numbers for the manifest (JSON values).
     """
 
@@ -97,10 +95,8 @@ def select_training_views(
     """Split a scan into training and held-out images and initialize the Gaussians.
 
     Args:
-        structure: Cameras and sparse points.
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
         params: Of the dense points, which come from the training images alone.
-        progress: Share done and a few words.
     """
     test = held_out(list(images_srgb))
     known = [name for name in structure.cameras_recon if name in images_srgb]
@@ -126,10 +122,7 @@ def train_scene(
     """Train Gaussians on a scan and evaluate them on held-out images.
 
     Args:
-        structure: Cameras and sparse points.
         images_srgb: All scan images (H, W, 3) uint8 by name; those without a camera are ignored.
-        params: Effort and limits.
-        progress: Share done and a few words.
         checkpoint: Where training continues after a kill. One that cannot be used (damaged, or
             of other inputs) is left out: it is only saved time, and progress says so.
 
@@ -202,8 +195,6 @@ def without_floaters(
     """Without Gaussians that hang before a camera or far from anything.
 
     Args:
-        gaussians: A trained scene.
-        cameras: Those it was trained on.
         dense: The points it started from; they say how near the scene comes to each camera.
         near_share: See `GaussiansParams`.
     """

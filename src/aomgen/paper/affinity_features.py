@@ -82,7 +82,6 @@ class Affinity:
     """Trained features of N Gaussians.
 
     Attributes:
-        features: (N, D).
         gate_slopes, gate_offsets: (D,), of the gates over the relative size.
         sizes_m: (K,), sizes of the masks it was trained with, ascending, [m]. The relative size is
             the rank among them, 0..1, so that gates do not depend on the scene's extent.
@@ -236,8 +235,6 @@ def pair_evidence(masks: Mask, sizes_m: Array, size_m: float) -> tuple[Mask, Mas
 
     Args:
         masks: (M, P), whether each pixel lies in each mask.
-        sizes_m: (M,), [m].
-        size_m: The size asked for, [m].
 
     Returns:
         together (P, P): They share a mask up to the size.

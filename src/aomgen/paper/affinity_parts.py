@@ -65,13 +65,7 @@ def affinity_evidence(
     """Train and query: log-likelihoods of the object's parts.
 
     Args:
-        gaussians: The scene, world frame.
-        views: Of the scan.
         found: Masks of some of the views by name, see `segment_views`.
-        prompted: Answers to the prompts.
-        progress: Called now and then.
-        params: Effort.
-        rng: Of first features and samples.
 
     Raises:
         ReconstructionError: There are no masks, or the prompts show nothing.
@@ -112,8 +106,6 @@ def answer_query(
 
     Args:
         gaussians: N Gaussians, world frame.
-        affinity: Their features.
-        prompted: The part in one or more views.
         width: Width at which features are drawn, [px].
         within: (N,), the Gaussians of a larger thing that this one is a part of; None when it
             stands alone.
@@ -158,7 +150,6 @@ def best_threshold(similarities: NDArray[np.float32], inside: Array, outside: Ar
     Where many cuts agree equally well the middle one is taken, as far from the part as from the rest.
 
     Args:
-        similarities: (N,).
         inside: (N,), how much each value paints of the part.
         outside: (N,), how much it paints of what is not the part.
     """

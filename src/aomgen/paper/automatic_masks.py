@@ -47,9 +47,6 @@ def segment_views(
     Args:
         gaussians: The scene, world frame; tells where the prompted object lies in other views.
         views: Scan views, world frame, held-out ones left out.
-        prompted: Answers to the prompts.
-        segmenter: Turns points into masks.
-        progress: Called about each view.
         count: Views that are segmented, the prompted ones among them.
         folder: Holds one file a view; None keeps nothing. It must belong to these views and this
             segmenter: nothing here compares them.

@@ -75,8 +75,6 @@ def measure_edge_pairs(
     """Measure every pair of edges; distances are divided by the moving part's diagonal.
 
     Args:
-        static: Box of the part that stands.
-        moving: Box of the part that moves.
         contact_world: Contact point (3,), [m].
         direction_world: Unit vector (3,): approach of the hand, or its displacement.
 
@@ -134,7 +132,6 @@ def box_joint(
         direction_world: Unit direction (3,) of the hand, the paper's `v_ee`.
         joint_type: Taken as known, as the paper does.
         signs: See `pair_costs`.
-        weights: Of the cost.
 
     Raises:
         InputError: A part has too few points.

@@ -6,34 +6,29 @@ and heading and size come from the places that `align` starts from: a rigid moti
 the size later.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from aomgen.alignment.align import unit_frame
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import Scan, search_poses, select_distinct
+from aomgen.alignment.pose_search import Scan, search_poses
 from aomgen.alignment.starting_poses import RobotBox, up_candidates
 from aomgen.core.alignment import Alignment
-from aomgen.core.camera import camera_in_world
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.mesh import face_normals_areas, sample_surface
-from aomgen.core.transforms import apply
-from aomgen.core.values import Array
+from aomgen.core.mesh import face_normals_areas
+from aomgen.core.planes import fit_plane
+from aomgen.core.transforms import apply, rotvec_from_matrix, transform
+from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import AlignmentError
-from aomgen.paper.rigid_icp import rigid_icp
 from aomgen.robots.robot import RobotConfiguration
 
 STAGE = "alignment (paper)"
-
-
 # Points sampled on the robot model, denser than those of the scan that are moved onto it.
 _MODEL_POINTS, _SCAN_POINTS = 12_000, 2_000
-# Likely poses, of which the one that is moved best onto the model counts ...
-_STARTS = 3
-# ... they differ by more than this, as a share of the robot's size ...
-_APART = 0.5
-# ... and their colors score at least this share of the best one's.
+# Starting poses whose colors score at least this share of the best one's; the one that is moved best onto the
+# model counts.
 _START_SHARE = 0.5
 # Opacity from which a Gaussian is surface.
 _SOLID = 0.3
@@ -43,6 +38,10 @@ _PLANE_TRIALS = 500
 _MIN_POINTS = 200
 # Least share of them that has to lie on the model in the end.
 MIN_MATCHED = 0.3
+# Closest-point steps at one kernel width at most; they end earlier where nothing moves.
+_STEPS = 40
+# Motions smaller than these change nothing that is reported.
+_SETTLED_M, _SETTLED_RAD = 1e-5, 1e-5
 
 
 def align_as_paper(
@@ -61,9 +60,6 @@ def align_as_paper(
     Args:
         views: Scan images, for the starts only.
         boxes: Prompted boxes around the robot, two or more.
-        gaussians_recon: The trained scene.
-        configuration: Robot during the scan.
-        rng: Starts, and samples of both clouds.
         min_matched: Least share of the robot points that has to lie on the model in the end.
 
     Raises:
@@ -76,17 +72,19 @@ def align_as_paper(
             STAGE, f"{len(boxes)} prompts give a box around the robot, want 2", "add a robot box"
         )
     S_unit_recon = unit_frame([view.camera_recon.center for view in views], views[0].camera_recon.T_world_cam)
-    views = [replace(view, camera_recon=camera_in_world(S_unit_recon, view.camera_recon)) for view in views]
-    boxes = [replace(box, camera_recon=camera_in_world(S_unit_recon, box.camera_recon)) for box in boxes]
-    solid = gaussians_recon.means[gaussians_recon.opacities > _SOLID]
-    surface = apply(S_unit_recon, np.asarray(solid, np.float64))
-    up = up_candidates([view.camera_recon for view in views], surface, rng)[0]
-    points = robot_points(surface, boxes, up, rng)
-    model = model_points(configuration, _MODEL_POINTS, rng)
+    solid = gaussians_recon.opacities > _SOLID
+    scan = Scan(
+        views=views, boxes=boxes, points_recon=np.asarray(gaussians_recon.means[solid], np.float64)
+    ).seen_from(S_unit_recon)
+    up = up_candidates([view.camera_recon for view in scan.views], scan.points_recon, rng)[0]
+    points = robot_points(scan.points_recon, scan.boxes, up, rng)
+    model = configuration.surface_world(_MODEL_POINTS, rng)
     # Samples lie about this far apart on the model.
-    spacing_m = float(np.sqrt(_area(configuration) / _MODEL_POINTS))
+    meshes = configuration.robot.meshes
+    area = sum(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in meshes)
+    spacing_m = float(np.sqrt(area / _MODEL_POINTS))
     fits = []
-    for S in _starts(views, boxes, surface, configuration, rng):
+    for S in _starts(scan, configuration, rng):
         fit = rigid_icp(apply(S, points), model, np.eye(4), spacing_m)
         fits.append((fit.matched, fit.rms_m, fit.T_target_source @ S))
     fits.sort(key=lambda item: -item[0])
@@ -125,7 +123,7 @@ def robot_points(
         inside &= (depths > 0) & np.all((pixels >= box.box_px[:2]) & (pixels <= box.box_px[2:]), axis=1)
     found = surface_recon[inside]
     for _ in range(2):
-        found = _without_support(found, up_recon, rng, _PLANE_TRIALS)
+        found = _without_support(found, up_recon, rng)
     if not len(found) >= _MIN_POINTS:
         raise AlignmentError(
             STAGE,
@@ -134,24 +132,6 @@ def robot_points(
         )
     found = _thinned(found, 0.02 * _spread(found))
     return found[rng.permutation(len(found))[:_SCAN_POINTS]]
-
-
-def model_points(configuration: RobotConfiguration, count: int, rng: np.random.Generator) -> Array:
-    """Points (about `count`, 3) spread evenly over the posed robot's meshes, world frame, [m]."""
-    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
-    total, samples = _area(configuration), []
-    for mesh in configuration.robot.meshes:
-        area = float(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum())
-        share = round(count * area / total)
-        if share:
-            points = sample_surface(mesh.vertices_body, mesh.faces, share, rng)[0]
-            samples.append(apply(poses[mesh.body], points))
-    return np.concatenate(samples)
-
-
-def _area(configuration: RobotConfiguration) -> float:
-    meshes = configuration.robot.meshes
-    return float(sum(face_normals_areas(mesh.vertices_body, mesh.faces)[1].sum() for mesh in meshes))
 
 
 def _spread(points: Array) -> float:
@@ -168,35 +148,88 @@ def _thinned(points: Array, cell: float) -> Array:
     return np.stack([np.bincount(cells, points[:, axis]) / counts for axis in range(3)], 1)
 
 
-def _without_support(points: Array, up: Array, rng: np.random.Generator, trials: int) -> Array:
+def _without_support(points: Array, up: Array, rng: np.random.Generator) -> Array:
     """The points without the level plane that holds most of them, if it holds a tenth."""
-    if len(points) < 10:
-        return points
-    triples = points[rng.integers(0, len(points), (trials, 3))]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+    tolerance = 0.03 * _spread(points) if len(points) else 0.0
     # Within 15 degrees of level; other planes may be the arm's own.
-    level = np.abs(normals @ up) > np.cos(np.radians(15.0))
-    if not level.any():
+    plane = (
+        fit_plane(points, tolerance, rng, _PLANE_TRIALS, axis=up, max_tilt_deg=15.0) if len(points) else None
+    )
+    if plane is None:
         return points
-    sample = points[rng.permutation(len(points))[:3000]]
-    offsets = np.einsum("td,td->t", normals[level], triples[level, 0])
-    tolerance = 0.03 * _spread(points)
-    counts = (np.abs(sample @ normals[level].T - offsets) < tolerance).sum(0)
-    best = int(np.argmax(counts))
-    if not counts[best] >= 0.1 * len(sample):
-        return points
-    return points[np.abs(points @ normals[level][best] - offsets[best]) > 2 * tolerance]
+    heights = np.abs((points - plane[1]) @ plane[0])
+    return points[heights > 2 * tolerance] if np.mean(heights < tolerance) >= 0.1 else points
 
 
-def _starts(
-    views: list[AlignmentImage],
-    boxes: list[RobotBox],
-    points: Array,
-    configuration: RobotConfiguration,
-    rng: np.random.Generator,
-) -> Array:
+def _starts(scan: Scan, configuration: RobotConfiguration, rng: np.random.Generator) -> Array:
     """Similarities (H, 4, 4) that colors make likely, best first; those that `align` starts from."""
-    scan = Scan(views=views, boxes=boxes, points_recon=points)
-    found = search_poses(scan, configuration, rng).at_least(_START_SHARE)
-    return select_distinct(found, configuration.points_world(60), _APART, _STARTS).Ss_world_recon
+    return search_poses(scan, configuration, rng).at_least(_START_SHARE).Ss_world_recon
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigidFit:
+    """Where the source lies on the target.
+
+    Attributes:
+        matched: Share of the source within the kernel of the target.
+        rms_m: Of the distances of that share, [m]; infinite when nothing matched.
+    """
+
+    T_target_source: Matrix4
+    matched: float
+    rms_m: float
+
+    __post_init__ = freeze_arrays
+
+
+def rigid_icp(source: Array, target: Array, T_start: Array, kernel_m: float) -> RigidFit:
+    """Move the source onto the target, each point towards the nearest one, without changing its size.
+
+    Args:
+        source: Points (N, 3), [m].
+        target: Points (M, 3), [m], denser than `kernel_m`.
+        T_start: First guess T_target_source (4, 4).
+        kernel_m: Distances well beyond this do not count in the end.
+
+    Source: Zhang, Yao and Deng, "Fast and Robust Iterative Closest Point", PAMI 2021 (Welsch's
+    function, its width halved from coarse to fine; without their acceleration). Not checked: that
+    the start leads to the right of several places.
+    """
+    tree = cKDTree(target)
+    T = np.asarray(T_start, np.float64)
+    distances = tree.query(apply(T, source))[0]
+    width = max(3 * float(np.median(distances)), kernel_m)
+    while True:
+        for _ in range(_STEPS):
+            moved = apply(T, source)
+            distances, nearest = tree.query(moved)
+            step = weighted_rigid(moved, target[nearest], np.exp(-0.5 * (distances / width) ** 2))
+            T = step @ T
+            turn = np.linalg.norm(rotvec_from_matrix(step[:3, :3]))
+            shift = np.linalg.norm(apply(step, moved.mean(0)) - moved.mean(0))
+            if shift < _SETTLED_M and turn < _SETTLED_RAD:
+                break
+        if width <= kernel_m:
+            break
+        width = max(width / 2, kernel_m)
+    distances = tree.query(apply(T, source))[0]
+    near = distances < 2 * kernel_m
+    rms = float(np.sqrt(np.mean(distances[near] ** 2))) if near.any() else float("inf")
+    return RigidFit(T_target_source=T, matched=float(near.mean()), rms_m=rms)
+
+
+def weighted_rigid(source: Array, target: Array, weights: Array) -> Array:
+    """Rigid motion (4, 4) that carries points (N, 3) onto others in weighted least squares.
+
+    Source: Kabsch, 1976. Weights (N,) that are all zero leave the points where they are.
+    """
+    total = float(weights.sum())
+    if not total > 1e-12:
+        return np.eye(4)
+    share = weights / total
+    middle_source, middle_target = share @ source, share @ target
+    covariance = (target - middle_target).T @ (share[:, None] * (source - middle_source))
+    U, _, Vt = np.linalg.svd(covariance)
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    R = U @ mirror @ Vt
+    return transform(R, middle_target - R @ middle_source)

@@ -6,29 +6,33 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aomgen.alignment.bundle_terms import BundleParams
 from aomgen.alignment.stage import boxes_of, calibrate_cameras, views_of
 from aomgen.core.alignment import Alignment
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import Progress, part
+from aomgen.core.transforms import apply, invert
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.stage import OnCurve, motion_input, recover_motion
 from aomgen.paper.affinity_features import AffinityParams
 from aomgen.paper.affinity_parts import affinity_evidence
 from aomgen.paper.automatic_masks import MASKS_FOLDER, segment_views
 from aomgen.paper.icp_alignment import align_as_paper
-from aomgen.paper.link_boxes import bodies_in_boxes
+from aomgen.paper.mask_keyframes import part_masks
 from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
-from aomgen.paper.true_part_masks import part_masks
 from aomgen.parts import stage as parts_stage
 from aomgen.parts.label import SEED, MotionEvidence
 from aomgen.parts.likelihood import PartEvidence
 from aomgen.parts.prompted_images import PromptedImage
 from aomgen.parts.scan_views import ScanView
 from aomgen.results import Results
+from aomgen.robots.robot import RobotConfiguration
 from aomgen.segmentation.interface import Segmenter
+
+# Boxes are larger by this on every side: Gaussians lie some millimetres off the surface that they paint.
+MARGIN_M = 0.005
 
 
 def run_alignment(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -61,6 +65,31 @@ def run_parts(
 def label_robot_by_boxes(results: Results, views: list[ScanView]) -> NDArray[np.int32]:
     """The link whose bounding box holds a Gaussian."""
     return bodies_in_boxes(results.gaussians.means, results.configuration)
+
+
+def bodies_in_boxes(points_world: ArrayLike, configuration: RobotConfiguration) -> NDArray[np.int32]:
+    """The robot body (N,) whose box holds each point (N, 3), [m]: index into `robot.body_names`, -1 for none.
+
+    Boxes are those of the meshes along the axes of their body. Of several boxes the one counts in
+    whose middle the point lies most.
+
+    Source: AOMGen, sec. 4.2, "Robot". Not checked: whatever else stands in a box is taken as robot.
+    """
+    points = np.asarray(points_world, np.float64)
+    poses = configuration.robot.link_poses(configuration.joints[None], configuration.gripper)[0]
+    owners = np.full(len(points), -1, np.int32)
+    depth = np.ones(len(points))
+    for body in sorted({mesh.body for mesh in configuration.robot.meshes}):
+        vertices = np.concatenate(
+            [mesh.vertices_body for mesh in configuration.robot.meshes if mesh.body == body]
+        )
+        low, high = vertices.min(0) - MARGIN_M, vertices.max(0) + MARGIN_M
+        local = apply(invert(poses[body]), points)
+        # 0 in the middle of the box, 1 on its faces.
+        place = np.abs(2 * (local - low) / (high - low) - 1).max(1)
+        nearer = place < depth
+        owners[nearer], depth[nearer] = body, place[nearer]
+    return owners
 
 
 def learn_affinity(

@@ -4,20 +4,27 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from aomgen.core.joint import Joint, JointType
+from aomgen.core.joint_log import JointLog
+from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import apply, invert
-from aomgen.core.values import Array
+from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import InputError
 from aomgen.motion.inputs import MotionInput, read_gripper_signals
 from aomgen.motion.motion_test import MIN_ODDS
 from aomgen.motion.part_shape import infer_direction
-from aomgen.paper.contact_points import NearestPair, contact_path, nearest_pair
 from aomgen.paper.edge_joint import PairWeights, box_joint
-from aomgen.paper.joint_values import recovered_thetas
 from aomgen.paper.mask_keyframes import PartMasks, Scores, Variant, flagged_frames, scored_frames
+from aomgen.robots.robot import RobotModel
+
+# As dense as the Gaussians of a scanned robot, and denser than those of the part, [m].
+SPACING_M = 0.003
+# A plane that slides within itself by more than this share of a motion tells nothing of it.
+_MIN_ACROSS = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,13 +36,36 @@ class PaperMotionParams:
         threshold: Noise in the keyframes' threshold, see `keyframes.score_threshold`.
         signs: Signs of the edge cost, see `joint.pair_costs`; repaired also means that `v_ee` of a
             prismatic joint is the hand's displacement, where printed takes its approach.
-        weights: Of the edge cost.
     """
 
     joint_type: JointType
     threshold: Variant = "printed"
     signs: Variant = "printed"
     weights: PairWeights = field(default_factory=PairWeights)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NearestPair:
+    """Contact point on either side.
+
+    Attributes:
+        body: Robot body that touches, an index into `RobotModel.body_names`.
+        point_body: Contact point on it (3,), body frame, [m].
+        on_robot: The same at the start of the motion (3,), world frame, [m].
+        on_part: Contact point on the moving part (3,), world frame, [m].
+    """
+
+    body: int
+    point_body: Vector3
+    on_robot: Vector3
+    on_part: Vector3
+
+    __post_init__ = freeze_arrays
+
+    @property
+    def gap_m(self) -> float:
+        """Distance between the two, [m]."""
+        return float(np.linalg.norm(self.on_part - self.on_robot))
 
 
 def _unheard(curve: MotionCurve) -> None:
@@ -56,10 +86,7 @@ def estimate_motion_paper(
     nobody doubts; the axis points so that the motion ends at a positive value.
 
     Args:
-        demonstration: As our own estimator gets it.
         masks: Moving part and robot in every frame of its video, at any size.
-        params: Joint type and variants.
-        progress: Told about each submodule.
         on_curve: Hears the motion score before it is refused.
 
     Raises:
@@ -170,3 +197,91 @@ def _patch(demo: MotionInput, pair: NearestPair) -> ContactPatch:
         spread_m=0.0,
         gap_m=gap,
     )
+
+
+def nearest_pair(
+    robot: RobotModel, log: JointLog, points_moving: Array, start_log_s: float, rng: np.random.Generator
+) -> NearestPair:
+    """The point of the robot that is nearest to the part at one moment, and the part's point there.
+
+    Args:
+        robot: Kinematics and meshes, whose surfaces stand for the paper's robot Gaussians.
+        points_moving: Points of the part at its scanned place (N, 3), world frame, [m].
+        start_log_s: Start of the motion, log clock, [s].
+
+    Raises:
+        InputError: The robot has no meshes.
+
+    Source: AOMGen, sec. 4.2, "Contact Point Detection". Not checked: that the two touch; `gap_m` tells.
+    """
+    poses = robot.link_poses(*log.at([start_log_s]))[0]
+    tree = cKDTree(points_moving)
+    best: NearestPair | None = None
+    for mesh in robot.meshes:
+        _, areas = face_normals_areas(mesh.vertices_body, mesh.faces)
+        count = max(1, round(float(areas.sum()) / SPACING_M**2))
+        points_body, _, _ = sample_surface(mesh.vertices_body, mesh.faces, count, rng)
+        points = apply(poses[mesh.body], points_body)
+        gaps, partners = tree.query(points, distance_upper_bound=best.gap_m if best else np.inf)
+        nearest = int(np.argmin(gaps))
+        if np.isfinite(gaps[nearest]):
+            best = NearestPair(
+                body=mesh.body,
+                point_body=points_body[nearest],
+                on_robot=points[nearest],
+                on_part=points_moving[partners[nearest]],
+            )
+    if best is None:
+        raise InputError("robot model", "has no meshes", "give a model with visual meshes")
+    return best
+
+
+def contact_path(pair: NearestPair, robot: RobotModel, log: JointLog, log_times_s: Array) -> Array:
+    """Where the robot carries its contact point (T, 3), world frame, [m]; the paper's trajectory."""
+    return apply(robot.link_poses(*log.at(log_times_s))[:, pair.body], pair.point_body)
+
+
+def recovered_thetas(joint: Joint, plane_point: Array, plane_normal: Array, path: Array) -> Array:
+    """Joint value (T,) of every frame of the motion, [rad] or [m].
+
+    Where no plane passes through the contact the one that comes nearest counts. Where the face slides
+    within itself, as that of a sliding door does, every value meets the contact and 0 is kept.
+
+    The paper looks for the theta_t that minimizes the distance between the contact point PC_r,t and the
+    point in which the face's plane, moved by theta_t, meets the contact's trajectory. PC_r,t lies on that
+    trajectory, so the distance is zero wherever the plane passes through PC_r,t itself, and the minimum is
+    a root in closed form. A plane through a point has two such angles about an axis; the paper does not
+    choose, and here it is the one next to the frame before.
+
+    Args:
+        joint: World frame.
+        plane_point, plane_normal: The face's plane at theta 0, world frame, (3,) each.
+        path: The contact's trajectory PC_r (T, 3), [m].
+
+    Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery".
+    """
+    if joint.type == "prismatic":
+        across = float(plane_normal @ joint.axis)
+        if not abs(across) > _MIN_ACROSS:
+            return np.zeros(len(path))
+        return (path - plane_point) @ plane_normal / across
+    flat_normal = plane_normal - (plane_normal @ joint.axis) * joint.axis
+    if not float(np.linalg.norm(flat_normal)) > _MIN_ACROSS:
+        return np.zeros(len(path))
+    return _angles(joint, plane_point, plane_normal, path)
+
+
+def _angles(joint: Joint, plane_point: Array, plane_normal: Array, path: Array) -> Array:
+    """Solutions of `n(theta) . (x - o) = n . (p - o)`, written as `a cos + b sin = c`."""
+    offsets = path - joint.origin
+    along = float(plane_normal @ joint.axis)
+    c = plane_normal @ (plane_point - joint.origin) - along * (offsets @ joint.axis)
+    a = offsets @ plane_normal - along * (offsets @ joint.axis)
+    b = offsets @ np.cross(joint.axis, plane_normal)
+    middle = np.arctan2(b, a)
+    spread = np.arccos(np.clip(c / np.maximum(np.hypot(a, b), 1e-12), -1.0, 1.0))
+    thetas, last = np.empty(len(path)), 0.0
+    for k, candidates in enumerate(zip(middle - spread, middle + spread, strict=True)):
+        turns = [angle + 2 * np.pi * np.round((last - angle) / (2 * np.pi)) for angle in candidates]
+        last = thetas[k] = min(turns, key=lambda angle: abs(angle - last))
+    return thetas

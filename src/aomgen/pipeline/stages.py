@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from aomgen.assets.choice import asset_file
-from aomgen.capture.demo_masks import demo_mask_files
+from aomgen.capture.label_images import demo_mask_files
 from aomgen.capture.read import read_capture
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project

@@ -1,22 +1,28 @@
-"""Fixed cameras in the scan's model: placed twice, from the first frame and from the median."""
+"""Fixed cameras in the scan's model: placed twice from 2D-3D matches, by the first frame and by the median."""
 
 from dataclasses import dataclass
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
+from aomgen.core.transforms import rotvec_from_matrix
+from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
+from aomgen.structure.lens_choice import MIN_SIGNIFICANCE, LensChoice, climb, compare, lean_on_stated
 from aomgen.structure.mapping import Workspace
-from aomgen.structure.resection import (
-    Resection,
-    choose_view_lens,
-    difference,
-    resect,
+from aomgen.structure.sparse_model import (
+    LensModel,
+    Links,
+    SparseModel,
+    T_recon_cam,
+    free_lens,
+    lens_of,
+    set_camera,
 )
-from aomgen.structure.sparse_model import SparseModel
 
 STILLS = ("first", "median")
 # Two placements of one camera are the same place below these; a wrong place is far beyond. Where
@@ -28,6 +34,14 @@ SAME_DISTANCE_SHARE = 0.03
 CLEAR_MAJORITY = 2.0
 # Matches in one corner leave a camera free to swing about them.
 MIN_SPREAD = 0.15
+# Matches that must agree on a camera: twice what COLMAP asks of a pair, as one view carries it alone.
+MIN_INLIERS = 30
+# Reprojection error of an inlier, [px]: leaves room for a lens that is not yet estimated.
+MAX_ERROR_PX = 6.0
+# Folds of the jackknife over matches.
+FOLDS = 5
+# Alternations of inlier selection and lens estimation.
+LENS_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +51,6 @@ class DemoView:
     Attributes:
         first_srgb: (H, W, 3) uint8, robot as in the scan.
         median_srgb: (H, W, 3) uint8, most of the moving arm gone.
-        intrinsics: Stated intrinsics, a prior, or None.
     """
 
     first_srgb: NDArray[np.uint8]
@@ -51,13 +64,35 @@ class PlacedCamera:
 
     Attributes:
         camera_recon: Optics of its undistorted frames, and pose.
-        lens: Its optics as photographed.
         figures: What was found and which still is used (JSON values).
     """
 
     camera_recon: Camera
     lens: Lens
     figures: dict[str, object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resection:
+    """A placed camera.
+
+    Attributes:
+        camera_recon: Optics of the undistorted image, and pose.
+        inliers: Which matches (M,) fit.
+        depth: Median depth of these, recon units.
+        spread: Extent of these in the image: the smaller of width and height between the 5th and
+            95th percentile, as a share of the image's.
+    """
+
+    camera_recon: Camera
+    inliers: NDArray[np.bool_]
+    depth: float
+    spread: float
+
+    @property
+    def count(self) -> int:
+        """Number of matches that fit."""
+        return int(self.inliers.sum())
 
 
 def place_fixed_camera(
@@ -142,3 +177,131 @@ def _choose(name: str, found: dict[str, Resection]) -> tuple[tuple[str, ...], st
             f"check that the camera did not move; {remedy}",
         )
     return (more,), f"they disagree, and it has {held[more].count} matches against {held[fewer].count}"
+
+
+def resect(links: Links, lens: Lens, *, focal_known: bool, seed: int) -> Resection | None:
+    """Camera from matches, or None when fewer than `MIN_INLIERS` agree on one.
+
+    Args:
+        lens: Optics; only its distortion and image size count when the focal length is unknown.
+
+    Source: P3P in LO-RANSAC, then robust refinement, as in COLMAP.
+    """
+    if len(links.pixels) < MIN_INLIERS:
+        return None
+    straight = lens.straight()
+    focals = [straight.fx, straight.fy] if focal_known else [straight.fx]
+    camera = pycolmap.Camera(
+        model="PINHOLE" if focal_known else "SIMPLE_PINHOLE",
+        params=[*focals, straight.cx, straight.cy],
+        width=lens.width,
+        height=lens.height,
+    )
+    estimation = pycolmap.AbsolutePoseEstimationOptions(estimate_focal_length=not focal_known)
+    estimation.ransac.max_error = MAX_ERROR_PX
+    estimation.ransac.random_seed = seed
+    refinement = pycolmap.AbsolutePoseRefinementOptions(refine_focal_length=not focal_known)
+    pixels = lens.straightened(links.pixels)
+    found = pycolmap.estimate_and_refine_absolute_pose(
+        pixels, links.points_recon, camera, estimation, refinement
+    )
+    if found is None or found["num_inliers"] < MIN_INLIERS:
+        return None
+    inliers = np.asarray(found["inlier_mask"], bool)
+    placed = lens_of(camera).pinhole_camera(T_recon_cam(found["cam_from_world"]))
+    low, high = np.percentile(pixels[inliers], [5, 95], axis=0)
+    return Resection(
+        camera_recon=placed,
+        inliers=inliers,
+        depth=float(np.median(placed.project(links.points_recon[inliers])[1])),
+        spread=float(((high - low) / [lens.width, lens.height]).min()),
+    )
+
+
+def difference(a: Resection, b: Resection) -> tuple[float, float]:
+    """Rotation [deg] between two placements of a camera, and their distance as a share of the scene's depth."""
+    turn = rotvec_from_matrix(a.camera_recon.T_world_cam[:3, :3].T @ b.camera_recon.T_world_cam[:3, :3])
+    distance = np.linalg.norm(a.camera_recon.center - b.camera_recon.center)
+    return float(np.degrees(np.linalg.norm(turn))), float(distance / min(a.depth, b.depth))
+
+
+def choose_view_lens(
+    links: Links, placed: Resection, stated: Intrinsics | None, scan_lens: Lens | None, *, seed: int
+) -> LensChoice:
+    """Choose the lens model of one view, by matches that each fit has not seen.
+
+    Args:
+        placed: The camera as it was placed, with the stated optics if there are any.
+        scan_lens: The scan's lens where the view may have it too; its own has to be clearly better.
+
+    The matches are told inliers under the richest lens, because a pinhole drops those near the border.
+    """
+    start = placed.camera_recon
+    plain = _plain_lens(stated, start)
+    inliers = placed.inliers
+    for _ in range(LENS_ROUNDS):
+        inliers = (
+            _squared_errors(links, *_refine_camera(links, inliers, plain, start, "full")) <= MAX_ERROR_PX**2
+        )
+    rows = np.random.default_rng(seed).permutation(np.flatnonzero(inliers))
+    folds = [np.isin(np.arange(len(inliers)), rows[k::FOLDS]) for k in range(FOLDS)]
+    fits: dict[LensModel, list[tuple[Lens, Array]]] = {}
+
+    def held_out_errors(kind: LensModel) -> list[Array]:
+        lens = scan_lens if kind == "scan" and scan_lens is not None else plain
+        if kind not in fits:
+            fits[kind] = [_refine_camera(links, inliers & ~fold, lens, start, kind) for fold in folds]
+        return [
+            error[None]
+            for fold, fit in zip(folds, fits[kind], strict=True)
+            for error in _squared_errors(links, *fit)[fold]
+        ]
+
+    chosen, gain, significance = climb(held_out_errors, stated)
+    if scan_lens is not None:
+        gain, significance = compare(held_out_errors("scan"), held_out_errors(chosen))
+        if significance < MIN_SIGNIFICANCE:
+            return LensChoice(lens=scan_lens, model="scan", gain=gain, significance=significance)
+    lens, _ = _refine_camera(links, inliers, plain, start, chosen)
+    if stated is not None and chosen != "stated":
+        focals = np.log([fit.fx for fit, _ in fits[chosen]])
+        lens = lean_on_stated(lens, stated, float(np.sqrt((FOLDS - 1) * focals.var())))
+        lens, _ = _refine_camera(links, inliers, lens, start, chosen, focal=False)
+    return LensChoice(lens=lens, model=chosen, gain=gain, significance=significance)
+
+
+def _plain_lens(stated: Intrinsics | None, camera: Camera) -> Lens:
+    """Stated optics where they have a distortion, else the pinhole of a camera."""
+    optics, coefficients = camera, {}
+    if stated is not None and stated.distortion is not None:
+        optics, coefficients = stated, dict(zip(("k1", "k2", "p1", "p2"), stated.distortion, strict=True))
+    pinhole = {name: getattr(optics, name) for name in ("fx", "fy", "cx", "cy")}
+    return Lens(**pinhole, **coefficients, width=camera.width, height=camera.height)
+
+
+def _refine_camera(
+    links: Links, use: NDArray[np.bool_], lens: Lens, start: Camera, kind: LensModel, *, focal: bool = True
+) -> tuple[Lens, Array]:
+    """Lens and pose (4, 4) fitted to some matches; the focal length can be held."""
+    camera = pycolmap.Camera(model="PINHOLE", width=lens.width, height=lens.height, params=[1.0] * 4)
+    set_camera(camera, lens)
+    free_lens(camera, kind)
+    fixed = kind in ("stated", "scan")
+    refinement = pycolmap.AbsolutePoseRefinementOptions(
+        refine_focal_length=focal and not fixed,
+        refine_extra_params=kind in ("radial", "full"),
+        gradient_tolerance=1e-3,
+    )
+    found = pycolmap.refine_absolute_pose(
+        pycolmap.Rigid3d(start.T_cam_world[:3]), links.pixels, links.points_recon, use, camera, refinement
+    )
+    if found is None:
+        return lens, start.T_world_cam
+    return lens_of(camera), T_recon_cam(found["cam_from_world"])
+
+
+def _squared_errors(links: Links, lens: Lens, T: Array) -> Array:
+    points_cam = (links.points_recon - T[:3, 3]) @ T[:3, :3]
+    depths = np.where(np.abs(points_cam[:, 2:]) < 1e-9, 1e-9, points_cam[:, 2:])
+    errors = ((lens.pixels(points_cam[:, :2] / depths) - links.pixels) ** 2).sum(1)
+    return np.where(depths[:, 0] > 0, errors, np.inf)

@@ -65,7 +65,6 @@ def choose_lens(model: pycolmap.Reconstruction, stated: Intrinsics | None, *, se
     Args:
         model: A model of one camera, which has the stated optics if there are any.
         stated: The prior, or None when nothing is known.
-        seed: Of the split.
     """
     halves = _halves(model, seed)
     errors: dict[LensModel, list[Array]] = {}
@@ -131,8 +130,6 @@ def lean_on_stated(free: Lens, stated: Intrinsics, focal_sd: float) -> Lens:
     """The fitted lens with its focal length drawn towards the stated one, as their deviations say.
 
     Args:
-        free: Fitted without the prior.
-        stated: The prior.
         focal_sd: Of the fitted focal length, as a share of it.
     """
     evidence, prior = 1 / max(focal_sd, MIN_FOCAL_SD) ** 2, 1 / stated.focal_sd**2
@@ -169,7 +166,7 @@ def residuals(model: pycolmap.Reconstruction) -> list[tuple[Array, Array]]:
     found = []
     for image_id in sorted(model.reg_image_ids()):
         image = model.images[image_id]
-        seen = [point for point in image.points2D if point.has_point3D()]
+        seen = image.get_observation_points2D()
         pixels = np.array([point.xy for point in seen], np.float64).reshape(-1, 2)
         points = np.array([model.points3D[point.point3D_id].xyz for point in seen], np.float64).reshape(-1, 3)
         T_cam_recon = image.cam_from_world()

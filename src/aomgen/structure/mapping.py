@@ -13,8 +13,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
-from aomgen.structure.resection import Links
-from aomgen.structure.sparse_model import Pair, SparseModel, adjust, lens_of, read_model, set_camera
+from aomgen.structure.sparse_model import Links, Pair, SparseModel, adjust, lens_of, read_model, set_camera
 
 # Twice the error that verified matches may have: a lens that bends the border by more costs some.
 MAX_SHIFT_PX = 8.0
@@ -25,7 +24,6 @@ class ImageSet:
     """Images of one camera.
 
     Attributes:
-        group: Name of the set.
         images: Pairs of name and (H, W, 3) uint8, all of one size.
         intrinsics: Known intrinsics, or None to estimate one focal length.
     """
@@ -41,8 +39,6 @@ class Workspace:
 
     Attributes:
         folder: Scratch folder, empty at the start.
-        seed: Of RANSAC and of the mapper.
-        threads: -1 = all cores.
     """
 
     folder: Path
@@ -145,10 +141,7 @@ class Workspace:
         models = pycolmap.incremental_mapping(
             self.database, self.folder / "images", self.folder / "models", self._mapper_options(group)
         )
-        if not models:
-            return None
-        self._model = max(models.values(), key=lambda model: model.num_reg_images())
-        return self.mapped(group)
+        return self._take_largest(models, group)
 
     def map_globally(self, group: str) -> SparseModel | None:
         """Global mapping of one set: all rotations at once, then all positions; the model, or None.
@@ -160,10 +153,14 @@ class Workspace:
         models = pycolmap.global_mapping(
             self.database, self.folder / "images", self.folder / "global", self._global_options(group)
         )
+        for model in models.values():
+            model.update_point_3d_errors()
+        return self._take_largest(models, group)
+
+    def _take_largest(self, models: dict[int, pycolmap.Reconstruction], group: str) -> SparseModel | None:
         if not models:
             return None
         self._model = max(models.values(), key=lambda model: model.num_reg_images())
-        self._model.update_point_3d_errors()
         return self.mapped(group)
 
     @property

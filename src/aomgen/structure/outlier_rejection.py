@@ -11,6 +11,7 @@ the poses, and images that stand side by side by their poses and yet have nothin
 from dataclasses import dataclass
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from aomgen.core.transforms import apply, invert, skew
@@ -40,12 +41,10 @@ SAME_PX = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Views:
-    """Poses of the registered images.
+    """Poses (4, 4) of the registered images by name, and their intrinsics K (3, 3), [px].
 
     Attributes:
-        Ts_recon_cam: Pose (4, 4) by image name.
         depths: Median depth of the points that an image shows, by image name.
-        K: Intrinsics (3, 3), [px].
     """
 
     Ts_recon_cam: dict[str, Array]
@@ -83,7 +82,6 @@ class InlierModel:
     """A model and the images that were rejected from it.
 
     Attributes:
-        mapped: The model.
         dropped: Rejected images, with the reason.
         worst_agreement: Smallest share of matches that fit the pose, over the inlier images.
     """
@@ -140,7 +138,6 @@ def wrong_groups(views: Views, pairs: list[Pair]) -> list[set[str]]:
     """Groups of images that the rest contradicts more than it supports; the larger side is kept.
 
     Args:
-        views: Registered images.
         pairs: Every pair that was tried, with its verified matches or with none.
 
     Not checked: a wrong group that shares no view with the rest, nor stands where the rest stands.
@@ -163,7 +160,6 @@ def duplicates(pairs: list[Pair], preferred: set[str]) -> dict[str, str]:
     """Images that show nothing but what another one shows, and that other one.
 
     Args:
-        pairs: Verified matches.
         preferred: Of two equal images one of these stays.
     """
     found: dict[str, str] = {}
@@ -241,19 +237,11 @@ def _converge_signs(evidence: Array, side: Array) -> Array:
 
 
 def epipolar_errors_px(pair: Pair, T_recon_a: Array, T_recon_b: Array, K: Array) -> Array:
-    """Sampson distance (M,) of matched pixels under two poses, [px].
-
-    Source: Hartley & Zisserman, Multiple View Geometry, eq. 11.9.
-    """
+    """Sampson distance (M,) of matched pixels under two poses, [px]."""
     T_b_a = np.linalg.inv(T_recon_b) @ T_recon_a
     K_inverse = np.linalg.inv(K)
     F = K_inverse.T @ skew(T_b_a[:3, 3]) @ T_b_a[:3, :3] @ K_inverse
-    a = np.concatenate([pair.pixels_a, np.ones((len(pair.pixels_a), 1))], 1).astype(np.float64)
-    b = np.concatenate([pair.pixels_b, np.ones((len(pair.pixels_b), 1))], 1).astype(np.float64)
-    lines_b, lines_a = a @ F.T, b @ F
-    numerator = np.abs((b * lines_b).sum(1))
-    gradient = np.sqrt((lines_a[:, :2] ** 2).sum(1) + (lines_b[:, :2] ** 2).sum(1))
-    return numerator / np.maximum(gradient, 1e-12)
+    return np.sqrt(pycolmap.compute_squared_sampson_error(pair.pixels_a, pair.pixels_b, F))
 
 
 def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pair]) -> dict[str, Agreement]:
@@ -263,8 +251,6 @@ def check_registration(Ts_recon_cam: dict[str, Array], K: Array, pairs: list[Pai
     does not drag its neighbours down.
 
     Args:
-        Ts_recon_cam: Pose (4, 4) by image name.
-        K: Intrinsics (3, 3), [px].
         pairs: Verified matches; pairs with unregistered images are ignored.
 
     Returns:

@@ -1,11 +1,12 @@
-"""Visibility of the prompted places: how many scan images see them, and from how many sides."""
+"""Prompts in undistorted images, and how many scan images see the prompted places, from how many sides."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError
@@ -17,6 +18,9 @@ NEAREST_POINTS = 5
 MIN_VIEWS = 3
 # See above, [deg]: 1 / sin(10 deg) is about 6.
 MIN_ANGLE_DEG = 10.0
+# Points along each side of a box that are undistorted: its curved outline deviates by less than a pixel
+# between them.
+EDGE_SAMPLES = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +29,6 @@ class PromptVisibility:
 
     Attributes:
         part: robot, moving or static.
-        image: The prompted image.
         registered: Whether that image is in the model.
         views: Registered images that have the place in their image.
         angle_deg: Largest angle between their directions to it.
@@ -36,6 +39,36 @@ class PromptVisibility:
     registered: bool
     views: int
     angle_deg: float
+
+
+def undistort_prompts(prompts: tuple[Prompt, ...], lens: Lens) -> tuple[Prompt, ...]:
+    """Transform prompts to the pixels of the undistorted images.
+
+    A box becomes the box around its undistorted outline, cut at the image's border; a point that
+    the undistorted image no longer shows is left out, and so is a prompt of which nothing is left.
+    """
+    undistorted = (_undistort(prompt, lens) for prompt in prompts)
+    return tuple(prompt for prompt in undistorted if len(prompt.points) or len(prompt.box))
+
+
+def _undistort(prompt: Prompt, lens: Lens) -> Prompt:
+    size = np.array([lens.width, lens.height], np.float64)
+    points = prompt.points
+    if len(points):
+        pixels = lens.straightened(points[:, :2])
+        kept = ((pixels >= 0) & (pixels <= size)).all(1)
+        points = np.concatenate([pixels, points[:, 2:]], 1)[kept]
+    box = prompt.box
+    if len(box):
+        x0, y0, x1, y1 = box
+        share = np.linspace(0.0, 1.0, EDGE_SAMPLES)
+        x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+        edges = [(x, y0), (x, y1), (x0, y), (x1, y)]
+        outline = np.concatenate([np.stack(np.broadcast_arrays(u, v), 1) for u, v in edges])
+        pixels = np.clip(lens.straightened(outline), 0, size)
+        low, high = pixels.min(0), pixels.max(0)
+        box = np.concatenate([low, high]) if (high - low > 1).all() else np.zeros(0)
+    return replace(prompt, points=points, box=box)
 
 
 def measure_prompt_visibility(
@@ -49,7 +82,6 @@ def measure_prompt_visibility(
     Args:
         prompts: Pixels of the images that `cameras_recon` belong to (undistorted).
         cameras_recon: Registered images, in name order.
-        points_recon: (P, 3).
         observations: (M, 2), rows of (point, index of image).
 
     Not checked: occlusion.

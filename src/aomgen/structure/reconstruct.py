@@ -21,9 +21,8 @@ from aomgen.structure.fixed_cameras import DemoView, PlacedCamera, place_fixed_c
 from aomgen.structure.lens_choice import choose_lens, fit_lens, lens_misfit_px, require_lens_fits
 from aomgen.structure.mapping import ImageSet, Workspace
 from aomgen.structure.outlier_rejection import InlierModel, duplicates, is_better, reject_outliers
-from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage
+from aomgen.structure.prompt_visibility import measure_prompt_visibility, require_coverage, undistort_prompts
 from aomgen.structure.sparse_model import SparseModel
-from aomgen.structure.undistortion import undistort_prompts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +31,6 @@ class Photographs:
 
     Attributes:
         images: Scan images by file name; all of one size and one camera.
-        intrinsics: Stated intrinsics, a prior, or None.
-        demo: Fixed cameras by name.
         prompts: In pixels of the images as recorded.
     """
 
@@ -65,7 +62,6 @@ class StructureParams:
 
     Attributes:
         max_features: SIFT features kept an image.
-        seed: Of every random choice.
         threads: -1 = all cores.
     """
 
@@ -76,11 +72,6 @@ class StructureParams:
 
 def reconstruct_structure(photographs: Photographs, params: StructureParams, progress: Progress) -> Structure:
     """Recover the cameras of a scan, and the fixed cameras in the same frame.
-
-    Args:
-        photographs: Scan, fixed cameras and prompts.
-        params: Limits and effort.
-        progress: Share done and a few words.
 
     Returns:
         The structure; misregistered images are dropped, never averaged in.

@@ -23,16 +23,12 @@ MAX_ITERATIONS = 30
 
 @dataclass(frozen=True, kw_only=True)
 class SparseModel:
-    """Camera poses and points of a mapped scan.
+    """Camera poses (4, 4) by image name and P points of a mapped scan, and its mean reprojection error.
 
     Attributes:
-        Ts_recon_cam: Pose (4, 4) by image name.
         lens: The scan camera's optics; its undistorted images have `K`.
-        points_recon: (P, 3).
-        colors_srgb: (P, 3) uint8.
         observations: (point index, image name).
         point_of_feature: For each image, point index of each feature (F,), -1 = none.
-        error_px: Mean reprojection error.
     """
 
     Ts_recon_cam: dict[str, Array]
@@ -51,17 +47,20 @@ class SparseModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Verified matches of two images.
-
-    Attributes:
-        a, b: Image names.
-        pixels_a, pixels_b: Matched pixels (M, 2).
-    """
+    """Verified matches of images a and b: pixels (M, 2) in each."""
 
     a: str
     b: str
     pixels_a: Array
     pixels_b: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Links:
+    """Pixels (M, 2) of an image, as photographed, and the points (M, 3) they show, with outliers."""
+
+    pixels: Array
+    points_recon: Array
 
 
 def read_model(model: pycolmap.Reconstruction, names: dict[str, str]) -> SparseModel:
@@ -105,7 +104,6 @@ def adjust(
     """Robust bundle adjustment of a whole model in place (COLMAP's own call turns its log on for good).
 
     Args:
-        model: Points, poses and cameras.
         focal, distortion: Whether these are refined.
         points_only: Whether the poses stay.
     """

@@ -7,19 +7,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.lens import Lens
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
 from aomgen.core.structure import PinholeScan, Structure
 from aomgen.io.artifact import save_artifact
+from aomgen.io.atomic import write_bytes
+from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
+from aomgen.io.resampling import undistort_labels, undistorter
 from aomgen.io.video import Video
 from aomgen.results import Results
 from aomgen.structure.fixed_cameras import DemoView
+from aomgen.structure.prompt_visibility import undistort_prompts
 from aomgen.structure.reconstruct import Photographs, StructureParams, reconstruct_structure
-from aomgen.structure.undistortion import undistort_scan
 from aomgen.structure.video_frames import extract_frames
 
 # The temporal median needs no more frames than this.
 MEDIAN_FRAMES = 48
+IMAGES_FOLDER = "straight"
+MASKS_FOLDER = "straight_masks"
+# The second compression of a photograph has to stay invisible.
+JPEG_QUALITY = 98
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -74,3 +82,37 @@ def _pinhole_scan(
         return None
     files = tuple(path.relative_to(folder).as_posix() for path in images.values())
     return PinholeScan(images=files, masks=None, prompts=capture.prompts)
+
+
+def undistort_scan(
+    images: dict[str, Path], capture: Capture, lens: Lens, folder: Path, progress: Progress
+) -> PinholeScan:
+    """Write undistorted copies of scan images and their masks below `folder`, names kept.
+
+    Masks of other images or of another size are left out.
+
+    Raises:
+        InputError: An image or mask cannot be read.
+        StorageError: The disk refuses.
+    """
+    undistort = undistorter(lens)
+    for index, (name, path) in enumerate(sorted(images.items())):
+        progress(index / len(images), "straightening images")
+        image = undistort(read_image(path))
+        lossy = path.suffix.lower() in (".jpg", ".jpeg")
+        data = encode_jpeg(image, JPEG_QUALITY) if lossy else encode_png(image)
+        write_bytes(folder / IMAGES_FOLDER / name, data)
+    stems = {Path(name).stem for name in images}
+    written = {}
+    for masks, source in sorted(capture.mask_folders.items()):
+        for path in sorted(source.glob("*.png")):
+            labels = read_labels(path)
+            if path.stem in stems and labels.shape == (lens.height, lens.width):
+                labels = undistort_labels(labels, lens)
+                write_bytes(folder / MASKS_FOLDER / masks / path.name, encode_png(labels))
+                written[masks] = f"{MASKS_FOLDER}/{masks}"
+    return PinholeScan(
+        images=tuple(f"{IMAGES_FOLDER}/{name}" for name in images),
+        masks=written,
+        prompts=undistort_prompts(capture.prompts, lens),
+    )

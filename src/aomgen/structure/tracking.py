@@ -8,6 +8,8 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from aomgen.core.values import Array
 
+# A grey image at full, half and quarter size, (H, W) each.
+Pyramid = tuple[NDArray[np.float32], ...]
 # Pyramid levels: motion of up to four windows between frames is followed.
 LEVELS = 3
 # Lucas-Kanade steps a level; converged steps end earlier, see `CONVERGED_PX`.
@@ -22,13 +24,6 @@ MIN_CORRELATION = 0.75
 MIN_TEXTURE = 4.0
 # Step that ends the iteration, [px]: far below the motion that decides anything.
 CONVERGED_PX = 0.02
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pyramid:
-    """A grey image at full, half and quarter size, float32 (H, W) each."""
-
-    levels: tuple[NDArray[np.float32], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +60,7 @@ def pyramid(gray: NDArray[np.uint8]) -> Pyramid:
         above = levels[-1]
         even = above[: above.shape[0] // 2 * 2, : above.shape[1] // 2 * 2]
         levels.append(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean((1, 3)))
-    return Pyramid(levels=tuple(levels))
+    return tuple(levels)
 
 
 def new_tracks(picture: Pyramid) -> Tracks:
@@ -73,7 +68,7 @@ def new_tracks(picture: Pyramid) -> Tracks:
 
     Source: Shi & Tomasi, Good features to track (1994).
     """
-    gray = picture.levels[0]
+    gray = picture[0]
     gy, gx = np.gradient(gray)
     size = 2 * HALF_WINDOW + 1
     xx, yy, xy = (uniform_filter(product, size) for product in (gx * gx, gy * gy, gx * gy))
@@ -105,25 +100,24 @@ def follow(tracks: Tracks, first: Pyramid, before: Pyramid, after: Pyramid) -> T
     shift = np.zeros_like(tracks.now)
     for level in reversed(range(LEVELS)):
         scale = 0.5**level
-        a, b = before.levels[level], after.levels[level]
-        patches, gx, gy = _patch_gradients(a, tracks.now * scale)
-        shift = _track_level(
-            patches, (gx, gy), b, tracks.now * scale, 2 * shift if level < LEVELS - 1 else shift
-        )
+        a, b = before[level], after[level]
+        # Twice nothing is nothing on the coarsest level.
+        shift = _track_level(a, b, tracks.now * scale, 2 * shift)
     now = tracks.now + shift
-    inside = ((now >= HALF_WINDOW) & (now <= np.array(after.levels[0].shape[::-1]) - 1 - HALF_WINDOW)).all(1)
-    looks = _correlation(first.levels[0], tracks.start, after.levels[0], now)
+    inside = ((now >= HALF_WINDOW) & (now <= np.array(after[0].shape[::-1]) - 1 - HALF_WINDOW)).all(1)
+    looks = _correlation(first[0], tracks.start, after[0], now)
     return Tracks(start=tracks.start, now=now, alive=tracks.alive & inside & (looks >= MIN_CORRELATION))
 
 
 def _track_level(
-    patches: Array, gradients: tuple[Array, Array], image: NDArray[np.float32], points: Array, shift: Array
+    before: NDArray[np.float32], after: NDArray[np.float32], points: Array, shift: Array
 ) -> Array:
-    gx, gy = gradients
+    patches = _patches(before, points)
+    gy, gx = (_patches(slope, points) for slope in np.gradient(before))
     xx, yy, xy = (gx * gx).sum(1), (gy * gy).sum(1), (gx * gy).sum(1)
     determinant = np.maximum(xx * yy - xy * xy, 1e-3)
     for _ in range(ITERATIONS):
-        error = patches - _patches(image, points + shift)
+        error = patches - _patches(after, points + shift)
         bx, by = (gx * error).sum(1), (gy * error).sum(1)
         step = np.stack([yy * bx - xy * by, xx * by - xy * bx], 1) / determinant[:, None]
         shift = shift + np.clip(step, -HALF_WINDOW, HALF_WINDOW)
@@ -141,19 +135,9 @@ def _correlation(
     return (a * b).sum(1) / np.sqrt(np.maximum((a * a).sum(1) * (b * b).sum(1), 1e-6))
 
 
-def _patch_gradients(image: NDArray[np.float32], points: Array) -> tuple[Array, Array, Array]:
-    large = _patches(image, points, HALF_WINDOW + 1)
-    side = 2 * HALF_WINDOW + 3
-    square = large.reshape(-1, side, side)
-    gx = 0.5 * (square[:, 1:-1, 2:] - square[:, 1:-1, :-2])
-    gy = 0.5 * (square[:, 2:, 1:-1] - square[:, :-2, 1:-1])
-    count = len(points)
-    return square[:, 1:-1, 1:-1].reshape(count, -1), gx.reshape(count, -1), gy.reshape(count, -1)
-
-
-def _patches(image: NDArray[np.float32], points: Array, half: int = HALF_WINDOW) -> Array:
-    """Bilinear windows (N, (2 half + 1)^2) around points; outside the image its border goes on."""
-    offsets = np.arange(-half, half + 1)
+def _patches(image: NDArray[np.float32], points: Array) -> Array:
+    """Bilinear windows (N, P) around points; outside the image its border goes on."""
+    offsets = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
     x = points[:, 0, None, None] + offsets[None, None, :]
     y = points[:, 1, None, None] + offsets[None, :, None]
     x, y = np.broadcast_arrays(x, y)

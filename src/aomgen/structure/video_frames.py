@@ -21,7 +21,7 @@ from aomgen.io.atomic import write_json
 from aomgen.io.images import write_image
 from aomgen.io.jsonfile import read_json
 from aomgen.io.video import decode_frames, probe_video
-from aomgen.structure.tracking import Pyramid, follow, new_tracks, pyramid
+from aomgen.structure.tracking import follow, new_tracks, pyramid
 
 FRAMES_FOLDER = "frames"
 LISTING = "frames.json"
@@ -62,7 +62,6 @@ class Candidate:
 
     Attributes:
         index: Number of the frame in the video.
-        time_s: Its time.
         sharpness: See `sharpness_of`; compared only within one video.
         gray: (h, w) uint8, small.
     """
@@ -79,11 +78,8 @@ def extract_frames(
     """Choose frames of a scan video and write them as PNG below `folder`; done once, then kept.
 
     Args:
-        video: The scan.
         forced: Names of frames that must be among them (prompts were made on them).
         folder: The stage's folder; frames go to `frames/`, the choice to `frames.json`.
-        progress: Share done and a few words.
-        params: How to choose.
 
     Returns:
         Path by name, in the order of time.
@@ -165,7 +161,7 @@ def _select_moved(candidates: list[Candidate], params: FrameParams) -> tuple[lis
     key = before = pyramid(candidates[0].gray)
     tracks, wanted, ways = new_tracks(key), [0], [0.0]
     for place, candidate in enumerate(candidates[1:], 1):
-        now: Pyramid = pyramid(candidate.gray)
+        now = pyramid(candidate.gray)
         tracks = follow(tracks, key, before, now)
         before = now
         if tracks.shift_px >= params.step * width or tracks.kept < MIN_KEPT:
@@ -182,7 +178,12 @@ def _candidates(video: Path, progress: Progress) -> Iterator[Candidate]:
     for index, (time_s, frame) in enumerate(decode_frames(video)):
         progress(index / total, "looking for sharp frames")
         gray = _gray(frame, SHARPNESS_WIDTH)
-        found = Candidate(index=index, time_s=time_s, sharpness=sharpness_of(gray), gray=_halve(gray))
+        found = Candidate(
+            index=index,
+            time_s=time_s,
+            sharpness=sharpness_of(gray),
+            gray=pyramid(gray)[1].round().astype(np.uint8),
+        )
         if best is not None and int(time_s / CANDIDATE_S) != int(best.time_s / CANDIDATE_S):
             yield best
             best = found
@@ -204,10 +205,6 @@ def _gray(frame: VideoFrame, width: int) -> NDArray[np.uint8]:
     height = round(frame.height * width / frame.width / 2) * 2
     small = frame.reformat(width=width, height=height, format="gray8", interpolation="AREA", threads=1)
     return np.asarray(small.to_ndarray(), np.uint8)
-
-
-def _halve(gray: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return pyramid(gray).levels[1].round().astype(np.uint8)
 
 
 def _rgb(frame: VideoFrame) -> NDArray[np.uint8]:

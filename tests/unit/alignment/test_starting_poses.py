@@ -5,9 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.alignment.color_score import color_score, divergence
 from aomgen.alignment.contours import AlignmentImage
-from aomgen.alignment.pose_search import Scan, SearchParams, search_poses, select_distinct
+from aomgen.alignment.pose_search import (
+    Scan,
+    SearchParams,
+    color_score,
+    divergence,
+    search_poses,
+    select_distinct,
+)
 from aomgen.alignment.starting_poses import PoseCandidates, RobotBox, find_starting_poses
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity

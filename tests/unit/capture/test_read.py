@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from aomgen.capture.capture_check import check_robot, read_demo_videos
+from aomgen.capture.capture_check import check_robot
+from aomgen.capture.demo_videos import read_demo_videos
 from aomgen.capture.read import read_capture
-from aomgen.capture.scan_check import check_scan
+from aomgen.capture.scan_images import check_scan
 from aomgen.core.lens import Lens
 from aomgen.errors import (
     AomgenError,

@@ -19,8 +19,7 @@ from aomgen.gaussians.background import (
     far_shell,
 )
 from aomgen.gaussians.dense_points import DensePoints, nearest_depth
-from aomgen.gaussians.depth_fusion import DepthMap, Samples, count_confirmations, thin
-from aomgen.gaussians.plane_sweep import plane_sweep
+from aomgen.gaussians.depth_fusion import DepthMap, Samples, count_confirmations, plane_sweep, thin
 from aomgen.gaussians.train import initial_gaussians
 from aomgen.structure.mapping import choose_pairs
 

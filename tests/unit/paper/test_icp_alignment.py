@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from aomgen.alignment.contours import AlignmentImage
+from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.core.camera import Camera, camera_in_world, look_at
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import AlignmentError
 from aomgen.paper import icp_alignment as paper_alignment
-from aomgen.paper.icp_alignment import align_as_paper, model_points, robot_points
-from aomgen.paper.link_boxes import bodies_in_boxes
-from aomgen.paper.rigid_icp import rigid_icp, weighted_rigid
+from aomgen.paper.icp_alignment import align_as_paper, rigid_icp, robot_points, weighted_rigid
+from aomgen.paper.methods import bodies_in_boxes
 from aomgen.robots.robot import RobotConfiguration, RobotModel
 from benchmarks.alignment_methods import methods_table, paper_figures
 
@@ -31,7 +31,7 @@ def configuration(robot: RobotModel) -> RobotConfiguration:
 
 @pytest.fixture(scope="module")
 def model(configuration: RobotConfiguration) -> np.ndarray:
-    return model_points(configuration, 8_000, np.random.default_rng(0))
+    return configuration.surface_world(8_000, np.random.default_rng(0))
 
 
 def cameras_recon() -> list[Camera]:
@@ -78,8 +78,8 @@ def scan(robot_world: np.ndarray) -> Gaussians:
 def near_right(monkeypatch: pytest.MonkeyPatch, scale: float = 1.0) -> None:
     """Starts some centimetres, seven degrees and a size off, before the scan's unit frame is left."""
 
-    def starts(views: list[AlignmentImage], *_: object) -> np.ndarray:
-        S_unit_recon = camera_frame(views)
+    def starts(scan: Scan, *_: object) -> np.ndarray:
+        S_unit_recon = camera_frame(scan.views)
         size = similarity(scale, np.eye(3), [0.0, 0.0, 0.0])
         return (size @ OFF @ S_WORLD_RECON @ np.linalg.inv(S_unit_recon))[None]
 

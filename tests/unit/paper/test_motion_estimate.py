@@ -13,10 +13,8 @@ from aomgen.core.transforms import angle_between, apply, invert
 from aomgen.errors import InputError, NoMotionError
 from aomgen.io.video import Video
 from aomgen.motion.inputs import MotionInput
-from aomgen.paper.contact_points import contact_path, nearest_pair
-from aomgen.paper.mask_keyframes import PartMasks
-from aomgen.paper.motion_estimate import PaperMotionParams, estimate_motion_paper
-from aomgen.paper.moved_masks import changed_masks
+from aomgen.paper.mask_keyframes import PartMasks, changed_masks
+from aomgen.paper.motion_estimate import PaperMotionParams, contact_path, estimate_motion_paper, nearest_pair
 from aomgen.robots.robot import RobotModel
 
 # The hand points along -x at the door; then shoulder and elbow draw it back by some centimeters.

@@ -10,7 +10,7 @@ import pytest
 
 from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
-from aomgen.capture import capture_check
+from aomgen.capture import demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.project import Project
 from aomgen.errors import (
@@ -60,9 +60,9 @@ def test_every_message_belongs_to_a_broken_capture():
 
 def test_a_video_that_does_not_fit_into_memory(small_copy, monkeypatch):
     huge = VideoInfo(width=3840, height=2160, frames=19_000, fps=60)
-    monkeypatch.setattr(capture_check, "probe_video", lambda path: huge)
+    monkeypatch.setattr(demo_videos, "probe_video", lambda path: huge)
     monkeypatch.setattr(
-        capture_check.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1 << 22}.__getitem__
+        demo_videos.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1 << 22}.__getitem__
     )
     with pytest.raises(LimitExceededError, match=r"front\.mp4: takes 946 GB decoded .* has 17 GB"):
         checked(small_copy)

@@ -10,6 +10,11 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.lens import Lens
 from aomgen.core.recording import Intrinsics, Prompt
 from aomgen.errors import ReconstructionError
+from aomgen.structure.fixed_cameras import (
+    Links,
+    choose_view_lens,
+    resect,
+)
 from aomgen.structure.lens_choice import (
     choose_lens,
     compare,
@@ -17,13 +22,8 @@ from aomgen.structure.lens_choice import (
     lens_misfit_px,
     require_lens_fits,
 )
-from aomgen.structure.resection import (
-    Links,
-    choose_view_lens,
-    resect,
-)
+from aomgen.structure.prompt_visibility import undistort_prompts
 from aomgen.structure.sparse_model import adjust
-from aomgen.structure.undistortion import undistort_prompts
 
 SIZE = {"width": 640, "height": 480}
 OPTICS = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0}

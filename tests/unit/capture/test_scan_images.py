@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 from scipy.ndimage import correlate, gaussian_filter
 
-from aomgen.capture.scan_check import BLURRED, blur, read_grey, shrink
+from aomgen.capture.scan_images import BLURRED, blur, read_grey, shrink
 
 MOTION_PX = 15
 

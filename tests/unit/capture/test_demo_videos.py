@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from aomgen.capture.steadiness import find_push
+from aomgen.capture.demo_videos import find_push
 from aomgen.io.video import Video
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.paper.joint_values import intersections, recovered_thetas, recovery_error
+from aomgen.core.values import Array
+from aomgen.paper.motion_estimate import recovered_thetas
 
 AXIS = np.array([0.1, -0.2, 0.97]) / np.linalg.norm([0.1, -0.2, 0.97])
 HINGE = Joint(type="revolute", axis=AXIS, origin=np.array([0.5, 0.2, 0.3]), lower=0, upper=1.5)
@@ -13,6 +14,32 @@ SLIDE = Joint(type="prismatic", axis=np.array([0.0, -1.0, 0.0]), origin=np.zeros
 CONTACT = np.array([0.45, -0.15, 0.35])
 NORMAL = np.array([-0.98, 0.1, 0.17]) / np.linalg.norm([-0.98, 0.1, 0.17])
 THETAS = np.linspace(0, 1.4, 40)
+
+
+def intersections(plane_point: Array, plane_normal: Array, path: Array) -> Array:
+    """Points (K, 3) in which a plane meets a path (T, 3) of straight pieces; a path inside it is not met."""
+    heights = (path - plane_point) @ plane_normal
+    first, second = heights[:-1], heights[1:]
+    crossed = (first * second <= 0) & (first != second)
+    shares = (first / np.where(crossed, first - second, 1.0))[crossed, None]
+    return path[:-1][crossed] * (1 - shares) + path[1:][crossed] * shares
+
+
+def recovery_error(
+    joint: Joint, plane_point: Array, plane_normal: Array, path: Array, frame: int, theta: float
+) -> float:
+    """The paper's f(theta) at one frame: from PC_r,t to the nearest intersection, [m]; infinite without any.
+
+    Args:
+        joint: World frame.
+        plane_point, plane_normal: The face's plane at theta 0, world frame, (3,) each.
+        path: The contact's trajectory PC_r (T, 3), [m].
+        frame: Which of them is PC_r,t.
+        theta: Joint value, [rad] or [m].
+    """
+    T = joint.motion(theta)
+    met = intersections(apply(T, plane_point), T[:3, :3] @ plane_normal, path)
+    return float(np.linalg.norm(met - path[frame], axis=1).min()) if len(met) else float("inf")
 
 
 def test_an_exact_arc_gives_its_angles():

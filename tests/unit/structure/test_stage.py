@@ -9,7 +9,7 @@ from aomgen.core.lens import Lens
 from aomgen.core.progress import silent
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_png, read_image
-from aomgen.structure.undistortion import MASKS_FOLDER, undistort_scan
+from aomgen.structure.stage import MASKS_FOLDER, undistort_scan
 
 
 def test_a_bent_scan_becomes_straight(capture_copy, tmp_path):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.capture.demo_masks import read_demo_masks
+from aomgen.capture.label_images import read_demo_masks
 from aomgen.capture.read import read_capture
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.io.atomic import write_bytes
