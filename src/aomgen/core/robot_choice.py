@@ -1,27 +1,10 @@
 """Which robot a recording belongs to, as its folder says."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from aomgen.core.values import Array, freeze_arrays
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandChoice:
-    """What a capture tells about the hand of a robot file; what is empty is found out.
-
-    Attributes:
-        open, closed: Value of each finger joint that drives at gripper value 0 and 1, [rad] or [m].
-        fingers: Names of the two bodies that hold, left and right.
-        ee_site: Name of the site that is the end effector.
-    """
-
-    open: Mapping[str, float] = field(default_factory=dict)
-    closed: Mapping[str, float] = field(default_factory=dict)
-    fingers: tuple[str, ...] = ()
-    ee_site: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +18,6 @@ class RobotChoice:
         references: All files that `model_file` refers to.
         base_frame: "base_link" or "ur_base", the frame of the log and of given camera poses.
         joints: Names (J) of the arm joints in the order of the log.
-        hand: What is told about the hand of a robot file.
         scan_joints: Joint values (J,) during the scan, [rad] or [m].
         scan_gripper: Gripper during the scan, 0..1.
     """
@@ -46,7 +28,6 @@ class RobotChoice:
     references: tuple[Path, ...]
     base_frame: str
     joints: Annotated[tuple[str, ...], "J"]
-    hand: HandChoice
     scan_joints: Annotated[Array, "J"]
     scan_gripper: float
 

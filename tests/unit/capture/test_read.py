@@ -239,11 +239,6 @@ def test_exactly_one_robot(capture_copy):
     refuse(capture_copy, MalformedFileError, "exactly one of model, urdf, mjcf")
 
 
-def test_a_hand_needs_a_robot_file(capture_copy):
-    edit(capture_copy / "capture.toml", "[scan]", "[robot.hand]\nee_site = 'tip'\n\n[scan]")
-    refuse(capture_copy, MalformedFileError, "robot.hand", "remove it")
-
-
 def test_a_robot_file_outside_the_capture(capture_copy):
     edit(capture_copy / "capture.toml", 'model = "ur5e_2f85"', 'urdf = "../robot.urdf"')
     refuse(capture_copy, UnsafePathError, "../robot.urdf")
