@@ -11,9 +11,9 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.alignment import Clock
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
-from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.errors import ConfigError

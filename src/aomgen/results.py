@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 
 from aomgen.capture.capture_check import read_demo_videos
 from aomgen.capture.read import read_capture
-from aomgen.core.alignment import Alignment
+from aomgen.core.alignment import Alignment, FixedCamera
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.demonstration import Demonstration, EpisodeScene
-from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionEstimate

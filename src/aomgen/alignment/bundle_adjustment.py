@@ -19,8 +19,8 @@ from aomgen.alignment.bundle_terms import (
     CameraState,
     pose_difference,
 )
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import camera_in_world
-from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm, jackknife_covariance, solve
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError

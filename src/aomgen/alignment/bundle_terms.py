@@ -15,8 +15,8 @@ import numpy as np
 from aomgen.alignment.arm_contours import ArmContour, GrayFrames, LoggedRobot, trace, trace_scan
 from aomgen.alignment.contours import AlignmentImage, Contour, edge_sds, edge_shifts, shift_jacobian
 from aomgen.alignment.silhouette_fit import RobotDrawing, gray_levels, move_similarity
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, camera_in_world
-from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera
-from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint_log import JointLog
 from aomgen.core.part_points import spread_points, surface_points
