@@ -16,7 +16,7 @@ from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.light import Light
 from aomgen.core.motion import Direction
-from aomgen.core.part_points import surface_points
+from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
