@@ -16,8 +16,7 @@ from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
 from aomgen.core.joint_log import JointLog
 from aomgen.core.lens import Lens
-from aomgen.core.recording import Capture, DemoCamera, Intrinsics, frame_name
-from aomgen.core.robot_choice import RobotChoice
+from aomgen.core.recording import Capture, DemoCamera, Intrinsics, RobotChoice, frame_name
 from aomgen.core.values import Array
 from aomgen.errors import (
     CalibrationError,

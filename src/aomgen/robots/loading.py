@@ -11,7 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from aomgen.core.robot_choice import RobotChoice
+from aomgen.core.recording import RobotChoice
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.io.artifact import load_artifact, save_artifact

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from aomgen.core.robot_choice import RobotChoice
+from aomgen.core.recording import RobotChoice
 from aomgen.errors import MalformedFileError, MissingFileError, UnsafePathError
 from aomgen.robots.loading import choose_robot, load_stored_robot, save_robot
 
