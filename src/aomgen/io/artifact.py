@@ -3,17 +3,18 @@
 Equal values give equal bytes. What is read is bounded, holds no code, and has to fit the annotations.
 """
 
+import io
 import types
+import zipfile
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.errors import MalformedFileError
-from aomgen.io.arrays import npz_bytes, read_npz
+from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 
@@ -138,3 +139,45 @@ def _require(fits: bool, kind: Any, data: Any) -> None:
     if not fits:
         wanted = getattr(kind, "__name__", str(kind))
         raise ValueError(f"{str(data)[:60]} is no {wanted}")
+
+
+# Largest array file read, [bytes]: far above what a run writes, but fits in memory.
+MAX_BYTES: Final = 2 << 30
+
+
+def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Uncompressed npz with fixed dates, in the order given."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.asarray(array, order="C"), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), content.getvalue())
+    return buffer.getvalue()
+
+
+def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of an npz.
+
+    Raises:
+        MalformedFileError: Not an npz, damaged, or it holds objects.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise MalformedFileError(where, f"is not a readable npz ({error})", "run the stage again") from error
+
+
+def read_npz(path: Path, *, max_bytes: int = MAX_BYTES) -> dict[str, NDArray[Any]]:
+    """All arrays of an npz file.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", "run the stage again")
+    size = path.stat().st_size
+    if not size <= max_bytes:
+        raise LimitExceededError(path, f"has {size} bytes, limit {max_bytes}")
+    return arrays_from_bytes(path.read_bytes(), path)

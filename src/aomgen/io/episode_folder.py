@@ -20,7 +20,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.errors import CorruptArtifactError, MalformedFileError
-from aomgen.io.arrays import arrays_from_bytes, npz_bytes
+from aomgen.io.artifact import arrays_from_bytes, npz_bytes
 from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_json
 from aomgen.io.jsonfile import read_json
 
