@@ -10,6 +10,9 @@ from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.core.values import Array, freeze_arrays
 
+# Gaussians fainter than this are haze, not surface.
+SOLID_OPACITY: Final = 0.3
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cut:
@@ -92,10 +95,6 @@ class Parts:
                     "images that show it from other sides"
                 )
         return sentences
-
-
-# Gaussians fainter than this are haze, not surface.
-SOLID_OPACITY: Final = 0.3
 
 
 def surface_points(gaussians: Gaussians, labels: NDArray[np.uint8], label: int) -> Array:

@@ -11,6 +11,10 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze_arrays
 
+# Every so many images one is held out, as benchmarks of view synthesis do (Mip-NeRF 360).
+HELD_OUT_EVERY = 8
+# Index of the first one; the image that the walk begins with is trained on.
+HELD_OUT_PHASE = 4
 Figures = dict[str, object]
 
 
@@ -61,14 +65,6 @@ class Structure:
     figures: Figures = field(default_factory=dict)
 
     __post_init__ = freeze_arrays
-
-
-# Every so many images one is held out, as benchmarks of view synthesis do (Mip-NeRF 360).
-HELD_OUT_EVERY = 8
-
-
-# Index of the first one; the image that the walk begins with is trained on.
-HELD_OUT_PHASE = 4
 
 
 def held_out(names: list[str]) -> list[str]:

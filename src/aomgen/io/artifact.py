@@ -20,6 +20,8 @@ from aomgen.io.jsonfile import read_json
 
 # Arrays of at most so many elements stand in the JSON, where people can read them.
 INLINE_ELEMENTS = 64
+# Largest array file read, [bytes]: far above what a run writes, but fits in memory.
+MAX_BYTES: Final = 2 << 30
 T = TypeVar("T")
 
 
@@ -139,10 +141,6 @@ def _require(fits: bool, kind: Any, data: Any) -> None:
     if not fits:
         wanted = getattr(kind, "__name__", str(kind))
         raise ValueError(f"{str(data)[:60]} is no {wanted}")
-
-
-# Largest array file read, [bytes]: far above what a run writes, but fits in memory.
-MAX_BYTES: Final = 2 << 30
 
 
 def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:

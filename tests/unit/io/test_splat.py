@@ -17,7 +17,7 @@ from aomgen.errors import (
     MissingFileError,
     NonFiniteError,
 )
-from aomgen.io import gaussian_files, usd_gaussians
+from aomgen.io import gaussian_files, usd
 from aomgen.io.splat import read_gaussians, write_gaussians
 
 
@@ -117,7 +117,7 @@ def test_writers_refuse_what_readers_would(tmp_path: Path, file: str, name: str,
     arrays = {key: getattr(make_gaussians(), key).copy() for key in Gaussians.__dataclass_fields__}
     arrays[name][7] = value
     broken = gaussians_of(**arrays)
-    write = usd_gaussians.write_gaussians if file == "a.usdc" else gaussian_files.write_gaussians
+    write = usd.write_gaussians if file == "a.usdc" else gaussian_files.write_gaussians
     with pytest.raises(NonFiniteError, match="Gaussian 7"):
         write(tmp_path / file, broken)
     assert not list(tmp_path.iterdir())
