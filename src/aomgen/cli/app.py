@@ -9,9 +9,8 @@ import typer
 
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
-from aomgen.cli.ending import report_bug, stop_at_signals
 from aomgen.cli.robot_draft import robot_app
-from aomgen.cli.run import find_project, run_project
+from aomgen.cli.run import find_project, report_bug, run_project, stop_at_signals
 from aomgen.errors import AomgenError, ConfigError, InputError
 
 app = typer.Typer(
