@@ -15,7 +15,7 @@ from aomgen.core.alignment import Clock
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.joint_log import JointLog
+from aomgen.core.recording import JointLog
 from aomgen.errors import ConfigError
 from aomgen.io.artifact import npz_bytes, read_npz
 from aomgen.io.atomic import staged_folder, write_bytes, write_json

@@ -15,12 +15,11 @@ from aomgen.core.alignment import Alignment, FixedCamera
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.demonstration import Demonstration, EpisodeScene
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.parts import Parts
 from aomgen.core.plan import FittedAsset
 from aomgen.core.project import Project
-from aomgen.core.recording import Capture
+from aomgen.core.recording import Capture, JointLog
 from aomgen.core.structure import Structure
 from aomgen.io.artifact import load_artifact
 from aomgen.io.overrides import override

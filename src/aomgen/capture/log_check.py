@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.core.joint_log import JointLog
+from aomgen.core.recording import JointLog
 from aomgen.errors import IncompleteCaptureError, UnitsError
 
 # Between rows the arm is interpolated; further apart than this it may have stopped and turned back, [s]. Two

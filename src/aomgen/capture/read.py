@@ -14,9 +14,8 @@ from aomgen.capture.capture_schema import (
 from aomgen.capture.joint_csv import read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
-from aomgen.core.joint_log import JointLog
 from aomgen.core.lens import Lens
-from aomgen.core.recording import Capture, DemoCamera, Intrinsics, RobotChoice, frame_name
+from aomgen.core.recording import Capture, DemoCamera, Intrinsics, JointLog, RobotChoice, frame_name
 from aomgen.core.values import Array
 from aomgen.errors import (
     CalibrationError,

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from aomgen.core.joint_log import JointLog
 from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import InputError
