@@ -22,8 +22,8 @@ from aomgen.core.project import Project
 from aomgen.core.recording import Capture, JointLog
 from aomgen.core.structure import Structure
 from aomgen.io.artifact import load_artifact
-from aomgen.io.overrides import override
 from aomgen.io.ply import read_gaussians
+from aomgen.io.schema import override
 from aomgen.io.video import Video, probe_video
 from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot import RobotConfiguration, RobotModel

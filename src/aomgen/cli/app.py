@@ -166,7 +166,7 @@ def run(
     Parameters are the fields of the stages' Params classes (`PARAMETERS` in pipeline/stages.py); a name that
     does not exist is answered with those that do. They are kept in the run's project.toml.
     """
-    from aomgen.io.overrides import merge, parse_setting
+    from aomgen.io.schema import merge, parse_setting
 
     found = find_project(project)
     params = found.params
