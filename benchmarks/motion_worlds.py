@@ -17,9 +17,8 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.recording import JointLog
 from aomgen.errors import ConfigError
-from aomgen.io.artifact import npz_bytes, read_npz
+from aomgen.io.artifact import npz_bytes, read_json, read_npz
 from aomgen.io.atomic import staged_folder, write_bytes, write_json
-from aomgen.io.jsonfile import read_json
 from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.robots.loading import load_robot

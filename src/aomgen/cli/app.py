@@ -207,8 +207,8 @@ def render(
     labels: Annotated[Path | None, typer.Option(help="Also write the part labels to this PNG.")] = None,
 ) -> None:
     """Draw the twin of a finished run from any camera, in any state."""
+    from aomgen.io.artifact import read_json
     from aomgen.io.images import write_image
-    from aomgen.io.jsonfile import read_json
     from aomgen.pipeline.rendering import draw_twin, find_camera, open_twin, parse_camera, parse_state
 
     project = find_project(out)

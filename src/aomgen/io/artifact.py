@@ -4,6 +4,7 @@ Equal values give equal bytes. What is read is bounded, holds no code, and has t
 """
 
 import io
+import json
 import types
 import zipfile
 from collections.abc import Mapping
@@ -16,12 +17,13 @@ from numpy.typing import NDArray
 
 from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes, write_json
-from aomgen.io.jsonfile import read_json
 
 # Arrays of at most so many elements stand in the JSON, where people can read them.
 INLINE_ELEMENTS = 64
 # Largest array file read, [bytes]: far above what a run writes, but fits in memory.
-MAX_BYTES: Final = 2 << 30
+MAX_NPZ_BYTES: Final = 2 << 30
+# Largest JSON file read, [bytes]: the same.
+MAX_JSON_BYTES: Final = 64 << 20
 T = TypeVar("T")
 
 
@@ -167,15 +169,36 @@ def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray[Any]]:
         raise MalformedFileError(where, f"is not a readable npz ({error})", "run the stage again") from error
 
 
-def read_npz(path: Path, *, max_bytes: int = MAX_BYTES) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an npz file.
 
     Raises:
         MissingFileError, LimitExceededError, MalformedFileError: As their names say.
     """
+    _check_size(path, MAX_NPZ_BYTES, "run the stage again")
+    return arrays_from_bytes(path.read_bytes(), path)
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file that holds no NaN or infinity.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+    """
+    _check_size(path, MAX_JSON_BYTES, "check the path")
+    try:
+        return json.loads(path.read_text("utf-8"), parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise MalformedFileError(path, f"is not valid JSON ({error})", "write it again") from error
+
+
+def _check_size(path: Path, max_bytes: int, absent: str) -> None:
     if not path.is_file():
-        raise MissingFileError(path, "is missing", "run the stage again")
+        raise MissingFileError(path, "is missing", absent)
     size = path.stat().st_size
     if not size <= max_bytes:
         raise LimitExceededError(path, f"has {size} bytes, limit {max_bytes}")
-    return arrays_from_bytes(path.read_bytes(), path)
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is not allowed")

@@ -1,4 +1,4 @@
-"""What users write: TOML files held to a schema, and parameters changed by name (`[params]`, `--set`).
+"""What users write: TOML files held to a schema, and parameters of stages changed by name.
 
 What is wrong is said in the words of whoever wrote it.
 """
