@@ -13,11 +13,10 @@ from aomgen.capture.prompts import prompt_warnings
 from aomgen.capture.read import check_intrinsics
 from aomgen.capture.scan_check import check_scan
 from aomgen.capture.steadiness import find_push
-from aomgen.core.lens import Lens
+from aomgen.core.lens import Lens, undistorter
 from aomgen.core.recording import Capture
 from aomgen.errors import IncompleteCaptureError, LimitExceededError, UnitsError
 from aomgen.io.images import resize
-from aomgen.io.resampling import undistorter
 from aomgen.io.video import Video, decode_frames, probe_video, read_video
 from aomgen.robots.description import FILE_NAME, find_description
 from aomgen.robots.loading import choose_robot

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.lens import undistort_labels
 from aomgen.core.recording import Capture, DemoCamera
 from aomgen.errors import IncompleteCaptureError, MalformedFileError
 from aomgen.io.images import read_labels
-from aomgen.io.resampling import undistort_labels
 
 # Beside the videos: `masks/` belongs to the scan, whose images have the same names.
 FOLDER = Path("demo") / "masks"

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.core.lens import Lens
+from aomgen.core.lens import Lens, undistort_labels, undistorter
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Capture, Prompt
 from aomgen.core.structure import PinholeScan
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
-from aomgen.io.resampling import undistort_labels, undistorter
 
 IMAGES_FOLDER = "straight"
 MASKS_FOLDER = "straight_masks"

@@ -11,7 +11,7 @@ from PIL import Image
 from aomgen.capture.capture_check import check_robot, read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.capture.scan_check import check_scan
-from aomgen.core.lens import Lens
+from aomgen.core.lens import Lens, undistorter
 from aomgen.errors import (
     AomgenError,
     CalibrationError,
@@ -23,7 +23,6 @@ from aomgen.errors import (
     UnitsError,
     UnsafePathError,
 )
-from aomgen.io.resampling import undistorter
 from aomgen.io.video import encode_video
 
 
