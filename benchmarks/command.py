@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aomgen.appearance.stage import select_training_frames
 from aomgen.core.camera import Camera
 from aomgen.core.project import Project
-from aomgen.io.jsonfile import read_json
+from aomgen.io.artifact import read_json
 from aomgen.motion.estimates_file import ESTIMATES, describe_estimates
 from aomgen.motion.stage import motion_evidence
 from aomgen.pipeline.rendering import draw_twin

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate
 
 from aomgen.capture.read import read_capture
-from aomgen.core.joint_log import JointLog
-from aomgen.core.lens import Lens
-from aomgen.core.recording import Capture
+from aomgen.core.lens import Lens, resample_labels, resampler
+from aomgen.core.recording import Capture, JointLog
 from aomgen.core.values import Array
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
-from aomgen.io.resampling import resample_labels, resampler
 from aomgen.io.video import encode_video, read_video
 from aomgen.synthetic.world import joints_csv
 

@@ -11,10 +11,9 @@ from scipy.ndimage import binary_dilation
 
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
-from aomgen.core.lens import Lens
+from aomgen.core.lens import Lens, undistort_labels
 from aomgen.core.recording import Capture
 from aomgen.io.images import read_image, read_labels
-from aomgen.io.resampling import undistort_labels
 from aomgen.io.video import Video
 from aomgen.splatting.metrics import psnr, ssim
 from aomgen.twin.twin import TwinState

@@ -12,8 +12,7 @@ import numpy as np
 from aomgen.assets.choice import MAKERS
 from aomgen.core.motion import MotionEstimate
 from aomgen.errors import ConfigError, EstimationError
-from aomgen.io.arrays import read_npz
-from aomgen.io.jsonfile import read_json
+from aomgen.io.artifact import read_json, read_npz
 from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.estimates_file import motion_estimates
 from benchmarks.accuracy import score_motion

@@ -11,15 +11,14 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.alignment import Clock
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
-from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.joint_log import JointLog
+from aomgen.core.recording import JointLog
 from aomgen.errors import ConfigError
-from aomgen.io.arrays import npz_bytes, read_npz
+from aomgen.io.artifact import npz_bytes, read_json, read_npz
 from aomgen.io.atomic import staged_folder, write_bytes, write_json
-from aomgen.io.jsonfile import read_json
 from aomgen.io.video import encode_video, read_video
 from aomgen.motion.inputs import MotionInput as MotionInput
 from aomgen.robots.loading import load_robot

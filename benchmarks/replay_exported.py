@@ -14,7 +14,7 @@ from aomgen.core.transforms import matrix_from_quat, rotvec_from_matrix, transfo
 from aomgen.core.values import Array
 from aomgen.datasets.features import ee_targets
 from aomgen.errors import MissingFileError
-from aomgen.io.jsonfile import read_json
+from aomgen.io.artifact import read_json
 from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
 from benchmarks.foreign_scene import ForeignScene, foreign_scene

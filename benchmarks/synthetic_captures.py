@@ -10,8 +10,8 @@ import numpy as np
 
 from aomgen.assets.choice import MAKERS
 from aomgen.errors import ConfigError, EstimationError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
-from aomgen.io.jsonfile import read_json
 from aomgen.synthetic.scene_recording import draw_conditions
 from aomgen.synthetic.world import make_capture
 from benchmarks.bars import BARS

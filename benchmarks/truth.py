@@ -9,7 +9,7 @@ import numpy as np
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError, MissingFileError
-from aomgen.io.jsonfile import read_json
+from aomgen.io.artifact import read_json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

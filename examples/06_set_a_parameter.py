@@ -12,7 +12,7 @@ import numpy as np
 
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.progress import silent
-from aomgen.io.overrides import parse_setting
+from aomgen.io.schema import parse_setting
 from aomgen.motion.stage import run
 from aomgen.pipeline.project_file import read_project
 from aomgen.pipeline.runner import results_of

@@ -11,7 +11,7 @@ import numpy as np
 
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import matrix_from_rotvec, transform
-from aomgen.io import gaussian_files, usd_gaussians
+from aomgen.io import gaussian_files, usd
 
 # Rotations (axis times angle, in quarter turns) that bring an axis to z.
 QUARTER_TURNS = {
@@ -38,7 +38,7 @@ def main() -> None:
 
     gaussians = upright(gaussian_files.read_gaussians(options.source), options.up)
     if options.target.suffix in (".usda", ".usdc"):
-        usd_gaussians.write_gaussians(options.target, gaussians, meters_per_unit=options.meters_per_unit)
+        usd.write_gaussians(options.target, gaussians, meters_per_unit=options.meters_per_unit)
     else:
         gaussian_files.write_gaussians(options.target, gaussians)
     size_mb = options.target.stat().st_size / 1e6

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from aomgen.core.camera import Camera
-from aomgen.core.held_out import held_out
-from aomgen.core.structure import Structure
+from aomgen.core.structure import Structure, held_out
 from aomgen.gaussians.dense_points import DensifyParams, densify
 from aomgen.gaussians.train import evaluate_view, initial_gaussians
 from aomgen.io.colmap import ColmapView, read_colmap

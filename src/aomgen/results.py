@@ -11,21 +11,19 @@ from numpy.typing import ArrayLike
 
 from aomgen.capture.demo_videos import read_demo_videos
 from aomgen.capture.read import read_capture
-from aomgen.core.alignment import Alignment
+from aomgen.core.alignment import Alignment, FixedCamera
 from aomgen.core.camera import Camera, camera_in_world
 from aomgen.core.demonstration import Demonstration, EpisodeScene
-from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.parts import Parts
 from aomgen.core.plan import FittedAsset
 from aomgen.core.project import Project
-from aomgen.core.recording import Capture
+from aomgen.core.recording import Capture, JointLog
 from aomgen.core.structure import Structure
 from aomgen.io.artifact import load_artifact
-from aomgen.io.overrides import override
 from aomgen.io.ply import read_gaussians
+from aomgen.io.schema import override
 from aomgen.io.video import Video, probe_video
 from aomgen.robots.loading import choose_robot
 from aomgen.robots.robot import RobotConfiguration, RobotModel

@@ -7,7 +7,7 @@ import numpy as np
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.gaussians import Gaussians
-from aomgen.io.arrays import npz_bytes
+from aomgen.io.artifact import npz_bytes
 from aomgen.io.atomic import write_bytes
 from aomgen.splatting.checkpoint import Checkpoint
 from aomgen.splatting.training import TrainingParams, train

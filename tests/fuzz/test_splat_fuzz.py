@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from aomgen.core.gaussians import SH_C0
 from aomgen.errors import InputError, LimitExceededError, MalformedFileError
+from aomgen.io.gaussian_files import RECORD, read_splat
 from aomgen.io.ply import MAX_GAUSSIANS
-from aomgen.io.splat import RECORD, read_gaussians
 
 FUZZ = settings(
     derandomize=True,
@@ -41,7 +41,7 @@ def check(folder: Path, data: bytes) -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            g = read_gaussians(path)
+            g = read_splat(path)
         except InputError as error:
             refusal = str(error)
         else:
@@ -82,7 +82,7 @@ def test_a_sparse_file_beyond_the_limit_allocates_nothing(tmp_path: Path) -> Non
         file.truncate((MAX_GAUSSIANS + 1) * RECORD.itemsize)
     tracemalloc.start()
     with pytest.raises(LimitExceededError):
-        read_gaussians(path)
+        read_splat(path)
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak_bytes < 1 << 20
@@ -94,4 +94,4 @@ def test_a_file_that_changes_while_it_is_read(tmp_path: Path, monkeypatch: pytes
     whole = np.fromfile
     monkeypatch.setattr(np, "fromfile", lambda *a, **k: whole(*a, **k)[:-1])
     with pytest.raises(MalformedFileError, match="shorter"):
-        read_gaussians(path)
+        read_splat(path)

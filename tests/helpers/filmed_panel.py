@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from aomgen.conventions import BACKGROUND, MOVING
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.clock import Clock
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
 from aomgen.core.values import Array

@@ -10,12 +10,12 @@ import pytest
 from scipy.optimize import least_squares
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.clock import Clock
 from aomgen.core.gaussians import SH_C0, Gaussians, concatenate, gaussians_of
 from aomgen.core.joint import Joint
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionEstimate
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import (
     angle_between,
     apply,

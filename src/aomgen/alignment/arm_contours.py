@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from aomgen.alignment.contours import AlignmentImage, Contour, edge_sds, edge_shifts
 from aomgen.alignment.silhouette_fit import EDGE_KERNEL, RobotDrawing, gray_levels, render_robot
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, camera_in_world
-from aomgen.core.clock import Clock
-from aomgen.core.joint_log import JointLog
 from aomgen.core.least_squares import Kernel
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.io.images import resize

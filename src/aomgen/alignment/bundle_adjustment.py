@@ -21,8 +21,8 @@ from aomgen.alignment.bundle_terms import (
 )
 from aomgen.alignment.time_offset import MIN_CLOCK_SD_S
 from aomgen.alignment.uncertainty import MAX_JOINT_OFFSET_RAD, SIGNIFICANT_SDS
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import camera_in_world
-from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm, jackknife_covariance, solve
 from aomgen.core.values import Array
 from aomgen.errors import AlignmentError

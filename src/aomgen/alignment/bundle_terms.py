@@ -23,8 +23,8 @@ from aomgen.alignment.contours import (
 )
 from aomgen.alignment.silhouette_fit import RobotDrawing, gray_levels, move_similarity
 from aomgen.alignment.uncertainty import JACKKNIFE_GROUPS
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, camera_in_world
-from aomgen.core.clock import Clock
 from aomgen.core.least_squares import Kernel, ResidualTerm
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays

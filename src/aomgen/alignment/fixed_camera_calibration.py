@@ -22,12 +22,10 @@ from aomgen.alignment.bundle_terms import (
 from aomgen.alignment.contours import AlignmentImage
 from aomgen.alignment.silhouette_fit import limit_width, robot_drawing, spread
 from aomgen.alignment.time_offset import estimate_clock
-from aomgen.core.alignment import Alignment
+from aomgen.core.alignment import Alignment, Clock, FixedCamera
 from aomgen.core.camera import Camera, camera_in_world
-from aomgen.core.clock import Clock
-from aomgen.core.fixed_camera import FixedCamera
-from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.errors import AlignmentError, SyncError

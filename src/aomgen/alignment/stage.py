@@ -15,10 +15,9 @@ from aomgen.alignment.pose_search import Scan
 from aomgen.alignment.starting_poses import RobotBox
 from aomgen.alignment.uncertainty import CameraErrors, camera_covariance
 from aomgen.core.alignment import Alignment
-from aomgen.core.held_out import held_out
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Prompt
-from aomgen.core.structure import Structure
+from aomgen.core.structure import Structure, held_out
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
 from aomgen.results import Results

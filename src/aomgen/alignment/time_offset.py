@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.clock import Clock
+from aomgen.core.alignment import Clock
 from aomgen.core.least_squares import jackknife_covariance
 from aomgen.core.robust import robust_sd
 from aomgen.core.values import Array

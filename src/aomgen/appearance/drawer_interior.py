@@ -16,7 +16,7 @@ from aomgen.appearance.surfel_observations import CONTOUR_PX, PosedImages
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians, gaussians_of
-from aomgen.core.part_points import surface_points
+from aomgen.core.parts import surface_points
 from aomgen.core.transforms import apply, quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.io.images import resize

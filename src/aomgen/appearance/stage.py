@@ -14,11 +14,10 @@ from aomgen.appearance.robot_surfels import replace_robot_gaussians
 from aomgen.appearance.surfel_observations import PosedImages, match_exposure
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.held_out import held_out
 from aomgen.core.joint import Joint
-from aomgen.core.part_points import surface_points
-from aomgen.core.parts import Parts
+from aomgen.core.parts import Parts, surface_points
 from aomgen.core.progress import Progress
+from aomgen.core.structure import held_out
 from aomgen.errors import ReconstructionError
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image

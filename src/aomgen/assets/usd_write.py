@@ -26,7 +26,7 @@ from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_png
-from aomgen.io.usd_stage import export_stage, new_stage
+from aomgen.io.usd import export_stage, new_stage
 
 # Our own attributes, for what UsdPhysics has no words for.
 NAMESPACE = "aomgen"

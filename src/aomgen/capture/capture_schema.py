@@ -14,13 +14,6 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class HandSection(_Section):
-    open: dict[str, FiniteFloat] = {}
-    closed: dict[str, FiniteFloat] = {}
-    fingers: list[str] = Field(default=[], max_length=2)
-    ee_site: str = ""
-
-
 class RobotSection(_Section):
     model: str = ""
     urdf: str = ""
@@ -29,7 +22,6 @@ class RobotSection(_Section):
     gripper: str = "gripper"
     base_frame: Literal["base_link", "ur_base"] = "base_link"
     scan_state: Literal["first_row"] | list[FiniteFloat] = "first_row"
-    hand: HandSection = HandSection()
 
 
 class ScanSection(_Section):

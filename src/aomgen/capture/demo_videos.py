@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.capture.read import check_intrinsics
+from aomgen.core.lens import undistorter
 from aomgen.core.recording import Capture, DemoCamera
 from aomgen.core.values import Array
 from aomgen.errors import IncompleteCaptureError, LimitExceededError
 from aomgen.io.images import resize
-from aomgen.io.resampling import undistorter
 from aomgen.io.video import Video, probe_video, read_video
 
 # A demonstration shorter than this shows no motion that could be fitted.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.core.joint_log import JointLog
+from aomgen.core.recording import JointLog
 from aomgen.core.values import Array
 from aomgen.errors import (
     IncompleteCaptureError,

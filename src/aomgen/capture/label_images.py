@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, PART_LABELS, STATIC
+from aomgen.core.lens import undistort_labels
 from aomgen.core.recording import Capture, DemoCamera, frame_name
 from aomgen.errors import IncompleteCaptureError, MalformedFileError, MissingFileError
 from aomgen.io.images import read_labels
-from aomgen.io.resampling import undistort_labels
 
 # Beside the videos: `masks/` belongs to the scan, whose images have the same names.
 FOLDER = Path("demo") / "masks"

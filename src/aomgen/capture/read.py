@@ -8,17 +8,14 @@ import numpy as np
 from aomgen.capture.capture_schema import (
     CameraSection,
     CaptureManifest,
-    HandSection,
     ScanSection,
     read_manifest,
 )
 from aomgen.capture.joint_csv import REST_S, read_joint_log
 from aomgen.capture.prompts import read_prompts
 from aomgen.capture.scan_images import common_size, find_images
-from aomgen.core.joint_log import JointLog
 from aomgen.core.lens import Lens
-from aomgen.core.recording import Capture, DemoCamera, Intrinsics, frame_name
-from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.recording import Capture, DemoCamera, Intrinsics, JointLog, RobotChoice, frame_name
 from aomgen.core.values import Array
 from aomgen.errors import (
     CalibrationError,
@@ -169,11 +166,6 @@ def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -
                 "list one a joint",
             )
     model_file = resolve_inside(folder, files[0], named_by=path) if files else None
-    hand = robot.hand
-    if len(hand.fingers) == 1:
-        raise MalformedFileError(path, "robot.hand.fingers names one body", "name the left and the right one")
-    if robot.model and hand != HandSection():
-        raise MalformedFileError(path, f"[robot.hand] does not go with model = '{robot.model}'", "remove it")
     return RobotChoice(
         model=robot.model,
         model_file=model_file,
@@ -181,9 +173,6 @@ def _robot(folder: Path, manifest: CaptureManifest, log: JointLog, path: Path) -
         references=robot_references(model_file, folder) if model_file else (),
         base_frame=robot.base_frame,
         joints=tuple(robot.joints),
-        hand=HandChoice(
-            open=hand.open, closed=hand.closed, fingers=tuple(hand.fingers), ee_site=hand.ee_site
-        ),
         scan_joints=scan_joints,
         scan_gripper=float(np.median(log.gripper[rest])),
     )

@@ -9,9 +9,8 @@ import typer
 
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
-from aomgen.cli.ending import report_bug, stop_at_signals
 from aomgen.cli.robot_draft import robot_app
-from aomgen.cli.run import find_project, run_project
+from aomgen.cli.run import find_project, report_bug, run_project, stop_at_signals
 from aomgen.errors import AomgenError, ConfigError, InputError
 
 app = typer.Typer(
@@ -167,7 +166,7 @@ def run(
     Parameters are the fields of the stages' Params classes (`PARAMETERS` in pipeline/stages.py); a name that
     does not exist is answered with those that do. They are kept in the run's project.toml.
     """
-    from aomgen.io.overrides import merge, parse_setting
+    from aomgen.io.schema import merge, parse_setting
 
     found = find_project(project)
     params = found.params
@@ -208,8 +207,8 @@ def render(
     labels: Annotated[Path | None, typer.Option(help="Also write the part labels to this PNG.")] = None,
 ) -> None:
     """Draw the twin of a finished run from any camera, in any state."""
+    from aomgen.io.artifact import read_json
     from aomgen.io.images import write_image
-    from aomgen.io.jsonfile import read_json
     from aomgen.pipeline.rendering import draw_twin, find_camera, open_twin, parse_camera, parse_state
 
     project = find_project(out)

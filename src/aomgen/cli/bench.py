@@ -94,7 +94,7 @@ def bench_scores(
     against: Annotated[Path | None, typer.Option(help="A former scores.json: print what differs.")] = None,
 ) -> None:
     """Run all benches (hours) and gather their figures in FOLDER/scores.json, to compare before and after."""
-    from aomgen.io.jsonfile import read_json
+    from aomgen.io.artifact import read_json
     from benchmarks.scores import differences, run_scores
     from benchmarks.table import as_table
 

@@ -40,7 +40,6 @@ def propose(
     Where the file does not tell enough, the error says what is missing: usually the values of the
     finger joints, `--open left_joint=0 --closed left_joint=0.8`.
     """
-    from aomgen.core.robot_choice import HandChoice
     from aomgen.io.atomic import write_text
     from aomgen.robots.description import FILE_NAME, description_toml
     from aomgen.robots.loading import load_robot
@@ -53,8 +52,15 @@ def propose(
         raise ConfigError(
             "--finger", f"is given {len(finger or [])} times", "name the left and the right body"
         )
-    hand = HandChoice(open=_values(opened), closed=_values(closed), fingers=tuple(finger or ()))
-    write_text(path, description_toml(propose_description(file, root or file.parent, joint or [], hand)))
+    draft = propose_description(
+        file,
+        root or file.parent,
+        joint or (),
+        opened=_values(opened),
+        closed=_values(closed),
+        fingers=finger or (),
+    )
+    write_text(path, description_toml(draft))
     print(f"wrote {path}; read it and correct it\n{describe_sizes(load_robot(file, root=root))}")
 
 

@@ -1,12 +1,27 @@
-"""Running a project in a terminal, and finding the project that a path means."""
+"""How the commands run: a project in a terminal, the project that a path means, and ends by a signal or a bug."""
 
+import os
 import shlex
+import shutil
+import signal
 import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from types import TracebackType
 
 from aomgen import __version__
 from aomgen.errors import ConfigError, EstimationError, MissingFileError
+
+INTERRUPTED = "interrupted; run the same command again to continue\n"
+# Back to the line's start, delete it, show the cursor: a progress bar hides it.
+LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
+# What BSD's sysexits.h calls an internal software error.
+EXIT_BUG = 70
 
 
 def run_project(project, *, until: str = ""):
@@ -68,3 +83,76 @@ def find_project(path: Path):
     project = read_project(file)
     has_results = any((path / stage.folder).is_dir() for stage in STAGES)
     return project.model_copy(update={"out": path.resolve()}) if has_results else project
+
+
+@contextmanager
+def stop_at_signals() -> Iterator[None]:
+    """While the block runs, SIGINT and SIGTERM end the process with exit code 130 or 143.
+
+    Whatever native code and other threads are doing: the signals are blocked and a thread waits for them. Native
+    libraries install handlers of their own, and Python's run only between two lines of Python. The
+    process may end at any line, since results are committed by renaming: the next run deletes what is
+    half-written. Temporary files all go into one folder, which is deleted here.
+
+    Call it before any other thread starts, as those of NumPy do when it is imported: threads inherit what
+    is blocked.
+    """
+    numbers = [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM)
+        # A job in the background of a script ignores Ctrl-C.
+        if signal.getsignal(number) is not signal.SIG_IGN
+    ]
+    over = threading.Event()
+    with tempfile.TemporaryDirectory(prefix="aomgen-") as scratch:
+
+        def wait() -> None:
+            number = signal.sigwait([*numbers, signal.SIGUSR1])
+            if not over.is_set():
+                _end(number, scratch)
+
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [*numbers, signal.SIGUSR1])
+        before, tempfile.tempdir = tempfile.tempdir, scratch
+        waiting = threading.Thread(target=wait, daemon=True)
+        waiting.start()
+        try:
+            yield
+        finally:
+            over.set()
+            signal.pthread_kill(waiting.ident or 0, signal.SIGUSR1)
+            waiting.join()
+            tempfile.tempdir = before
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _end(number: int, scratch: str) -> None:
+    """End the process; writes past Python's streams, which another thread may hold."""
+    try:
+        shutil.rmtree(scratch, ignore_errors=True)
+        if os.isatty(2):
+            os.write(2, (LEAVE_BAR + INTERRUPTED).encode())
+        else:
+            if os.isatty(1):
+                os.write(1, LEAVE_BAR.encode())
+            os.write(2, INTERRUPTED.encode())
+    finally:
+        # Also when nobody reads any more.
+        os._exit(128 + number)
+
+
+def report_bug(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """An `excepthook`: one line that says it is a bug and where its traceback lies; exit code 70.
+
+    Raises:
+        SystemExit: Always.
+    """
+    # NumPy comes with it, whose threads would not have the signals blocked.
+    from aomgen.io.atomic import write_text
+
+    path = Path(tempfile.gettempdir()) / f"aomgen-bug-{os.getpid()}.txt"
+    command = " ".join(sys.argv)
+    lines = traceback.format_exception(kind, error, trace)
+    write_text(path, f"aomgen {__version__}: {command}\n{''.join(lines)}")
+    what = traceback.format_exception_only(kind, error)[-1].splitlines()[0]
+    print(f"error: this is a bug in AOMGen ({what}); please report it with {path}", file=sys.stderr)
+    sys.exit(EXIT_BUG)

@@ -1,12 +1,79 @@
-"""The similarity between reconstruction and world, and how well it is known."""
+"""What calibration gives: the similarity between reconstruction and world, fixed cameras, and their clocks."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from aomgen.core.fixed_camera import FixedCamera
+from aomgen.core.camera import Camera
 from aomgen.core.values import Array, Matrix4, freeze_arrays
+from aomgen.errors import SyncError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clock:
+    """Log time = video time + `offset_s` + `rate` * (video time - `middle_s`).
+
+    Attributes:
+        offset_s: At the middle of the video, [s].
+        sd_s: Standard deviation of the offset, [s]; 0 when it was given.
+        rate: Drift; 0.01 is a log that counts 1.01 s while the video counts 1 s.
+        rate_sd: Its standard deviation.
+        middle_s: Video time about which the drift is told, [s].
+    """
+
+    offset_s: float
+    sd_s: float = 0.0
+    rate: float = 0.0
+    rate_sd: float = 0.0
+    middle_s: float = 0.0
+
+    def log_times(self, video_times_s: ArrayLike) -> Array:
+        """Log times (N,) of video times (N,), [s]."""
+        times = np.asarray(video_times_s, np.float64)
+        return times + self.offset_s + self.rate * (times - self.middle_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FixedCamera:
+    """One fixed camera in the world, and its video's clock.
+
+    Attributes:
+        camera: Optics and pose, world frame.
+        clock: Of its video against the joint log, None when it was refused.
+        refusal: Where, problem and remedy of the refused clock; empty otherwise.
+        note: How the pose was found, in words.
+        trusted: Whether everything that was known of the camera agrees.
+        figures: Metrics by name.
+    """
+
+    camera: Camera
+    clock: Clock | None
+    refusal: tuple[str, ...] = ()
+    note: str = ""
+    trusted: bool = True
+    figures: dict[str, float] = field(default_factory=dict)
+
+    def require_clock(self) -> Clock:
+        """The clock.
+
+        Raises:
+            SyncError: It was refused; the reason is the one found then.
+        """
+        if self.clock is None:
+            raise SyncError(*self.refusal)
+        return self.clock
+
+    def summary(self) -> dict[str, object]:
+        """Metrics for the manifest."""
+        clock = {} if self.clock is None else {"offset_s": self.clock.offset_s, "sd_s": self.clock.sd_s}
+        return {"note": self.note, "clock": clock or "; ".join(self.refusal), **self.figures}
+
+    def warnings(self, name: str) -> list[str]:
+        """Sentences for the user."""
+        found = [] if self.trusted else [f"camera '{name}' {self.note}"]
+        return found + ([f"camera '{name}': {'; '.join(self.refusal)}"] if self.refusal else [])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from aomgen.core.transforms import apply, transform
@@ -42,11 +42,6 @@ class OrientedBox:
         """Points (N, 3) in the box's frame."""
         R, center = self.T_world_box[:3, :3], self.T_world_box[:3, 3]
         return np.asarray(points_world, np.float64) @ R - center @ R
-
-    def contains(self, points_world: ArrayLike) -> NDArray[np.bool_]:
-        """Which points (N, 3) are inside; NaN is not."""
-        inside = np.abs(self.coordinates(points_world)) < self.half_extents
-        return inside[:, 0] & inside[:, 1] & inside[:, 2]
 
     def corners(self) -> Array:
         """(8, 3), world frame, [m]."""

@@ -1,18 +1,80 @@
 """What a lab recorded, as checked values: the content of a capture folder."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from aomgen.core.joint_log import JointLog
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from aomgen.core.lens import Lens
-from aomgen.core.robot_choice import RobotChoice
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 
 # Error of a focal length from a data sheet, standard deviation as a share: lenses differ by sample and focus.
 STATED_FOCAL_SD = 0.02
 # The same of one that was calibrated with a target.
 CALIBRATED_FOCAL_SD = 0.001
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointLog:
+    """Arm joints and gripper over the log's own clock.
+
+    Attributes:
+        times_s: (T,), strictly increasing, log clock.
+        joints: (T, J), [rad], in the order of `joint_names`.
+        gripper: (T,), 0 open .. 1 closed.
+        joint_names: J names.
+    """
+
+    times_s: Annotated[Array, "T"]
+    joints: Annotated[Array, "T N"]
+    gripper: Annotated[Array, "T"]
+    joint_names: Annotated[tuple[str, ...], "N"]
+
+    __post_init__ = freeze_arrays
+
+    def at(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Joints (N, J) and gripper (N,) at log times (N,), linearly interpolated, ends held."""
+        times = np.asarray(times_s, np.float64)
+        columns = [np.interp(times, self.times_s, column) for column in self.joints.T]
+        return np.stack(columns, -1), np.interp(times, self.times_s, self.gripper)
+
+    def shifted(self, offset_s: float) -> "JointLog":
+        """The same log on a clock that this one is ahead of by an offset, [s]."""
+        return replace(self, times_s=self.times_s - offset_s)
+
+    def covers(self, times_s: ArrayLike) -> NDArray[np.bool_]:
+        """Which of the times lie inside the log."""
+        times = np.asarray(times_s, np.float64)
+        return (times >= self.times_s[0]) & (times <= self.times_s[-1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotChoice:
+    """Which robot model the log belongs to, and its state during the scan.
+
+    Attributes:
+        model: A robot known by name, or "" when `model_file` is given.
+        model_file: URDF or MJCF inside the capture, or None.
+        root: Folder that holds everything the file refers to.
+        references: All files that `model_file` refers to.
+        base_frame: "base_link" or "ur_base", the frame of the log and of given camera poses.
+        joints: Names (J) of the arm joints in the order of the log.
+        scan_joints: Joint values (J,) during the scan, [rad] or [m].
+        scan_gripper: Gripper during the scan, 0..1.
+    """
+
+    model: str
+    model_file: Path | None
+    root: Path
+    references: tuple[Path, ...]
+    base_frame: str
+    joints: Annotated[tuple[str, ...], "J"]
+    scan_joints: Annotated[Array, "J"]
+    scan_gripper: float
+
+    __post_init__ = freeze_arrays
 
 
 def frame_name(index: int) -> str:

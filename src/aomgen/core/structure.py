@@ -1,4 +1,4 @@
-"""What structure from motion gives: cameras and sparse points of a scan."""
+"""What structure from motion gives: cameras and sparse points of a scan, and the images held out of training."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -11,6 +11,10 @@ from aomgen.core.lens import Lens
 from aomgen.core.recording import Prompt
 from aomgen.core.values import Array, freeze_arrays
 
+# Every so many images one is held out, as benchmarks of view synthesis do (Mip-NeRF 360).
+HELD_OUT_EVERY = 8
+# Index of the first one; the image that the walk begins with is trained on.
+HELD_OUT_PHASE = 4
 Figures = dict[str, object]
 
 
@@ -61,3 +65,8 @@ class Structure:
     figures: Figures = field(default_factory=dict)
 
     __post_init__ = freeze_arrays
+
+
+def held_out(names: list[str]) -> list[str]:
+    """Every 8th of all scan images in name order, the 5th first."""
+    return [name for i, name in enumerate(sorted(names)) if i % HELD_OUT_EVERY == HELD_OUT_PHASE]

@@ -140,7 +140,7 @@ def interpolate(T_a: ArrayLike, T_b: ArrayLike, shares: ArrayLike) -> Array:
     return transform(R, (1 - shares)[:, None] * T_a[:3, 3] + shares[:, None] * T_b[:3, 3])
 
 
-def umeyama(source: ArrayLike, target: ArrayLike, *, with_scale: bool = True) -> Array:
+def umeyama(source: ArrayLike, target: ArrayLike) -> Array:
     """Least-squares similarity S (4, 4) with `target ~ S(source)`, points (N, 3), N >= 3.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters", 1991.
@@ -151,7 +151,7 @@ def umeyama(source: ArrayLike, target: ArrayLike, *, with_scale: bool = True) ->
     U, D, Vt = np.linalg.svd(b.T @ a / len(a))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
     R = U @ np.diag(signs) @ Vt
-    scale = float((D * signs).sum() / (a**2).sum(1).mean()) if with_scale else 1.0
+    scale = float((D * signs).sum() / (a**2).sum(1).mean())
     return similarity(scale, R, mean_target - scale * R @ mean_source)
 
 

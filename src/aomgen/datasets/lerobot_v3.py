@@ -30,8 +30,7 @@ from aomgen.datasets.features import (
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
-from aomgen.io.video import read_video
-from aomgen.io.video_concat import concatenate_videos
+from aomgen.io.video import concatenate_videos, read_video
 
 VERSION: Final = "v3.0"
 # The format's defaults: files in a folder, and sizes of files, [MB].

@@ -9,9 +9,8 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.held_out import held_out
 from aomgen.core.progress import Progress, part
-from aomgen.core.structure import Structure
+from aomgen.core.structure import Structure, held_out
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array
 from aomgen.errors import CorruptArtifactError, ReconstructionError

@@ -10,10 +10,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from aomgen.core.demonstration import Demonstration
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection
 from aomgen.generalization.grasps import Grasp, grasps
 from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, solve_path
 from aomgen.generalization.retarget import CONTACT, HandMotion, Style, retarget, timing

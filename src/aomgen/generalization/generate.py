@@ -14,11 +14,10 @@ from scipy.stats import qmc
 
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import Demonstration, SupportPlane
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.episode_planning import PlanParams, plan_episode
 from aomgen.generalization.ik import IkSolver, ik_solver

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.core.plan import Rejection
 from aomgen.core.transforms import quat_from_matrix
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.core.verdict import Rejection
 from aomgen.robots.robot import RobotModel
 
 # Of the least-squares step; carries the arm across singular poses instead of around them.

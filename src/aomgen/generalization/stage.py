@@ -14,16 +14,14 @@ from typing import Any, Final
 
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.episode import ContactLog
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Verdict, VerifiedEpisode
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection, Verdict
 from aomgen.errors import MalformedFileError
 from aomgen.generalization.episode_planning import PlanParams
 from aomgen.generalization.generate import Generated, GenerationParams, Outcome, generate_episodes
-from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import remove_staging, write_json
-from aomgen.io.jsonfile import read_json
 from aomgen.results import Results
 from aomgen.robots.robot import RobotModel
 

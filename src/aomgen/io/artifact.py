@@ -3,22 +3,27 @@
 Equal values give equal bytes. What is read is bounded, holds no code, and has to fit the annotations.
 """
 
+import io
+import json
 import types
+import zipfile
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.errors import MalformedFileError
-from aomgen.io.arrays import npz_bytes, read_npz
+from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
 from aomgen.io.atomic import write_bytes, write_json
-from aomgen.io.jsonfile import read_json
 
 # Arrays of at most so many elements stand in the JSON, where people can read them.
 INLINE_ELEMENTS = 64
+# Largest array file read, [bytes]: far above what a run writes, but fits in memory.
+MAX_NPZ_BYTES: Final = 2 << 30
+# Largest JSON file read, [bytes]: the same.
+MAX_JSON_BYTES: Final = 64 << 20
 T = TypeVar("T")
 
 
@@ -138,3 +143,62 @@ def _require(fits: bool, kind: Any, data: Any) -> None:
     if not fits:
         wanted = getattr(kind, "__name__", str(kind))
         raise ValueError(f"{str(data)[:60]} is no {wanted}")
+
+
+def npz_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Uncompressed npz with fixed dates, in the order given."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.asarray(array, order="C"), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), content.getvalue())
+    return buffer.getvalue()
+
+
+def arrays_from_bytes(data: bytes, where: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of an npz.
+
+    Raises:
+        MalformedFileError: Not an npz, damaged, or it holds objects.
+    """
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise MalformedFileError(where, f"is not a readable npz ({error})", "run the stage again") from error
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of an npz file.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+    """
+    _check_size(path, MAX_NPZ_BYTES, "run the stage again")
+    return arrays_from_bytes(path.read_bytes(), path)
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file that holds no NaN or infinity.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+    """
+    _check_size(path, MAX_JSON_BYTES, "check the path")
+    try:
+        return json.loads(path.read_text("utf-8"), parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise MalformedFileError(path, f"is not valid JSON ({error})", "write it again") from error
+
+
+def _check_size(path: Path, max_bytes: int, absent: str) -> None:
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", absent)
+    size = path.stat().st_size
+    if not size <= max_bytes:
+        raise LimitExceededError(path, f"has {size} bytes, limit {max_bytes}")
+
+
+def _refuse(name: str) -> float:
+    raise ValueError(f"{name} is not allowed")

@@ -20,9 +20,8 @@ from aomgen.core.camera import Camera
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.errors import CorruptArtifactError, MalformedFileError
-from aomgen.io.arrays import arrays_from_bytes, npz_bytes
+from aomgen.io.artifact import arrays_from_bytes, npz_bytes, read_json
 from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_json
-from aomgen.io.jsonfile import read_json
 
 # Raised when the files of an episode change.
 FORMAT: Final = 2

@@ -1,20 +1,27 @@
-"""TOML files held to a schema; what is wrong is said in the words of whoever wrote the file."""
+"""What users write: TOML files held to a schema, and parameters of stages changed by name.
+
+What is wrong is said in the words of whoever wrote it.
+"""
 
 import difflib
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.errors import ConfigError, LimitExceededError, MalformedFileError, MissingFileError
 
 Schema = TypeVar("Schema", bound=BaseModel)
 # Largest TOML file read, [bytes]; a usual one has a few kB.
 MAX_BYTES = 1 << 20
 # A wrong value may be a whole table; so many letters of it are shown.
 MAX_SHOWN = 60
+T = TypeVar("T")
+Nested = dict[str, Any]
+KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a word"}
 
 
 def read_toml(path: Path, model: type[Schema], absent: str) -> Schema:
@@ -82,3 +89,79 @@ def _table(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next(filter(None, map(_table, get_args(annotation))), None)
+
+
+def override(params: T, changes: Mapping[str, Any], where: str) -> T:
+    """A dataclass of parameters with some of its fields changed, those of nested dataclasses too.
+
+    Args:
+        params: As they are by default.
+        changes: Values by field; a mapping for a nested dataclass.
+        where: Name of the dataclass in messages, for example "motion.joint".
+
+    Raises:
+        ConfigError: No such field, or a value of another type.
+    """
+    known = {item.name: getattr(params, item.name) for item in fields(params)}  # type: ignore[arg-type]
+    changed: dict[str, Any] = {}
+    for name, value in changes.items():
+        place = f"{where}.{name}"
+        if name not in known:
+            raise ConfigError(f"parameter '{place}'", "is unknown", suggest(name, known))
+        old = known[name]
+        if is_dataclass(old) and isinstance(value, Mapping):
+            changed[name] = override(old, value, place)
+        elif isinstance(old, float) and type(value) in (int, float):
+            changed[name] = float(value)
+        elif type(value) is type(old) and isinstance(value, bool | int | str):
+            changed[name] = value
+        else:
+            kind = KINDS.get(type(old), "its fields by name")
+            raise ConfigError(f"parameter '{place}'", f"is {value!r}", f"want {kind}; its default is {old!r}")
+    return replace(params, **changed)  # type: ignore[type-var]
+
+
+def parse_setting(text: str) -> Nested:
+    """`motion.joint.nodes=30` as nested tables.
+
+    Raises:
+        ConfigError: It is not of that form.
+    """
+    name, equals, value = text.partition("=")
+    parts = name.strip().split(".")
+    if not equals or not value.strip() or not all(parts):
+        raise ConfigError(f"--set {text}", "is no parameter", "for example --set motion.joint.nodes=30")
+    nested: Any = _number(value.strip())
+    for part in reversed(parts):
+        nested = {part: nested}
+    return nested
+
+
+def merge(first: Nested, second: Nested) -> Nested:
+    """Two nested tables in one; the second wins."""
+    merged = dict(first)
+    for name, value in second.items():
+        old = merged.get(name)
+        if isinstance(old, dict) and isinstance(value, dict):
+            value = merge(old, value)
+        merged[name] = value
+    return merged
+
+
+def flatten(nested: Nested, prefix: str = "") -> dict[str, Any]:
+    """Values by dotted name."""
+    flat: dict[str, Any] = {}
+    for name, value in nested.items():
+        flat |= flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat
+
+
+def _number(text: str) -> bool | int | float | str:
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

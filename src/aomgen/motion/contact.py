@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.ee_path import average_poses

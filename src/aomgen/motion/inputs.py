@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera
-from aomgen.core.clock import Clock
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.joint_log import JointLog
-from aomgen.core.part_points import spread_points, surface_points
+from aomgen.core.parts import spread_points, surface_points
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.io.video import Video

@@ -16,7 +16,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
-from aomgen.core.part_points import SOLID_OPACITY
+from aomgen.core.parts import SOLID_OPACITY
 from aomgen.core.robust import masked_median, regress_robustly
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array

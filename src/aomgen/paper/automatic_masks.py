@@ -16,7 +16,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
-from aomgen.io.arrays import npz_bytes, read_npz
+from aomgen.io.artifact import npz_bytes, read_npz
 from aomgen.io.atomic import write_bytes
 from aomgen.parts.prompted_images import PromptedImage
 from aomgen.parts.scan_views import ScanView

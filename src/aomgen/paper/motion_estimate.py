@@ -7,10 +7,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from aomgen.core.joint import Joint, JointType
-from aomgen.core.joint_log import JointLog
 from aomgen.core.mesh import face_normals_areas, sample_surface
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
 from aomgen.core.progress import Progress, silent
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import InputError

@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.conventions import MOVING, ROBOT, STATIC
 from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.part_points import SOLID_OPACITY
-from aomgen.core.parts import Cut, Parts, no_cut
+from aomgen.core.parts import SOLID_OPACITY, Cut, Parts, no_cut
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array
 from aomgen.errors import ReconstructionError, WrongPromptError

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import MOVING, ROBOT, STATIC
-from aomgen.core.held_out import held_out
 from aomgen.core.parts import Parts
 from aomgen.core.progress import Progress, part
+from aomgen.core.structure import held_out
 from aomgen.io.artifact import save_artifact
 from aomgen.io.images import read_image
 from aomgen.parts.label import SEED, MotionEvidence, find_moving_parts, segment_scan

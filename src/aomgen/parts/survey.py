@@ -15,7 +15,7 @@ from aomgen.conventions import MOVING, STATIC
 from aomgen.core.boxes import find_upright_axes, fit_box
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.mesh import face_normals_areas, sample_surface
-from aomgen.core.part_points import SOLID_OPACITY
+from aomgen.core.parts import SOLID_OPACITY
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.robots.robot import RobotConfiguration

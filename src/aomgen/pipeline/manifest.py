@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from aomgen.errors import CorruptArtifactError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import STAGING_PREFIX, write_json
-from aomgen.io.jsonfile import read_json
 
 MANIFEST = "manifest.json"
 RUN_RECORD = "run.json"

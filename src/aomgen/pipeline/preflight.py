@@ -11,8 +11,8 @@ from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.errors import BackendError, ConfigError, StorageError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
-from aomgen.io.jsonfile import read_json
 from aomgen.io.video import probe_video
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.manifest import MANIFEST, text_digest

@@ -10,8 +10,7 @@ from pydantic import ValidationError
 from aomgen.core.project import Project
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.atomic import write_text
-from aomgen.io.overrides import flatten
-from aomgen.io.schema import complaint
+from aomgen.io.schema import complaint, flatten
 
 TEMPLATE = """\
 # AOMGen project: what to make out of one capture. Run it with `aomgen run project.toml`.

@@ -12,8 +12,8 @@ from aomgen import __version__
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.errors import LockedError, StorageError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder, remove_staging, staged_folder, write_json, write_text
-from aomgen.io.jsonfile import read_json
 from aomgen.pipeline.manifest import (
     MANIFEST,
     Identity,

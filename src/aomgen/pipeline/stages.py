@@ -13,8 +13,7 @@ from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
-from aomgen.io.overrides import override
-from aomgen.io.schema import suggest
+from aomgen.io.schema import override, suggest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import write_project

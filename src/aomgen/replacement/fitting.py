@@ -13,10 +13,9 @@ from scipy.optimize import least_squares
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.joint import Joint
-from aomgen.core.plan import Adaptation, FittedAsset
+from aomgen.core.plan import Adaptation, FittedAsset, Rejection
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection
 from aomgen.replacement.correspondence import (
     RecordedContact,
     bar_reach,

@@ -16,12 +16,11 @@ from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.light import Light
 from aomgen.core.motion import Direction
-from aomgen.core.part_points import surface_points
-from aomgen.core.plan import FittedAsset
+from aomgen.core.parts import surface_points
+from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection
 from aomgen.errors import EstimationError
 from aomgen.io.artifact import save_artifact
 from aomgen.replacement.correspondence import recorded_contact

@@ -9,8 +9,8 @@ from aomgen.assets.mjcf import GRAVITY
 from aomgen.core.episode import Episode
 from aomgen.core.plan import Variation
 from aomgen.generalization.ik import IkLimits
+from aomgen.io.artifact import read_json
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
-from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_frames
 from aomgen.pipeline.figures import read_figure
 from aomgen.report.html import Markup, fold, heading, link, paragraph, table, text, video, whole

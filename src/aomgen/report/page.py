@@ -7,10 +7,10 @@ import numpy as np
 
 from aomgen import __version__
 from aomgen.errors import MissingFileError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_text
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.io.images import write_image
-from aomgen.io.jsonfile import read_json
 from aomgen.pipeline.figures import FIGURES, Reading, read_figure, read_figures
 from aomgen.pipeline.manifest import Manifest, load_record, read_manifest
 from aomgen.pipeline.project_file import read_project

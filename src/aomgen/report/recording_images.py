@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aomgen.core.held_out import held_out
+from aomgen.core.structure import held_out
 from aomgen.io.artifact import load_artifact
 from aomgen.io.images import read_image, resize
 from aomgen.io.video import probe_video, read_frames

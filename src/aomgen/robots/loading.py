@@ -11,7 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.recording import RobotChoice
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.errors import ConfigError, MalformedFileError
 from aomgen.io.artifact import load_artifact, save_artifact
@@ -49,7 +49,6 @@ def load_robot(
     base_frame: str = "base_link",
     *,
     joints: Sequence[str] = (),
-    hand: HandChoice | None = None,
     root: Path | None = None,
 ) -> RobotModel:
     """Load a robot known by name, or a URDF or MJCF file.
@@ -60,7 +59,6 @@ def load_robot(
         model: "ur5e_2f85", or the path of a file.
         base_frame: World frame: "base_link", or "ur_base", which is turned by 180 degrees about z.
         joints: Arm joints in the order wanted; empty takes the model's own.
-        hand: What the capture states about the gripper of a file without robot.toml.
         root: Folder that all references of a file stay in; None takes the file's own.
 
     Raises:
@@ -75,8 +73,9 @@ def load_robot(
     else:
         file = Path(model)
         root = root or file.parent
-        path = find_description(file) or file.parent / FILE_NAME
-        description = _describe_file(file, root, joints, hand or HandChoice())
+        described = find_description(file)
+        path = described or file.parent / FILE_NAME
+        description = read_description(path) if described else propose_description(file, root, joints)
     if joints and sorted(joints) != sorted(description.joints):
         raise ConfigError(
             "robot.joints",
@@ -91,20 +90,10 @@ def load_robot(
     )
 
 
-def _describe_file(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
-    """What the robot.toml beside a URDF or MJCF says; without one, what is guessed."""
-    path = find_description(file)
-    if path is None:
-        return propose_description(file, root, joints, hand)
-    if hand != HandChoice():
-        raise MalformedFileError(path, "stands beside a capture's [robot.hand]", "keep one of them")
-    return read_description(path)
-
-
 def choose_robot(choice: RobotChoice) -> RobotModel:
     """The robot of a capture, in the capture's world frame and joint order; raises as `load_robot`."""
-    model, hand = choice.model_file or choice.model, choice.hand
-    return load_robot(model, choice.base_frame, joints=choice.joints, hand=hand, root=choice.root)
+    model = choice.model_file or choice.model
+    return load_robot(model, choice.base_frame, joints=choice.joints, root=choice.root)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +113,7 @@ def save_robot(folder: Path, choice: RobotChoice) -> None:
         copied = copy_robot_files(choice.model_file, choice.references, folder / FILES)
         file = copied.relative_to(folder).as_posix()
         if find_description(choice.model_file) is None:
-            guess = propose_description(choice.model_file, choice.root, choice.joints, choice.hand)
+            guess = propose_description(choice.model_file, choice.root, choice.joints)
             write_text(copied.parent / FILE_NAME, description_toml(guess))
     stored = StoredRobot(model=choice.model, file=file, base_frame=choice.base_frame, joints=choice.joints)
     save_artifact(folder, HEADER, stored)

@@ -10,7 +10,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from aomgen.core.robot_choice import HandChoice
 from aomgen.core.transforms import apply, invert, quat_from_matrix, transform
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
@@ -36,17 +35,34 @@ from aomgen.robots.robot import RobotModel, body_poses
 
 # Sites that makers of arms without gripper put at the end, best first.
 EE_SITES = ("pinch", "ee", "attachment_site")
-REMEDY = "say at which joint values the gripper is open and closed: `aomgen robot propose --help`"
+HELP = "see `aomgen robot propose --help`"
+REMEDY = f"say with --open and --closed at which joint values the gripper is open and closed: {HELP}"
 # Digits that a person reads: 10 um, far below what pads are known to; of quaternions 1e-5 rad.
 DIGITS = 5
 
 
-def propose_description(file: Path, root: Path, joints: Sequence[str], hand: HandChoice) -> RobotDescription:
+def propose_description(
+    file: Path,
+    root: Path,
+    joints: Sequence[str] = (),
+    *,
+    opened: Mapping[str, float] | None = None,
+    closed: Mapping[str, float] | None = None,
+    fingers: Sequence[str] = (),
+) -> RobotDescription:
     """Guess what the parts of a robot are for.
 
     The arm are the joints before the fingers branch, where they are not given in the order of the log. The
     gripper's driving joints go through their ranges; closed is where two of its bodies are nearer, and
     what meets of them are the pads. The end effector lies between the pads.
+
+    Args:
+        file: URDF or MJCF.
+        root: Folder that all references of the file stay in.
+        joints: Arm joints in the order of the log; empty finds them.
+        opened, closed: Value of each finger joint that drives at gripper value 0 and 1, [rad] or [m]; None
+            finds them.
+        fingers: Names of the two bodies that hold, left and right; empty finds them.
 
     Raises:
         InputError: The file cannot be used, or does not tell enough.
@@ -56,31 +72,27 @@ def propose_description(file: Path, root: Path, joints: Sequence[str], hand: Han
     model = compile_model(spec, file)
     names = tuple(joints) or _unbranched(model)
     if not names:
-        raise MalformedFileError(file, "branches before its first joint", "name the arm's joints")
+        raise MalformedFileError(
+            file, "branches before its first joint", f"name the arm's joints with --joint: {HELP}"
+        )
     chain = arm_chain(model, names, file)
     sites = [site.name for site in spec.sites]
-    if hand.ee_site and hand.ee_site not in sites:
-        raise MalformedFileError(
-            file, f"has no site '{hand.ee_site}'", f"sites: {', '.join(sites) or 'none; leave it out'}"
-        )
     gripper = None
-    known = [name for name in (hand.ee_site, *EE_SITES) if name in sites]
+    known = [name for name in EE_SITES if name in sites]
     end = EndEffectorSection(body="" if known else model.body(chain.last_body).name, site=(*known, "")[0])
     if chain.hand_joints:
         gripper, T_body_ee = _guess_gripper(
-            _Hand(spec=spec, model=model, chain=chain, file=file), actuated, hand
+            _Hand(spec=spec, model=model, chain=chain, file=file),
+            actuated,
+            _stated_strokes(opened or {}, closed or {}, chain, file),
+            fingers,
         )
-        if hand.ee_site:
-            site = model.site(hand.ee_site).id
-            Ts = body_poses(model, model.qpos0[None])[0]
-            T_last_body = invert(Ts[chain.last_body]) @ Ts[model.site_bodyid[site]]
-            T_body_ee = transform(T_body_ee[:3, :3], apply(T_last_body, model.site_pos[site]))
         end = EndEffectorSection(
             body=model.body(chain.last_body).name,
             position=_rounded(T_body_ee[:3, 3]),
             quat_wxyz=_rounded(quat_from_matrix(T_body_ee[:3, :3])),
         )
-    elif hand.open or hand.fingers:
+    elif opened or closed or fingers:
         raise MalformedFileError(file, "has no finger joints, but values of some are given", "check the file")
     return RobotDescription(
         name=xml.name, model=file.name, joints=chain.joints, end_effector=end, gripper=gripper
@@ -121,17 +133,44 @@ class _Closing:
     travel: Travel
 
 
-def _guess_gripper(hand: _Hand, actuated: Sequence[str], choice: HandChoice) -> tuple[GripperSection, Array]:
-    """The gripper, and the pose (4, 4) of the point between its pads on the last arm body."""
+def _stated_strokes(
+    opened: Mapping[str, float], closed: Mapping[str, float], chain: ArmChain, file: Path
+) -> dict[str, tuple[float, float]]:
+    if set(opened) != set(closed):
+        raise MalformedFileError(
+            file, "open and closed values name different joints", "give --open and --closed for each joint"
+        )
+    known = chain.hand_joints
+    for name in opened:
+        if name not in known:
+            raise MalformedFileError(
+                file, f"has no finger joint '{name}'", f"finger joints: {', '.join(known)}"
+            )
+    return {name: (opened[name], closed[name]) for name in opened}
+
+
+def _guess_gripper(
+    hand: _Hand, actuated: Sequence[str], strokes: Mapping[str, tuple[float, float]], fingers: Sequence[str]
+) -> tuple[GripperSection, Array]:
+    """The gripper, and the pose (4, 4) of the point between its pads on the last arm body.
+
+    Args:
+        hand: The robot.
+        actuated: Joints that actuators drive.
+        strokes: From open to closed of the driving joints; empty finds them.
+        fingers: Left and right body; empty finds them.
+    """
     model, file = hand.model, hand.file
     skins = sample_hand(model, hand.chain)
-    closing = _find_closing(hand, skins, actuated, choice)
-    pair = _named_pair(model, choice, file) if choice.fingers else _sides(model, closing.travel.bodies)
+    closing = _find_closing(hand, skins, actuated, strokes)
+    pair = _named_pair(model, fingers, file) if fingers else _sides(model, closing.travel.bodies)
     row = find_contact_row(skins, closing.Ts, pair)
     faces = [find_face(skins, closing.Ts, row, a, b) for a, b in (pair, pair[::-1])]
     if faces[0] is None or faces[1] is None:
         names = " and ".join(model.body(body).name for body in pair)
-        raise MalformedFileError(file, f"fingers {names} have no faces that meet", "name other fingers")
+        raise MalformedFileError(
+            file, f"fingers {names} have no faces that meet", f"name others with --finger: {HELP}"
+        )
     pads, Ts_pad = [], []
     for body, (T, half) in zip(pair, (faces[0], faces[1]), strict=True):
         pad = PadSection(
@@ -163,22 +202,14 @@ def _between(T_left: Array, T_right: Array) -> Array:
 
 
 def _find_closing(
-    hand: _Hand, skins: Mapping[int, SurfaceSamples], actuated: Sequence[str], choice: HandChoice
+    hand: _Hand,
+    skins: Mapping[int, SurfaceSamples],
+    actuated: Sequence[str],
+    stated: Mapping[str, tuple[float, float]],
 ) -> _Closing:
     """The way from open to closed on which the fingers come nearer by most."""
-    if set(choice.open) != set(choice.closed):
-        raise MalformedFileError(
-            hand.file, "open and closed values name different joints", "give both values for each joint"
-        )
-    if choice.open:
-        known = hand.chain.hand_joints
-        for name in choice.open:
-            if name not in known:
-                raise MalformedFileError(
-                    hand.file, f"has no finger joint '{name}'", f"finger joints: {', '.join(known)}"
-                )
-        candidates = [{name: (choice.open[name], choice.closed[name]) for name in choice.open}]
-    else:
+    candidates = [stated]
+    if not stated:
         up = {name: _range(hand, name) for name in _drivers(hand, actuated)}
         candidates = [up]
         if len(up) == 2:
@@ -191,7 +222,7 @@ def _find_closing(
         states[:, [hand.model.joint(name).qposadr[0] for name in table.joint_names]] = table.positions
         Ts = body_poses(hand.model, states)
         travel = find_travel(hand.model, hand.chain, skins, Ts)
-        if travel is not None and travel.way_m < 0 and not choice.open:
+        if travel is not None and travel.way_m < 0 and not stated:
             strokes = {name: (end, start) for name, (start, end) in strokes.items()}
             Ts, travel = Ts[::-1], replace(travel, way_m=-travel.way_m)
         if travel is not None:
@@ -201,7 +232,7 @@ def _find_closing(
     best = max(found, key=lambda closing: closing.travel.way_m)
     if not best.travel.way_m > 0:
         raise MalformedFileError(
-            hand.file, "fingers are farther apart when closed", "exchange open and closed"
+            hand.file, "fingers are farther apart when closed", "exchange --open and --closed"
         )
     return best
 
@@ -238,12 +269,12 @@ def _range(hand: _Hand, name: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _named_pair(model: mujoco.MjModel, choice: HandChoice, file: Path) -> tuple[int, int]:
+def _named_pair(model: mujoco.MjModel, fingers: Sequence[str], file: Path) -> tuple[int, int]:
     known = [model.body(b).name for b in range(1, model.nbody)]
-    for name in choice.fingers:
+    for name in fingers:
         if name not in known:
             raise MalformedFileError(file, f"has no body '{name}'", f"bodies: {', '.join(known)}")
-    left, right = (int(model.body_weldid[model.body(name).id]) for name in choice.fingers)
+    left, right = (int(model.body_weldid[model.body(name).id]) for name in fingers)
     return left, right
 
 

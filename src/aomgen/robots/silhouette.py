@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.assets.mjcf import VISUAL_GROUP, add_visual_geom
 from aomgen.core.camera import Camera
-from aomgen.core.joint_log import JointLog
+from aomgen.core.recording import JointLog
 from aomgen.core.values import Array
 from aomgen.robots.geom_meshes import RobotMesh
 from aomgen.robots.model_renderer import ModelRenderer

@@ -21,7 +21,7 @@ from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.progress import Progress
 from aomgen.core.recording import Prompt
 from aomgen.errors import BackendError, InputError
-from aomgen.io.jsonfile import read_json
+from aomgen.io.artifact import read_json
 from aomgen.segmentation.interface import Mask, PointMasks, PreparedImage, clean, masks_of_logits
 from aomgen.segmentation.sam2_weights import Sam2Files, find_sam2
 

@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.plan import Rejection
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import GeomRoles, Scene
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.episode import ContactLog
+from aomgen.core.plan import Rejection
 from aomgen.core.transforms import transform
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection
 from aomgen.simulation.scene import Scene
 
 # Rate of a UR5e's controller, [1/s]; a frame lasts a whole number of control ticks, so the rate used is a little higher.

@@ -16,9 +16,8 @@ from aomgen.assets.mjcf import (
 )
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import ContactLog
-from aomgen.core.plan import EpisodePlan, VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, Rejection, SettingOutcome, Verdict, VerifiedEpisode
 from aomgen.core.values import Array
-from aomgen.core.verdict import Rejection, SettingOutcome, Verdict
 from aomgen.simulation.replay import CONTROL_HZ, SETTLE_S, SimulatedRun, simulate
 from aomgen.simulation.scene import Scene
 

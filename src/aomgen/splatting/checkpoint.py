@@ -16,7 +16,7 @@ from aomgen import __version__
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import Gaussians
 from aomgen.errors import CorruptArtifactError, LimitExceededError, MissingFileError
-from aomgen.io.arrays import arrays_from_bytes, npz_bytes
+from aomgen.io.artifact import arrays_from_bytes, npz_bytes
 from aomgen.io.atomic import write_bytes
 from aomgen.splatting.optimizer import NAMES, Parameters
 from aomgen.splatting.training_views import Exposure, PoseIncrements

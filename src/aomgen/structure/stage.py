@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.lens import Lens
+from aomgen.core.lens import Lens, undistort_labels, undistorter
 from aomgen.core.progress import Progress, part
 from aomgen.core.recording import Capture
 from aomgen.core.structure import PinholeScan, Structure
 from aomgen.io.artifact import save_artifact
 from aomgen.io.atomic import write_bytes
 from aomgen.io.images import encode_jpeg, encode_png, read_image, read_labels
-from aomgen.io.resampling import undistort_labels, undistorter
 from aomgen.io.video import Video
 from aomgen.results import Results
 from aomgen.structure.fixed_cameras import DemoView

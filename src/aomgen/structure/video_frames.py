@@ -17,9 +17,9 @@ from aomgen.core.progress import Progress, part
 from aomgen.core.recording import frame_name
 from aomgen.core.values import Array
 from aomgen.errors import IncompleteCaptureError
+from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.io.images import write_image
-from aomgen.io.jsonfile import read_json
 from aomgen.io.video import decode_frames, probe_video
 from aomgen.structure.tracking import follow, new_tracks, pyramid
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from aomgen.assets.mjcf import VISUAL_GROUP
 from aomgen.conventions import BACKGROUND, MOVING, ROBOT, STATIC
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import Progress, silent
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
 from aomgen.robots.model_renderer import ModelRenderer

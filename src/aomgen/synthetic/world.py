@@ -13,9 +13,9 @@ from aomgen.conventions import PART_LABELS
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import Direction
 from aomgen.core.progress import Progress, silent
+from aomgen.core.recording import JointLog
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.io.artifact import save_artifact

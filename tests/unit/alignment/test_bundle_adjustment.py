@@ -3,7 +3,7 @@
 import pytest
 
 from aomgen.alignment.bundle_adjustment import drifts
-from aomgen.core.clock import Clock
+from aomgen.core.alignment import Clock
 
 
 @pytest.mark.parametrize(

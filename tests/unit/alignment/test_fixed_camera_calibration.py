@@ -15,8 +15,8 @@ from aomgen.alignment.fixed_camera_calibration import (
 )
 from aomgen.core.alignment import Alignment
 from aomgen.core.camera import Camera, camera_in_world, look_at
-from aomgen.core.joint_log import JointLog
 from aomgen.core.progress import silent
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, similarity, transform
 from aomgen.errors import AlignmentError, SyncError
 from aomgen.io.video import Video

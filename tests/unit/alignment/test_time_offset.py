@@ -5,7 +5,7 @@ import pytest
 
 from aomgen.alignment.time_offset import estimate_clock
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.joint_log import JointLog
+from aomgen.core.recording import JointLog
 from aomgen.errors import SyncError
 from aomgen.io.video import Video
 from aomgen.robots.robot import RobotModel

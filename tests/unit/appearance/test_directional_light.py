@@ -11,9 +11,8 @@ from aomgen.appearance.refine import refine_twin
 from aomgen.appearance.surfel_observations import PosedImages
 from aomgen.core.gaussians import SH_C0
 from aomgen.errors import MalformedFileError
-from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import write_json
-from aomgen.io.jsonfile import read_json
 from aomgen.twin.shadow import DirectionalLight, cast_directional_shadow, remove_shadow
 from aomgen.twin.twin import Twin, posed, render_state, shadow_roles
 

@@ -9,11 +9,10 @@ import pytest
 from aomgen.capture.read import read_capture
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.joint import Joint
-from aomgen.core.lens import Lens
+from aomgen.core.lens import Lens, undistort_labels
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, similarity_parts, transform
 from aomgen.errors import MissingFileError
 from aomgen.io.images import read_image, write_image
-from aomgen.io.resampling import undistort_labels
 from aomgen.twin.twin import TwinState
 from benchmarks.accuracy import score_estimates
 from benchmarks.images import TrueMasks, add_ious, is_heldout, masked_psnr, pooled_ious, score_scan

@@ -13,7 +13,7 @@ from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset
-from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.recording import RobotChoice
 from aomgen.core.transforms import apply, invert
 from aomgen.datasets.features import ee_targets, feature_columns
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
@@ -108,7 +108,6 @@ def export(robot: RobotModel, category: str, out: Path) -> None:
         references=(),
         base_frame="base_link",
         joints=robot.joint_names,
-        hand=HandChoice(),
         scan_joints=demo.joints[0],
         scan_gripper=0.0,
     )

@@ -12,7 +12,7 @@ from aomgen.capture.capture_check import check_robot
 from aomgen.capture.demo_videos import read_demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.capture.scan_images import check_scan
-from aomgen.core.lens import Lens
+from aomgen.core.lens import Lens, undistorter
 from aomgen.errors import (
     AomgenError,
     CalibrationError,
@@ -24,7 +24,6 @@ from aomgen.errors import (
     UnitsError,
     UnsafePathError,
 )
-from aomgen.io.resampling import undistorter
 from aomgen.io.video import encode_video
 
 
@@ -238,11 +237,6 @@ def test_a_bent_cameras_frames_are_straightened(capture_copy):
 def test_exactly_one_robot(capture_copy):
     edit(capture_copy / "capture.toml", 'model = "ur5e_2f85"', 'model = "ur5e_2f85"\nurdf = "robot.urdf"')
     refuse(capture_copy, MalformedFileError, "exactly one of model, urdf, mjcf")
-
-
-def test_a_hand_needs_a_robot_file(capture_copy):
-    edit(capture_copy / "capture.toml", "[scan]", "[robot.hand]\nee_site = 'tip'\n\n[scan]")
-    refuse(capture_copy, MalformedFileError, "robot.hand", "remove it")
 
 
 def test_a_robot_file_outside_the_capture(capture_copy):

@@ -7,7 +7,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from aomgen.cli.ending import report_bug, stop_at_signals
+from aomgen.cli.run import report_bug, stop_at_signals
 
 WAIT_S = 60
 

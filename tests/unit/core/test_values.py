@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from aomgen.assets.choice import make_asset
 from aomgen.core.gaussians import Gaussians, concatenate
-from aomgen.core.joint_log import JointLog
 from aomgen.core.mesh import face_normals_areas, sample_surface
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
 from aomgen.core.values import Array, freeze_arrays
 

@@ -21,8 +21,7 @@ from aomgen.datasets.features import (
 from aomgen.datasets.lerobot_v3 import assign_files, write_lerobot_v3
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.episode_folder import commit_episode
-from aomgen.io.video import encode_video, read_video
-from aomgen.io.video_concat import concatenate_videos
+from aomgen.io.video import concatenate_videos, encode_video, read_video
 
 FPS = 10
 

@@ -6,8 +6,7 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.episode import no_contacts
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
-from aomgen.core.verdict import SettingOutcome, Verdict
+from aomgen.core.plan import EpisodePlan, FittedAsset, SettingOutcome, Variation, Verdict, VerifiedEpisode
 from aomgen.episodes.render import Trajectory, render_frames, static_layers
 from aomgen.episodes.stage import run_episodes
 from aomgen.errors import CorruptArtifactError, MalformedFileError, ReconstructionError, StorageError

@@ -7,8 +7,7 @@ import pytest
 from scipy import ndimage
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.held_out import held_out
-from aomgen.core.structure import Structure
+from aomgen.core.structure import Structure, held_out
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.errors import BackendError, ReconstructionError
 from aomgen.gaussians.background import (

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from aomgen.core.demonstration import Demonstration
-from aomgen.core.plan import FittedAsset, Variation, VerifiedEpisode
-from aomgen.core.verdict import Rejection
+from aomgen.core.plan import FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.errors import MalformedFileError, NotEnoughEpisodesError
 from aomgen.generalization import generate
 from aomgen.generalization.generate import GenerationParams, PoseRanges, generate_episodes

@@ -8,9 +8,8 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
-from aomgen.core.verdict import Rejection
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.generalization.episode_planning import PlanParams, plan_episode
 from aomgen.generalization.generate import (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from aomgen.core.joint import Joint
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import ContactPatch, MotionCurve, MotionEstimate
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
 from aomgen.errors import InputError
 from aomgen.io.artifact import load_artifact, save_artifact

@@ -11,7 +11,7 @@ from aomgen.core.gaussians import Gaussians
 from aomgen.core.progress import silent
 from aomgen.core.recording import Prompt
 from aomgen.errors import MalformedFileError, ReconstructionError
-from aomgen.io.arrays import npz_bytes
+from aomgen.io.artifact import npz_bytes
 from aomgen.paper.affinity_features import (
     Affinity,
     AffinityParams,

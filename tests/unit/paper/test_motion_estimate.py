@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from aomgen.conventions import MOVING, STATIC
+from aomgen.core.alignment import Clock
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.clock import Clock
 from aomgen.core.gaussians import gaussians_of
-from aomgen.core.joint_log import JointLog
 from aomgen.core.motion import MotionCurve
+from aomgen.core.recording import JointLog
 from aomgen.core.transforms import angle_between, apply, invert
 from aomgen.errors import InputError, NoMotionError
 from aomgen.io.video import Video

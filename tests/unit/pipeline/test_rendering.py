@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from aomgen.core.alignment import FixedCamera
 from aomgen.core.camera import Camera
-from aomgen.core.fixed_camera import FixedCamera
 from aomgen.core.project import Project
 from aomgen.errors import ConfigError
 from aomgen.pipeline import rendering as run_cameras

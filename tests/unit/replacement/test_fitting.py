@@ -10,9 +10,8 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import sample_surface
-from aomgen.core.plan import FittedAsset
+from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.transforms import apply, matrix_from_rotvec, similarity, transform
-from aomgen.core.verdict import Rejection
 from aomgen.errors import EstimationError
 from aomgen.replacement.correspondence import (
     frontal,

@@ -2,7 +2,6 @@
 
 import pytest
 
-from aomgen.core.robot_choice import HandChoice
 from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
 from aomgen.robots.description import (
     FILE_NAME,
@@ -19,7 +18,7 @@ from aomgen.robots.propose import propose_description
 def described(write_urdf):
     """The small robot with its draft beside it; the text of the draft can be changed."""
     model = write_urdf()
-    draft = propose_description(model, model.parent, (), HandChoice())
+    draft = propose_description(model, model.parent)
     path = model.parent / FILE_NAME
 
     def write(*changes: tuple[str, str]):
@@ -35,7 +34,7 @@ def described(write_urdf):
 
 def test_a_draft_written_down_is_the_draft(described):
     model = described()
-    draft = propose_description(model, model.parent, (), HandChoice())
+    draft = propose_description(model, model.parent)
     assert read_description(model.parent / FILE_NAME) == draft
 
 
@@ -90,8 +89,6 @@ def test_a_log_of_other_joints_is_refused(described):
     model = described()
     with pytest.raises(ConfigError, match="shoulder, elbow, wrist"):
         load_robot(model, joints=("shoulder", "elbow"))
-    with pytest.raises(MalformedFileError, match=r"\[robot.hand\]"):
-        load_robot(model, hand=HandChoice(ee_site="tip"))
 
 
 def test_a_missing_description_says_how_to_write_one(tmp_path):

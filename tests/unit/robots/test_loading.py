@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from aomgen.core.robot_choice import HandChoice, RobotChoice
+from aomgen.core.recording import RobotChoice
 from aomgen.errors import MalformedFileError, MissingFileError, UnsafePathError
 from aomgen.robots.loading import choose_robot, load_stored_robot, save_robot
 
@@ -21,7 +21,6 @@ def choice(write_urdf):
         references=(),
         base_frame="ur_base",
         joints=("wrist", "elbow", "shoulder"),
-        hand=HandChoice(open={"slide_a": 0.04}, closed={"slide_a": 0.01}, fingers=("finger_b", "finger_a")),
         scan_joints=np.zeros(3),
         scan_gripper=0.0,
     )

@@ -4,10 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from aomgen.core.robot_choice import HandChoice
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.errors import MalformedFileError
+from aomgen.robots.description import FILE_NAME, description_toml
 from aomgen.robots.loading import load_robot
+from aomgen.robots.propose import propose_description
 
 ARM = ("shoulder", "elbow", "wrist")
 JOINTS = np.array([[0.4, -0.5, 0.9]])
@@ -100,27 +101,35 @@ def test_two_free_fingers_close_against_each_other(write_urdf):
     assert pad_faces_ee(free, 1.0) == pytest.approx(pad_faces_ee(both, 1.0), abs=1e-6)
 
 
-def test_what_the_capture_tells_of_the_hand_wins(write_urdf):
-    hand = HandChoice(open={"slide_a": 0.03}, closed={"slide_a": 0.01}, fingers=("finger_b", "finger_a"))
-    robot = load_robot(write_urdf(), hand=hand)
+def test_what_a_person_tells_of_the_hand_wins(write_urdf):
+    path = write_urdf()
+    draft = propose_description(
+        path,
+        path.parent,
+        opened={"slide_a": 0.03},
+        closed={"slide_a": 0.01},
+        fingers=("finger_b", "finger_a"),
+    )
+    (path.parent / FILE_NAME).write_text(description_toml(draft))
+    robot = load_robot(path)
     assert robot.drive.driver_range == (0.03, 0.01)
     assert [robot.body_names[pad.body] for pad in robot.pads] == ["finger_b", "finger_a"]
     assert np.ptp(pad_faces_ee(robot, 0.0)[:, 1]) == pytest.approx(0.07, abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("hand", "message"),
+    ("told", "message"),
     [
-        (HandChoice(open={"slide_a": 0.0}, closed={"slide_a": 0.04}), "farther apart"),
-        (HandChoice(open={"slide_a": 0.0}), "different joints"),
-        (HandChoice(open={"thumb": 0.0}, closed={"thumb": 1.0}), "no finger joint 'thumb'"),
-        (HandChoice(fingers=("finger_a", "thumb")), "no body 'thumb'"),
-        (HandChoice(ee_site="tip"), "no site 'tip'"),
+        ({"opened": {"slide_a": 0.0}, "closed": {"slide_a": 0.04}}, "farther apart"),
+        ({"opened": {"slide_a": 0.0}}, "different joints"),
+        ({"opened": {"thumb": 0.0}, "closed": {"thumb": 1.0}}, "no finger joint 'thumb'"),
+        ({"fingers": ("finger_a", "thumb")}, "no body 'thumb'"),
     ],
 )
-def test_wrong_words_about_the_hand_are_refused(write_urdf, hand, message):
+def test_wrong_words_about_the_hand_are_refused(write_urdf, told, message):
+    path = write_urdf()
     with pytest.raises(MalformedFileError, match=message):
-        load_robot(write_urdf(), hand=hand)
+        propose_description(path, path.parent, **told)
 
 
 def test_fingers_that_hardly_move_are_no_gripper(write_urdf):
@@ -190,10 +199,10 @@ def test_an_arm_without_fingers_has_no_pads(tmp_path):
     assert robot.ee_site == "attachment_site"
 
 
-def test_a_hand_choice_without_fingers_is_refused(tmp_path):
+def test_words_about_the_hand_of_an_arm_without_fingers_are_refused(tmp_path):
     path = write_mjcf(tmp_path, fingers="", rest="")
     with pytest.raises(MalformedFileError, match="no finger joints"):
-        load_robot(path, hand=HandChoice(open={"a": 0.0}, closed={"a": 1.0}))
+        propose_description(path, tmp_path, opened={"a": 0.0}, closed={"a": 1.0})
 
 
 def test_a_file_without_joints_is_refused(tmp_path):

@@ -9,9 +9,8 @@ from aomgen.assets.choice import make_asset
 from aomgen.assets.mjcf import RESISTANCES
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
-from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, SettingOutcome, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.core.verdict import Rejection, SettingOutcome
 from aomgen.generalization.ik import IkLimits, IkPath, ik_solver, solve_path
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import (

@@ -15,9 +15,8 @@ from aomgen.core.camera import Camera
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
-from aomgen.io.artifact import load_artifact
+from aomgen.io.artifact import load_artifact, read_json
 from aomgen.io.images import read_labels
-from aomgen.io.jsonfile import read_json
 from aomgen.io.video import read_video
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration, simulate

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from aomgen.core.alignment import Clock, FixedCamera
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.clock import Clock
-from aomgen.core.fixed_camera import FixedCamera
 from aomgen.errors import SyncError
 
 CAMERA = Camera(

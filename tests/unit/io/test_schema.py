@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from aomgen.errors import ConfigError
-from aomgen.io.overrides import flatten, merge, override, parse_setting
+from aomgen.io.schema import flatten, merge, override, parse_setting
 
 
 @dataclass(frozen=True)

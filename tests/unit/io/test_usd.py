@@ -9,7 +9,7 @@ from pxr import Usd, UsdGeom, UsdValidation, UsdVol
 from aomgen.core.gaussians import Gaussians, gaussians_of
 from aomgen.core.transforms import matrix_from_quat
 from aomgen.errors import ConfigError, StorageError
-from aomgen.io.usd_gaussians import write_gaussians
+from aomgen.io.usd import write_gaussians
 
 
 def make_gaussians(count: int = 40, degree: int = 2) -> Gaussians:

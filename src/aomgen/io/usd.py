@@ -1,4 +1,4 @@
-"""Gaussians as OpenUSD: one prim of the type `ParticleField3DGaussianSplat` (OpenUSD 26.03).
+"""OpenUSD: stages written as one file, and Gaussians as a prim `ParticleField3DGaussianSplat` (26.03).
 
 USD stores what `Gaussians` holds: real scales (standard deviations) and opacities, and harmonics
 by Gaussian with the coefficients in the order of the 3DGS files. Only quaternions differ: their
@@ -6,7 +6,7 @@ arrays lie in memory as xyzw.
 """
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,52 @@ from numpy.typing import NDArray
 from aomgen.conventions import xyzw_from_wxyz
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.transforms import matrix_from_quat
+from aomgen.errors import ConfigError, StorageError
+from aomgen.io.atomic import scratch_folder, write_bytes
 from aomgen.io.ply import check_readable
-from aomgen.io.usd_stage import export_stage, new_stage
 
 PRIM: Final = "/Gaussians"
 # A Gaussian is said to end at this many standard deviations, as the kernel's schema suggests.
 REACH: Final = 3.0
+SUFFIXES: Final = (".usda", ".usdc")
+
+
+def new_stage(path: Path, *, up_axis: str = "Z", meters_per_unit: float = 1.0) -> Any:
+    """An empty stage in memory, of the format that the suffix of `path` names.
+
+    Raises:
+        ConfigError: A suffix other than .usda (text) and .usdc (binary), or an up axis that USD
+            does not know.
+    """
+    from pxr import Usd, UsdGeom
+
+    if path.suffix not in SUFFIXES:
+        raise ConfigError(path, f"has suffix {path.suffix!r}", f"choose one of {', '.join(SUFFIXES)}")
+    if up_axis not in ("Y", "Z"):
+        raise ConfigError(path, f"cannot have up axis {up_axis!r}", "choose Y or Z")
+    stage = Usd.Stage.CreateInMemory(f"stage{path.suffix}")
+    UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
+    UsdGeom.SetStageUpAxis(stage, up_axis)
+    return stage
+
+
+def export_stage(stage: Any, path: Path) -> None:
+    """Write a stage's root layer as one file; readers see the old content or the new.
+
+    Raises:
+        StorageError: The disk refuses.
+    """
+    from pxr import Tf
+
+    try:
+        with scratch_folder(path.parent) as folder:
+            stage.GetRootLayer().Export(str(folder / path.name))
+            content = (folder / path.name).read_bytes()
+    except (OSError, Tf.ErrorException) as error:
+        raise StorageError(
+            path, f"cannot be written ({error})", "free space or choose another folder"
+        ) from error
+    write_bytes(path, content)
 
 
 def write_gaussians(

@@ -17,8 +17,8 @@ from aomgen.errors import (
     MissingFileError,
     NonFiniteError,
 )
-from aomgen.io import gaussian_files, usd_gaussians
-from aomgen.io.splat import read_gaussians, write_gaussians
+from aomgen.io import gaussian_files, usd
+from aomgen.io.gaussian_files import read_splat, write_splat
 
 
 def record(
@@ -42,7 +42,7 @@ def make_gaussians(count: int = 50, degree: int = 0) -> Gaussians:
 def test_layout(tmp_path: Path) -> None:
     path = tmp_path / "a.splat"
     path.write_bytes(record() + record(position=(4, 5, 6), quat=(192, 192, 64, 64)))
-    g = read_gaussians(path)
+    g = read_splat(path)
     np.testing.assert_array_equal(g.means, [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_allclose(g.scales, [[0.1, 0.2, 0.3]] * 2)
     np.testing.assert_allclose(0.5 + SH_C0 * g.sh[0, 0], [1, 0, 0.2], atol=1e-6)
@@ -53,8 +53,8 @@ def test_layout(tmp_path: Path) -> None:
 
 def test_round_trip_within_rounding(tmp_path: Path) -> None:
     want = make_gaussians(degree=2)
-    write_gaussians(tmp_path / "a.splat", want)
-    have = read_gaussians(tmp_path / "a.splat")
+    write_splat(tmp_path / "a.splat", want)
+    have = read_splat(tmp_path / "a.splat")
     np.testing.assert_array_equal(have.means, want.means)
     np.testing.assert_array_equal(have.scales, want.scales)
     np.testing.assert_allclose(have.opacities, want.opacities, atol=0.501 / 255)
@@ -66,15 +66,15 @@ def test_round_trip_within_rounding(tmp_path: Path) -> None:
 
 def test_colors_are_cut(tmp_path: Path) -> None:
     g = make_gaussians(2).with_sh([[[9, -9, 0]]] * 2)
-    write_gaussians(tmp_path / "a.splat", g)
+    write_splat(tmp_path / "a.splat", g)
     np.testing.assert_allclose(
-        0.5 + SH_C0 * read_gaussians(tmp_path / "a.splat").sh[0, 0], [1, 0, 0.5], atol=0.002
+        0.5 + SH_C0 * read_splat(tmp_path / "a.splat").sh[0, 0], [1, 0, 0.5], atol=0.002
     )
 
 
 def test_no_gaussians(tmp_path: Path) -> None:
     (tmp_path / "a.splat").write_bytes(b"")
-    assert len(read_gaussians(tmp_path / "a.splat")) == 0
+    assert len(read_splat(tmp_path / "a.splat")) == 0
 
 
 @pytest.mark.parametrize(
@@ -92,12 +92,12 @@ def test_no_gaussians(tmp_path: Path) -> None:
 def test_refused(tmp_path: Path, data: bytes, error: type[InputError], sentence: str) -> None:
     (tmp_path / "a.splat").write_bytes(data)
     with pytest.raises(error, match=sentence):
-        read_gaussians(tmp_path / "a.splat", max_gaussians=3)
+        read_splat(tmp_path / "a.splat", max_gaussians=3)
 
 
 def test_missing(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError):
-        read_gaussians(tmp_path / "a.splat")
+        read_splat(tmp_path / "a.splat")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.PLY"])
@@ -117,7 +117,7 @@ def test_writers_refuse_what_readers_would(tmp_path: Path, file: str, name: str,
     arrays = {key: getattr(make_gaussians(), key).copy() for key in Gaussians.__dataclass_fields__}
     arrays[name][7] = value
     broken = gaussians_of(**arrays)
-    write = usd_gaussians.write_gaussians if file == "a.usdc" else gaussian_files.write_gaussians
+    write = usd.write_gaussians if file == "a.usdc" else gaussian_files.write_gaussians
     with pytest.raises(NonFiniteError, match="Gaussian 7"):
         write(tmp_path / file, broken)
     assert not list(tmp_path.iterdir())
@@ -146,12 +146,12 @@ def test_any_bytes(tmp_path: Path, data: bytes, changes: list[tuple[int, int]]) 
     for content in (data, bytes(damaged)):
         (tmp_path / "a.splat").write_bytes(content)
         try:
-            g = read_gaussians(tmp_path / "a.splat")
+            g = read_splat(tmp_path / "a.splat")
         except InputError:
             continue
         assert len(g) == len(content) // 32
         np.testing.assert_allclose(np.linalg.norm(g.quats, axis=1), 1, atol=1e-6)
         assert np.isfinite(g.means).all()
         assert (g.scales >= 0).all()
-        write_gaussians(tmp_path / "b.splat", g)
-        np.testing.assert_array_equal(read_gaussians(tmp_path / "b.splat").means, g.means)
+        write_splat(tmp_path / "b.splat", g)
+        np.testing.assert_array_equal(read_splat(tmp_path / "b.splat").means, g.means)
