@@ -97,7 +97,7 @@ class TouchRecovery:
         interval, touch = self.view.interval, self.view.touch
         moments = self._begin(interval.start_s)
         rested_s = float(self.view.signals.times_s[touch.first]) if touch.gripped else interval.start_s
-        Ts_world_part = carry_part(self.demo.robot, self.demo.log, rested_s, moments)
+        Ts_world_part = carry_part(self.demo, rested_s, moments)
         return self._fit(self._contacts(moments, Ts_world_part), (interval.start_s, interval.end_s))
 
     def recover(self, found: JointCandidates, joint_type: JointType) -> RecoveredMotion:
@@ -165,7 +165,7 @@ class TouchRecovery:
 
     def _contacts(self, moments: Array, Ts_world_part: Array) -> Contacts:
         part = (self.surface, self.shape.box.T_world_box[:3, :3].T)
-        return find_contacts(self.demo.robot, self.demo.log, part, moments, Ts_world_part)
+        return find_contacts(self.demo, part, moments, Ts_world_part)
 
     def _fit(self, contacts: Contacts, interval: Times) -> JointCandidates:
         """Either type's joint by the hand's way over an interval."""
