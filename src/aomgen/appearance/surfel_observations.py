@@ -16,8 +16,6 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.twin.twin import Twin, TwinState, body_poses, moving_layer, static_layer
 
-# Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
-MARGIN_PX: Final = 1
 # Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
 # much at contours.
 CONTOUR_PX: Final = 3
@@ -76,7 +74,8 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
             parts = RigidParts(indices=moving.bodies, Ts_world_part=Ts)
             drawn = layer.session.draw(moving.gaussians, parts, with_ids=True)
             discs = np.asarray(drawn.max_id).astype(np.int64) - first_disc
-            seen = binary_erosion(discs >= 0, iterations=MARGIN_PX)
+            # Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
+            seen = binary_erosion(discs >= 0)
             which, inverse, pixels = np.unique(discs[seen], return_inverse=True, return_counts=True)
             colors = image[seen] / 255.0
             sums = np.stack([np.bincount(inverse, colors[:, c], len(which)) for c in range(3)], 1)
