@@ -19,8 +19,6 @@ from aomgen.motion.inputs import EMPTY_GRIP, MotionInput
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
-# Patches are followed this long after the start of the motion, [s].
-WINDOW_S = 0.3
 # Distance of the points that stand for the part's surface, and error of reconstructed surfaces of thin things, [m].
 SURFACE_SD_M = 0.002
 # What is held seems to reach so far into the pads by that error, [m].

@@ -11,7 +11,8 @@ from aomgen.motion.ee_path import EePath
 # Distance of handles from hinges, [m]: from lids of boxes to doors at the end of an arm's reach, 0.1 to
 # 1.2 m with 95 %; and the spread of its logarithm.
 RADIUS_M, RADIUS_SPREAD = 0.35, 0.6
-MIN_RADIUS_M, MAX_RADIUS_M = 0.05, 2.0
+# Of an arc that is nearly straight, as first guess.
+_LARGE_RADIUS_M = 2.0
 # A hinge is on the object; its size is known to this share, as spread of the logarithm.
 REACH_SPREAD = 0.1
 # Turn of the hand over turn of the part: most hands follow, some handles turn in them freely.
@@ -224,10 +225,10 @@ def fit_circle(flat: Array, turn: float) -> tuple[Array, float]:
     A = np.column_stack([2 * flat, np.ones(len(flat))])
     (x, y, c), *_ = np.linalg.lstsq(A, (flat**2).sum(1), rcond=None)
     radius = float(np.sqrt(max(c + x * x + y * y, 1e-12)))
-    if radius < MAX_RADIUS_M:
+    if radius < _LARGE_RADIUS_M:
         return np.array([x, y]), radius
     chord = flat[-1] - flat[0]
     length = float(np.linalg.norm(chord))
-    radius = float(np.clip(length / max(abs(turn), 0.05), MIN_RADIUS_M, MAX_RADIUS_M))
+    radius = length / max(abs(turn), length / _LARGE_RADIUS_M)
     side = np.array([-chord[1], chord[0]]) / max(length, 1e-9) * (1.0 if turn >= 0 else -1.0)
     return radius * side, radius
