@@ -69,7 +69,9 @@ def fit_asset(
         return Rejection(reason="joint_type", detail=f"asset is {asset.joint.type}, recorded {recorded_type}")
     if mode == "trajectory":
         return _keep_size(asset, contact, params)
-    turned = opens_left(asset.joint, asset.handle_point, [1.0, 0.0, 0.0]) != contact.front.opens_left
+    turned = (
+        opens_left(asset.joint, asset.handle_point, np.array([1.0, 0.0, 0.0])) != contact.front.opens_left
+    )
     if turned and not params.allow_mirror:
         return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
     return _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
