@@ -17,8 +17,6 @@ _LARGE_RADIUS_M = 2.0
 REACH_SPREAD = 0.1
 # Turn of the hand over turn of the part: most hands follow, some handles turn in them freely.
 RATIO, RATIO_SD = 0.7, 0.4
-# A hand that turns less than this does not tell its axis, [rad].
-_LEAST_TURN_RAD = float(np.radians(3.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,11 +206,9 @@ def make_models(path: EePath, reach_m: float) -> tuple[list[Revolute], Prismatic
     A door's axes are the rotation axis of the hand, and four directions across the chord: a short or unsteady arc
     hardly tells its plane, so its plane is not trusted. No hinge is farther than `reach_m` from the path's middle.
     """
-    axes = []
-    if np.linalg.norm(path.turns_world, axis=1).max() > _LEAST_TURN_RAD:
-        axes.append(np.linalg.svd(path.turns_world)[2][0])
+    turning = np.linalg.svd(path.turns_world)[2][0]
     along, second, third = np.linalg.svd(path.points_world - path.points_world.mean(0))[2]
-    axes += [third, second, (third + second) / np.sqrt(2), (third - second) / np.sqrt(2)]
+    axes = [turning, third, second, (third + second) / np.sqrt(2), (third - second) / np.sqrt(2)]
     doors = [Revolute(path=path, start=axis, reach_m=reach_m) for axis in axes]
     return doors, Prismatic(path=path, start=along)
 
