@@ -78,12 +78,14 @@ def fit_asset(
 
 
 def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:
-    """Mode "trajectory": true size, held point where the recorded one was (seen from above).
+    """Mode "trajectory": true size, upright on the support, held point where the recorded one was (seen from above).
 
     The hinge may be on the other side: the path is made anew along the asset's own joint.
     """
     held = held_point_of(asset, contact.held_share)
-    T = _placed(contact.front.yaw, held, contact.path_world[0], contact.support_z)
+    R = matrix_from_rotvec(np.array([0.0, 0.0, contact.front.yaw]))
+    offset = contact.path_world[0] - R @ held
+    T = transform(R, np.array([offset[0], offset[1], contact.support_z]))
     target = min(float(contact.thetas[-1]), LIMIT_SHARE * asset.joint.upper)
     thetas = contact.thetas * (target / max(float(contact.thetas[-1]), 1e-9))
     path = apply(T @ asset.joint.motion(thetas), held[None])
@@ -255,13 +257,6 @@ def _slide_weighted(joint: Joint, point: Array, moved: Array, path: Array, noise
     lift_sd = noise.along(joint.axis, noise.params.noise_m)
     slide_sd = noise.along(along, SLIDE_SD_M)
     return np.stack([lift / lift_sd, (radius[0] - radius[1]) / slide_sd], 1)
-
-
-def _placed(yaw: float, held_asset: Array, held_world: Array, support_z: float) -> Array:
-    """T_world_asset (4, 4) upright on the support with the held point below or above the recorded one."""
-    R = matrix_from_rotvec(np.array([0.0, 0.0, yaw]))
-    offset = held_world - R @ held_asset
-    return transform(R, np.array([offset[0], offset[1], support_z]))
 
 
 def _rms_mm(differences: Array) -> float:
