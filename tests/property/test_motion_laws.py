@@ -28,11 +28,10 @@ from aomgen.core.transforms import (
 )
 from aomgen.core.values import Array
 from aomgen.io.video import Video
-from aomgen.motion.contact import WINDOW_S
 from aomgen.motion.estimate import MotionParams, estimate_motion
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointParams
-from aomgen.motion.joint_trajectory import TouchRecovery, find_first_frame
+from aomgen.motion.joint_trajectory import WINDOW_S, TouchRecovery, find_first_frame
 from aomgen.motion.observations import VideoObservations
 from aomgen.motion.part_renderer import Band
 from aomgen.motion.photometric import PhotometricParams

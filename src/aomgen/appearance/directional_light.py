@@ -48,8 +48,6 @@ COVERED: Final = 0.02
 MIN_SINE: Final = 0.25
 # First directions: every one has another within about 8 degrees, which is less than the width of an arm's shadow.
 DIRECTIONS: Final = 350
-# The surface is looked for this far above and below where it was fitted, [m].
-NEAR_M: Final = HEIGHTS[-1]
 # First step of the refinement, about half the spacing of the first directions, and where it ends, [rad]: that moves
 # the shadow of a point 1 m high by less than half a centimeter.
 FIRST_STEP, LAST_STEP = 0.07, 0.004
@@ -226,7 +224,8 @@ def raise_plane(T_world_plane: Array, twin: Twin, camera: Camera) -> Array:
     depth = np.asarray(scene.median_depth, np.float64)
     points = (camera.center + camera.directions() * depth[..., None])[depth > 0]
     heights = apply(invert(T_world_plane), points)[:, 2]
-    near = np.abs(heights) < NEAR_M
+    # Seen points fade out of the surface that far above it; they are looked for as far below.
+    near = np.abs(heights) < HEIGHTS[-1]
     if not near.any():
         return T_world_plane
     T = np.array(T_world_plane)

@@ -6,7 +6,7 @@ what was seen of it near this orientation of its link, plus specular term: a fun
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,10 @@ from scipy.spatial import cKDTree
 
 from aomgen.appearance.surfel_observations import SurfelObservations
 from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.sh import sh_basis
-from aomgen.core.values import Array
+from aomgen.core.values import Array, freeze_arrays
 from aomgen.twin.relighting import NEGLIGIBLE, ResidualAppearance, orientation_weights
 
 # Turn over which a seen color fades. A link's specular term moves twice as fast as the link; halves and
@@ -57,46 +58,40 @@ class RobotColors:
     remembered: tuple[ResidualAppearance, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Discs:
-    """The discs: body, material, normal and place (M, ...), body frame."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotDiscs:
+    """M discs on the robot's surface, body frames.
 
-    bodies: NDArray[np.int32]
-    materials: NDArray[np.int32]
-    normals: Array
-    means: Array
-
-
-def fit_robot_colors(
-    observations: SurfelObservations,
-    bodies: NDArray[np.int32],
-    materials: NDArray[np.int32],
-    normals_body: Array,
-    means_body: Array,
-) -> RobotColors:
-    """Fit colors of M discs to observations.
-
-    Args:
-        bodies: Body of every disc (M,), index into the twin's `body_names`.
-        materials: Material of every disc (M,), 0..P-1.
-        normals_body, means_body: (M, 3), body frames.
+    Attributes:
+        bodies: Body of every disc, index into the twin's `body_names`.
+        materials: Material of every disc, 0..P-1.
     """
-    discs = _Discs(bodies, materials, normals_body, means_body)
-    R = observations.Ts_world_body[observations.image_index, bodies[observations.disc], :3, :3]
-    answers = open_transfer(np.einsum("nij,nj->ni", R, normals_body[observations.disc])).astype(np.float64)
+
+    gaussians: Annotated[Gaussians, "M"]
+    normals: Annotated[Array, "M 3"]
+    bodies: Annotated[NDArray[np.int32], "M"]
+    materials: Annotated[NDArray[np.int32], "M"]
+
+    __post_init__ = freeze_arrays
+
+
+def fit_robot_colors(observations: SurfelObservations, discs: RobotDiscs) -> RobotColors:
+    """Fit colors of discs to observations."""
+    R = observations.Ts_world_body[observations.image_index, discs.bodies[observations.disc], :3, :3]
+    answers = open_transfer(np.einsum("nij,nj->ni", R, discs.normals[observations.disc])).astype(np.float64)
     seen = np.asarray(linear_from_srgb(observations.color_srgb), np.float64)
     ratio, radiance, lit = _fit(observations, discs, answers, seen)
     # Lit as the twin lights it, clipped to what an image can show.
     predicted = np.asarray(srgb_from_linear(np.clip(ratio[observations.disc] * lit, 0, 1)))
     difference = observations.color_srgb - predicted
     views = sh_basis(observations.directions_body, 2)[:, 1:]
-    specular, remembered = np.zeros((len(bodies), 8, 3)), ()
+    specular, remembered = np.zeros((len(discs.bodies), 8, 3)), ()
     for _ in range(ROUNDS):
         from_specular = np.einsum("nk,nkc->nc", views, specular[observations.disc])
         remembered = _fit_residual_colors(observations, discs, difference - from_specular)
         left = difference - _predict_residual_colors(observations, discs, remembered)
-        specular = _fit_specular(observations, views, left, len(bodies))
-    seen_discs = np.bincount(observations.disc, minlength=len(bodies)) > 0
+        specular = _fit_specular(observations, views, left, len(discs.bodies))
+    seen_discs = np.bincount(observations.disc, minlength=len(discs.bodies)) > 0
     return RobotColors(
         albedo=_spread(ratio, seen_discs, discs),
         lights=tuple(Light(radiance_sh=item) for item in radiance),
@@ -118,7 +113,7 @@ def _fit_specular(observations: SurfelObservations, views: Array, left: Array, c
 
 
 def _predict_residual_colors(
-    observations: SurfelObservations, discs: _Discs, memories: tuple[ResidualAppearance, ...]
+    observations: SurfelObservations, discs: RobotDiscs, memories: tuple[ResidualAppearance, ...]
 ) -> Array:
     """What memories add to the color of every observation (N, 3)."""
     result = np.zeros((len(observations.disc), 3))
@@ -135,7 +130,7 @@ def _predict_residual_colors(
 
 
 def _fit(
-    observations: SurfelObservations, discs: _Discs, answers: Array, seen: Array
+    observations: SurfelObservations, discs: RobotDiscs, answers: Array, seen: Array
 ) -> tuple[Array, Array, Array]:
     """Ratios (M, 3), radiance (P, 9, 3) and lit colors (N, 3), alternately by weighted least squares.
 
@@ -179,7 +174,7 @@ def _radiance(answers: Array, ratio: Array, seen: Array, weights: Array, near: A
 
 
 def _fit_residual_colors(
-    observations: SurfelObservations, discs: _Discs, difference: Array
+    observations: SurfelObservations, discs: RobotDiscs, difference: Array
 ) -> tuple[ResidualAppearance, ...]:
     """What remains of every body's observations, averaged near a few of its orientations."""
     memories = []
@@ -226,16 +221,16 @@ def _turn(Rs: Array, R: Array) -> Array:
     return np.arccos(np.clip((np.einsum("tij,ij->t", Rs, R) - 1) / 2, -1, 1))
 
 
-def _spread(ratio: Array, seen: NDArray[np.bool_], discs: _Discs) -> Array:
+def _spread(ratio: Array, seen: NDArray[np.bool_], discs: RobotDiscs) -> Array:
     """Ratios (M, 3) where discs that no image shows take the mean of their nearest seen neighbours."""
-    result = ratio.copy()
+    result, means = ratio.copy(), discs.gaussians.means.astype(np.float64)
     groups = np.stack([discs.bodies, discs.materials], 1)
     for body, material in np.unique(groups[~seen], axis=0):
         mine = (discs.bodies == body) & (discs.materials == material)
         known, unknown = np.flatnonzero(mine & seen), np.flatnonzero(mine & ~seen)
         if len(known):
             k = min(NEIGHBORS, len(known))
-            _, nearest = cKDTree(discs.means[known]).query(discs.means[unknown], k=k)
+            _, nearest = cKDTree(means[known]).query(means[unknown], k=k)
             result[unknown] = ratio[known][nearest.reshape(-1, k)].mean(1)
     return result
 

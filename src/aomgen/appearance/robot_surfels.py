@@ -5,7 +5,7 @@ are ragged and light is baked in. The model's shape has none of that.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import Final
 
@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from aomgen.appearance.robot_shading import fit_robot_colors
+from aomgen.appearance.robot_shading import RobotDiscs, fit_robot_colors
 from aomgen.appearance.surfel_observations import PosedImages, SurfelObservations, observe_surfels, pixel_size
 from aomgen.conventions import ROBOT
 from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.light import Light, open_transfer
 from aomgen.core.mesh import Mesh, face_normals_areas
-from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import Surfels, open_surfels_of
 from aomgen.twin.relighting import Relit
@@ -36,16 +35,6 @@ MIN_PER_BODY: Final = 120
 ATTACHED_M: Final = 0.012
 # Bodies of which the scan and the video show less are left as scanned.
 MIN_OBSERVATIONS: Final = 200
-
-
-@dataclass(frozen=True, slots=True)
-class _Cover:
-    """Discs over the whole robot (M): Gaussians in body frames, normals, body and material of each."""
-
-    gaussians: Gaussians
-    normals: Array
-    bodies: NDArray[np.int32]
-    materials: NDArray[np.int32]
 
 
 def replace_robot_gaussians(
@@ -65,13 +54,7 @@ def replace_robot_gaussians(
     if not len(observations.disc) >= MIN_OBSERVATIONS:
         return twin
     cover = _orient_normals(cover, observations)
-    colors = fit_robot_colors(
-        observations,
-        cover.bodies,
-        cover.materials,
-        cover.normals,
-        np.asarray(cover.gaussians.means, np.float64),
-    )
+    colors = fit_robot_colors(observations, cover)
     count = len(bare.gaussians) - len(cover.bodies)
     sh = np.array(bare.gaussians.with_sh_degree(max(bare.gaussians.sh_degree, 2)).sh)
     sh[count:, 1:9] = colors.specular_sh
@@ -86,7 +69,7 @@ def replace_robot_gaussians(
     return replace(bare, gaussians=bare.gaussians.with_sh(sh), relit=relit)
 
 
-def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cover:
+def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> RobotDiscs:
     """Discs on every body; materials are the distinct colors of the model."""
     palette, material_of = np.unique(
         np.round([mesh.color_srgb for mesh in robot.meshes], 4), axis=0, return_inverse=True
@@ -106,7 +89,7 @@ def _cover(robot: RobotModel, pixel_m: float, rng: np.random.Generator) -> _Cove
         normals.append(surfels.normals)
         bodies.append(np.full(len(surfels.gaussians), body + 1, np.int32))
         materials.append(np.full(len(surfels.gaussians), material, np.int32))
-    return _Cover(
+    return RobotDiscs(
         gaussians=concatenate(pieces),
         normals=np.concatenate(normals).astype(np.float64),
         bodies=np.concatenate(bodies),
@@ -144,7 +127,7 @@ def _plain_mesh(robot: RobotModel, index: int) -> Mesh:
     )
 
 
-def _with_cover(twin: Twin, cover: _Cover) -> Twin:
+def _with_cover(twin: Twin, cover: RobotDiscs) -> Twin:
     """The twin with discs, in an even light, in the place of scanned Gaussians near the model."""
     kept = ~((twin.labels == ROBOT) & (twin.bodies > 0)) | _is_attached(twin, cover)
     rest = twin.select(kept)
@@ -159,7 +142,7 @@ def _with_cover(twin: Twin, cover: _Cover) -> Twin:
     return rest.extended(cover.gaussians, cover.bodies, ROBOT, relit=relit)
 
 
-def _is_attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
+def _is_attached(twin: Twin, cover: RobotDiscs) -> NDArray[np.bool_]:
     """Scanned Gaussians (N,) of a link that the model does not have."""
     attached = np.zeros(len(twin.gaussians), bool)
     for body in np.unique(cover.bodies):
@@ -170,7 +153,7 @@ def _is_attached(twin: Twin, cover: _Cover) -> NDArray[np.bool_]:
     return attached
 
 
-def _orient_normals(cover: _Cover, observations: SurfelObservations) -> _Cover:
+def _orient_normals(cover: RobotDiscs, observations: SurfelObservations) -> RobotDiscs:
     """The cover with normals on the side from which images see the discs."""
     towards = np.einsum("ni,ni->n", cover.normals[observations.disc], -observations.directions_body)
     sides = np.bincount(observations.disc, towards * observations.pixels, len(cover.normals))

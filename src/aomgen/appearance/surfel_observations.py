@@ -16,8 +16,6 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
 from aomgen.twin.twin import Twin, TwinState, body_poses, moving_layer, static_layer
 
-# Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
-MARGIN_PX: Final = 1
 # Margin around moving bodies where the scene behind them is compared, [px]: render and image differ by about this
 # much at contours.
 CONTOUR_PX: Final = 3
@@ -73,14 +71,17 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
         layer = static_layer(twin, view.camera)
         for image, state in zip(view.images_srgb, view.states, strict=True):
             Ts = body_poses(twin, robot, state)
+            eyes_body = apply(invert(Ts), view.camera.center)
             parts = RigidParts(indices=moving.bodies, Ts_world_part=Ts)
             drawn = layer.session.draw(moving.gaussians, parts, with_ids=True)
             discs = np.asarray(drawn.max_id).astype(np.int64) - first_disc
-            seen = binary_erosion(discs >= 0, iterations=MARGIN_PX)
+            # Outlines are left out: a pixel there shows what is behind, and cameras are uncertain by as much.
+            seen = binary_erosion(discs >= 0)
             which, inverse, pixels = np.unique(discs[seen], return_inverse=True, return_counts=True)
             colors = image[seen] / 255.0
             sums = np.stack([np.bincount(inverse, colors[:, c], len(which)) for c in range(3)], 1)
-            directions = _directions(twin, which, Ts, view.camera)
+            towards = twin.gaussians.means[first_disc + which] - eyes_body[twin.bodies[first_disc + which]]
+            directions = towards / np.linalg.norm(towards, axis=1, keepdims=True)
             pieces.append(
                 (which, np.full(len(which), len(poses)), sums / pixels[:, None], pixels, directions)
             )
@@ -115,13 +116,3 @@ def pixel_size(robot: RobotModel, twin: Twin, views: Sequence[PosedImages]) -> f
         for view in views
     ]
     return float(np.median(sizes))
-
-
-def _directions(twin: Twin, discs: NDArray[np.int64], Ts_world_body: Array, camera: Camera) -> Array:
-    if twin.relit is None or not len(discs):
-        return np.zeros((len(discs), 3))
-    indices = twin.relit.indices[discs]
-    bodies = twin.bodies[indices]
-    eyes_body = np.stack([apply(invert(T), camera.center) for T in Ts_world_body])
-    directions = twin.gaussians.means[indices] - eyes_body[bodies]
-    return directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)

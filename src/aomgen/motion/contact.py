@@ -8,22 +8,21 @@ to the error of reconstructed surfaces only, so a patch is the mean over the pla
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from aomgen.core.motion import ContactPatch
-from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.motion.ee_path import average_poses
-from aomgen.motion.inputs import EMPTY_GRIP
+from aomgen.motion.inputs import EMPTY_GRIP, MotionInput
 from aomgen.robots.gripper_surface import hand_surface
 from aomgen.robots.robot import FingerPad, RobotModel
 
-# Patches are followed this long after the start of the motion, [s].
-WINDOW_S = 0.3
 # Distance of the points that stand for the part's surface, and error of reconstructed surfaces of thin things, [m].
 SURFACE_SD_M = 0.002
+# What is held seems to reach so far into the pads by that error, [m].
+_BEHIND_M = 2 * SURFACE_SD_M
 # Points along either side of a pad's face: pads are some 2 cm long, so corners are met to a quarter of a millimeter.
 _PAD_GRID = 81
 # What is held may be turned against a pad by this much more than known, [rad]: about its length by the fit of the
@@ -51,14 +50,14 @@ class Contacts:
     __post_init__ = freeze_arrays
 
 
-def carry_part(robot: RobotModel, log: JointLog, resting_s: float, times_s: Array) -> Array:
+def carry_part(demo: MotionInput, resting_s: float, times_s: Array) -> Array:
     """Transforms (K, 4, 4) of the part since a time at which it rested, if the hand held it firmly at times (K,)."""
-    Ts_world_ee = robot.ee_poses(log.at(np.append(resting_s, times_s))[0])
+    Ts_world_ee = demo.ee_poses_at(np.append(resting_s, times_s))
     return Ts_world_ee[1:] @ invert(Ts_world_ee[0])
 
 
 def find_contacts(
-    robot: RobotModel, log: JointLog, part: tuple[Array, Array], times_s: Array, Ts_world_part: Array
+    demo: MotionInput, part: tuple[Array, Array], times_s: Array, Ts_world_part: Array
 ) -> Contacts:
     """Patches of all fingers that touch, over the first moments of the motion.
 
@@ -66,25 +65,23 @@ def find_contacts(
     them, and no patch is sought where the part was a moment ago.
 
     Args:
-        robot, log: Kinematics, pads and meshes; the joint log, on the clock of `times_s`.
+        demo: Of which the hand matters.
         part: Dense points of the part as scanned (N, 3), and the unit axes (3, 3) in rows of its box; world frame, [m].
         times_s, Ts_world_part: Moments (K,), and where the part has gone since the scan at these (K, 4, 4).
 
     Source: AOMGen, sec. 4.2, "Contact Point Detection", with patches in place of one nearest pair.
     Not checked: that anything touches at all; `gap_m` tells.
     """
-    joints, gripper = log.at(times_s)
-    Ts_world_ee = robot.ee_poses(joints)
+    Ts_world_ee = demo.ee_poses_at(times_s)
     T_ee_part = average_poses(invert(Ts_world_ee) @ Ts_world_part)
     points_ee, axes_ee = apply(T_ee_part, part[0]), part[1] @ T_ee_part[:3, :3].T
-    middle = len(gripper) // 2
-    Ts_ee_body = invert(Ts_world_ee[middle]) @ robot.link_poses(joints, gripper)[middle]
-    may_hold = len(robot.pads) >= 2 and float(np.median(gripper)) < EMPTY_GRIP
-    faces = [_Face.of(pad, Ts_ee_body[pad.body]) for pad in robot.pads[:2]] if may_hold else []
+    middle = len(times_s) // 2
+    Ts_ee_body = invert(Ts_world_ee[middle]) @ demo.body_poses_at(times_s)[middle]
+    faces = _holding_faces(demo, times_s, Ts_ee_body)
     patches = _find_held(faces, points_ee, axes_ee) if faces else []
-    if not patches and robot.hand_bodies:
+    if not patches and demo.robot.hand_bodies:
         way = _find_direction(Ts_world_ee, Ts_world_part, points_ee)
-        patches = _find_pushed(robot, Ts_ee_body, points_ee, way)
+        patches = _find_pushed(demo.robot, Ts_ee_body, points_ee, way)
     if not patches:
         # Fingers that closed on something that the scan hardly saw hold it anywhere on their pads.
         patches = [face.patch(points_ee, face.grid, np.zeros(2)) for face in faces] or [_nearest(points_ee)]
@@ -94,43 +91,69 @@ def find_contacts(
     )
 
 
+def find_between_pads(demo: MotionInput, time_s: float, points: Array) -> NDArray[np.bool_]:
+    """Which points (N, 3), world frame, lie between the pads of a hand that may hold them."""
+    faces = _holding_faces(demo, np.array([time_s]), demo.body_poses_at([time_s])[0])
+    between = [
+        face.between(other, points, face.grid.max(0)) for face, other in zip(faces, faces[::-1], strict=True)
+    ]
+    return np.all(between, axis=0) if faces else np.zeros(len(points), bool)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Face:
-    """The inner face of a finger's pad: its middle, z towards the other pad (4, 4), and even points on it (G, 2), [m]."""
+    """The inner face of a finger's pad: its middle, z towards the other pad (4, 4), and even points on it (G, 2), [m].
+
+    In the frame of the points that it is compared with.
+    """
 
     finger: str
-    T_ee_face: Array
+    T_frame_face: Array
     grid: Array
 
     @staticmethod
-    def of(pad: FingerPad, T_ee_body: Array) -> "_Face":
-        T_ee_face = T_ee_body @ pad.T_body_pad
-        T_ee_face[:3, 3] = apply(T_ee_body, pad.face_body)
+    def of(pad: FingerPad, T_frame_body: Array) -> "_Face":
+        T_frame_face = T_frame_body @ pad.T_body_pad
+        T_frame_face[:3, 3] = apply(T_frame_body, pad.face_body)
         steps = np.linspace(-1, 1, _PAD_GRID)
         grid = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2) * pad.half_extents[:2]
-        return _Face(finger=pad.finger, T_ee_face=T_ee_face, grid=grid)
+        return _Face(finger=pad.finger, T_frame_face=T_frame_face, grid=grid)
 
-    def slope(self, normal_ee: Array) -> Array:
+    def between(self, other: "_Face", points: Array, half_m: ArrayLike) -> NDArray[np.bool_]:
+        """Which points (N, 3) lie within half extents of this face, from it to the other one, by surfaces' error."""
+        local = apply(invert(self.T_frame_face), points)
+        inside = (local[:, 2] > -_BEHIND_M) & (local[:, 2] < self.openings(local[:, :2], other) + _BEHIND_M)
+        return inside & np.all(np.abs(local[:, :2]) < half_m, axis=1)
+
+    def slope(self, normal: Array) -> Array:
         """How fast (2,) a plane of some normal (3,) comes nearer along this face, [m/m]."""
-        local = normal_ee @ self.T_ee_face[:3, :3]
+        local = normal @ self.T_frame_face[:3, :3]
         return local[:2] / local[2]
 
     def openings(self, flat: Array, other: "_Face") -> Array:
         """Distances (...) to the other face from points (..., 2) of this one, [m]."""
-        T_face_other = invert(self.T_ee_face) @ other.T_ee_face
+        T_face_other = invert(self.T_frame_face) @ other.T_frame_face
         normal = T_face_other[:3, 2]
         return np.asarray((normal @ T_face_other[:3, 3] - flat @ normal[:2]) / normal[2])
 
     def patch(self, points_ee: Array, flat: Array, touched: Array) -> ContactPatch:
         """A patch at a point (2,) of this face that may be any of (N, 2), on a part of points (M, 3)."""
-        placed = apply(self.T_ee_face, np.pad(np.vstack([touched, flat]), ((0, 0), (0, 1))))
+        placed = apply(self.T_frame_face, np.pad(np.vstack([touched, flat]), ((0, 0), (0, 1))))
         return ContactPatch(
             finger=self.finger,
             point=placed[0],
-            normal=self.T_ee_face[:3, 2],
+            normal=self.T_frame_face[:3, 2],
             spread_m=float(np.sqrt(((flat - touched) ** 2).sum(1).mean() + 3 * SURFACE_SD_M**2)),
             gap_m=float(cKDTree(points_ee).query(placed)[0].min()),
         )
+
+
+def _holding_faces(demo: MotionInput, times_s: Array, Ts_frame_body: Array) -> list[_Face]:
+    """The faces of both pads, none if the hand has none or is closed upon itself at most of the times (K,)."""
+    pads = demo.robot.pads[:2]
+    if len(pads) < 2 or not float(np.median(demo.log.at(times_s)[1])) < EMPTY_GRIP:
+        return []
+    return [_Face.of(pad, Ts_frame_body[pad.body]) for pad in pads]
 
 
 def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[ContactPatch]:
@@ -139,14 +162,13 @@ def _find_held(faces: list[_Face], points_ee: Array, axes_ee: Array) -> list[Con
     What is held is a piece with straight sides: a bar, a rim, a knob. Its faces are turned as the object's box is,
     and of a plane that is turned against a pad, a corner is nearest.
     """
-    closing = faces[0].T_ee_face[:3, 2] - faces[1].T_ee_face[:3, 2]
+    closing = faces[0].T_frame_face[:3, 2] - faces[1].T_frame_face[:3, 2]
     axis = axes_ee[np.argmax(np.abs(axes_ee @ closing))]
-    margin = 2 * SURFACE_SD_M
     patches = []
     for face, other in zip(faces, faces[::-1], strict=True):
-        local = apply(invert(face.T_ee_face), points_ee)
-        inside = (local[:, 2] > -margin) & (local[:, 2] < face.openings(local[:, :2], other) + margin)
-        between = local[inside & np.all(np.abs(local[:, :2]) < face.grid.max() + margin, axis=1)]
+        # As far to the side as along the fingers: what is seen of a bar beside the pads tells its line.
+        within = face.between(other, points_ee, face.grid.max() + _BEHIND_M)
+        between = apply(invert(face.T_frame_face), points_ee[within])
         if not len(between):
             return []
         opening = float(face.openings(np.zeros(2), other))

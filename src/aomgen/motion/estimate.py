@@ -28,9 +28,6 @@ from aomgen.motion.photometric import (
 )
 from aomgen.robots.silhouette import robot_masks
 
-# One of so many samples of the joint is carried to the values.
-_EVERY = 8
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionParams:
@@ -99,14 +96,14 @@ def estimate_motion(
             lines = (recovered.estimate.axes, recovered.estimate.origins)
             prior = KinematicPrior.of(demo, estimate, lines)
             seen = select_frames(demo, masks_at, prior, params.photometric)
-            answer = refine(seen, prior, params.photometric)
+            answer = refine(seen, prior)
             refined = estimate if answer is None else _take_over(estimate, answer)
             return _TypeEstimate(found=recovered.found, seen=seen, refined=refined)
 
         doors, drawers = estimate_type("revolute"), estimate_type("prismatic")
     progress(0.9, "type of the joint")
     motions = [(item.refined.joint, item.refined.thetas) for item in (doors, drawers)]
-    video_margin = compute_type_margin(doors.seen, (motions[0], motions[1]), params.photometric)
+    video_margin = compute_type_margin(doors.seen, (motions[0], motions[1]))
     found = min((doors.found, drawers.found), key=lambda item: abs(item.margin))
     answer = doors if choose_type(found, video_margin) == "revolute" else drawers
     return replace(answer.refined, type_margin=abs(found.margin + video_margin))
@@ -201,7 +198,7 @@ def _theta_sd(demo: MotionInput, recovered: RecoveredMotion, thetas: Array, fram
     estimate, trajectory = recovered.estimate, recovered.trajectory
     joint, first = estimate.joint, trajectory.interval[0]
     poses = demo.ee_poses_at(np.append(first, np.clip(frames, *trajectory.interval)))
-    draws = zip(*(rows[::_EVERY] for rows in (estimate.axes, estimate.origins, estimate.grasps)), strict=True)
+    draws = zip(estimate.axes, estimate.origins, estimate.grasps, strict=True)
     values = [
         compute_path_values(replace(joint, axis=axis, origin=origin), poses, grasp, 0, recovered.face_normal)
         for axis, origin, grasp in draws

@@ -139,7 +139,10 @@ def fit_candidates(
             f"the hand moved the part {extent * 1e3:.0f} mm, need {_MIN_TRAVEL_M * 1e3:.0f} mm",
             _REMEDY,
         )
-    revolute, prismatic = explain_path(path, shape, params)
+    doors, drawer = make_models(path, np.inf if shape is None else shape.reach_m(points.mean(0)))
+    noise = _loosen_ends(PathNoise.of(points, params.noise), (doors, [drawer]))
+    hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
+    revolute, prismatic = compute_posterior(doors, noise, hinges), compute_posterior([drawer], noise, rails)
     margin = 2 * (revolute.log_evidence - prismatic.log_evidence)
     # The middle half of the nodes against the outer half tells the bulge. Bars are along hinges, so that arcs
     # bend in the direction that the fingers hold best.
@@ -183,21 +186,10 @@ def choose_type(found: JointCandidates, video_margin: float = 0.0) -> JointType:
     return "prismatic"
 
 
-def estimate_joint(
-    Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None, params: JointParams | None = None
-) -> JointEstimate:
+def estimate_joint(Ts_world_ee: Array, hold: GraspGuess, shape: PartShape | None = None) -> JointEstimate:
     """The joint from the hand's poses alone; arguments as in `fit_candidates`, refused as in `choose_type`."""
-    found = fit_candidates(Ts_world_ee, hold, shape, params)
+    found = fit_candidates(Ts_world_ee, hold, shape)
     return found.of(choose_type(found))
-
-
-def explain_path(path: EePath, shape: PartShape | None, params: JointParams) -> tuple[Posterior, Posterior]:
-    """The path as a revolute and as a prismatic joint would make it."""
-    reach_m = np.inf if shape is None else shape.reach_m(path.points_world.mean(0))
-    doors, drawer = make_models(path, reach_m)
-    noise = _loosen_ends(PathNoise.of(path.points_world, params.noise), (doors, [drawer]))
-    hinges, rails = ([], []) if shape is None else (shape.hinges(), shape.rails())
-    return compute_posterior(doors, noise, hinges), compute_posterior([drawer], noise, rails)
 
 
 def _loosen_ends(noise: PathNoise, types: tuple[list[Revolute], list[Prismatic]]) -> PathNoise:

@@ -11,13 +11,12 @@ from aomgen.motion.ee_path import EePath
 # Distance of handles from hinges, [m]: from lids of boxes to doors at the end of an arm's reach, 0.1 to
 # 1.2 m with 95 %; and the spread of its logarithm.
 RADIUS_M, RADIUS_SPREAD = 0.35, 0.6
-MIN_RADIUS_M, MAX_RADIUS_M = 0.05, 2.0
+# Of an arc that is nearly straight, as first guess.
+_LARGE_RADIUS_M = 2.0
 # A hinge is on the object; its size is known to this share, as spread of the logarithm.
 REACH_SPREAD = 0.1
 # Turn of the hand over turn of the part: most hands follow, some handles turn in them freely.
 RATIO, RATIO_SD = 0.7, 0.4
-# A hand that turns less than this does not tell its axis, [rad].
-_LEAST_TURN_RAD = float(np.radians(3.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,11 +206,9 @@ def make_models(path: EePath, reach_m: float) -> tuple[list[Revolute], Prismatic
     A door's axes are the rotation axis of the hand, and four directions across the chord: a short or unsteady arc
     hardly tells its plane, so its plane is not trusted. No hinge is farther than `reach_m` from the path's middle.
     """
-    axes = []
-    if np.linalg.norm(path.turns_world, axis=1).max() > _LEAST_TURN_RAD:
-        axes.append(np.linalg.svd(path.turns_world)[2][0])
+    turning = np.linalg.svd(path.turns_world)[2][0]
     along, second, third = np.linalg.svd(path.points_world - path.points_world.mean(0))[2]
-    axes += [third, second, (third + second) / np.sqrt(2), (third - second) / np.sqrt(2)]
+    axes = [turning, third, second, (third + second) / np.sqrt(2), (third - second) / np.sqrt(2)]
     doors = [Revolute(path=path, start=axis, reach_m=reach_m) for axis in axes]
     return doors, Prismatic(path=path, start=along)
 
@@ -224,10 +221,10 @@ def fit_circle(flat: Array, turn: float) -> tuple[Array, float]:
     A = np.column_stack([2 * flat, np.ones(len(flat))])
     (x, y, c), *_ = np.linalg.lstsq(A, (flat**2).sum(1), rcond=None)
     radius = float(np.sqrt(max(c + x * x + y * y, 1e-12)))
-    if radius < MAX_RADIUS_M:
+    if radius < _LARGE_RADIUS_M:
         return np.array([x, y]), radius
     chord = flat[-1] - flat[0]
     length = float(np.linalg.norm(chord))
-    radius = float(np.clip(length / max(abs(turn), 0.05), MIN_RADIUS_M, MAX_RADIUS_M))
+    radius = length / max(abs(turn), length / _LARGE_RADIUS_M)
     side = np.array([-chord[1], chord[0]]) / max(length, 1e-9) * (1.0 if turn >= 0 else -1.0)
     return radius * side, radius

@@ -7,7 +7,7 @@ import numpy as np
 from aomgen.core.joint import JointType
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
-from aomgen.motion.contact import SURFACE_SD_M, WINDOW_S, Contacts, carry_part, find_contacts
+from aomgen.motion.contact import SURFACE_SD_M, Contacts, carry_part, find_contacts
 from aomgen.motion.ee_path import GraspGuess
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.joint_estimation import JointCandidates, JointEstimate, JointParams, fit_candidates
@@ -25,6 +25,8 @@ from aomgen.motion.keyframes import Departures
 from aomgen.motion.observations import DENSE_STEP_S, VideoObservations
 from aomgen.motion.part_shape import PartShape, measure_shape
 
+# Patches of contact are followed this long after the start of the motion, [s].
+WINDOW_S = 0.3
 # Width of the smoother of joint values, [s]; short against any commanded motion.
 _SMOOTH_S = 0.2
 # Largest difference between a moment seen in the video and the one that the hand tells, [s].
@@ -97,7 +99,7 @@ class TouchRecovery:
         interval, touch = self.view.interval, self.view.touch
         moments = self._begin(interval.start_s)
         rested_s = float(self.view.signals.times_s[touch.first]) if touch.gripped else interval.start_s
-        Ts_world_part = carry_part(self.demo.robot, self.demo.log, rested_s, moments)
+        Ts_world_part = carry_part(self.demo, rested_s, moments)
         return self._fit(self._contacts(moments, Ts_world_part), (interval.start_s, interval.end_s))
 
     def recover(self, found: JointCandidates, joint_type: JointType) -> RecoveredMotion:
@@ -144,7 +146,7 @@ class TouchRecovery:
             picture = TouchObservation(
                 times_s=frames_s,
                 seen=Departures(left=view.seen.left[touch.frames], ahead=view.seen.ahead[touch.frames]),
-                noise=view.interval.threshold / 3,
+                noise=view.interval.noise,
             )
             return follow_pushed_part(times, values, hand, interval, leave, picture)
         seen = (view.interval.start_s, view.interval.end_s)
@@ -165,7 +167,7 @@ class TouchRecovery:
 
     def _contacts(self, moments: Array, Ts_world_part: Array) -> Contacts:
         part = (self.surface, self.shape.box.T_world_box[:3, :3].T)
-        return find_contacts(self.demo.robot, self.demo.log, part, moments, Ts_world_part)
+        return find_contacts(self.demo, part, moments, Ts_world_part)
 
     def _fit(self, contacts: Contacts, interval: Times) -> JointCandidates:
         """Either type's joint by the hand's way over an interval."""

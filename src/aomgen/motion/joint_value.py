@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from aomgen.core.joint import Joint, JointType
-from aomgen.core.robust import SD_OF_MAD
+from aomgen.core.robust import robust_sd
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.motion.ee_path import GripperPath, smooth
@@ -110,7 +110,7 @@ def smooth_within(values: Array, step_s: float, window_s: float, tolerance: floa
     low, high = minimum_filter1d(values, window), maximum_filter1d(values, window)
     smoothed = np.clip(smooth(values, step_s, window_s), low, high)
     # A quick motion bends within the window: what noise does not explain was no noise.
-    noise = _NOISE_SDS * SD_OF_MAD * float(np.median(np.abs(values - smoothed)))
+    noise = _NOISE_SDS * robust_sd(values - smoothed)
     smoothed = np.clip(smoothed, values - noise, values + noise)
     way = 1.0 if values[-1] >= values[0] else -1.0
     rising, ceiling = way * smoothed, np.maximum.accumulate(way * smoothed)

@@ -62,12 +62,17 @@ class Departures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interval:
-    """Start and end of the motion [s], with the smoothed score (T,) and one that stillness hardly ever reaches."""
+    """Start and end of the motion [s], with the smoothed score (T,), and the deviation of a still part's departures."""
 
     start_s: float
     end_s: float
     smoothed: Array
-    threshold: float
+    noise: float
+
+    @property
+    def threshold(self) -> float:
+        """A score that stillness hardly ever reaches."""
+        return 3.0 * self.noise
 
 
 def find_part_region(points_world: Array, camera: Camera) -> NDArray[np.bool_]:
@@ -157,7 +162,7 @@ def find_interval(
         start_s=detect_onset(held, times, left, noises[0], pixel_m, held=touch.gripped),
         end_s=detect_offset(held, times, ahead, noises[1], pixel_m, held=touch.gripped),
         smoothed=smooth(_remove_glitches(seen.scores), step, SMOOTH_S),
-        threshold=3.0 * max(noises),
+        noise=max(noises),
     )
 
 

@@ -28,8 +28,8 @@ from aomgen.splatting.rasterizer import RigidParts, contribution_weights, render
 
 FloatImage = NDArray[np.float32]
 
-# Margin around the robot's masks, and rim of the part that is left out, pixels of the crop.
-_ROBOT_MARGIN_PX, _RIM_PX = 3, 2
+# Rim of the part that is left out, pixels of the crop.
+_RIM_PX = 2
 # Rounds of back-projected residuals; each takes most of what is left.
 _PAINT_ROUNDS = 10
 # A Gaussian whose weights sum to less than this share of a pixel is not seen.
@@ -131,7 +131,7 @@ def make_part_renderer(
         camera=camera,
         frames=frames,
         luma=luma_from_srgb(np.stack(images)),
-        hidden=widen(masks, _ROBOT_MARGIN_PX)[:, rows, columns],
+        hidden=widen(masks)[:, rows, columns],
         scene=scene.select(near).with_sh_degree(0),
         parts=moves[near].astype(np.int32),
         features=np.zeros((int(near.sum()), 3), np.float32),

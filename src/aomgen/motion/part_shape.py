@@ -1,8 +1,8 @@
 """What the parts' shape says: where the joint may be, and whether its motion opened or closed the object.
 
-Of the joint it is a weak belief, never a decision. Joints run along edges of things: a hinge lies along one side of the part it carries, somewhere in its
-thickness; a drawer runs along an edge. Which side, and whether the rule holds at all, the hand's path
-decides: every possibility is offered with its odds.
+Of the joint it is a weak belief, never a decision. Joints run along edges of things: a hinge lies along one side of
+the part it carries, somewhere in its thickness; a drawer runs along an edge. Which side, and whether the rule holds
+at all, the hand's path decides: every possibility is offered with its odds.
 """
 
 from dataclasses import dataclass, replace

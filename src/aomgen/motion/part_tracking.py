@@ -18,9 +18,10 @@ from aomgen.core.joint import Joint
 from aomgen.core.motion import MotionEstimate
 from aomgen.core.parts import SOLID_OPACITY
 from aomgen.core.robust import masked_median, regress_robustly
-from aomgen.core.transforms import apply, invert
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array
 from aomgen.io.images import resize
+from aomgen.motion.contact import find_between_pads
 from aomgen.motion.inputs import MotionInput
 from aomgen.motion.keyframes import widen
 from aomgen.motion.part_renderer import sample_resting
@@ -63,26 +64,10 @@ def compute_log_likelihood_ratio(demo: MotionInput, motion: MotionEstimate) -> A
     """
     with robot_masks(demo.robot, demo.camera, demo.log) as masks_at:
         log_ratio = track_log_likelihood_ratio(demo, motion.joint, motion.thetas, motion.start_s, masks_at)
-    log_ratio[_find_held(demo, motion)] += _HELD_LOG_ODDS
+    points = demo.scene.means.astype(np.float64)
+    log_ratio[find_between_pads(demo, motion.start_s, points)] += _HELD_LOG_ODDS
     log_ratio[demo.labels == ROBOT] = 0.0
     return log_ratio
-
-
-def _find_held(demo: MotionInput, motion: MotionEstimate) -> NDArray[np.bool_]:
-    """Gaussians (G,) between two pads when the motion begins."""
-    if len(demo.robot.pads) != 2:
-        return np.zeros(len(demo.scene), bool)
-    joints, gripper = demo.log.at([motion.start_s])
-    bodies = demo.robot.link_poses(joints, gripper)[0]
-    first, second = (bodies[pad.body] @ pad.T_body_pad for pad in demo.robot.pads)
-    between = np.ones(len(demo.scene), bool)
-    for T_world_pad, other, pad in zip((first, second), (second, first), demo.robot.pads, strict=True):
-        local = apply(invert(T_world_pad), demo.scene.means.astype(np.float64))
-        gap = float(apply(invert(T_world_pad), other[:3, 3])[2])
-        # Along the line to the other pad, and over this one's face.
-        share = local[:, 2] / gap if abs(gap) > 1e-6 else np.full(len(local), -1.0)
-        between &= (share > 0) & (share < 1) & (np.abs(local[:, :2]) < pad.half_extents[:2]).all(1)
-    return between
 
 
 def track_log_likelihood_ratio(

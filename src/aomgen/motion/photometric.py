@@ -73,11 +73,12 @@ DEFAULTS = PhotometricParams()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotometricFrames:
-    """The video around the painted part: frames that answers are fitted to, and that judge them."""
+    """The video around the painted part: frames that answers are fitted to, and that judge them, in bands of detail."""
 
     renderer: PartRenderer
     fitted: NDArray[np.intp]
     held_out: NDArray[np.intp]
+    bands: tuple[Band, ...]
 
 
 def select_frames(
@@ -89,7 +90,7 @@ def select_frames(
         return None
     moments = resting, np.concatenate([fitted, held_out]), float(prior.thetas.max())
     renderer = make_part_renderer(demo, masks_at, prior.joint, moments, params.max_pixels)
-    return PhotometricFrames(renderer=renderer, fitted=fitted, held_out=held_out)
+    return PhotometricFrames(renderer=renderer, fitted=fitted, held_out=held_out, bands=params.bands)
 
 
 def choose_frames(
@@ -115,9 +116,7 @@ def choose_frames(
     return chosen[1::2], chosen[::2], resting
 
 
-def refine(
-    seen: PhotometricFrames | None, prior: KinematicPrior, params: PhotometricParams = DEFAULTS
-) -> KinematicPrior | None:
+def refine(seen: PhotometricFrames | None, prior: KinematicPrior) -> KinematicPrior | None:
     """Joint and joint values by the video, starting from the prior; None where held-out frames do not confirm them.
 
     Source: AOMGen, sec. 4.2, "Movable Part Motion Recovery"; the refinement is ours. Not checked: camera
@@ -126,17 +125,13 @@ def refine(
     if seen is None:
         return None
     problem = _Problem.of(prior, seen.fitted)
-    answer = problem.answer(*_solve(problem, seen.renderer, params.bands))
+    answer = problem.answer(*_solve(problem, seen.renderer, seen.bands))
     motions = (prior.joint, prior.thetas), (answer.joint, answer.thetas)
-    compared = compare_frames(seen.renderer, seen.held_out, motions, params.bands[-1])
+    compared = compare_frames(seen, motions)
     return answer if _confirms(compared) else None
 
 
-def compute_type_margin(
-    seen: PhotometricFrames | None,
-    answers: tuple[JointMotion, JointMotion],
-    params: PhotometricParams = DEFAULTS,
-) -> float:
+def compute_type_margin(seen: PhotometricFrames | None, answers: tuple[JointMotion, JointMotion]) -> float:
     """Twice the log evidence of the video for one answer over another; 0 where it cannot tell.
 
     Frames that no answer was fitted to are compared square by square of the part's painted surface.
@@ -144,13 +139,12 @@ def compute_type_margin(
     Args:
         seen: The video as read for the first answer's type.
         answers: The first and the second one, each refined on the video.
-        params: See there.
 
     Not checked: that the residuals of different frames are independent of each other.
     """
     if seen is None:
         return 0.0
-    compared = compare_frames(seen.renderer, seen.held_out, (answers[1], answers[0]), params.bands[-1])
+    compared = compare_frames(seen, (answers[1], answers[0]))
     return compared.margin if _explains(compared, int(compared.margin > 0)) else 0.0
 
 
@@ -174,14 +168,13 @@ class Comparison:
         return OUTLIER_SD**2 * float(self.squares @ self.gains)
 
 
-def compare_frames(
-    renderer: PartRenderer, frames: NDArray[np.intp], answers: tuple[JointMotion, JointMotion], band: Band
-) -> Comparison:
-    """Compare two answers at frames (N,); those that show too little of the part are left out."""
+def compare_frames(seen: PhotometricFrames, answers: tuple[JointMotion, JointMotion]) -> Comparison:
+    """Compare two answers at the frames held out; those that show too little of the part do not count."""
     gains, explained, squares = [], [], []
-    for frame in frames:
-        picture, hidden = renderer.at(frame)
-        views = [renderer.draw(joint, float(thetas[frame])) for joint, thetas in answers]
+    band = seen.bands[-1]
+    for frame in seen.held_out:
+        picture, hidden = seen.renderer.at(frame)
+        views = [seen.renderer.draw(joint, float(thetas[frame])) for joint, thetas in answers]
         mask = find_interior(views[0], hidden) & find_interior(views[1], hidden)
         if mask.sum() < band.shading_px:
             continue

@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
 from scipy.signal import savgol_filter
 
 from aomgen.core.asset import ArticulatedAsset, AssetLink
-from aomgen.core.boxes import MIN_POINTS, QUANTILES, find_upright_axes
+from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.demonstration import Demonstration, RecordedObject
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
@@ -63,8 +62,8 @@ class RecordedContact:
         shares: Time share 0..1 of each point.
         thetas: Recovered joint value, first 0, never falling, [rad] or [m].
         front: The recorded object's front.
-        held_share: Held point in the normalised cube of the moving part.
-        size: Extent of the moving part along right, inward, up, [m].
+        held_share: Held point in the normalised cube of the moving part, along right, inward, up.
+        size: Extent of the moving part along these, [m].
         support_z: Height of the support, [m].
     """
 
@@ -91,14 +90,15 @@ def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedC
     whole = np.concatenate([recorded.moving_points_world, recorded.static_points_world])
     front = frontal(demo.joint, path[0], whole)
     times = demo.times_s[frames]
-    aligned = recorded.moving_points_world @ front.R_world_front
+    low, high = np.quantile(recorded.moving_points_world @ front.R_world_front, QUANTILES, axis=0)
+    size = high - low
     return RecordedContact(
         path_world=path,
         shares=(times - times[0]) / max(times[-1] - times[0], 1e-9),
         thetas=smooth_rise(demo.thetas[frames]),
         front=front,
-        held_share=normalised_share(recorded.moving_points_world, path[0], front.R_world_front),
-        size=np.ptp(np.percentile(aligned, [1, 99], axis=0), axis=0),
+        held_share=(path[0] @ front.R_world_front - low) / np.maximum(size, 1e-6),
+        size=size,
         support_z=recorded.support.height,
     )
 
@@ -113,7 +113,7 @@ def smooth_rise(thetas: Array) -> Array:
     return rising - rising[0]
 
 
-def opening_direction(joint: Joint, held_point: ArrayLike) -> Array:
+def opening_direction(joint: Joint, held_point: Array) -> Array:
     """Unit direction (3,) in which the held point starts to move, in the joint's frame.
 
     Raises:
@@ -121,14 +121,14 @@ def opening_direction(joint: Joint, held_point: ArrayLike) -> Array:
     """
     if joint.type == "prismatic":
         return joint.axis
-    direction = np.cross(joint.axis, np.asarray(held_point, np.float64) - joint.origin)
+    direction = np.cross(joint.axis, held_point - joint.origin)
     length = float(np.linalg.norm(direction))
     if not length > 1e-6:
         raise EstimationError("joint", "the held point lies on the axis", "check the contact and the joint")
     return np.asarray(direction / length, np.float64)
 
 
-def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
+def frontal(joint: Joint, held: Array, points: Array) -> Frontal:
     """Find the front of an object from the way it opens, refined by the box of its points (N, 3).
 
     A part on an upright hinge starts to move out of its front; a handle stands off its door, so
@@ -140,7 +140,6 @@ def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
     Raises:
         EstimationError: The part neither opens forward or sideways nor swings up about a side.
     """
-    held, points = np.asarray(held_point, np.float64), np.asarray(points, np.float64)
     outward = opening_direction(joint, held)
     if np.linalg.norm(outward[:2]) < MIN_LEVEL:
         if joint.type == "prismatic":
@@ -155,22 +154,20 @@ def frontal(joint: Joint, held_point: ArrayLike, points: ArrayLike) -> Frontal:
         front = _nearest_box_side(front, points)
     inward = -front
     right = np.asarray(np.cross(inward, UP), np.float64)
-    R = np.stack([right, inward, UP], 1).astype(np.float64)
-    return Frontal(R_world_front=R, opens_left=opens_left(joint, held, right))
+    return Frontal(R_world_front=np.stack([right, inward, UP], 1), opens_left=opens_left(joint, held, right))
 
 
-def opens_left(joint: Joint, held_point: ArrayLike, right: ArrayLike) -> bool:
+def opens_left(joint: Joint, held_point: Array, right: Array) -> bool:
     """Whether a part seen from the front swings about its left side, or slides to the left; `right` is unit (3,).
 
     What a mirror leaves as it is (a drawer, a lid, a flap) counts as not.
     """
-    right = np.asarray(right, np.float64)
     if joint.type == "prismatic":
         return bool(joint.axis @ right < -MIN_LEVEL)
-    return _upright(joint) and bool((joint.origin - np.asarray(held_point, np.float64)) @ right < 0)
+    return _upright(joint) and bool((joint.origin - held_point) @ right < 0)
 
 
-def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
+def held_point_of(asset: ArticulatedAsset, recorded_share: Array) -> Array:
     """Point of an asset's moving part (3,), asset frame, part closed, that answers to the recorded held point.
 
     That lies at a share 0..1 (3,) of the recorded part's cube along right, inward, up. The height along the bar of
@@ -179,21 +176,10 @@ def held_point_of(asset: ArticulatedAsset, recorded_share: ArrayLike) -> Array:
     Not checked: an asset whose handle is not a straight bar is held at `handle_point`.
     """
     low, high = asset.moving.bounds
-    mapped = low + np.clip(np.asarray(recorded_share, np.float64), 0, 1) * (high - low)
+    mapped = low + np.clip(recorded_share, 0, 1) * (high - low)
     reach = bar_reach(asset)
     along = float(np.clip((mapped - asset.handle_point) @ asset.handle_axis, -reach, reach))
     return asset.handle_point + along * asset.handle_axis
-
-
-def normalised_share(points: ArrayLike, point: ArrayLike, R_world_front: ArrayLike) -> Array:
-    """Place of a point in the cube of a part (3,), 0..1, along right, inward and up.
-
-    The cube lies between `QUANTILES` of the points (N, 3).
-    """
-    R = np.asarray(R_world_front, np.float64)
-    aligned = np.asarray(points, np.float64) @ R
-    low, high = np.quantile(aligned, QUANTILES, axis=0)
-    return (np.asarray(point, np.float64) @ R - low) / np.maximum(high - low, 1e-6)
 
 
 def bar_reach(asset: ArticulatedAsset) -> float:
@@ -245,18 +231,14 @@ def _upright(joint: Joint) -> bool:
 
 def _standing_out(way: Array, held: Array, points: Array) -> Array:
     """Of the directions along and across a level way (3,), the one in which `held` is outermost."""
-    if len(points) < MIN_POINTS:
-        return way
     across = np.cross(way, UP)
     sides = [way, across, -across, -way]
     beyond = [float(held @ side - np.percentile(points @ side, 98)) for side in sides]
-    return np.asarray(sides[int(np.argmax(beyond))], np.float64)
+    return sides[int(np.argmax(beyond))]
 
 
 def _nearest_box_side(level: Array, points: Array) -> Array:
     """Normal (3,) of the smallest upright box's side nearest to `level`; `level` when none is near."""
-    if len(points) < MIN_POINTS:
-        return level
     axis, normal = find_upright_axes(points)[:2, :2].T
     sides = [s * d for d in (axis, normal) for s in (-1.0, 1.0)]
     side = np.append(max(sides, key=lambda d: float(d @ level[:2])), 0.0)

@@ -68,19 +68,23 @@ def fit_asset(
         return Rejection(reason="joint_type", detail=f"asset is {asset.joint.type}, recorded {recorded_type}")
     if mode == "trajectory":
         return _keep_size(asset, contact, params)
-    turned = opens_left(asset.joint, asset.handle_point, [1.0, 0.0, 0.0]) != contact.front.opens_left
+    turned = (
+        opens_left(asset.joint, asset.handle_point, np.array([1.0, 0.0, 0.0])) != contact.front.opens_left
+    )
     if turned and not params.allow_mirror:
         return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
     return _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
 
 
 def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:
-    """Mode "trajectory": true size, held point where the recorded one was (seen from above).
+    """Mode "trajectory": true size, upright on the support, held point where the recorded one was (seen from above).
 
     The hinge may be on the other side: the path is made anew along the asset's own joint.
     """
     held = held_point_of(asset, contact.held_share)
-    T = _placed(contact.front.yaw, held, contact.path_world[0], contact.support_z)
+    R = matrix_from_rotvec(np.array([0.0, 0.0, contact.front.yaw]))
+    offset = contact.path_world[0] - R @ held
+    T = transform(R, np.array([offset[0], offset[1], contact.support_z]))
     target = min(float(contact.thetas[-1]), LIMIT_SHARE * asset.joint.upper)
     thetas = contact.thetas * (target / max(float(contact.thetas[-1]), 1e-9))
     path = apply(T @ asset.joint.motion(thetas), held[None])
@@ -252,13 +256,6 @@ def _slide_weighted(joint: Joint, point: Array, moved: Array, path: Array, noise
     lift_sd = noise.along(joint.axis, noise.params.noise_m)
     slide_sd = noise.along(along, SLIDE_SD_M)
     return np.stack([lift / lift_sd, (radius[0] - radius[1]) / slide_sd], 1)
-
-
-def _placed(yaw: float, held_asset: Array, held_world: Array, support_z: float) -> Array:
-    """T_world_asset (4, 4) upright on the support with the held point below or above the recorded one."""
-    R = matrix_from_rotvec(np.array([0.0, 0.0, yaw]))
-    offset = held_world - R @ held_asset
-    return transform(R, np.array([offset[0], offset[1], support_z]))
 
 
 def _rms_mm(differences: Array) -> float:

@@ -23,7 +23,7 @@ from aomgen.twin.twin import Twin, posed
 
 # Remains of the object are looked for this far around it, [m].
 HALO: Final = 0.025
-# The surface is made new this far beyond the object's footprint, [m].
+# The surface is made new this far beyond the object's footprint, and reaches as far again under the old one, [m].
 MARGIN: Final = 0.03
 # Texture and shadow are judged on a ring this wide, [m].
 RING: Final = 0.28
@@ -31,8 +31,6 @@ RING: Final = 0.28
 CELL: Final = 0.004
 # New surface lies this far below the old one, so that the old covers it where it is sound, [m].
 BELOW: Final = 0.0015
-# It reaches this far under the old one, [m].
-OVERLAP: Final = 0.03
 # Cells of the image from above that are covered this much are known.
 MIN_ALPHA: Final = 0.6
 # Difference of chromaticity from most of the surface that is certainly another thing.
@@ -43,8 +41,6 @@ MAX_GAIN: Final = 2.0
 MAX_TINT: Final = 0.04
 # Patch side, [px].
 PATCH: Final = 17
-# Neighbouring patches overlap by more than half, [px].
-STEP: Final = 8
 # Random patches compared at each place; the neighbourhood of the best is searched after.
 CANDIDATES: Final = 600
 # Structure wider than this [px] is color, finer is texture.
@@ -99,7 +95,7 @@ def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cle
     texture = inpaint(np.clip(picture * gain, 0, 1), known, rng)
     # Where nothing was scanned before either, the table ends; gaps within it are closed too.
     thin = (alpha < MIN_ALPHA) & (outside <= 0.7 * RING)
-    where = (outside <= 0) | (((outside <= MARGIN + OVERLAP) | thin) & _hull(extent > 0.5))
+    where = (outside <= 0) | (((outside <= 2 * MARGIN) | thin) & _hull(extent > 0.5))
     fill = _surface(texture, xy, where, support, lightened.select(table))
     cleared = replace(remaining, gaussians=lightened).extended(fill, 0, BACKGROUND)
     return Cleared(cleared, support, removed=int(leftover.sum() + rest.sum()), filled=len(fill))
@@ -277,8 +273,9 @@ def _quilted(detail: Array, known: NDArray[np.bool_], rng: np.random.Generator) 
         return result
     windows = np.asarray(sliding_window_view(detail, (PATCH, PATCH, 3)))[:, :, 0]
     inner = np.asarray(distance_transform_edt(~known))
+    # Neighbouring patches overlap by more than half.
     grid = np.argwhere(~known)
-    grid = grid[(grid % STEP == 0).all(1)]
+    grid = grid[(grid % half == 0).all(1)]
     grid = grid[np.argsort(inner[tuple(grid.T)], kind="stable")]
     ramp = 1 - np.abs(np.arange(PATCH) - half) / (half + 1)
     feather = np.minimum.outer(ramp, ramp)

@@ -1,5 +1,6 @@
 """The scene without its object, its light, and every asset fitted to the motion. [paper 4.3]"""
 
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -11,32 +12,34 @@ from scipy.ndimage import binary_closing
 from aomgen.assets.choice import open_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.conventions import MOVING, STATIC
-from aomgen.core.camera import Camera
+from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.episode import NEW_CAMERA
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light
 from aomgen.core.motion import Direction
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import angle_between, apply
 from aomgen.core.values import Array
-from aomgen.errors import EstimationError
+from aomgen.errors import EstimationError, ReconstructionError
 from aomgen.io.artifact import save_artifact
-from aomgen.replacement.correspondence import recorded_contact
+from aomgen.replacement.correspondence import UP, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.light_estimation import estimate_light
 from aomgen.replacement.removal import Cleared, clear_object
-from aomgen.replacement.viewpoint import choose_viewpoint
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.support import seen_from_above
-from aomgen.twin.twin import Twin, TwinState
+from aomgen.twin.twin import Twin, TwinState, posed
 
 # Surfels of an asset, half on each link: one every 7 mm on a surface of 1.5 m2.
 SURFELS = 30_000
-# How far around the object the table is looked for, [m].
+# How far around the object the table is looked for, and free table grows, [m].
 TABLE_REACH_M = 1.0
 # Cell of the image in which the table is found, and of the grid on which free table grows, [m]: finer than its
 # outline has to be known.
@@ -46,6 +49,15 @@ SURFACE_ALPHA = 0.15
 # Holes of this many cells between Gaussians are closed, and a strip of cells counts as free table when no run of
 # hidden ones in it is longer.
 GAP_CELLS = 3
+# Size of the images in which visibility is judged, [px].
+LOOK_PX = (160, 120)
+# A point is seen when nothing lies nearer than this before it, [m].
+CLEARANCE_M = 0.06
+# The second camera is turned towards the action by at most this angle [rad], and this share of the key
+# points must lie in the image; if no camera can, the second pair holds.
+DEMANDS = ((0.35, 0.9), (0.9, 0.6))
+# Share of the image's width that the action should span, in its view.
+WANTED_SPAN = 0.6
 # Folder of the twin without its object.
 BACKGROUND_FOLDER = "background"
 
@@ -117,24 +129,91 @@ def require_opening(direction: Direction) -> None:
 
 def episode_cameras(results: Results) -> dict[str, Camera]:
     """The demonstration's camera and a new viewpoint, at the size of the episodes' images."""
-    demo, T_world_object = results.demonstration, results.twin.T_world_object
+    demo = results.demonstration
     first = results.fixed_camera.camera.resized(*results.project.image_size)
     frames = np.linspace(0, len(demo.times_s) - 1, 4).astype(int)
     held = apply(demo.Ts_world_ee[demo.contact_frames[0]], demo.grasp_ee)
-    states = [
-        TwinState(
-            joints=demo.joints[t],
-            gripper=float(demo.gripper[t]),
-            theta=float(demo.thetas[t]),
-            T_world_object=T_world_object,
-        )
-        for t in frames
-    ]
+    states = results.states_at(demo.times_s[frames], results.twin.T_world_object)
     key_points = [
         np.stack([demo.Ts_world_ee[t][:3, 3], apply(demo.joint.motion(demo.thetas[t]), held)]) for t in frames
     ]
     side = choose_viewpoint(results.scan_cameras, first, results.twin, results.robot, states, key_points)
     return {results.demo_camera: first, NEW_CAMERA: side}
+
+
+def choose_viewpoint(
+    scan_cameras: Mapping[str, Camera],
+    first: Camera,
+    twin: Twin,
+    robot: RobotModel,
+    states: Sequence[TwinState],
+    key_points: Sequence[Array],
+) -> Camera:
+    """Find a camera that sees gripper and object from another side than the first one, whose optics it keeps.
+
+    Args:
+        scan_cameras: Registered scan cameras, world frame, by image name.
+        states: A few states along the demonstration.
+        key_points: What must be seen in each state, for example gripper and handle, (P, 3) each.
+
+    Raises:
+        ReconstructionError: There is no scan camera, or none sees the action.
+    """
+    if not scan_cameras:
+        raise ReconstructionError("viewpoint", "no scan camera is registered", "scan the scene again")
+    every = np.concatenate(list(key_points))
+    scenes = [posed(twin, robot, state) for state in states]
+    of_object = np.isin(twin.labels, (STATIC, MOVING))
+    framed = np.concatenate([every, *(_corners(scene.means[of_object]) for scene in scenes)])
+    target = framed.mean(0)
+    for max_turn, share in DEMANDS:
+        best, best_score = None, -np.inf
+        for name in sorted(scan_cameras):
+            camera = first.moved(look_at(scan_cameras[name].center, target))
+            if not camera.T_world_cam[:3, 2] @ scan_cameras[name].T_world_cam[:3, 2] > np.cos(max_turn):
+                continue
+            score = _framing_score(camera, first, framed, share)
+            # Seeing everything adds 1; only those are drawn that can still win.
+            if score + 1.0 > best_score:
+                score += _visible_share(camera.resized(*LOOK_PX), scenes, key_points)
+                if score > best_score:
+                    best, best_score = camera, score
+        if best is not None:
+            return best
+    raise ReconstructionError(
+        "viewpoint", "no scan camera sees the action", "name a camera in the project file"
+    )
+
+
+def _corners(points: ArrayLike) -> Array:
+    """Corners (8, 3) of the box around points (N, 3), outliers left out."""
+    low, high = np.quantile(np.asarray(points, np.float64), (0.02, 0.98), axis=0)
+    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 0, low, high)
+
+
+def _framing_score(camera: Camera, first: Camera, points: Array, share: float) -> float:
+    """Score by distance from the first camera's direction and by framing; -inf when it misses the points."""
+    small = camera.resized(*LOOK_PX)
+    pixels, depths = small.project(points)
+    size = np.array(LOOK_PX)
+    inside = (depths > 0.3) & ((pixels > 0.06 * size) & (pixels < 0.94 * size)).all(1)
+    if not inside.mean() >= share:
+        return -np.inf
+    span = float(np.ptp(pixels[:, 0])) / LOOK_PX[0]
+    # Seen from above.
+    angle = angle_between(*((1 - UP) * (eye.center - points.mean(0)) for eye in (camera, first)))
+    return float(min(angle / (np.pi / 2), 1.0) * 0.6 - abs(np.log(max(span, 0.01) / WANTED_SPAN)) * 0.4)
+
+
+def _visible_share(camera: Camera, scenes: list[Gaussians], key_points: Sequence[Array]) -> float:
+    """Share of the key points that nothing hides."""
+    shares = []
+    for scene, points in zip(scenes, key_points, strict=True):
+        pixels, depths = camera.project(points)
+        u, v = np.clip(pixels, 0, np.array(LOOK_PX) - 1).astype(int).T
+        nearest = render(scene, camera).depth[v, u]
+        shares.append(((nearest <= 0) | (depths < nearest + CLEARANCE_M)).mean())
+    return float(np.mean(shares))
 
 
 def asset_twin(background: Twin, fitted: FittedAsset, light: Light, seed: int) -> Twin:
@@ -166,9 +245,7 @@ def support_plane(cleared: Cleared) -> SupportPlane:
     return SupportPlane(height=float(support.T_world_plane[2, 3]), low_xy=free_low, high_xy=free_high)
 
 
-def free_rectangle(
-    surface_xy: ArrayLike, low: ArrayLike, high: ArrayLike, reach_m: float = TABLE_REACH_M
-) -> tuple[Array, Array]:
+def free_rectangle(surface_xy: ArrayLike, low: ArrayLike, high: ArrayLike) -> tuple[Array, Array]:
     """Grow a rectangle over the surface around an object, until it meets an edge or another object.
 
     What stands on the surface hides it, so its cells are empty and stop the growth: the rectangle
@@ -177,12 +254,11 @@ def free_rectangle(
     Args:
         surface_xy: Points of the surface (N, 2), seen from above, [m].
         low, high: Corners (2,) of the object's own footprint, taken as free.
-        reach_m: Farthest growth on each side, [m].
     """
     xy = np.asarray(surface_xy, np.float64)
     low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
-    origin = low - reach_m
-    shape = np.ceil((high + reach_m - origin) / FREE_CELL_M).astype(int)
+    origin = low - TABLE_REACH_M
+    shape = np.ceil((high + TABLE_REACH_M - origin) / FREE_CELL_M).astype(int)
     cells = np.floor((xy - origin) / FREE_CELL_M).astype(int)
     inside = np.all((cells >= 0) & (cells < shape), axis=1)
     free = np.zeros(shape, bool)

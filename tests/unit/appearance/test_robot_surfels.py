@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from aomgen.appearance.refine import refine_twin
-from aomgen.appearance.robot_shading import fit_robot_colors
+from aomgen.appearance.robot_shading import RobotDiscs, fit_robot_colors
 from aomgen.appearance.robot_surfels import replace_robot_gaussians
 from aomgen.appearance.surfel_observations import PosedImages, SurfelObservations, match_exposure
 from aomgen.conventions import MOVING, ROBOT
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.gaussians import SH_C0
+from aomgen.core.gaussians import SH_C0, gaussians_of
 from aomgen.core.light import Light, open_transfer, shaded_srgb
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.io.artifact import load_artifact, save_artifact
@@ -181,7 +181,15 @@ def test_light_is_told_from_paint_by_turning(toy_scene):
     albedo = np.array([0.2, 0.3, 0.4])
     observations, normals = observe_a_ball(toy_scene.light, albedo, 12)
     ones = np.ones(400, np.int32)
-    colors = fit_robot_colors(observations, ones, 0 * ones, normals, 0.1 * normals)
+    gaussians = gaussians_of(
+        means=0.1 * normals,
+        quats=np.tile([1.0, 0, 0, 0], (400, 1)),
+        scales=np.full((400, 3), 0.005),
+        opacities=np.ones(400),
+        sh=np.zeros((400, 1, 3)),
+    )
+    discs = RobotDiscs(gaussians=gaussians, normals=normals, bodies=ones, materials=0 * ones)
+    colors = fit_robot_colors(observations, discs)
     # Orientations between those seen, without their memories.
     R = matrix_from_rotvec(np.array([0, 0, 0.4]))
     want = shaded_srgb(np.tile(albedo, (400, 1)), open_transfer(normals), toy_scene.light.seen_from(R))

@@ -1,5 +1,7 @@
 """Contact patches of the real gripper on hand-made parts, and the stage's file."""
 
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +13,11 @@ from aomgen.core.recording import JointLog
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, rotvec_from_matrix, transform
 from aomgen.errors import InputError
 from aomgen.io.artifact import load_artifact, save_artifact
-from aomgen.motion.contact import Contacts, carry_part, find_contacts
+from aomgen.motion.contact import Contacts, carry_part, find_between_pads, find_contacts
+from aomgen.motion.inputs import MotionInput
 from aomgen.robots import gripper_surface
 from aomgen.robots.robot import RobotModel
+from filmed_panel import world
 
 JOINTS = np.array([3.9, -1.8, 2.2, -0.4, 2.0, 0.0])
 # Of a world in which no bar's side is across the pads' closing.
@@ -27,6 +31,16 @@ def still_log(robot: RobotModel, gripper: float) -> JointLog:
     )  # fmt: skip
 
 
+def hand(robot: RobotModel, log: JointLog) -> MotionInput:
+    """A demonstration of which only the hand matters."""
+    return replace(_filmed(), robot=robot, log=log)
+
+
+@cache
+def _filmed() -> MotionInput:
+    return world().demo
+
+
 def bar(length_m: float, radius_m: float, along_m: float, lean: float = 0.0) -> np.ndarray:
     """Points of a bar across the fingers, `along_m` beyond the pinch point, end-effector frame."""
     rng = np.random.default_rng(0)
@@ -38,7 +52,8 @@ def bar(length_m: float, radius_m: float, along_m: float, lean: float = 0.0) -> 
 def find(robot: RobotModel, log: JointLog, points: np.ndarray, axes: np.ndarray = AXES) -> Contacts:
     """Contacts of a hand that carries the part from 0.5 s on."""
     times = 0.5 + np.linspace(0, 0.3, 4)
-    return find_contacts(robot, log, (points, axes), times, carry_part(robot, log, 0.5, times))
+    demo = hand(robot, log)
+    return find_contacts(demo, (points, axes), times, carry_part(demo, 0.5, times))
 
 
 def middle_ee(robot: RobotModel, contacts: Contacts) -> np.ndarray:
@@ -114,7 +129,7 @@ def test_what_the_scan_did_not_see_is_held_all_over_the_pads(robot: RobotModel) 
     part = np.random.default_rng(0).uniform([0.08, 0.05, -0.1], [0.3, 0.06, -0.05], (500, 3))
     away = transform(np.eye(3), T_world_ee[:3, :3] @ [-0.01, 0, 0])
     path = np.array([0.5, 0.6]), np.stack([np.eye(4), away])
-    contacts = find_contacts(robot, log, (apply(T_world_ee, part), AXES), *path)
+    contacts = find_contacts(hand(robot, log), (apply(T_world_ee, part), AXES), *path)
     assert {patch.finger for patch in contacts.patches} == {"left", "right"}
     assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.01)
     assert min(patch.spread_m for patch in contacts.patches) > 0.008
@@ -185,6 +200,18 @@ def test_a_lid_held_by_its_rim_is_touched_by_a_tip_and_at_the_rim(robot: RobotMo
     assert np.mean([touch[0] for touch in touches.values()]) == pytest.approx(0, abs=0.003)
 
 
+def test_only_what_a_gripper_holds_lies_between_its_pads(robot: RobotModel) -> None:
+    """A bar to the pads' width, and not the wall behind it; nothing where the hand is closed upon itself."""
+    T_world_ee = robot.ee_poses(JOINTS[None])[0]
+    held, wall = bar(0.1, 0.006, 0.0), bar(0.1, 0.006, 0.06)
+    points = apply(T_world_ee, np.concatenate([held, wall]))
+    between = find_between_pads(hand(robot, still_log(robot, 0.857)), 0.5, points)
+    assert between[:6000][np.abs(held[:, 0]) < 0.008].all()
+    assert not between[:6000][np.abs(held[:, 0]) > 0.025].any()
+    assert not between[6000:].any()
+    assert not find_between_pads(hand(robot, still_log(robot, 1.0)), 0.5, points).any()
+
+
 def test_strays_behind_the_bar_draw_nothing(robot: RobotModel) -> None:
     T_world_ee = robot.ee_poses(JOINTS[None])[0]
     log = still_log(robot, 0.857)
@@ -204,7 +231,7 @@ def test_the_part_is_sought_where_it_is_and_not_where_it_was(robot: RobotModel) 
     gone = transform(np.eye(3), T_world_ee[:3, :3] @ [0, 0, -0.015])
     scanned = apply(invert(gone), apply(T_world_ee, bar(0.1, 0.006, 0.0)))
     path = np.array([0.5, 0.6]), np.stack([gone, gone])
-    contacts = find_contacts(robot, log, (scanned, AXES), *path)
+    contacts = find_contacts(hand(robot, log), (scanned, AXES), *path)
     assert middle_ee(robot, contacts) == pytest.approx([0, 0, 0], abs=0.006)
     held = find(robot, log, scanned)
     assert middle_ee(robot, held)[2] > 0.01
