@@ -110,7 +110,7 @@ def refine_appearance(
     rng = np.random.default_rng(0)
     progress(0.1, "the robot's surface")
     with_surfels = replace_robot_gaussians(twin, robot, views, rng)
-    progress(0.3, "the lamp that throws its shadow")
+    progress(0.3, "direction of the light")
     lamp = _lamp(with_surfels, robot, views[-1])
     lit = with_surfels if lamp is None else remove_baked_shadow(with_surfels, robot, lamp)
     progress(0.4, "pictures in every configuration")

@@ -213,7 +213,7 @@ def find_moving_parts(scan: PromptedScan, motion_evidence: MotionEvidence, progr
             evidence, log_odds = prompted, None
             break
         evidence, log_odds = new_evidence, shown
-        progress(0.3 + 0.6 * (round_ + 1) / MAX_ROUNDS, f"demonstration looked at, round {round_ + 1}")
+        progress(0.3 + 0.6 * (round_ + 1) / MAX_ROUNDS, f"motion in the video, round {round_ + 1}")
         if iou(before, moves) >= SETTLED_IOU:
             break
     return find_parts(*cut_scan(scan, evidence, log_odds))
