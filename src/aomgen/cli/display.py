@@ -1,6 +1,7 @@
 """Stages, progress and remaining time: bars on a terminal, plain lines when there is none."""
 
 import threading
+from abc import ABC, abstractmethod
 from typing import Any, Self
 
 from rich.console import Console
@@ -16,7 +17,7 @@ EVERY_S = 12.0
 COLORS = {"good": "green", "poor": "yellow", "": ""}
 
 
-class _StageLines:
+class _StageLines(ABC):
     """A line for each stage that is kept or finished, and the remaining time of the run.
 
     That follows from the stages' weights and the seconds of those that are finished. The running stage says
@@ -54,14 +55,14 @@ class _StageLines:
         left = pace * max(0.0, self._left - share * self._weight)
         return f"about {left / 60:.0f} min left" if left >= 90 else f"about {left:.0f} s left"
 
-    def _say(self, line: Text) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _say(self, line: Text) -> None: ...
 
-    def _show(self, stage: Stage) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _show(self, stage: Stage) -> None: ...
 
-    def _hide(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _hide(self) -> None: ...
 
 
 class TerminalDisplay(_StageLines):

@@ -6,6 +6,7 @@ the whole value, `_` for any length.
 
 import types
 from dataclasses import fields
+from functools import cache
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import numpy as np
@@ -36,27 +37,38 @@ def freeze_arrays(value: Any) -> None:
         ValueError: A shape differs; a programming error, so not an `AomgenError`.
     """
     lengths: dict[str, int] = {}
-    for field in fields(value):
-        held = getattr(value, field.name)
+    for name, dtype, wanted in _declared(type(value)):
+        held = getattr(value, name)
+        if held is None:
+            continue
+        shape = (len(held),)
+        if dtype is not None:
+            array = _frozen(held, dtype)
+            object.__setattr__(value, name, array)
+            shape = array.shape
+        if not _fits(shape, wanted, lengths):
+            raise ValueError(f"{type(value).__name__}.{name} has shape {shape}, want ({' '.join(wanted)})")
+
+
+@cache
+def _declared(kind: type) -> list[tuple[str, Any, list[str]]]:
+    """Name, element type (None: no array) and shape of every field that declares one."""
+    found: list[tuple[str, Any, list[str]]] = []
+    for field in fields(kind):
         optional = get_origin(field.type) in (Union, types.UnionType)
-        kinds = get_args(field.type) if optional else (field.type,)
-        for kind in kinds:
-            if get_origin(kind) is not Annotated or held is None:
-                continue
-            shape, wanted = (len(held),), kind.__metadata__[0]
-            if get_origin(kind.__origin__) is np.ndarray:
-                array = _frozen(held, kind.__origin__)
-                object.__setattr__(value, field.name, array)
-                shape = array.shape
-            if not _fits(shape, wanted.split(), lengths):
-                raise ValueError(f"{type(value).__name__}.{field.name} has shape {shape}, want ({wanted})")
+        for option in get_args(field.type) if optional else (field.type,):
+            if get_origin(option) is Annotated:
+                # NDArray[np.uint8] is ndarray[shape, dtype[np.uint8]].
+                is_array = get_origin(option.__origin__) is np.ndarray
+                dtype = get_args(get_args(option.__origin__)[1])[0] if is_array else None
+                found.append((field.name, dtype, option.__metadata__[0].split()))
+    return found
 
 
-def _frozen(array: Any, kind: Any) -> NDArray[Any]:
-    # NDArray[np.uint8] is ndarray[shape, dtype[np.uint8]].
-    frozen = np.asarray(array, dtype=get_args(get_args(kind)[1])[0], order="C")
+def _frozen(array: Any, dtype: Any) -> NDArray[Any]:
+    frozen = np.asarray(array, dtype=dtype, order="C")
     # What is frozen already need not be copied; anything else its owner could go on changing.
-    if frozen.flags.writeable:
+    if frozen.flags.writeable and (frozen is array or frozen.base is not None):
         frozen = frozen.copy()
     frozen.flags.writeable = False
     return frozen

@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 from aomgen.capture.label_images import read_demo_masks
 from aomgen.conventions import MOVING
 from aomgen.core.recording import Capture, DemoCamera
-from aomgen.core.robust import SD_OF_MAD, masked_median
+from aomgen.core.robust import masked_median, robust_sd
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.errors import InputError, NoMotionError
 from aomgen.io.images import resize
@@ -112,7 +112,7 @@ def score_threshold(scores: Array, smoothed: Array, variant: Variant) -> float:
     if variant == "printed":
         return base + NOISE_UNITS * float(np.std(scores))
     rough = scores - smoothed
-    return base + NOISE_UNITS * SD_OF_MAD * float(np.median(np.abs(rough - np.median(rough))))
+    return base + NOISE_UNITS * robust_sd(rough - np.median(rough))
 
 
 def scored_frames(masks: PartMasks, variant: Variant = "printed") -> Scores:
@@ -210,5 +210,5 @@ def _changed(
     shade = (picture * reference).sum(-1) / np.maximum((reference**2).sum(-1), 1.0)
     shaded = np.clip(shade, DARKEST_SHADE, 1.0)[..., None] * reference
     difference = np.abs(picture - reference).max(-1)
-    noise = SD_OF_MAD * float(np.median(difference[compared])) if compared.any() else 0.0
+    noise = robust_sd(difference[compared]) if compared.any() else 0.0
     return np.asarray(np.abs(picture - shaded).max(-1) > max(CHANGE_SD * noise, MIN_CHANGE))
