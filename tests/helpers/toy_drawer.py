@@ -6,7 +6,7 @@ from aomgen.assets.choice import make_asset
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, interpolate, matrix_from_rotvec, transform
-from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, solve_path
+from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, solve_path
 
 SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
 NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])

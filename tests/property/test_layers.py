@@ -15,7 +15,6 @@ STAGES = {
     "motion",
     "appearance",
     "replacement",
-    "generalization",
     "episodes",
     "datasets",
 }
@@ -79,7 +78,6 @@ def test_heavy_libraries_stay_out_of_the_light_path():
         "assets",
         "twin",
         "motion",
-        "generalization",
         "episodes",
         "datasets",
     ):

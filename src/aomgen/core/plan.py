@@ -134,13 +134,41 @@ class FittedAsset:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LightChange:
+    """How the light of an episode differs from the recorded one.
+
+    Attributes:
+        turn: Of where it comes from, about the vertical, [rad].
+        intensity: Factor on linear radiance.
+        temperature_k: Color temperature of what was 6500 K in the recording.
+    """
+
+    turn: float = 0.0
+    intensity: float = 1.0
+    temperature_k: float = 6500.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaterialChange:
+    """How the colors of a new object's surfaces differ from its textures: turn of the hue [rad], two factors."""
+
+    hue: float = 0.0
+    saturation: float = 1.0
+    brightness: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Variation:
-    """One new place for the object, relative to where the recorded one stood.
+    """One draw: where the object stands relative to the recorded one, and what else differs from the recording.
 
     Attributes:
         seed, index: Which number of which sequence.
         x, y: Shift along the world's axes, [m].
         yaw: Turn about the vertical through the middle of the object's footprint, [rad].
+        scale: Factor on the fitted asset's size.
+        speed: Factor on the speed of the demonstrated motion.
+        start_offset: Added to the arm joints at the start (J,), [rad] or [m]; empty for none.
+        light, material: What is seen otherwise.
     """
 
     seed: int
@@ -148,6 +176,11 @@ class Variation:
     x: float
     y: float
     yaw: float
+    scale: float = 1.0
+    speed: float = 1.0
+    start_offset: tuple[float, ...] = ()
+    light: LightChange = LightChange()
+    material: MaterialChange = MaterialChange()
 
     def placed(self, fitted: FittedAsset) -> Array:
         """Pose T_world_object (4, 4) of the asset in this variation."""

@@ -29,7 +29,7 @@ PARAMETERS = {
     "alignment": ("alignment.align", "AlignmentParams"),
     "motion": ("motion.estimate", "MotionParams"),
     "replacement": ("replacement.fitting", "FitParams"),
-    "plans": ("generalization.generate", "GenerationParams"),
+    "plans": ("episodes.generate", "GenerationParams"),
 }
 
 
@@ -66,7 +66,7 @@ def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]
 def _episodes(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Episodes of the verified plans."""
     from aomgen.episodes.stage import run
-    from aomgen.generalization.stage import load_generalization
+    from aomgen.episodes.plans_stage import load_generalization
 
     return run(
         results, folder, progress, load_generalization(results.folders["plans"], results.fitted_assets)
@@ -159,7 +159,7 @@ STAGES: tuple[Stage, ...] = (
         settings=("seed", "poses"),
         version=3,
         weight=12,
-        function=_lazily("generalization.stage"),
+        function=_lazily("episodes.plans_stage"),
         incremental=True,
         amount=("poses",),
     ),

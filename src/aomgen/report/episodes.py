@@ -8,7 +8,7 @@ import numpy as np
 from aomgen.assets.mjcf import GRAVITY
 from aomgen.core.episode import Episode
 from aomgen.core.plan import Variation
-from aomgen.generalization.ik import IkLimits
+from aomgen.episodes.ik import IkLimits
 from aomgen.io.artifact import read_json
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.video import read_frames

@@ -12,7 +12,7 @@ from aomgen.pipeline.stages import STAGES
 
 SOURCE = Path(aomgen.__file__).parent
 # Packages that are not named as their stage.
-PACKAGES = {"twin": "appearance", "plans": "generalization", "dataset": "datasets"}
+PACKAGES = {"twin": "appearance", "plans": "episodes", "dataset": "datasets"}
 # Figures that stay in the manifests alone, and why.
 NOT_SHOWN = {
     "structure": {"of": "shown with the registered images"},

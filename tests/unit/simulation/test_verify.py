@@ -11,7 +11,7 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, SettingOutcome, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.generalization.ik import IkLimits, IkPath, ik_solver, solve_path
+from aomgen.episodes.ik import IkLimits, IkPath, ik_solver, solve_path
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import (
     KinematicLimits,

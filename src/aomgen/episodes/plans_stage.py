@@ -18,8 +18,8 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Ver
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array
 from aomgen.errors import MalformedFileError
-from aomgen.generalization.episode_planning import PlanParams
-from aomgen.generalization.generate import Generated, GenerationParams, Outcome, generate_episodes
+from aomgen.episodes.planning import PlanParams
+from aomgen.episodes.generate import Generated, GenerationParams, Outcome, generate_episodes
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import remove_staging, write_json
 from aomgen.results import Results

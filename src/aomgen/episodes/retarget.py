@@ -28,7 +28,7 @@ from aomgen.core.transforms import (
     transform,
 )
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.generalization.grasps import Grasp
+from aomgen.episodes.grasps import Grasp
 
 APPROACH, CONTACT, RETREAT = range(len(PHASES))
 # How the hand moves beside the handle: as demonstrated, or straight along its approach direction.

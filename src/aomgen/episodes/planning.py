@@ -13,9 +13,9 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
-from aomgen.generalization.grasps import Grasp, grasps
-from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, solve_path
-from aomgen.generalization.retarget import CONTACT, HandMotion, Style, retarget, timing
+from aomgen.episodes.grasps import Grasp, grasps
+from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, solve_path
+from aomgen.episodes.retarget import CONTACT, HandMotion, Style, retarget, timing
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.simulation.scene import Scene
 

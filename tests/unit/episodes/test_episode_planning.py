@@ -11,8 +11,8 @@ from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.errors import NotEnoughEpisodesError
-from aomgen.generalization.episode_planning import PlanParams, plan_episode
-from aomgen.generalization.generate import (
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.generate import (
     GenerationParams,
     PoseRanges,
     generate_episodes,
@@ -20,10 +20,10 @@ from aomgen.generalization.generate import (
     variations,
     worth_trying,
 )
-from aomgen.generalization.grasps import Grasp, grasps, orientations
-from aomgen.generalization.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
-from aomgen.generalization.retarget import CONTACT, gripper_command, retarget, timing
-from aomgen.generalization.stage import generate_in, load_generalization
+from aomgen.episodes.grasps import Grasp, grasps, orientations
+from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
+from aomgen.episodes.retarget import CONTACT, gripper_command, retarget, timing
+from aomgen.episodes.plans_stage import generate_in, load_generalization
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from toy_drawer import SUPPORT, fitted_drawer, opening
