@@ -28,7 +28,7 @@ COLUMNS: Final[dict[str, str]] = {
 }
 # Newton steps a pose; the next one is a few centimetres away.
 IK_STEPS: Final = 6
-TWIN_FOLDER, EPISODES_FOLDER = "06_twin", "09_episodes"
+TWIN_FOLDER, EPISODES_FOLDER = "06_twin", "08_episodes"
 # An object that stands this much farther along the gripper's approach cannot be opened by the same actions, [m].
 AWAY_M: Final = 0.08
 # Share of the planned opening that counts as opened, as in `physics.verify.PassRule`.

@@ -6,6 +6,7 @@ from the twin.
 """
 
 import argparse
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +16,17 @@ from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane
-from aomgen.core.plan import FittedAsset
-from aomgen.core.progress import silent
+from aomgen.core.plan import EpisodePlan, FittedAsset, VerifiedEpisode
 from aomgen.core.transforms import apply, invert
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
-from aomgen.episodes.stage import episode_of
 from aomgen.episodes.planning import PlanParams
-from aomgen.episodes.generate import GenerationParams, generate_episodes
+from aomgen.episodes.stage import episode_of
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
+from aomgen.simulation.scene import build_scene
+from aomgen.simulation.verify import verify_plan
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 
 FPS = 10
@@ -66,16 +67,26 @@ def main() -> None:
     )  # fmt: skip
     endless = np.full(2, np.inf)
     table = SupportPlane(height=float(T_world_asset[2, 3]), low_xy=-endless, high_xy=endless)
-    params = GenerationParams(count=options.episodes, plan=PlanParams(fps=FPS))
-    made = generate_episodes([fitted], demo, robot, table, params, silent)
-    print(f"{len(made.episodes)} episodes verified, {len(made.rejected)} plans rejected")
+    solver, scene = ik_solver(robot), build_scene(robot, asset, T_world_asset, table)
+    made: list[VerifiedEpisode] = []
+    for tried in count(1):
+        variation = draw(seed=0, asset=0, index=tried - 1, ranges=Ranges())
+        plan = plan_episode(fitted, demo, variation, scene, solver, PlanParams(fps=FPS))
+        result = verify_plan(plan, scene) if isinstance(plan, EpisodePlan) else plan
+        if isinstance(result, VerifiedEpisode):
+            made.append(result)
+        else:
+            print(f"draw {variation.index} rejected, {result.reason}: {result.detail}")
+        if len(made) == options.episodes:
+            break
+    print(f"{len(made)} episodes verified, {tried - len(made)} draws rejected")
 
     write_usd(asset, options.folder / "asset.usda")
     camera = Camera(
         fx=60, fy=60, cx=32, cy=32, width=64, height=64, T_world_cam=look_at((1, 1, 1), (0, 0, 0))
     )
     folders = []
-    for index, verified in enumerate(made.episodes):
+    for index, verified in enumerate(made):
         usd = Path("../../asset.usda")
         episode = episode_of(verified, index, usd, robot, "open the drawer", {"front": camera}, np.zeros(6))
         grey = encode_video(np.full((len(episode), 64, 64, 3), 128, np.uint8), FPS)
@@ -87,7 +98,7 @@ def main() -> None:
     joints = slice(0, len(robot.joint_names))
     tracked_rad = np.abs(state[1:, joints] - action[:-1, joints])[rows["episode_index"].to_numpy()[1:] == 0]
     print(f"{len(state)} frames; the arm follows its targets within {np.degrees(tracked_rad.max()):.2f} deg")
-    assert len(made.episodes) == options.episodes
+    assert len(made) == options.episodes
     assert np.median(tracked_rad) < np.radians(0.5)
 
 

@@ -22,6 +22,10 @@ class AomgenError(Exception):
         self.remedy = remedy
         super().__init__(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
 
+    def __reduce__(self) -> tuple[type["AomgenError"], tuple[str, str, str]]:
+        """Errors of worker processes arrive as they were raised."""
+        return type(self), (self.where, self.problem, self.remedy)
+
 
 class ConfigError(AomgenError):
     """An option or a project setting is wrong."""

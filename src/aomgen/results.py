@@ -1,7 +1,8 @@
 """What a run has found so far: every value is read once, when somebody asks for it."""
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -45,11 +46,15 @@ class Results:
         project: The choices of this run.
         out: The run's folder.
         folders: Final folder of every stage, by stage name.
+        workers: Processes that episodes are made in.
+        ray: Address of the Ray cluster that makes them instead; empty for none.
     """
 
     project: Project
     out: Path
     folders: Mapping[str, Path]
+    workers: int = field(default_factory=lambda: len(os.sched_getaffinity(0)))
+    ray: str = ""
 
     def params(self, stage: str, defaults: T) -> T:
         """Parameters of a stage: its defaults, and what the project changes of them."""

@@ -6,38 +6,41 @@ stages there, so that a child starts in no time, and says what it does, one line
 
 import os
 import sys
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from aomgen.core.episode import Episode
+from aomgen.core.plan import Rejection, Variation
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
-from aomgen.episodes.planning import PlanParams
-from aomgen.episodes.generate import GenerationParams, PoseRanges
+from aomgen.episodes.factory import Made
+from aomgen.episodes.generate import generate
 from aomgen.episodes.ik import IkLimits, ik_solver
-from aomgen.episodes.plans_stage import generate_in
-from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
+from aomgen.episodes.ledger import Request, Unit, write_rejection
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.record import episode_of
+from aomgen.episodes.variations import Ranges, draw
+from aomgen.executors import Done, Work
+from aomgen.io.episode_folder import commit_episode, list_committed
 from aomgen.io.video import encode_video
 from aomgen.pipeline.runner import Stage, run_stages
 from aomgen.results import Results
 from aomgen.robots.loading import load_robot
+from aomgen.simulation.scene import build_scene
+from aomgen.simulation.verify import verify_plan
 
 sys.path.append(str(Path(__file__).parents[1] / "helpers"))
-from drawer_episode import corner_camera, drawer_episode
+from drawer_episode import corner_camera
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
-EPISODES, FRAMES, SIZE = 10, 30, (128, 96)
+SIZE = (64, 48)
 # An arm so slow that, of this sequence, the first and the fourth attempt pass.
-PARAMS = GenerationParams(
-    count=2,
-    seed=5,
-    ranges=PoseRanges(x_m=(-0.02, 0.05), yaw_deg=(-15, 15)),
-    plan=PlanParams(ik=IkLimits(speed=0.5), max_slow_down=1.0),
-)
+RANGES = Ranges(x_m=(-0.02, 0.05), yaw_deg=(-15, 15))
+PLAN = PlanParams(ik=IkLimits(speed=0.5), max_slow_down=1.0)
+REQUEST = Request(assets=("drawer-1",), episodes=4, attempts=20)
 
 
 class Told:
@@ -62,23 +65,65 @@ def say(text: str) -> None:
     sys.stdout.flush()
 
 
-def episode(index: int) -> Episode:
-    """An episode with numbers of its own."""
-    rng = np.random.default_rng(index)
-    joints = np.cumsum(rng.normal(0, 0.02, (FRAMES, 6)), 0)
+class Here:
+    """Does units in this process, as soon as somebody waits for them."""
+
+    slots = 1
+
+    def __init__(self, work: Work) -> None:
+        self._work, self._units = work, []
+
+    def submit(self, unit: Unit) -> None:
+        self._units.append(unit)
+
+    def next_done(self) -> Done:
+        unit = self._units.pop()
+        return Done(unit=unit, value=self._work(unit))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+
+@cache
+def drawer() -> tuple[Any, ...]:
+    """Asset, demonstration, solver, scene."""
+    robot, fitted = load_robot("ur5e_2f85"), fitted_drawer()
+    solver = ik_solver(robot)
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    return fitted, opening(solver, fitted), solver, scene
+
+
+def screen(unit: Unit) -> tuple[Variation, None]:
+    """Every draw is tried."""
+    return draw(5, unit.asset, unit.index, RANGES), None
+
+
+def make(folder: Path, unit: Unit) -> Made:
+    """A real plan and a real verification; the pictures are noise."""
+    fitted, demo, solver, scene = drawer()
+    variation, _ = screen(unit)
+    made = plan_episode(fitted, demo, variation, scene, solver, PLAN)
+    if not isinstance(made, Rejection):
+        made = verify_plan(made, scene)
+    if isinstance(made, Rejection):
+        write_rejection(folder, unit, variation, made)
+        return Made(committed=False, seconds={})
     cameras = {"front": corner_camera(*SIZE)}
-    thetas = np.linspace(0, 0.2, FRAMES)
-    return drawer_episode(index, joints, thetas, cameras, {"passed": True}, {"bolted": True})
+    robot = scene.robot
+    episode = episode_of(made, unit.number, Path("asset.usda"), robot, "open", cameras, np.zeros(6))
+    frames = np.random.default_rng(unit.number).integers(
+        0, 255, (len(episode), SIZE[1], SIZE[0], 3), np.uint8
+    )
+    commit_episode(folder, episode, {"front": encode_video(frames, episode.fps)})
+    return Made(committed=True, seconds={})
 
 
-def commit_all(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Commit every episode that is not there."""
-    for index in range(EPISODES):
-        if not episode_folder(folder, index).exists():
-            rng = np.random.default_rng(100 + index)
-            frames = rng.integers(0, 255, (FRAMES, SIZE[1], SIZE[0], 3), np.uint8)
-            commit_episode(folder, episode(index), {"front": encode_video(frames, 10)})
-    return {"episodes": EPISODES}
+def episodes(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
+    """Real attempts, each kept as it is made."""
+    generate(folder, REQUEST, Here(partial(make, folder)), screen, progress)
+    return {"episodes": len(list_committed(folder))}
 
 
 def build(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
@@ -86,29 +131,15 @@ def build(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     return {"episodes": write_lerobot_v3(list_committed(results.folders["episodes"]), folder)["episodes"]}
 
 
-@cache
-def drawer() -> tuple[Any, ...]:
-    """Assets, demonstration, robot."""
-    robot, fitted = load_robot("ur5e_2f85"), fitted_drawer()
-    return [fitted], opening(ik_solver(robot), fitted), robot
-
-
-def plan(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Real attempts, each kept as it is made."""
-    made = generate_in(folder, *drawer(), SUPPORT, PARAMS, progress)
-    return {"verified": len(made.episodes), "rejected": len(made.rejected)}
-
-
 def main(out: Path, digest: str) -> None:
     """Run the stages in a folder."""
     common = {"settings": (), "version": 1, "weight": 1.0, "title": ""}
     stages = (
-        Stage(name="plans", folder="plans", needs=("capture",), function=plan, incremental=True, **common),
         Stage(
             name="episodes",
             folder="episodes",
-            needs=("plans",),
-            function=commit_all,
+            needs=("capture",),
+            function=episodes,
             incremental=True,
             **common,
         ),

@@ -22,8 +22,8 @@ from aomgen.pipeline.manifest import read_manifest, verify
 
 SCRIPT = Path(__file__).with_name("killed_run.py")
 KILLS = int(os.environ.get("AOMGEN_KILLS", "6"))
-STAGES = ("plans", "episodes", "dataset")
-KILLS_A_STAGE = 2  # before a run may come to its end
+STAGES = ("episodes", "dataset")
+KILLS_A_STAGE = 3  # before a run may come to its end
 # A quick stage is missed now and then on a busy machine; it is tried again, so often at most.
 MAX_CAMPAIGNS = 40
 
@@ -97,7 +97,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 def acknowledged(out: Path, whole: dict[str, bytes]) -> set[str]:
-    """Attempts and episodes of this run that are complete.
+    """Rejections and episodes of this run that are complete.
 
     Every complete one must have the bytes of the undisturbed run, and the dataset must be readable,
     whether it is the old one or the new one.
@@ -106,7 +106,7 @@ def acknowledged(out: Path, whole: dict[str, bytes]) -> set[str]:
         manifest = read_manifest(out / "dataset")
         assert manifest is not None, "the dataset is partial"
         verify(out / "dataset", manifest)
-    found = {f"plans/attempts/{path.name}" for path in (out / "plans" / "attempts").glob("[0-9]*.json")}
+    found = {f"episodes/rejected/{path.name}" for path in (out / "episodes" / "rejected").glob("[0-9]*.json")}
     for folder in list_committed(out / "episodes"):
         read_episode(folder)
         found |= {f"episodes/{folder.name}/{path.name}" for path in folder.iterdir()}
@@ -114,7 +114,7 @@ def acknowledged(out: Path, whole: dict[str, bytes]) -> set[str]:
         assert (out / name).read_bytes() == whole[name], f"{name} is partial"
     started = {
         stage
-        for stage in ("plans", "episodes")
+        for stage in ("episodes",)
         if (file := out / stage / "started.json").is_file()
         and file.read_bytes() == whole[f"{stage}/started.json"]
     }

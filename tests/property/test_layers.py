@@ -29,7 +29,7 @@ LAYERS = [
     {"twin"},
     {"synthetic"},
     {"capture"},
-    {"results"},
+    {"results", "executors"},
     STAGES - {"capture"},
     {"paper"},
     {"pipeline"},

@@ -160,6 +160,12 @@ def run(
         list[str] | None,
         typer.Option("--set", help="A parameter of a stage, for example motion.joint.nodes=30; repeatable."),
     ] = None,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Processes that make episodes; 0 for one a processor.")
+    ] = 0,
+    ray: Annotated[
+        str, typer.Option(help="Make episodes on a Ray cluster that sees these folders: auto, or HOST:PORT.")
+    ] = "",
 ) -> None:
     """Bring every stage of a project up to date; what is up to date is kept.
 
@@ -172,7 +178,8 @@ def run(
     params = found.params
     for setting in settings or ():
         params = merge(params, parse_setting(setting))
-    run_project(type(found).model_validate(found.model_dump() | {"params": params}), until=until)
+    machine = {"ray": ray} | ({"workers": workers} if workers else {})
+    run_project(type(found).model_validate(found.model_dump() | {"params": params}), until=until, **machine)
 
 
 @app.command()

@@ -24,8 +24,8 @@ LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
 EXIT_BUG = 70
 
 
-def run_project(project, *, until: str = ""):
-    """Run the pipeline with a display and say where the results are.
+def run_project(project, *, until: str = "", **machine):
+    """Run the pipeline with a display and say where the results are; `machine` as in `run_pipeline`.
 
     Raises:
         ConfigError: The results would go where a file is.
@@ -41,7 +41,7 @@ def run_project(project, *, until: str = ""):
     forget_refusal(project.out)
     try:
         with display() as shown:
-            changed = run_pipeline(project, shown, until=until)
+            changed = run_pipeline(project, shown, until=until, **machine)
     except EstimationError as error:
         from aomgen.report.motion_section import write_refusal
 

@@ -158,17 +158,32 @@ class MaterialChange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitChange:
+    """How a camera is moved about a point: a turn about the vertical and a tilt upwards, [rad], a factor on its distance."""
+
+    turn: float = 0.0
+    tilt: float = 0.0
+    distance: float = 1.0
+
+
+# What x and y of a variation mean: a shift along the world's axes or the object's, or the place in the world.
+VariationFrame = Literal["world", "object", "polygon"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Variation:
     """One draw: where the object stands relative to the recorded one, and what else differs from the recording.
 
     Attributes:
         seed, index: Which number of which sequence.
-        x, y: Shift along the world's axes, [m].
+        x, y: Shift of the object, or where the middle of its footprint stands, see `frame`, [m].
         yaw: Turn about the vertical through the middle of the object's footprint, [rad].
+        frame: What x and y mean.
         scale: Factor on the fitted asset's size.
         speed: Factor on the speed of the demonstrated motion.
         start_offset: Added to the arm joints at the start (J,), [rad] or [m]; empty for none.
         light, material: What is seen otherwise.
+        orbits: Of every camera that is moved.
     """
 
     seed: int
@@ -176,11 +191,13 @@ class Variation:
     x: float
     y: float
     yaw: float
+    frame: VariationFrame = "world"
     scale: float = 1.0
     speed: float = 1.0
     start_offset: tuple[float, ...] = ()
     light: LightChange = LightChange()
     material: MaterialChange = MaterialChange()
+    orbits: tuple[OrbitChange, ...] = ()
 
     def placed(self, fitted: FittedAsset) -> Array:
         """Pose T_world_object (4, 4) of the asset in this variation."""
@@ -188,9 +205,13 @@ class Variation:
         pivot_asset = np.append((low[:2] + high[:2]) / 2, 0.0)
         T = fitted.T_world_asset
         pivot = T[:3, :3] @ pivot_asset + T[:3, 3]
+        shift = np.array([self.x, self.y, 0.0])
+        if self.frame == "object":
+            shift = T[:3, :3] @ shift
+        elif self.frame == "polygon":
+            shift[:2] -= pivot[:2]
         R = matrix_from_rotvec(np.array([0.0, 0.0, self.yaw]))
-        moved = transform(R, pivot - R @ pivot + np.array([self.x, self.y, 0.0]))
-        return moved @ T
+        return transform(R, pivot - R @ pivot + shift) @ T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,271 +1,178 @@
-"""Make as many verified episodes as asked for, trying variation after variation.
+"""Ask for episodes until every asset has enough, or as many attempts as are allowed have failed.
 
-New places for the object are spread evenly and reproducible from a seed and an index.
-Source: AOMGen, sec. 5.2 (ranges of x, y and yaw).
+Which draws are tried does not depend on how many workers there are: of an asset no more are begun than are missing.
 """
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
 
-import numpy as np
-from scipy.stats import qmc
-
-from aomgen.core.camera import Camera
-from aomgen.core.demonstration import Demonstration, SupportPlane
-from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
+from aomgen.core.plan import Rejection, Variation
 from aomgen.core.progress import Progress
-from aomgen.core.transforms import apply
-from aomgen.core.values import Array
-from aomgen.errors import NotEnoughEpisodesError
-from aomgen.episodes.planning import PlanParams, plan_episode
-from aomgen.episodes.ik import IkSolver, ik_solver
-from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import table_overlap_m
-from aomgen.simulation.scene import Scene, build_scene
-from aomgen.simulation.verify import verify_plan
+from aomgen.episodes.ledger import (
+    DRAWS_FILE,
+    MAX_DRAWS,
+    REJECTED_FOLDER,
+    Request,
+    Unit,
+    ended_units,
+    read_rejection,
+    write_draws,
+    write_rejection,
+    write_request,
+)
+from aomgen.executors import Done, Executor
+from aomgen.io.atomic import remove_folder, remove_staging
+from aomgen.io.episode_folder import episode_folder
 
-# Kept between the recorded arm and a table that it would have hit, [m].
-TABLE_CLEARANCE_M = 0.005
-# An object may stand this far beyond the table's estimated edge, [m].
-OVERHANG_M = 0.02
-# Share of the object that each camera must show, 0..1: a corner may be cut off.
-LEAST_IN_VIEW = 0.85
-# Poses out of reach, off the table or out of view in a row before giving up: where one in a hundred fits, one is found.
-MAX_SKIPPED = 500
+# Draws in a row that are not worth trying, before an asset is given up: where one in a hundred fits, one is found.
+MAX_SKIPPED: Final = 500
+LOST: Final = {
+    "worker_died": "the process that worked on it died, again and again",
+    "timeout": "it took longer than the limit",
+}
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseRanges:
-    """Ranges about the recorded object's pose.
-
-    Attributes:
-        x_m, y_m: Along the world's axes, [m].
-        yaw_deg: About the vertical, [deg].
-    """
-
-    x_m: tuple[float, float] = (-0.05, 0.30)
-    y_m: tuple[float, float] = (-0.05, 0.05)
-    yaw_deg: tuple[float, float] = (-45.0, 45.0)
+# The variation of an asset's draw, and why it is not worth trying, if it is not.
+Screen = Callable[[Unit], tuple[Variation, Rejection | None]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GenerationParams:
-    """What is generated.
+@dataclass(slots=True)
+class _Quota:
+    """The episodes of one asset: which draws have been made, and what came of them."""
 
-    Attributes:
-        count: Verified episodes wanted of each asset.
-        seed: Of the sequences of variations; asset k uses seed + k.
-        ranges: Of the poses.
-        plan: How an episode is planned.
-        bolted: The object is fixed to its support; False lets it stand by friction.
-        cameras: Cameras that must show the action, world frame.
-        attempts_per_episode: Variations tried for each wanted episode before giving up.
-    """
+    asset: int
+    wanted: int
+    allowed: int
+    screen: Screen
+    draws: list[tuple[Variation, Rejection | None]] = field(default_factory=list)
+    begun: int = 0
+    running: int = 0
+    committed: int = 0
+    exhausted: bool = False
 
-    count: int
-    seed: int = 0
-    ranges: PoseRanges = field(default_factory=PoseRanges)
-    plan: PlanParams = field(default_factory=PlanParams)
-    bolted: bool = True
-    cameras: tuple[Camera, ...] = ()
-    attempts_per_episode: int = 5
+    def next_unit(self) -> Unit | None:
+        """The next draw that is worth trying; None when nothing is missing, or no more is allowed."""
+        if self.committed + self.running >= self.wanted or self.begun >= self.allowed or self.exhausted:
+            return None
+        skipped = 0
+        while skipped < MAX_SKIPPED and len(self.draws) < MAX_DRAWS:
+            unit = Unit(asset=self.asset, index=len(self.draws))
+            variation, rejection = self.screen(unit)
+            self.draws.append((variation, rejection))
+            if rejection is None:
+                self.begun += 1
+                self.running += 1
+                return unit
+            skipped += 1
+        self.exhausted = True
+        return None
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rejected:
-    """A variation of an asset, by name, that gave no episode, and why."""
-
-    asset: str
-    variation: Variation
-    rejection: Rejection
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Generated:
-    """The outcome of a generation; variations that were filtered before planning are `skipped`."""
-
-    episodes: tuple[VerifiedEpisode, ...]
-    rejected: tuple[Rejected, ...]
-    skipped: int
+    def end(self, *, committed: bool) -> None:
+        """A unit that ran has ended."""
+        self.running -= 1
+        self.committed += committed
 
     @property
-    def reasons(self) -> dict[str, int]:
-        """How often each reason rejected a variation, most frequent first."""
-        return dict(Counter(item.rejection.reason for item in self.rejected).most_common())
+    def over(self) -> bool:
+        """Whether nothing more will come."""
+        return not self.running and (
+            self.committed >= self.wanted or self.begun >= self.allowed or self.exhausted
+        )
 
 
-Outcome = VerifiedEpisode | Rejection
-# Gives the outcome of a variation of an asset: read back, or made by the function.
-Recall = Callable[[FittedAsset, Variation, Callable[[], Outcome]], Outcome]
-
-
-def generate_episodes(
-    assets: Sequence[FittedAsset],
-    demo: Demonstration,
-    robot: RobotModel,
-    support: SupportPlane,
-    params: GenerationParams,
+def generate(
+    folder: Path,
+    request: Request,
+    executor: Executor,
+    screen: Screen,
     progress: Progress,
-    recall: Recall = lambda fitted, variation, make: make(),
-) -> Generated:
-    """Plan and verify episodes of every asset until each has enough.
-
-    The result depends on the arguments alone: variations come from seed and index, and an attempt
-    does not depend on those before it.
+    on_done: Callable[[Done], None] = lambda done: None,
+) -> None:
+    """Fill the folder of all episodes with what is requested; what is there is kept, and the ledger is closed.
 
     Args:
-        support: What the objects stand on.
-        progress: Called after every attempt.
-        recall: Where outcomes of earlier runs are found; by default all are made anew.
+        folder: See `ledger`. It belongs to the same assets, demonstration and parameters.
+        request: What is wanted.
+        executor: Its work commits the episode of a `Unit` or writes its rejection, and tells it as `factory.Made`.
+        screen: Draws of the assets.
+        progress: Called after every unit.
+        on_done: Hears what the executor has done.
 
     Raises:
-        NotEnoughEpisodesError: An asset has too few after five attempts for each; says why.
+        StorageError: The disk refuses.
+        AomgenError: Whatever the work raises.
     """
-    solver = ik_solver(robot)
-    shoulder, reach = longest_reach(robot)
-    episodes: list[VerifiedEpisode] = []
-    rejected: list[Rejected] = []
-    skipped = 0
-    for number, fitted in enumerate(assets):
-        # Compiled when the first attempt is made.
-        scene = cache(partial(_scene, robot, fitted, demo, support, params.bolted))
-        attempt = partial(_attempt, scene, fitted, demo, solver, params.plan)
-        tried, good, passed_over = 0, 0, 0
-        for variation in variations(params.seed + number, params.ranges):
-            if good >= params.count:
-                break
-            shown = all(in_view(variation, fitted, camera, LEAST_IN_VIEW) for camera in params.cameras)
-            if not (shown and worth_trying(variation, fitted, support, shoulder, reach)):
-                passed_over += 1
-                if passed_over < MAX_SKIPPED:
-                    continue
-            if passed_over >= MAX_SKIPPED or tried >= params.count * params.attempts_per_episode:
-                raise _too_few(fitted.asset.name, good, tried, passed_over, params, rejected)
-            tried += 1
-            result = recall(fitted, variation, partial(attempt, variation))
-            if isinstance(result, Rejection):
-                rejected.append(Rejected(asset=fitted.asset.name, variation=variation, rejection=result))
-            else:
-                episodes.append(result)
-                good += 1
-            share = (number + good / params.count) / len(assets)
-            progress(share, f"{fitted.asset.name}: {good} of {params.count} verified, {tried} tried")
-        skipped += passed_over
-    return Generated(episodes=tuple(episodes), rejected=tuple(rejected), skipped=skipped)
+    remove_staging(folder)
+    (folder / DRAWS_FILE).unlink(missing_ok=True)
+    write_request(folder, request)
+    committed, rejected = ended_units(folder)
+    quotas = [
+        _Quota(asset, request.episodes, request.attempts, screen) for asset in range(len(request.assets))
+    ]
+    while not all(quota.over for quota in quotas):
+        if sum(quota.running for quota in quotas) < executor.slots:
+            unit = next(filter(None, (quota.next_unit() for quota in quotas)), None)
+            if unit is not None:
+                if unit in committed or unit in rejected:
+                    quotas[unit.asset].end(committed=unit in committed)
+                else:
+                    executor.submit(unit)
+                continue
+        if not any(quota.running for quota in quotas):
+            continue
+        done = executor.next_done()
+        quota = quotas[done.unit.asset]
+        if done.lost:
+            lost = Rejection(reason=done.lost, detail=LOST[done.lost])
+            write_rejection(folder, done.unit, quota.draws[done.unit.index][0], lost)
+        successful = not done.lost and done.value.committed
+        committed |= {done.unit} if successful else set()
+        quota.end(committed=successful)
+        on_done(done)
+        made = sum(quota.committed for quota in quotas)
+        tried = sum(quota.begun for quota in quotas)
+        total = request.episodes * len(quotas)
+        name = request.assets[done.unit.asset]
+        progress(made / total, f"{made} of {total} committed, {tried - made} tried besides ({name})")
+    _forget_others(folder, quotas)
+    write_draws(folder, _outcomes(folder, request, quotas, committed))
 
 
-def variations(seed: int, ranges: PoseRanges) -> Iterator[Variation]:
-    """An endless low-discrepancy sequence; number i depends on the seed and i alone.
-
-    Source: Halton's sequence, scrambled (Owen, 2017).
-    """
-    lows, highs = np.array([ranges.x_m, ranges.y_m, np.deg2rad(ranges.yaw_deg)]).T
-    sequence = qmc.Halton(3, scramble=True, rng=np.random.default_rng(seed))
-    index = 0
-    while True:
-        x, y, yaw = lows + sequence.random(1)[0] * (highs - lows)
-        yield Variation(seed=seed, index=index, x=float(x), y=float(y), yaw=float(yaw))
-        index += 1
+def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
+    """Delete episodes and rejections beyond what is requested now."""
+    asked = {Unit(asset=quota.asset, index=index) for quota in quotas for index in range(len(quota.draws))}
+    for units, delete in zip(ended_units(folder), (_delete_episode, _delete_rejection), strict=True):
+        for unit in units - asked:
+            delete(folder, unit)
 
 
-def longest_reach(robot: RobotModel, samples: int = 2000) -> tuple[Array, float]:
-    """Point about which the arm reaches farthest (3,), and how far its end effector gets, [m].
-
-    The point is the highest one on the first joint's line that keeps the farthest sampled
-    pose nearest, which for most arms is the shoulder.
-    """
-    rng = np.random.default_rng(0)
-    low, high = np.clip(robot.joint_limits, -np.pi, np.pi).T
-    joints = rng.uniform(low, high, (samples, len(low)))
-    points = robot.ee_poses(joints)[:, :3, 3]
-    foot = float(robot.link_poses(joints[:1], 0.0)[0, 0, 2, 3])
-    heights = foot + np.linspace(0.0, 0.5, 26)
-    middle = np.median(points[:, :2], axis=0)
-    centres = np.array([[middle[0], middle[1], height] for height in heights])
-    farthest = np.array([np.linalg.norm(points - centre, axis=1).max() for centre in centres])
-    best = int(np.argmin(farthest))
-    return centres[best], float(farthest[best])
+def _delete_episode(folder: Path, unit: Unit) -> None:
+    remove_folder(episode_folder(folder, unit.number))
 
 
-def worth_trying(
-    variation: Variation, fitted: FittedAsset, support: SupportPlane, shoulder_world: Array, reach_m: float
-) -> bool:
-    """Whether the held point stays within reach and the object on the known table.
-
-    A coarse filter before planning: pads at arm's length leave no freedom of orientation, so nine
-    tenths of the longest reach count.
-    """
-    T = variation.placed(fitted)
-    moved = fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, 5))
-    held = apply(T @ moved, fitted.contact_asset[None])
-    if not np.linalg.norm(held - shoulder_world, axis=1).max() <= 0.9 * reach_m:
-        return False
-    # The recorded object stood on the table, so its place belongs to it whatever the estimate says.
-    recorded = _footprint(fitted, fitted.T_world_asset)
-    low = np.minimum(support.low_xy, recorded.min(0)) - OVERHANG_M
-    high = np.maximum(support.high_xy, recorded.max(0)) + OVERHANG_M
-    corners = _footprint(fitted, T)
-    return bool(np.all(corners >= low) and np.all(corners <= high))
+def _delete_rejection(folder: Path, unit: Unit) -> None:
+    (folder / REJECTED_FOLDER / f"{unit.number:06d}.json").unlink()
 
 
-def _footprint(fitted: FittedAsset, T_world_object: Array) -> Array:
-    """Corners of the static part seen from above (N, 2), world frame, [m]."""
-    feet = np.concatenate([box.corners for box in fitted.asset.static.colliders])
-    return apply(T_world_object, feet)[:, :2]
-
-
-def in_view(variation: Variation, fitted: FittedAsset, camera: Camera, least_share: float) -> bool:
-    """Whether a camera shows the action: the held point always, and a share 0..1 of the closed object's outline box."""
-    T = variation.placed(fitted)
-    moved = T @ fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, 5))
-    held, depths = camera.project(apply(moved, fitted.contact_asset[None]))
-    size = np.array([camera.width, camera.height])
-    if not (np.all(depths > 0) and np.all(held >= 0) and np.all(held <= size)):
-        return False
-    boxes = (*fitted.asset.static.colliders, *fitted.asset.moving.colliders)
-    pixels, _ = camera.project(apply(T, np.concatenate([box.corners for box in boxes])))
-    low, high = pixels.min(0), pixels.max(0)
-    inside = np.clip(high, 0, size) - np.clip(low, 0, size)
-    return bool(np.prod(inside) >= least_share * np.prod(high - low))
-
-
-def _attempt(
-    scene: Callable[[], Scene],
-    fitted: FittedAsset,
-    demo: Demonstration,
-    solver: IkSolver,
-    params: PlanParams,
-    variation: Variation,
-) -> Outcome:
-    plan = plan_episode(fitted, demo, variation, scene(), solver, params)
-    return verify_plan(plan, scene()) if isinstance(plan, EpisodePlan) else plan
-
-
-def _scene(
-    robot: RobotModel, fitted: FittedAsset, demo: Demonstration, support: SupportPlane, bolted: bool
-) -> Scene:
-    """Robot, table and asset; a table that the recorded arm would have hit is lowered out of its way.
-
-    An object that is not bolted needs its table where it is.
-    """
-    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=bolted)
-    overlap = table_overlap_m(scene, demo.joints)
-    if overlap <= 0.0 or not bolted:
-        return scene
-    lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
-    return build_scene(robot, fitted.asset, fitted.T_world_asset, lower, bolted=bolted)
-
-
-def _too_few(
-    asset: str, good: int, tried: int, skipped: int, params: GenerationParams, rejected: list[Rejected]
-) -> NotEnoughEpisodesError:
-    counts = Counter(item.rejection.reason for item in rejected if item.asset == asset)
-    reasons = ", ".join(f"{count} {reason}" for reason, count in counts.most_common()) or "none tried"
-    return NotEnoughEpisodesError(
-        asset,
-        f"{good} of {params.count} episodes verified in {tried} attempts, {skipped} poses out of reach, off the "
-        f"table or out of view ({reasons})",
-        "ask for fewer episodes (those that are verified are kept) or choose another asset",
-    )
+def _outcomes(
+    folder: Path, request: Request, quotas: list[_Quota], committed: set[Unit]
+) -> Iterator[dict[str, Any]]:
+    """Every draw with what came of it."""
+    for quota in quotas:
+        for index, (variation, screened) in enumerate(quota.draws):
+            unit = Unit(asset=quota.asset, index=index)
+            outcome, rejection = "skipped", screened
+            if unit in committed:
+                outcome = "committed"
+            elif rejection is None:
+                outcome, rejection = "rejected", read_rejection(folder, unit)
+            yield {
+                "asset": quota.asset,
+                "name": request.assets[quota.asset],
+                "number": unit.number,
+                "variation": asdict(variation),
+                "outcome": outcome,
+                "reason": rejection.reason if rejection else "",
+                "detail": rejection.detail if rejection else "",
+            }

@@ -1,169 +1,72 @@
-"""Verified episodes rendered and committed, each as one folder. [paper 5.2]"""
+"""Verified demonstrations of every asset: drawn, planned, simulated, rendered and committed one by one. [paper 4.3.3, 5.2]
 
-import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict
+Each is made from start to end by one worker, so that nothing that was made is lost, and as many work at the same time
+as there are processors, or Ray has.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-import numpy as np
-
-from aomgen.core.camera import Camera
-from aomgen.core.episode import Episode
-from aomgen.core.plan import VerifiedEpisode
-from aomgen.core.progress import Progress, silent
-from aomgen.core.values import Array
-from aomgen.episodes.render import Trajectory, render_frames, static_layers
-from aomgen.io.artifact import load_artifact
-from aomgen.io.atomic import remove_staging
-from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
-from aomgen.io.video import encode_video
-from aomgen.results import ASSET_USD, Results
-from aomgen.robots.robot import RobotModel
-from aomgen.simulation.verify import assumptions
-from aomgen.twin.twin import StaticLayer, Twin
-
-# Episodes rendered at a time, each on one thread; usual machines have more cores.
-WORKERS: Final = 2
+from aomgen.core.progress import Progress
+from aomgen.episodes.factory import EpisodeFactory, open_factory
+from aomgen.episodes.generate import generate
+from aomgen.episodes.ledger import Account, Request, read_accounts, read_draws
+from aomgen.errors import NotEnoughEpisodesError
+from aomgen.executors import Done, Executor, Processes, RayCluster
+from aomgen.io.artifact import read_json
+from aomgen.io.episode_folder import EPISODE_FILE, list_committed
+from aomgen.results import Results
 
 
 def run(
-    results: Results, folder: Path, progress: Progress, verified: Sequence[VerifiedEpisode]
+    results: Results, folder: Path, progress: Progress, on_done: Callable[[Done], None] = lambda done: None
 ) -> dict[str, Any]:
-    """Every verified plan drawn from all cameras and committed."""
-    names = [fitted.asset.name for fitted in results.fitted_assets]
-    homes = {name: results.asset_folder(index) for index, name in enumerate(names)}
-    folders = run_episodes(
-        verified,
-        {name: load_artifact(home, "twin", Twin) for name, home in homes.items()},
-        {name: home / ASSET_USD for name, home in homes.items()},
-        results.robot,
-        results.episode_scene.cameras,
-        folder,
-        instruction=results.recorded.instruction,
-        joint_zeros_rad=results.alignment.joint_zeros_rad,
-        T_world_plane=results.episode_scene.T_world_plane,
-        progress=progress,
+    """As many episodes of every asset as the project asks for, or fewer and why."""
+    factory = EpisodeFactory(results, folder)
+    request = Request(
+        assets=tuple(fitted.asset.name for fitted in results.fitted_assets),
+        episodes=results.project.poses,
+        attempts=results.project.poses * factory.params.attempts_per_episode,
     )
-    return {"episodes": len(folders), "cameras": ", ".join(results.episode_scene.cameras)}
+    with open_executor(results, folder, factory.params.timeout_s) as executor:
+        generate(folder, request, executor, factory.screen, progress, on_done)
+    accounts = read_accounts(folder)
+    if accounts and not any(account.committed for account in accounts):
+        raise NotEnoughEpisodesError(
+            "episodes", " ".join(map(told, accounts)), "ask for other poses, or choose another asset"
+        )
+    margins = [read_json(path / EPISODE_FILE)["verdict"]["margin"] for path in list_committed(folder)]
+    return {
+        "episodes": sum(account.committed for account in accounts),
+        "short": sum(account.rejected for account in accounts),
+        "rejected": sum(account.attempts - account.committed for account in accounts),
+        "skipped": sum(draw["outcome"] == "skipped" for draw in read_draws(folder)),
+        "smallest_margin": float(min(margins, default=0.0)),
+        "cameras": ", ".join([*factory.place.cameras, *["free"] * factory.place.free]),
+        "warnings": [told(account) for account in accounts if account.rejected],
+    }
 
 
-def run_episodes(
-    verified: Sequence[VerifiedEpisode],
-    twins: Mapping[str, Twin],
-    usd_files: Mapping[str, Path],
-    robot: RobotModel,
-    cameras: Mapping[str, Camera],
-    folder: Path,
-    *,
-    instruction: str,
-    joint_zeros_rad: Array,
-    T_world_plane: Array | None = None,
-    workers: int = WORKERS,
-    progress: Progress = silent,
-) -> list[Path]:
-    """Draw and commit every verified episode that is not committed yet; the folders of all, in order.
-
-    The number of workers changes nothing in the results.
-
-    Args:
-        verified: What passed; an episode's folder is its place in this sequence.
-        twins: For each asset's name, the cleared scene with that asset in it.
-        usd_files: For each asset's name, its USD file, in which others can simulate it.
-        folder: Of all episodes; committed ones are kept.
-        instruction: Language instruction.
-        joint_zeros_rad: Of the recorded arm, see `assumptions`.
-        T_world_plane: The surface that shadows fall on, (4, 4).
-        workers: Episodes drawn at the same time.
+def open_executor(results: Results, folder: Path, timeout_s: float) -> Executor:
+    """Workers as the run was asked for.
 
     Raises:
-        StorageError: The disk refuses.
+        BackendError: There is no Ray.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    remove_staging(folder)
-    done = set(list_committed(folder))
-    open_ = [i for i in range(len(verified)) if episode_folder(folder, i) not in done]
-    layers = {name: static_layers(twin, cameras) for name, twin in twins.items()} if open_ else {}
-    # One engine thread a worker, except when a worker is alone.
-    threads = 1 if workers > 1 else None
-
-    def draw(index: int) -> None:
-        name = verified[index].plan.fitted.asset.name
-        usd = Path(os.path.relpath(usd_files[name], episode_folder(folder, index)))
-        episode = episode_of(verified[index], index, usd, robot, instruction, cameras, joint_zeros_rad)
-        videos = episode_videos(episode, twins[name], robot, layers[name], T_world_plane, threads)
-        commit_episode(folder, episode, videos)
-
-    with ThreadPoolExecutor(workers) as pool:
-        tasks = [pool.submit(draw, index) for index in open_]
-        try:
-            for count, task in enumerate(as_completed(tasks), start=len(verified) - len(open_) + 1):
-                task.result()
-                progress(count / len(verified), f"{count} of {len(verified)} episodes")
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return [episode_folder(folder, index) for index in range(len(verified))]
+    # A copy without what has been read.
+    opener = partial(open_factory, replace(results), folder)
+    if results.ray:
+        return RayCluster(opener, results.ray, timeout_s)
+    return Processes(opener, results.workers, timeout_s)
 
 
-def episode_of(
-    verified: VerifiedEpisode,
-    index: int,
-    usd: Path,
-    robot: RobotModel,
-    instruction: str,
-    cameras: Mapping[str, Camera],
-    joint_zeros_rad: Array,
-) -> Episode:
-    """The episode that a verified plan becomes; its actions are the plan one frame ahead."""
-    plan = verified.plan
-    asset = plan.fitted.asset
-    return Episode(
-        index=index,
-        seed=plan.variation.seed,
-        instruction=instruction,
-        robot=robot.name,
-        asset=asset.name,
-        asset_usd=usd.as_posix(),
-        joint_names=robot.joint_names,
-        fps=round(plan.fps),
-        joints=verified.joints,
-        gripper=verified.gripper,
-        action_joints=_ahead(plan.joints),
-        action_gripper=_ahead(plan.gripper),
-        Ts_world_ee=verified.Ts_world_ee,
-        Ts_world_ee_action=_ahead(plan.Ts_world_ee),
-        thetas=verified.thetas,
-        phases=plan.phases,
-        contacts=verified.contacts,
-        joint=asset.joint.moved(plan.T_world_object),
-        T_world_object=plan.T_world_object,
-        cameras=cameras,
-        verdict={**verified.verdict.as_json(), "variation": asdict(plan.variation), "grasp": plan.grasp},
-        simulation=assumptions(asset, joint_zeros_rad, bolted=verified.verdict.bolted),
+def told(account: Account) -> str:
+    """What came of an asset's request, in one sentence."""
+    reasons = ", ".join(f"{count} {reason}" for reason, count in account.reasons.items()) or "none tried"
+    return (
+        f"asset {account.asset}: {account.committed} of {account.requested} episodes after {account.attempts} attempts "
+        f"({reasons})"
     )
-
-
-def _ahead(samples: Array) -> Array:
-    """What comes one sample later (T, ...); the last stays."""
-    return np.concatenate([samples[1:], samples[-1:]])
-
-
-def episode_videos(
-    episode: Episode,
-    twin: Twin,
-    robot: RobotModel,
-    layers: Mapping[str, StaticLayer],
-    T_world_plane: Array | None,
-    threads: int | None,
-) -> dict[str, bytes]:
-    """MP4 bytes of each camera."""
-    trajectory = Trajectory(
-        joints=episode.joints,
-        gripper=episode.gripper,
-        thetas=episode.thetas,
-        T_world_object=episode.T_world_object,
-    )
-    frames = render_frames(twin, robot, trajectory, layers, T_world_plane, threads)
-    return {name: encode_video(images, episode.fps) for name, images in frames.items()}

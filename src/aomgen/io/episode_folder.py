@@ -25,6 +25,7 @@ from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_j
 
 # Raised when the files of an episode change.
 FORMAT: Final = 2
+EPISODE_FILE: Final = "episode.json"
 # Largest frames.npz read, [bytes]: far above a usual one.
 MAX_FRAMES_BYTES: Final = 256 << 20
 _ARRAYS: Final = (
@@ -87,7 +88,7 @@ def commit_episode(root: Path, episode: Episode, videos: Mapping[str, bytes]) ->
     with staged_folder(path) as folder:
         for name, data in files.items():
             write_bytes(folder / name, data)
-        write_json(folder / "episode.json", {**_header(episode), "sha256": digests})
+        write_json(folder / EPISODE_FILE, {**_header(episode), "sha256": digests})
     return path
 
 
@@ -96,7 +97,7 @@ def list_committed(root: Path) -> list[Path]:
     if not root.is_dir():
         return []
     folders = [p for p in root.iterdir() if p.is_dir() and not p.name.startswith(STAGING_PREFIX)]
-    return sorted(p for p in folders if p.name.isdigit() and (p / "episode.json").is_file())
+    return sorted(p for p in folders if p.name.isdigit() and (p / EPISODE_FILE).is_file())
 
 
 def read_episode(folder: Path) -> CommittedEpisode:
@@ -106,7 +107,7 @@ def read_episode(folder: Path) -> CommittedEpisode:
         MissingFileError, MalformedFileError, LimitExceededError: episode.json cannot be read.
         CorruptArtifactError: A file is missing or does not match its digest.
     """
-    where = folder / "episode.json"
+    where = folder / EPISODE_FILE
     header = read_json(where)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise MalformedFileError(where, f"is not an episode of format {FORMAT}", "generate the episode again")

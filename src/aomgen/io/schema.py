@@ -4,6 +4,7 @@ What is wrong is said in the words of whoever wrote it.
 """
 
 import difflib
+import json
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -21,7 +22,7 @@ MAX_BYTES = 1 << 20
 MAX_SHOWN = 60
 T = TypeVar("T")
 Nested = dict[str, Any]
-KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a word"}
+KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a word", tuple: "a list"}
 
 
 def read_toml(path: Path, model: type[Schema], absent: str) -> Schema:
@@ -115,14 +116,22 @@ def override(params: T, changes: Mapping[str, Any], where: str) -> T:
             changed[name] = float(value)
         elif type(value) is type(old) and isinstance(value, bool | int | str):
             changed[name] = value
+        elif isinstance(old, tuple) and isinstance(value, list):
+            changed[name] = _tuple(value)
         else:
             kind = KINDS.get(type(old), "its fields by name")
             raise ConfigError(f"parameter '{place}'", f"is {value!r}", f"want {kind}; its default is {old!r}")
     return replace(params, **changed)  # type: ignore[type-var]
 
 
+def _tuple(values: list[Any]) -> tuple[Any, ...]:
+    """A list as dataclasses hold it, its numbers as fractions."""
+    plain = (float(item) if type(item) is int else item for item in values)
+    return tuple(_tuple(item) if isinstance(item, list) else item for item in plain)
+
+
 def parse_setting(text: str) -> Nested:
-    """`motion.joint.nodes=30` as nested tables.
+    """`motion.joint.nodes=30` as nested tables; a value in brackets is a list in JSON.
 
     Raises:
         ConfigError: It is not of that form.
@@ -131,10 +140,17 @@ def parse_setting(text: str) -> Nested:
     parts = name.strip().split(".")
     if not equals or not value.strip() or not all(parts):
         raise ConfigError(f"--set {text}", "is no parameter", "for example --set motion.joint.nodes=30")
-    nested: Any = _number(value.strip())
+    nested: Any = _list(text, value.strip()) if value.strip().startswith("[") else _number(value.strip())
     for part in reversed(parts):
         nested = {part: nested}
     return nested
+
+
+def _list(text: str, value: str) -> list[Any]:
+    try:
+        return json.loads(value)
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"--set {text}", f"is no list ({error})", "for example [0.0, 0.3]") from error
 
 
 def merge(first: Nested, second: Nested) -> Nested:

@@ -126,15 +126,17 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "removed": Figure(name="Gaussians removed"),
         "filled": Figure(name="filled in"),
     },
-    "plans": {
-        "verified": Figure(name="episodes verified"),
-        "rejected": Figure(name="rejected"),
+    "episodes": {
+        "episodes": Figure(name="episodes"),
+        "short": Figure(name="missing"),
+        "rejected": Figure(name="attempts rejected"),
+        "skipped": Figure(name="draws not tried"),
         # The pass rule: 90 % of the planned opening under every setting of damping and friction.
         "smallest_margin": Figure(
             name="least opening", unit="% of the plan", digits=1, factor=100.0, offset=90.0, above=90.0
         ),
+        "cameras": Figure(name="cameras"),
     },
-    "episodes": {"episodes": Figure(name="episodes"), "cameras": Figure(name="cameras")},
     "dataset": {"episodes": Figure(name="episodes"), "frames": Figure(name="frames")},
     # Not of stages: verdicts of episodes over their settings, sides in the coverage, fixed cameras.
     "verdict": {

@@ -78,10 +78,10 @@ class Display(Protocol):
     def warn(self, stage: Stage, sentence: str) -> None: ...
 
 
-def results_of(project: Project, stages: Sequence[Stage]) -> Results:
-    """The results of a project, where they lie or shall lie."""
+def results_of(project: Project, stages: Sequence[Stage], **machine: Any) -> Results:
+    """The results of a project, where they lie or shall lie; `machine` as in `Results`: `workers`, `ray`."""
     folders = {stage.name: project.out / stage.folder for stage in stages}
-    return Results(project=project, out=project.out, folders=folders)
+    return Results(project=project, out=project.out, folders=folders, **machine)
 
 
 def run_stages(
@@ -91,6 +91,7 @@ def run_stages(
     *,
     inputs: Mapping[str, str],
     until: str = "",
+    **machine: Any,
 ) -> list[str]:
     """Bring every stage up to date, in order.
 
@@ -100,6 +101,7 @@ def run_stages(
         display: Hears what happens.
         inputs: Digests of what no stage makes, by the names under which stages need it.
         until: Stop after this stage; all of them when empty.
+        machine: See `results_of`.
 
     Returns:
         Names of the stages that were made anew.
@@ -108,7 +110,7 @@ def run_stages(
         LockedError: Another process works in the same folder.
         AomgenError: Whatever a stage refuses; nothing half-written stays.
     """
-    results = results_of(project, stages)
+    results = results_of(project, stages, **machine)
     _make_folder(project.out)
     with _locked(project.out):
         remove_staging(project.out)

@@ -29,7 +29,7 @@ PARAMETERS = {
     "alignment": ("alignment.align", "AlignmentParams"),
     "motion": ("motion.estimate", "MotionParams"),
     "replacement": ("replacement.fitting", "FitParams"),
-    "plans": ("episodes.generate", "GenerationParams"),
+    "episodes": ("episodes.factory", "GenerationParams"),
 }
 
 
@@ -61,16 +61,6 @@ def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]
     else:
         from aomgen.parts.stage import run
     return run(results, folder, progress, partial(motion_evidence, results))
-
-
-def _episodes(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
-    """Episodes of the verified plans."""
-    from aomgen.episodes.stage import run
-    from aomgen.episodes.plans_stage import load_generalization
-
-    return run(
-        results, folder, progress, load_generalization(results.folders["plans"], results.fitted_assets)
-    )
 
 
 STAGES: tuple[Stage, ...] = (
@@ -152,26 +142,16 @@ STAGES: tuple[Stage, ...] = (
         function=_lazily("replacement.stage"),
     ),
     Stage(
-        name="plans",
-        folder="08_plans",
-        title="new poses, verified in physics",
+        name="episodes",
+        folder="08_episodes",
+        title="episodes: new poses, physics, images",
         needs=("capture", "motion", "twin", "replacement"),
         settings=("seed", "poses"),
-        version=3,
-        weight=12,
-        function=_lazily("episodes.plans_stage"),
+        version=7,
+        weight=29,
+        function=_lazily("episodes.stage"),
         incremental=True,
         amount=("poses",),
-    ),
-    Stage(
-        name="episodes",
-        folder="09_episodes",
-        title="rendering episodes",
-        needs=("capture", "replacement", "plans"),
-        version=6,
-        weight=17,
-        function=_episodes,
-        incremental=True,
     ),
     Stage(
         name="dataset",
@@ -196,11 +176,13 @@ def check_params(project: Project) -> None:
             raise ConfigError(f"parameters of '{stage}'", "are unknown", suggest(stage, PARAMETERS))
         module, name = PARAMETERS[stage]
         kind = getattr(importlib.import_module(f"aomgen.{module}"), name)
-        override(kind(count=1) if stage == "plans" else kind(), changes, stage)
+        override(kind(), changes, stage)
 
 
-def run_pipeline(project: Project, display: Display, *, until: str = "") -> list[str]:
+def run_pipeline(project: Project, display: Display, *, until: str = "", **machine: Any) -> list[str]:
     """Check everything that can be known, then bring every stage up to date; the names of those made anew.
+
+    `machine` tells where episodes are made, see `Results`: `workers`, `ray`.
 
     Raises:
         ConfigError: `until` names no stage.
@@ -219,7 +201,7 @@ def run_pipeline(project: Project, display: Display, *, until: str = "") -> list
         display.warn(STAGES[0], sentence)
     # The choices lie beside the results, so that reports can be made again and questions answered.
     write_project(project.out / PROJECT_FILE, project)
-    return run_stages(project, STAGES, display, inputs=inputs, until=until)
+    return run_stages(project, STAGES, display, inputs=inputs, until=until, **machine)
 
 
 def capture_digest(capture: Capture) -> str:

@@ -1,5 +1,7 @@
 """The report's sections on the generated episodes, and on poses that gave none: videos, verdicts, reasons."""
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,9 +9,9 @@ import numpy as np
 
 from aomgen.assets.mjcf import GRAVITY
 from aomgen.core.episode import Episode
-from aomgen.core.plan import Variation
+from aomgen.episodes.generate import LOST
 from aomgen.episodes.ik import IkLimits
-from aomgen.io.artifact import read_json
+from aomgen.episodes.ledger import DRAWS_FILE, read_draws
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.video import read_frames
 from aomgen.pipeline.figures import read_figure
@@ -54,7 +56,7 @@ class Made:
     @property
     def place(self) -> str:
         """Where the object stands against the recorded one, in words."""
-        return place_words(Variation(**self.episode.verdict["variation"]))
+        return place_words(self.episode.verdict["variation"])
 
 
 def episodes_section(results: Results) -> list[str]:
@@ -86,9 +88,10 @@ def made_episodes(results: Results) -> list[Made]:
     ]
 
 
-def place_words(variation: Variation) -> str:
-    """Where an object stands against the recorded one."""
-    x, y, yaw = (round(float(v)) for v in (100 * variation.x, 100 * variation.y, np.degrees(variation.yaw)))
+def place_words(variation: Mapping[str, Any]) -> str:
+    """Where an object stands against the recorded one, from a stored `Variation`."""
+    place = (100 * variation["x"], 100 * variation["y"], np.degrees(variation["yaw"]))
+    x, y, yaw = (round(float(value)) for value in place)
     return f"{x:+d} cm, {y:+d} cm, {yaw:+d} deg"
 
 
@@ -151,25 +154,25 @@ def _verdicts(made: list[Made]) -> str:
 
 def rejects_section(results: Results) -> list[str]:
     """One table for each reason, the commonest first."""
-    path = results.folders["plans"] / "rejected.json"
-    rejected = read_json(path)
-    if not rejected["rejected"]:
-        return [paragraph("Every pose that was tried gave an episode.")]
+    folder = results.folders["episodes"]
+    failed = [item for item in read_draws(folder) if item["outcome"] != "committed"]
+    if not failed:
+        return [paragraph("Every pose that was drawn gave an episode.")]
     meanings = reasons()
     parts = [
         paragraph(
-            "Poses that were tried and gave no episode; they are counted, never drawn. Each line tells of the "
-            "grasp that came farthest."
+            "Draws that gave no episode, most of them before anything was planned; none is rendered. Where planning "
+            "failed, each line tells of the grasp that came farthest."
         )
     ]
-    for reason, count in sorted(rejected["reasons"].items(), key=lambda item: -item[1]):
-        found = [item for item in rejected["rejected"] if item["reason"] == reason]
+    for reason, count in Counter(item["reason"] for item in failed).most_common():
+        found = [item for item in failed if item["reason"] == reason]
         parts.append(heading(f"{count} {reason.replace('_', ' ')}: {meanings.get(reason, reason)}"))
         parts.append(
             table(["asset", "moved: x, y, turn", "what was found"], [_row(item) for item in found[:LISTED]])
         )
         if len(found) > LISTED:
-            parts.append(paragraph(f"{len(found) - LISTED} more in {path.parent.name}/{path.name}."))
+            parts.append(paragraph(f"{len(found) - LISTED} more in {folder.name}/{DRAWS_FILE}."))
     return parts
 
 
@@ -177,6 +180,11 @@ def reasons() -> dict[str, str]:
     """What each reason of a rejection means, with its limit."""
     ik, contact, rule = IkLimits(), KinematicLimits(), PassRule()
     return {
+        "outside_area": "the place lies beside the area asked for",
+        "off_table": "the object would stand beyond the table's edge",
+        "out_of_reach": "the handle is farther away than the arm can hold anything",
+        "out_of_view": "a camera does not show enough of the action",
+        **LOST,
         "unreachable": f"the arm misses an asked pose by more than {ik.residual_mm:g} mm or {ik.residual_deg:g} deg",
         "joint_limit": "a joint comes too near to its limit",
         "branch": "the arm's way back from the grasp ends in another joint configuration than the demonstrated one",
@@ -196,4 +204,4 @@ def reasons() -> dict[str, str]:
 
 
 def _row(item: dict[str, Any]) -> list[object]:
-    return [item["asset"], whole(place_words(Variation(**item["variation"]))), item["detail"]]
+    return [item["name"], whole(place_words(item["variation"])), item["detail"]]

@@ -40,7 +40,7 @@ CONTACT_SHEET = "episodes.jpg"
 SHEET_FRAMES, SHEET_EPISODES = 5, 12
 # The figures that a reader looks for first: stage, names.
 HEADLINES = (
-    ("plans", ("verified", "smallest_margin")),
+    ("episodes", ("episodes", "smallest_margin")),
     ("dataset", ("frames",)),
     ("structure", ("registered", "of", "reprojection_error_px")),
     ("gaussians", ("heldout_psnr",)),

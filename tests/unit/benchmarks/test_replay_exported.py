@@ -17,16 +17,16 @@ from aomgen.core.recording import RobotChoice
 from aomgen.core.transforms import apply, invert
 from aomgen.datasets.features import ee_targets, feature_columns
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
-from aomgen.episodes.stage import episode_of
+from aomgen.episodes.record import episode_of
+from aomgen.episodes.variations import Ranges
 from aomgen.errors import MissingFileError
-from aomgen.episodes.planning import PlanParams
-from aomgen.episodes.generate import GenerationParams, PoseRanges, generate_episodes
 from aomgen.io.episode_folder import commit_episode, read_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.loading import save_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.synthetic.demonstration_search import Performance, find_demonstration
 from benchmarks.replay_exported import run_replay
+from verified import verified_episodes
 
 FPS = 10
 CATEGORIES = ("cabinet", "drawer", "laptop", "microwave", "toolbox")
@@ -77,19 +77,15 @@ def export(robot: RobotModel, category: str, out: Path) -> None:
     shown = find_demonstration(robot, make_asset(category, 1), np.random.default_rng(3))
     demo = demonstration(robot, shown)
     fitted = fitted_at(shown, demo)
-    params = GenerationParams(
-        count=1,
-        ranges=PoseRanges(x_m=(-0.01, 0.01), y_m=(-0.01, 0.01), yaw_deg=(-3, 3)),
-        plan=PlanParams(fps=FPS),
-    )
+    ranges = Ranges(x_m=(-0.01, 0.01), y_m=(-0.01, 0.01), yaw_deg=(-3, 3))
     support = SupportPlane(
         height=float(shown.layout.T_world_object[2, 3]), low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2
     )
-    made = generate_episodes([fitted], demo, robot, support, params, lambda share, text: None)
+    made = next(verified_episodes(fitted, demo, robot, support, ranges, FPS))
     T_world_cam = look_at((1, 1, 1), (0, 0, 0))
     camera = Camera(fx=60, fy=60, cx=32, cy=32, width=64, height=64, T_world_cam=T_world_cam)
     episode = episode_of(
-        made.episodes[0],
+        made,
         0,
         Path("../../asset.usda"),
         robot,
@@ -98,7 +94,7 @@ def export(robot: RobotModel, category: str, out: Path) -> None:
         np.zeros(6),
     )
     grey = encode_video(np.full((len(episode), 64, 64, 3), 128, np.uint8), FPS)
-    folder = commit_episode(out / "09_episodes", episode, {"front": grey})
+    folder = commit_episode(out / "08_episodes", episode, {"front": grey})
     write_usd(fitted.asset, out / "asset.usda")
     write_lerobot_v3([folder], out / "dataset")
     choice = RobotChoice(
@@ -142,7 +138,7 @@ def test_a_lid_falls_where_the_file_says_nothing_of_its_friction(out: Path) -> N
 
 
 def test_actions_are_what_is_reached_one_frame_later(robot: RobotModel, out: Path) -> None:
-    episode = read_episode(out / "09_episodes" / "000000").episode
+    episode = read_episode(out / "08_episodes" / "000000").episode
     columns = feature_columns(episode)
     arm = slice(0, len(robot.joint_names))
     states, actions = columns["observation.state"][:, arm], columns["action"][:, arm]

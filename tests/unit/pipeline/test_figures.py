@@ -12,7 +12,7 @@ from aomgen.pipeline.stages import STAGES
 
 SOURCE = Path(aomgen.__file__).parent
 # Packages that are not named as their stage.
-PACKAGES = {"twin": "appearance", "plans": "episodes", "dataset": "datasets"}
+PACKAGES = {"twin": "appearance", "dataset": "datasets"}
 # Figures that stay in the manifests alone, and why.
 NOT_SHOWN = {
     "structure": {"of": "shown with the registered images"},
@@ -87,7 +87,7 @@ def test_what_is_poor_says_so_in_words() -> None:
 
 
 def test_the_margin_is_told_as_the_opening_it_means() -> None:
-    (item,) = read_figures("plans", {"smallest_margin": 0.09178})
+    (item,) = read_figures("episodes", {"smallest_margin": 0.09178})
     assert item == Reading(
         name="least opening", number="99.2", unit="% of the plan", verdict="good", limit="good above 90"
     )

@@ -70,8 +70,8 @@ def test_both_cameras_play_side_by_side_and_load_nothing_before(results: Results
     page = "".join(episodes_section(results))
     (card,) = re.findall(r"<figure class=.card.>.*?</figure>", page)
     assert re.findall(r' src="([^"]+)"', card) == [
-        "09_episodes/000000/front.mp4",
-        "09_episodes/000000/side.mp4",
+        "08_episodes/000000/front.mp4",
+        "08_episodes/000000/side.mp4",
     ]
     assert card.count('preload="none"') == 2
     assert card.count('poster="data:image/jpeg;base64,') == 2
@@ -100,25 +100,34 @@ def test_many_episodes_are_listed_and_only_the_first_decoded(
     page = "".join(episodes_section(results))
     assert len(decoded) == 48
     assert page.count("<video") == 48
-    assert page.count('href="09_episodes/') == 60
+    assert page.count('href="08_episodes/') == 60
     assert "The first 24 of 30 are shown" in page
     assert "<details><summary>all 30 episodes" in page
 
 
 def test_rejects_are_grouped_by_reason_with_pair_and_limit(results: Results) -> None:
     detail = "penetration_mm is 52.0, limit 1.0 (gripper_base and object_moving_door)"
-    collision = {"asset": "drawer-1", "reason": "collision", "detail": detail, "variation": VARIATION}
+    collision = {
+        "name": "drawer-1",
+        "outcome": "rejected",
+        "reason": "collision",
+        "detail": detail,
+        "variation": VARIATION,
+    }
     missed = {**collision, "reason": "unreachable", "detail": "7.8 mm and 0.8 deg from the asked pose"}
-    results.folders["plans"].mkdir()
-    content = {"reasons": {"unreachable": 1, "collision": 25}, "rejected": [missed, *([collision] * 25)]}
-    (results.folders["plans"] / "rejected.json").write_text(json.dumps(content))
+    hidden = {**collision, "outcome": "skipped", "reason": "out_of_view", "detail": "camera front shows 40 %"}
+    good = {**collision, "outcome": "committed", "reason": "", "detail": ""}
+    results.folders["episodes"].mkdir()
+    draws = {"draws": [good, missed, hidden, *([collision] * 25)]}
+    (results.folders["episodes"] / "draws.json").write_text(json.dumps(draws))
     page = "".join(rejects_section(results))
     assert re.findall(r"<h3>([^<]+)</h3>", page) == [
         "25 collision: robot and scene overlap by more than 1 mm",
         "1 unreachable: the arm misses an asked pose by more than 1 mm or 0.5 deg",
+        "1 out of view: a camera does not show enough of the action",
     ]
     assert page.count(detail) == 20
-    assert "5 more in 08_plans/rejected.json" in page
+    assert "5 more in 08_episodes/draws.json" in page
 
 
 def test_every_reason_of_planning_is_explained() -> None:

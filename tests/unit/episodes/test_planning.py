@@ -1,29 +1,15 @@
 """Plans follow the object, keep the arm's limits, and say no where they must."""
 
-from dataclasses import replace
-from itertools import islice
-
 import numpy as np
 import pytest
 
-from aomgen.core.camera import Camera, look_at
-from aomgen.core.demonstration import Demonstration, SupportPlane
+from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
-from aomgen.errors import NotEnoughEpisodesError
-from aomgen.episodes.planning import PlanParams, plan_episode
-from aomgen.episodes.generate import (
-    GenerationParams,
-    PoseRanges,
-    generate_episodes,
-    in_view,
-    variations,
-    worth_trying,
-)
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.retarget import CONTACT, gripper_command, retarget, timing
-from aomgen.episodes.plans_stage import generate_in, load_generalization
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from toy_drawer import SUPPORT, fitted_drawer, opening
@@ -47,19 +33,6 @@ def demo(robot: RobotModel, solver: IkSolver, fitted: FittedAsset) -> Demonstrat
 def grasp_of(demo: Demonstration, fitted: FittedAsset) -> Grasp:
     R = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[demo.contact_frames[0], :3, :3]
     return next(iter(grasps(fitted, R, 0.0, demo.ee_turn_ratio)))
-
-
-def test_variations_depend_on_seed_and_index_and_stay_in_range() -> None:
-    ranges = PoseRanges()
-    first, again = (list(islice(variations(3, ranges), 40)) for _ in range(2))
-    assert first == again
-    assert first[5].index == 5
-    assert first != list(islice(variations(4, ranges), 40))
-    xs = np.array([[v.x, v.y, np.rad2deg(v.yaw)] for v in first])
-    assert np.all(xs.min(0) >= [-0.05, -0.05, -45])
-    assert np.all(xs.max(0) <= [0.30, 0.05, 45])
-    counts = np.histogram(xs[:, 0], bins=4, range=(-0.05, 0.30))[0]
-    assert counts.min() >= 8
 
 
 def test_ik_meets_the_asked_poses(robot: RobotModel, solver: IkSolver, demo: Demonstration) -> None:
@@ -155,59 +128,3 @@ def test_pose_out_of_reach_is_rejected_with_a_reason(
     assert isinstance(result, Rejection)
     assert result.reason == "unreachable"
     assert result.metrics["grasps_tried"] >= 7
-
-
-def test_generation_is_reproducible_and_survives_its_folder(
-    robot: RobotModel, demo: Demonstration, fitted: FittedAsset, tmp_path
-) -> None:
-    params = GenerationParams(count=2, seed=5, ranges=PoseRanges(x_m=(-0.02, 0.05), yaw_deg=(-15, 15)))
-    made = generate_in(tmp_path, [fitted], demo, robot, SUPPORT, params, lambda share, text: None)
-    assert len(made.episodes) == 2
-    loaded = load_generalization(tmp_path, [fitted])
-    for a, b in zip(made.episodes, loaded, strict=True):
-        np.testing.assert_array_equal(a.joints, b.joints)
-        np.testing.assert_array_equal(a.contacts.forces, b.contacts.forces)
-        assert a.verdict.as_json() == b.verdict.as_json()
-        assert a.verdict.margin >= 0
-        assert len(a.contacts.frames) > 10
-
-
-def test_too_few_episodes_stop_with_counted_reasons(
-    robot: RobotModel, demo: Demonstration, fitted: FittedAsset
-) -> None:
-    # A travel below the minimum can never pass.
-    short = replace(fitted, thetas=fitted.thetas / 3)
-    params = GenerationParams(
-        count=1, ranges=PoseRanges(x_m=(0, 0.01), yaw_deg=(-2, 2)), attempts_per_episode=2
-    )
-    with pytest.raises(NotEnoughEpisodesError, match="2 target_too_small"):
-        generate_episodes([short], demo, robot, SUPPORT, params, lambda share, text: None)
-
-
-def test_poses_off_the_table_or_out_of_reach_are_not_tried(fitted: FittedAsset) -> None:
-    shoulder = np.array([0.0, 0.0, 0.16])
-    T = fitted.T_world_asset[:2, 3]
-    small = SupportPlane(height=0.05, low_xy=T - 0.3, high_xy=T + 0.3)
-    here = Variation(seed=0, index=0, x=0, y=0, yaw=0)
-    assert worth_trying(here, fitted, small, shoulder, 1.1)
-    assert not worth_trying(replace(here, y=0.3), fitted, small, shoulder, 1.1)
-    assert worth_trying(replace(here, y=0.3), fitted, SUPPORT, shoulder, 1.1)
-    assert not worth_trying(replace(here, x=0.5), fitted, SUPPORT, shoulder, 1.1)
-    # The recorded place counts as table even where its edge is estimated too near.
-    assert worth_trying(here, fitted, replace(small, high_xy=T - 0.1), shoulder, 1.1)
-
-
-def test_a_pose_that_a_camera_does_not_show_is_not_in_view(fitted: FittedAsset) -> None:
-    here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
-    held = apply(fitted.T_world_asset, fitted.contact_asset)
-    camera = Camera(
-        fx=300, fy=300, cx=160, cy=120, width=320, height=240,
-        T_world_cam=look_at(held + [-1.5, -1.0, 0.8], held),
-    )  # fmt: skip
-    assert in_view(here, fitted, camera, 0.85)
-    assert not in_view(replace(here, x=-1.2, y=1.8), fitted, camera, 0.85)
-    behind = camera.moved(look_at(held + [-1.5, -1.0, 0.8], held + [-3.0, -2.0, 1.6]))
-    assert not in_view(here, fitted, behind, 0.85)
-    zoomed = replace(camera, fx=9000, fy=9000)
-    assert not in_view(here, fitted, zoomed, 0.85)
-    assert not in_view(here, fitted, zoomed, 0.0), "the held point leaves the picture while the part opens"

@@ -5,14 +5,13 @@ import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.episode import no_contacts
+from aomgen.core.episode import Episode, no_contacts
 from aomgen.core.plan import EpisodePlan, FittedAsset, SettingOutcome, Variation, Verdict, VerifiedEpisode
+from aomgen.episodes.record import episode_of
 from aomgen.episodes.render import Trajectory, render_frames, static_layers
-from aomgen.episodes.stage import run_episodes
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
-from aomgen.io.atomic import STAGING_PREFIX
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
-from aomgen.io.video import read_video
+from aomgen.io.video import encode_video, read_video
 from aomgen.twin.binding import with_object
 from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, render_state
@@ -89,25 +88,29 @@ def verified(toy_scene, turn: float) -> VerifiedEpisode:
     )
 
 
-def run(toy_scene, twin, cameras, folder: Path, count: int = 2, workers: int = 2) -> list[Path]:
-    episodes = [verified(toy_scene, 0.2 * (k + 1)) for k in range(count)]
-    return run_episodes(
-        episodes,
-        {toy_scene.asset.name: twin},
-        {toy_scene.asset.name: folder / "asset.usda"},
-        toy_scene.robot,
-        cameras,
-        folder,
-        instruction="open the microwave",
-        joint_zeros_rad=ZEROS_RAD,
-        T_world_plane=np.eye(4),
-        workers=workers,
+def commit(toy_scene, twin, cameras, folder: Path, count: int = 2) -> list[Path]:
+    layers = static_layers(twin, cameras)
+    folders = []
+    for index in range(count):
+        made = verified(toy_scene, 0.2 * (index + 1))
+        episode = episode_of(
+            made, index, Path("../asset.usda"), toy_scene.robot, "open the microwave", cameras, ZEROS_RAD
+        )
+        frames = render_frames(twin, toy_scene.robot, trajectory_of(episode), layers, np.eye(4))
+        videos = {name: encode_video(images, episode.fps) for name, images in frames.items()}
+        folders.append(commit_episode(folder, episode, videos))
+    return folders
+
+
+def trajectory_of(item: Episode | EpisodePlan) -> Trajectory:
+    return Trajectory(
+        joints=item.joints, gripper=item.gripper, thetas=item.thetas, T_world_object=item.T_world_object
     )
 
 
 @pytest.fixture(scope="module")
 def committed(toy_scene, twin, cameras, tmp_path_factory) -> list[Path]:
-    return run(toy_scene, twin, cameras, tmp_path_factory.mktemp("run") / "episodes")
+    return commit(toy_scene, twin, cameras, tmp_path_factory.mktemp("run") / "episodes")
 
 
 def test_an_episode_comes_back_as_it_was(toy_scene, committed):
@@ -137,31 +140,21 @@ def test_the_video_shows_what_the_twin_draws(toy_scene, twin, cameras, committed
     assert np.abs(video.frames_srgb[-1].astype(int) - video.frames_srgb[0]).mean() > 1
 
 
-def test_same_bytes_for_any_number_of_workers(toy_scene, twin, cameras, committed, tmp_path):
-    again = run(toy_scene, twin, cameras, tmp_path / "episodes", workers=1)
-    for a, b in zip(committed, again, strict=True):
-        names = sorted(p.name for p in a.iterdir())
-        assert names == ["episode.json", "frames.npz", "front.mp4", "side.mp4"]
-        for name in names:
-            assert (a / name).read_bytes() == (b / name).read_bytes()
-
-
-def test_a_second_run_keeps_what_is_committed(toy_scene, twin, cameras, tmp_path):
-    folder = tmp_path / "episodes"
-    (first,) = run(toy_scene, twin, cameras, folder, count=1)
-    stamp = (first / "front.mp4").stat().st_mtime_ns
-    (folder / f"{STAGING_PREFIX}left-by-a-kill").mkdir()
-    run(toy_scene, twin, cameras, folder, count=2)
-    assert (first / "front.mp4").stat().st_mtime_ns == stamp
-    assert [p.name for p in sorted(folder.iterdir())] == ["000000", "000001"]
+def test_same_pictures_for_any_number_of_threads(toy_scene, twin, cameras):
+    trajectory = trajectory_of(verified(toy_scene, 0.4).plan)
+    one, two = (
+        render_frames(
+            twin, toy_scene.robot, trajectory, static_layers(twin, cameras, threads), np.eye(4), threads
+        )
+        for threads in (1, 2)
+    )
+    for name in cameras:
+        np.testing.assert_array_equal(one[name], two[name])
 
 
 def test_shadow_only_darkens_the_static_picture(toy_scene, twin, cameras):
     plan = verified(toy_scene, 0.1).plan
-    trajectory = Trajectory(
-        joints=plan.joints, gripper=plan.gripper, thetas=plan.thetas, T_world_object=plan.T_world_object
-    )
-    layers = static_layers(twin, cameras)
+    trajectory, layers = trajectory_of(plan), static_layers(twin, cameras)
     bright = render_frames(twin, toy_scene.robot, trajectory, layers)["front"].astype(int)
     dark = render_frames(twin, toy_scene.robot, trajectory, layers, np.eye(4))["front"].astype(int)
     assert (dark <= bright + 1).all()
@@ -179,7 +172,7 @@ def test_nothing_is_left_of_an_episode_that_cannot_be_written(toy_scene, committ
 
 
 def test_damage_is_noticed(toy_scene, twin, cameras, tmp_path):
-    (folder,) = run(toy_scene, twin, cameras, tmp_path / "episodes", count=1)
+    (folder,) = commit(toy_scene, twin, cameras, tmp_path / "episodes", count=1)
     data = bytearray((folder / "front.mp4").read_bytes())
     data[len(data) // 2] ^= 1
     (folder / "front.mp4").write_bytes(data)

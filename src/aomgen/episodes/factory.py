@@ -1,0 +1,257 @@
+"""One unit of work, from the draw to the committed episode or the rejection, in one process."""
+
+import os
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Final
+
+from aomgen.assets.usd_write import write_usd
+from aomgen.core.camera import Camera
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
+from aomgen.episodes.ik import ik_solver
+from aomgen.episodes.ledger import Unit, write_rejection
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.record import episode_of
+from aomgen.episodes.render import Trajectory, render_frames, static_layers
+from aomgen.episodes.screening import TABLE_CLEARANCE_M, Place, longest_reach
+from aomgen.episodes.variations import Ranges, draw, scaled_fit
+from aomgen.errors import ConfigError
+from aomgen.executors import Work
+from aomgen.io.artifact import load_artifact
+from aomgen.io.atomic import staged_folder
+from aomgen.io.episode_folder import commit_episode, episode_folder
+from aomgen.io.schema import suggest
+from aomgen.io.video import encode_video
+from aomgen.results import ASSET_USD, Results
+from aomgen.simulation.collision_check import table_overlap_m
+from aomgen.simulation.scene import Scene, build_scene
+from aomgen.simulation.verify import verify_plan
+from aomgen.twin.twin import StaticLayer, Twin
+
+# Assets that a worker keeps open: the one it works on, and the next.
+OPEN_ASSETS: Final = 2
+# USD files of objects that have another size than their asset.
+OBJECTS_FOLDER: Final = "objects"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenerationParams:
+    """What episodes are made of.
+
+    Attributes:
+        ranges: Of the draws.
+        plan: How an episode is planned; its rate is the recording's.
+        bolted: The object is fixed to its support; False lets it stand by friction.
+        attempts_per_episode: Draws tried for each wanted episode before giving up.
+        cameras: Names of the scene's cameras that are used; empty for all.
+        free_cameras: Cameras added, placed by `ranges.free`.
+        timeout_s: One unit takes no longer, or is given up, [s].
+    """
+
+    ranges: Ranges = field(default_factory=Ranges)
+    plan: PlanParams = field(default_factory=PlanParams)
+    bolted: bool = True
+    attempts_per_episode: int = 5
+    cameras: tuple[str, ...] = ()
+    free_cameras: int = 0
+    timeout_s: float = 600.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Made:
+    """What a worker tells of a unit: whether an episode was committed, and seconds of work by part."""
+
+    committed: bool
+    seconds: Mapping[str, float]
+
+
+class EpisodeFactory:
+    """What a worker holds: robot, demonstration, and the assets that it works on.
+
+    Args:
+        results: Of the run.
+        folder: Of all episodes.
+    """
+
+    def __init__(self, results: Results, folder: Path) -> None:
+        self.results, self.folder = results, folder
+        self.params = results.params("episodes", GenerationParams())
+        self.plan_params = replace(self.params.plan, fps=results.fps)
+        self.solver = ik_solver(results.robot)
+        # Methods cannot be cached per instance otherwise without keeping the instance alive.
+        self.asset = lru_cache(OPEN_ASSETS)(self._open_asset)
+        self._seconds: dict[str, float] = {}
+
+    @cached_property
+    def place(self) -> Place:
+        """What draws are held against.
+
+        Raises:
+            ConfigError: A camera is unknown.
+        """
+        scene, known = self.results.episode_scene, self.results.episode_scene.cameras
+        for name in self.params.cameras:
+            if name not in known:
+                raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(name, known))
+        return Place(
+            ranges=self.params.ranges,
+            support=scene.support,
+            reach=longest_reach(self.results.robot),
+            cameras={name: known[name] for name in self.params.cameras or known},
+            free=self.params.free_cameras,
+        )
+
+    def screen(self, unit: Unit) -> tuple[Variation, Rejection | None]:
+        """The variation of a draw, and why it is not worth trying, if it is not."""
+        variation = self.variation(unit)
+        fitted = scaled_fit(self.results.fitted_assets[unit.asset], variation.scale)
+        return variation, self.place.screened(variation, fitted)
+
+    def variation(self, unit: Unit) -> Variation:
+        """The variation of a draw."""
+        return draw(
+            self.results.project.seed,
+            unit.asset,
+            unit.index,
+            self.params.ranges,
+            arm_joints=len(self.results.robot.joint_names),
+            cameras=len(self.place.cameras),
+            free=self.place.free,
+        )
+
+    def make(self, unit: Unit) -> Made:
+        """Plan, verify, draw and commit the episode of a unit, or write why there is none."""
+        self._seconds = {}
+        variation = self.variation(unit)
+        opened = self.asset(unit.asset)
+        fitted, scene = opened.sized(variation.scale)
+        with self._timed("plan"):
+            plan = plan_episode(
+                fitted, self.results.demonstration, variation, scene, self.solver, self.plan_params
+            )
+        verified: VerifiedEpisode | Rejection = (
+            plan if isinstance(plan, Rejection) else self._verified(plan, scene)
+        )
+        if isinstance(verified, Rejection):
+            write_rejection(self.folder, unit, variation, verified)
+        else:
+            self._commit(unit, verified, opened)
+        return Made(committed=isinstance(verified, VerifiedEpisode), seconds=self._seconds)
+
+    def _verified(self, plan: EpisodePlan, scene: Scene) -> VerifiedEpisode | Rejection:
+        with self._timed("verify"):
+            return verify_plan(plan, scene)
+
+    def _commit(self, unit: Unit, verified: VerifiedEpisode, opened: "OpenAsset") -> None:
+        results, plan = self.results, verified.plan
+        home = episode_folder(self.folder, unit.number)
+        usd = Path(os.path.relpath(self._object_usd(unit, plan, opened), home))
+        cameras = self.place.views(plan.variation, opened.fitted)
+        episode = episode_of(
+            verified,
+            unit.number,
+            usd,
+            results.robot,
+            results.recorded.instruction,
+            cameras,
+            results.alignment.joint_zeros_rad,
+        )
+        trajectory = Trajectory(
+            joints=episode.joints,
+            gripper=episode.gripper,
+            thetas=episode.thetas,
+            T_world_object=episode.T_world_object,
+        )
+        with self._timed("draw"):
+            frames = render_frames(
+                opened.twin,
+                results.robot,
+                trajectory,
+                opened.layers(cameras),
+                results.episode_scene.T_world_plane,
+                1,
+            )
+        with self._timed("encode"):
+            videos = {name: encode_video(images, episode.fps) for name, images in frames.items()}
+        with self._timed("commit"):
+            commit_episode(self.folder, episode, videos)
+
+    def _object_usd(self, unit: Unit, plan: EpisodePlan, opened: "OpenAsset") -> Path:
+        """The file in which others can simulate the object; one of another size is written for this episode."""
+        if plan.variation.scale == 1.0:
+            return opened.usd
+        home = self.folder / OBJECTS_FOLDER / f"{unit.number:06d}"
+        with staged_folder(home) as staging:
+            write_usd(plan.fitted.asset, staging / ASSET_USD)
+        return home / ASSET_USD
+
+    def _open_asset(self, number: int) -> "OpenAsset":
+        home = self.results.asset_folder(number)
+        return OpenAsset(
+            factory=self,
+            fitted=self.results.fitted_assets[number],
+            twin=load_artifact(home, "twin", Twin),
+            usd=home / ASSET_USD,
+        )
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        start = time.process_time()
+        yield
+        self._seconds[part] = self._seconds.get(part, 0.0) + time.process_time() - start
+
+
+@dataclass
+class OpenAsset:
+    """An asset that a worker works on."""
+
+    factory: EpisodeFactory
+    fitted: FittedAsset
+    twin: Twin
+    usd: Path
+
+    def sized(self, scale: float) -> tuple[FittedAsset, Scene]:
+        """The asset at a size, and the scene to plan and verify it in."""
+        if scale == 1.0:
+            return self.fitted, self.scene
+        fitted = scaled_fit(self.fitted, scale)
+        return fitted, self._build(fitted)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Robot, table and the asset as it was fitted."""
+        return self._build(self.fitted)
+
+    def _build(self, fitted: FittedAsset) -> Scene:
+        """Robot, table and asset; a table that the recorded arm would have hit is lowered out of its way.
+
+        An object that is not bolted needs its table where it is.
+        """
+        factory, bolted = self.factory, self.factory.params.bolted
+        robot, support = factory.results.robot, factory.place.support
+        scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=bolted)
+        overlap = table_overlap_m(scene, factory.results.demonstration.joints)
+        if overlap <= 0.0 or not bolted:
+            return scene
+        lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
+        return build_scene(robot, fitted.asset, fitted.T_world_asset, lower, bolted=bolted)
+
+    def layers(self, cameras: Mapping[str, Camera]) -> dict[str, StaticLayer]:
+        """What the cameras see of what never moves; kept for the scene's own cameras."""
+        own = self.factory.place.cameras
+        if all(cameras[name] is own.get(name) for name in cameras):
+            return self._own_layers
+        return static_layers(self.twin, cameras, 1)
+
+    @cached_property
+    def _own_layers(self) -> dict[str, StaticLayer]:
+        return static_layers(self.twin, self.factory.place.cameras, 1)
+
+
+def open_factory(results: Results, folder: Path) -> Work:
+    """What a worker calls first; `results` is what was pickled: the project and its folders, nothing that was read."""
+    return EpisodeFactory(results, folder).make

@@ -1,0 +1,170 @@
+"""What can be told of a draw before anything is planned: it is on the table, in view and within reach, or why not."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.demonstration import SupportPlane
+from aomgen.core.plan import FittedAsset, OrbitChange, Rejection, Variation
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.core.values import Array, Vector3, freeze_arrays
+from aomgen.episodes.variations import Ranges, inside
+from aomgen.robots.robot import RobotModel
+
+# Kept between the recorded arm and a table that it would have hit, [m].
+TABLE_CLEARANCE_M: Final = 0.005
+# An object may stand this far beyond the table's estimated edge, [m].
+OVERHANG_M: Final = 0.02
+# Share of the object that each camera must show, 0..1: a corner may be cut off.
+LEAST_IN_VIEW: Final = 0.85
+# Part of the longest reach at which an arm can still turn its hand, 0..1.
+USEFUL_REACH: Final = 0.9
+# Joint values at which the held point is looked at, between closed and the planned opening.
+SAMPLED_VALUES: Final = 5
+# Name of added cameras, with their number.
+FREE_CAMERA: Final = "free{}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """How far an arm gets: about which point, and the farthest end effector, [m]."""
+
+    shoulder_world: Vector3
+    reach_m: float
+
+    __post_init__ = freeze_arrays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """What draws are held against: ranges, table, robot's reach, and cameras that the scene has."""
+
+    ranges: Ranges
+    support: SupportPlane
+    reach: Reach
+    cameras: Mapping[str, Camera]
+    free: int = 0
+
+    def views(self, variation: Variation, fitted: FittedAsset) -> dict[str, Camera]:
+        """The cameras of an episode, world frame: the scene's, moved as drawn, and the added ones."""
+        recorded = apply(fitted.T_world_asset, fitted.contact_asset)
+        now = apply(variation.placed(fitted), fitted.contact_asset)
+        changes = variation.orbits or (OrbitChange(),) * len(self.cameras)
+        views = {
+            name: orbited(camera, recorded, change)
+            for (name, camera), change in zip(self.cameras.items(), changes, strict=False)
+        }
+        first = next(iter(self.cameras.values()))
+        for number, change in enumerate(changes[len(self.cameras) :]):
+            aimed = first.moved(_aimed(first, now))
+            views[FREE_CAMERA.format(number)] = orbited(aimed, now, change)
+        return views
+
+    def screened(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
+        """Why a draw is not worth planning: "outside_area", "off_table", "out_of_reach" or "out_of_view"."""
+        T = variation.placed(fitted)
+        moved = T @ fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, SAMPLED_VALUES))
+        held = apply(moved, fitted.contact_asset[None])
+        if self.ranges.polygon and not inside(self.ranges.polygon, np.array([variation.x, variation.y])):
+            return Rejection(reason="outside_area", detail="the place lies beside the area given")
+        over_m = self._overhang_m(fitted, T)
+        if not over_m <= OVERHANG_M:
+            return Rejection(
+                reason="off_table",
+                detail=f"stands {100 * over_m:.0f} cm beyond the table's edge, limit {100 * OVERHANG_M:.0f} cm",
+                metrics={"overhang_m": over_m},
+            )
+        far_m = float(np.linalg.norm(held - self.reach.shoulder_world, axis=1).max())
+        if not far_m <= USEFUL_REACH * self.reach.reach_m:
+            return Rejection(
+                reason="out_of_reach",
+                detail=f"the handle is {far_m:.2f} m from the shoulder, limit {USEFUL_REACH * self.reach.reach_m:.2f} m",
+                metrics={"distance_m": far_m},
+            )
+        for name, camera in self.views(variation, fitted).items():
+            share = seen_share(camera, held, _corners(fitted, T))
+            if not share >= LEAST_IN_VIEW:
+                return Rejection(
+                    reason="out_of_view",
+                    detail=f"camera {name} shows {share:.0%} of the action, limit {LEAST_IN_VIEW:.0%}",
+                    metrics={"in_view": share},
+                )
+        return None
+
+    def _overhang_m(self, fitted: FittedAsset, T_world_object: Array) -> float:
+        """How far the object stands beyond the table; its recorded place belongs to the table, whatever was estimated."""
+        recorded, corners = (_footprint(fitted, T) for T in (fitted.T_world_asset, T_world_object))
+        low = np.minimum(self.support.low_xy, recorded.min(0))
+        high = np.maximum(self.support.high_xy, recorded.max(0))
+        return float(max((low - corners).max(), (corners - high).max(), 0.0))
+
+
+def orbited(camera: Camera, target_world: Array, change: OrbitChange) -> Camera:
+    """A camera moved about a point (3,); the point stays where it is in the image."""
+    if change == OrbitChange():
+        return camera
+    turned = matrix_from_rotvec(np.array([0.0, 0.0, change.turn]))
+    # A camera's y axis points down: a turn about its x axis by a negative angle looks from higher up.
+    tilted = matrix_from_rotvec(-change.tilt * camera.T_world_cam[:3, 0])
+    R = turned @ tilted
+    eye = target_world + change.distance * (R @ (camera.center - target_world))
+    return camera.moved(transform(R @ camera.T_world_cam[:3, :3], eye))
+
+
+def seen_share(camera: Camera, held_world: Array, corners_world: Array) -> float:
+    """Share 0..1 of the outline box of corners (N, 3) in the image; 0 where a held point (M, 3) is not in view."""
+    size = np.array([camera.width, camera.height])
+    pixels, depths = camera.project(held_world)
+    if not (np.all(depths > 0) and np.all(pixels >= 0) and np.all(pixels <= size)):
+        return 0.0
+    pixels, depths = camera.project(corners_world)
+    if not np.all(depths > 0):
+        return 0.0
+    low, high = pixels.min(0), pixels.max(0)
+    within = np.clip(high, 0, size) - np.clip(low, 0, size)
+    return float(np.prod(within) / np.prod(high - low))
+
+
+def longest_reach(robot: RobotModel, samples: int = 2000) -> Reach:
+    """Point about which the arm reaches farthest, and how far its end effector gets.
+
+    The point is the highest one on the first joint's line that keeps the farthest sampled
+    pose nearest, which for most arms is the shoulder.
+    """
+    rng = np.random.default_rng(0)
+    low, high = np.clip(robot.joint_limits, -np.pi, np.pi).T
+    joints = rng.uniform(low, high, (samples, len(low)))
+    points = robot.ee_poses(joints)[:, :3, 3]
+    foot = float(robot.link_poses(joints[:1], 0.0)[0, 0, 2, 3])
+    heights = foot + np.linspace(0.0, 0.5, 26)
+    middle = np.median(points[:, :2], axis=0)
+    farthest = [
+        float(np.linalg.norm(points - np.array([middle[0], middle[1], z]), axis=1).max()) for z in heights
+    ]
+    best = int(np.argmin(farthest))
+    return Reach(shoulder_world=np.array([middle[0], middle[1], heights[best]]), reach_m=farthest[best])
+
+
+def _aimed(camera: Camera, target_world: Array) -> Array:
+    """Pose (4, 4) of a camera shifted so that it shows a point (3,) in the middle of its image, from as far as before."""
+    R = camera.T_world_cam[:3, :3]
+    ray = R @ np.array(
+        [(camera.width / 2 - camera.cx) / camera.fx, (camera.height / 2 - camera.cy) / camera.fy, 1.0]
+    )
+    depth = (target_world - camera.center) @ R[:, 2]
+    return transform(R, target_world - depth * ray)
+
+
+def _footprint(fitted: FittedAsset, T_world_object: Array) -> Array:
+    """Corners of the static part seen from above (N, 2), world frame, [m]."""
+    feet = np.concatenate([box.corners for box in fitted.asset.static.colliders])
+    return apply(T_world_object, feet)[:, :2]
+
+
+def _corners(fitted: FittedAsset, T_world_object: Array) -> Array:
+    """Corners of the closed object's colliders (N, 3), world frame."""
+    boxes = (*fitted.asset.static.colliders, *fitted.asset.moving.colliders)
+    return apply(T_world_object, np.concatenate([box.corners for box in boxes]))

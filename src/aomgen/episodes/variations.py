@@ -1,0 +1,193 @@
+"""What differs from episode to episode: pure functions of a seed and an index, spread evenly over the ranges asked for.
+
+Source: AOMGen, sec. 5.2 (ranges of x, y and yaw); Halton's sequence, scrambled (Owen, 2017).
+"""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Final, Literal
+
+import numpy as np
+from scipy.stats import qmc
+
+from aomgen.core.plan import FittedAsset, LightChange, MaterialChange, OrbitChange, Variation
+from aomgen.core.transforms import similarity, transform
+from aomgen.core.values import Array
+from aomgen.errors import ConfigError
+
+Range = tuple[float, float]
+# An area has at least three corners.
+CORNERS: Final = 3
+FAR_ENOUGH: Final = 100_000  # draws of an asset, at most: the number of an episode has five digits for them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrbitRanges:
+    """How a camera moves about the point that it looks at.
+
+    Attributes:
+        turn_deg: About the vertical, [deg].
+        tilt_deg: Upwards, [deg].
+        distance: Factor on the distance.
+    """
+
+    turn_deg: Range = (0.0, 0.0)
+    tilt_deg: Range = (0.0, 0.0)
+    distance: Range = (1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ranges:
+    """Where every draw lies, uniformly between low and high; pose and size are relative to the fitted asset.
+
+    Attributes:
+        x_m, y_m: Shift, [m].
+        yaw_deg: Turn about the vertical, [deg].
+        axes: Whose x and y are meant: the robot's base ("world"), or the object's, y pointing into its front.
+        polygon: Corners of an area of the table, world frame, [m]: the middle of the object's footprint is spread over
+            it, whatever x_m and y_m say; empty for none.
+        scale: Factor on the asset's size.
+        speed: Factor on the demonstrated speed.
+        start_deg: Offset of every arm joint at the start, [deg].
+        light_turn_deg, light_intensity, light_temperature_k: See `LightChange`.
+        hue_deg, saturation, brightness: See `MaterialChange`.
+        around: Of every camera that the scene has.
+        free: Of the cameras that are added, about the object where it stands.
+    """
+
+    x_m: Range = (-0.05, 0.30)
+    y_m: Range = (-0.05, 0.05)
+    yaw_deg: Range = (-45.0, 45.0)
+    axes: Literal["world", "object"] = "world"
+    polygon: tuple[tuple[float, float], ...] = ()
+    scale: Range = (1.0, 1.0)
+    speed: Range = (1.0, 1.0)
+    start_deg: Range = (0.0, 0.0)
+    light_turn_deg: Range = (0.0, 0.0)
+    light_intensity: Range = (1.0, 1.0)
+    light_temperature_k: Range = (6500.0, 6500.0)
+    hue_deg: Range = (0.0, 0.0)
+    saturation: Range = (1.0, 1.0)
+    brightness: Range = (1.0, 1.0)
+    around: OrbitRanges = field(default_factory=OrbitRanges)
+    free: OrbitRanges = field(
+        default_factory=lambda: OrbitRanges(
+            turn_deg=(-60.0, 60.0), tilt_deg=(-10.0, 25.0), distance=(0.8, 1.4)
+        )
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that hold nothing.
+
+        Raises:
+            ConfigError: A range is no pair or ends before it begins, an area has too few corners or is empty.
+        """
+        for ranges, prefix in ((self, ""), (self.around, "around."), (self.free, "free.")):
+            for item in fields(ranges):
+                value, place = getattr(ranges, item.name), f"episodes.ranges.{prefix}{item.name}"
+                if isinstance(value, tuple) and item.name != "polygon":
+                    _require_range(value, place)
+        for name in ("scale", "speed", "light_intensity", "light_temperature_k"):
+            if not getattr(self, name)[0] > 0:
+                raise ConfigError(f"episodes.ranges.{name}", f"is {getattr(self, name)}", "want more than 0")
+        if self.axes not in ("world", "object"):
+            raise ConfigError("episodes.ranges.axes", f"is '{self.axes}'", 'want "world" or "object"')
+        if self.polygon and not (len(self.polygon) >= CORNERS and area(self.polygon) > 0):
+            raise ConfigError(
+                "episodes.ranges.polygon",
+                f"has {len(self.polygon)} corners and an area of 0",
+                "want three corners or more around the part of the table that objects may stand on",
+            )
+
+
+def draw(
+    seed: int, asset: int, index: int, ranges: Ranges, *, arm_joints: int = 0, cameras: int = 0, free: int = 0
+) -> Variation:
+    """Number `index` of the sequence of an asset.
+
+    Adding joints or cameras changes no other value.
+
+    Args:
+        seed: Of the generation.
+        asset: Number of the asset; each has a sequence of its own.
+        index: From 0.
+        arm_joints: How many have an offset at the start.
+        cameras: How many are moved by `ranges.around`.
+        free: How many are moved by `ranges.free`.
+    """
+    orbits = [ranges.around] * cameras + [ranges.free] * free
+    bounds = [
+        ranges.x_m, ranges.y_m, ranges.yaw_deg, ranges.scale, ranges.speed,
+        ranges.light_turn_deg, ranges.light_intensity, ranges.light_temperature_k,
+        ranges.hue_deg, ranges.saturation, ranges.brightness,
+        *[ranges.start_deg] * arm_joints,
+        *[bound for orbit in orbits for bound in (orbit.turn_deg, orbit.tilt_deg, orbit.distance)],
+    ]  # fmt: skip
+    if ranges.polygon:
+        low, high = np.min(ranges.polygon, 0), np.max(ranges.polygon, 0)
+        bounds[:2] = (low[0], high[0]), (low[1], high[1])
+    lows, highs = np.array(bounds).T
+    sequence = qmc.Halton(len(bounds), scramble=True, rng=np.random.default_rng([seed, asset]))
+    values = (lows + sequence.fast_forward(index).random(1)[0] * (highs - lows)).tolist()
+    x, y, yaw, scale, speed, turn, intensity, temperature_k, hue, saturation, brightness = values[:11]
+    starts, views = values[11 : 11 + arm_joints], values[11 + arm_joints :]
+    return Variation(
+        seed=seed,
+        index=index,
+        x=x,
+        y=y,
+        yaw=float(np.deg2rad(yaw)),
+        frame="polygon" if ranges.polygon else ranges.axes,
+        scale=scale,
+        speed=speed,
+        start_offset=tuple(np.deg2rad(starts).tolist()) if any(ranges.start_deg) else (),
+        light=LightChange(turn=float(np.deg2rad(turn)), intensity=intensity, temperature_k=temperature_k),
+        material=MaterialChange(hue=float(np.deg2rad(hue)), saturation=saturation, brightness=brightness),
+        orbits=tuple(
+            OrbitChange(
+                turn=float(np.deg2rad(views[k])), tilt=float(np.deg2rad(views[k + 1])), distance=views[k + 2]
+            )
+            for k in range(0, len(views), 3)
+        ),
+    )
+
+
+def scaled_fit(fitted: FittedAsset, scale: float) -> FittedAsset:
+    """A fitted asset of another size, which is held at the same place, seen from above, and opened as far.
+
+    A slide's travel is scaled as its object is; a hinge turns by the same angle.
+    """
+    if scale == 1.0:
+        return fitted
+    held = fitted.contact_asset
+    R, t = fitted.T_world_asset[:3, :3], fitted.T_world_asset[:3, 3]
+    shift = R @ np.append((1 - scale) * held[:2], 0.0)
+    slides = fitted.asset.joint.type == "prismatic"
+    return replace(
+        fitted,
+        asset=fitted.asset.transformed(similarity(scale, np.eye(3), np.zeros(3))),
+        T_world_asset=transform(R, t + shift),
+        contact_asset=scale * held,
+        thetas=fitted.thetas * scale if slides else fitted.thetas,
+        scale=fitted.scale * scale,
+    )
+
+
+def area(corners: tuple[tuple[float, float], ...]) -> float:
+    """Area of a polygon that does not cross itself, [m^2]."""
+    x, y = np.asarray(corners, np.float64).T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def inside(corners: tuple[tuple[float, float], ...], point: Array) -> bool:
+    """Whether a point (2,) lies in a polygon: a ray from it crosses the outline an odd number of times."""
+    a = np.asarray(corners, np.float64)
+    b = np.roll(a, -1, 0)
+    crosses = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
+    rise = np.where(crosses, b[:, 1] - a[:, 1], 1.0)
+    at = a[:, 0] + (point[1] - a[:, 1]) / rise * (b[:, 0] - a[:, 0])
+    return bool(np.count_nonzero(crosses & (point[0] < at)) % 2)
+
+
+def _require_range(value: tuple[float, ...], place: str) -> None:
+    if not (len(value) == 2 and np.isfinite(value).all() and value[0] <= value[1]):
+        raise ConfigError(place, f"is {value}", "want two numbers, the lower one first")

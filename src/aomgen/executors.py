@@ -1,0 +1,278 @@
+"""Where units of work are done: in processes of this machine, or on a Ray cluster.
+
+A unit may be done twice (its worker died after the work, before the answer), so what is done has to be idempotent.
+"""
+
+import importlib
+import importlib.util
+import multiprocessing
+import os
+import signal
+import socket
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, Final, Protocol, Self
+
+from aomgen.errors import BackendError
+
+# Does one unit; and opens what a worker holds while it does many: called once in each worker, and pickled.
+Work = Callable[[Any], Any]
+Opener = Callable[[], Work]
+# A unit whose worker died is tried again this often.
+RETRIES: Final = 2
+# A cluster's head answers at once, [s].
+CONNECT_S: Final = 5.0
+# Every worker computes on one thread: results do not depend on how many there are, nor do they get into each other's way.
+ONE_THREAD: Final = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Done:
+    """What came of a unit: its value; or why it has none, "worker_died" or "timeout", in `lost`."""
+
+    unit: Any
+    value: Any = None
+    lost: str = ""
+
+
+class Executor(Protocol):
+    """Does units; `slots` tells how many at the same time, more are not to be submitted."""
+
+    slots: int
+
+    def submit(self, unit: Any) -> None:
+        """Begin a unit."""
+        ...
+
+    def next_done(self) -> Done:
+        """Wait for any unit that has begun; raises what its work raised."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exception: object) -> None: ...
+
+
+class _Worker:
+    """One process and the unit that it does."""
+
+    def __init__(self, opener: Opener) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process: BaseProcess = context.Process(target=_serve, args=(opener, theirs), daemon=True)
+        with _environment(ONE_THREAD):
+            self.process.start()
+        theirs.close()
+        self.unit: Any = None
+        self.began = 0.0
+
+    def begin(self, unit: Any) -> None:
+        self.unit, self.began = unit, time.monotonic()
+        self.connection.send(unit)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+
+
+class Processes:
+    """Workers on this machine, started when they are needed.
+
+    Args:
+        opener: Of every worker.
+        slots: How many workers.
+        timeout_s: A unit that takes longer is given up, and its worker killed.
+    """
+
+    def __init__(self, opener: Opener, slots: int, timeout_s: float) -> None:
+        self.slots = slots
+        self._opener, self._timeout_s = opener, timeout_s
+        self._workers: list[_Worker] = []
+        self._deaths: dict[Any, int] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for worker in self._workers:
+            worker.kill()
+
+    def submit(self, unit: Any) -> None:
+        """Begin a unit in an idle worker, or in a new one."""
+        idle = next((worker for worker in self._workers if worker.unit is None), None)
+        if idle is None:
+            idle = _Worker(self._opener)
+            self._workers.append(idle)
+        try:
+            idle.begin(unit)
+        except OSError:  # it has died since its last unit
+            self._remove(idle)
+            self.submit(unit)
+
+    def next_done(self) -> Done:
+        """The first unit that is done or given up."""
+        while True:
+            busy = {worker.connection: worker for worker in self._workers if worker.unit is not None}
+            left_s = self._timeout_s - (time.monotonic() - min(worker.began for worker in busy.values()))
+            for connection in wait(list(busy), max(left_s, 0.0)):
+                done = self._answer(busy[connection])  # type: ignore[index]
+                if done is not None:
+                    return done
+            for worker in busy.values():
+                if worker.unit is not None and time.monotonic() - worker.began > self._timeout_s:
+                    self._remove(worker)
+                    return Done(unit=worker.unit, lost="timeout")
+
+    def _answer(self, worker: _Worker) -> Done | None:
+        """What a worker says; None when it has died and its unit was begun again."""
+        unit = worker.unit
+        try:
+            value, error = worker.connection.recv()
+        except (EOFError, OSError):
+            self._remove(worker)
+            self._deaths[unit] = self._deaths.get(unit, 0) + 1
+            if self._deaths[unit] > RETRIES:
+                return Done(unit=unit, lost="worker_died")
+            self.submit(unit)
+            return None
+        worker.unit = None
+        if error is not None:
+            raise error
+        return Done(unit=unit, value=value)
+
+    def _remove(self, worker: _Worker) -> None:
+        worker.kill()
+        self._workers.remove(worker)
+
+
+class RayCluster:
+    """Workers of a Ray cluster that sees the same folders; a GPU each where there are some.
+
+    Args:
+        opener: Of every worker.
+        address: Of the cluster, as `ray.init` takes it: "auto", "host:port", or "local" to start one here.
+        timeout_s: A unit that takes longer is given up.
+
+    Raises:
+        BackendError: Ray is not installed, or no cluster answers.
+    """
+
+    def __init__(self, opener: Opener, address: str, timeout_s: float) -> None:
+        if importlib.util.find_spec("ray") is None:
+            raise BackendError("ray", "is not installed", "pip install 'aomgen[ray]'")
+        self._ray = ray = importlib.import_module("ray")
+        try:
+            _require_answer(address)
+            ray.init(address=address, log_to_driver=False, configure_logging=False)
+        except (OSError, ValueError, RuntimeError) as error:
+            raise BackendError(
+                f"--ray {address}", f"no Ray cluster answers ({error})", "start one with `ray start --head`"
+            ) from error
+        there = ray.cluster_resources()
+        gpus = int(there.get("GPU", 0))
+        self.slots = gpus or max(int(there.get("CPU", 1)), 1)
+        self._timeout_s, self._began = timeout_s, dict[Any, tuple[Any, float]]()
+        self._opener = ray.put(opener)
+        # Ray itself gives a task as many threads as processors, here one.
+        self._do = ray.remote(max_retries=RETRIES, num_cpus=1, num_gpus=1 if gpus else 0)(_do_on_ray)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._ray.shutdown()
+
+    def submit(self, unit: Any) -> None:
+        """Begin a unit as a task of its own."""
+        self._began[self._do.remote(self._opener, self._opener.hex(), unit)] = (unit, time.monotonic())
+
+    def next_done(self) -> Done:
+        """The first unit that is done or given up; Ray does a dead worker's unit again on another one."""
+        errors = self._ray.exceptions
+        while True:
+            oldest = min(began for _, began in self._began.values())
+            left_s = self._timeout_s - (time.monotonic() - oldest)
+            ready, _ = self._ray.wait(list(self._began), timeout=max(left_s, 0.01))
+            for task in ready:
+                unit, _ = self._began.pop(task)
+                try:
+                    return Done(unit=unit, value=self._ray.get(task))
+                except errors.RayTaskError as error:
+                    raise error.cause or error from error
+                except errors.RayError:
+                    return Done(unit=unit, lost="worker_died")
+            for task, (unit, began) in list(self._began.items()):
+                if time.monotonic() - began > self._timeout_s:
+                    self._ray.cancel(task, force=True)
+                    del self._began[task]
+                    return Done(unit=unit, lost="timeout")
+
+
+def _require_answer(address: str) -> None:
+    """Knock at an address HOST:PORT: Ray waits for minutes where nobody is."""
+    host, colon, port = address.rpartition(":")
+    if colon and port.isdigit():
+        socket.create_connection((host.removeprefix("ray://"), int(port)), CONNECT_S).close()
+
+
+# What this process of a Ray cluster holds, by its opener; one at a time.
+_OPENED: dict[str, Work] = {}
+
+
+def _do_on_ray(opener: Opener, key: str, unit: Any) -> Any:
+    if key not in _OPENED:
+        _OPENED.clear()
+        _OPENED[key] = opener()
+    return _OPENED[key](unit)
+
+
+def _serve(opener: Opener, connection: Connection) -> None:
+    """A worker process: do one unit after the other until nobody asks any more."""
+    # What the parent blocks and ignores for itself would be inherited.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    work: Work | None = None
+    while True:
+        try:
+            unit = connection.recv()
+        except EOFError:
+            return
+        try:
+            work = work or opener()
+            answer = work(unit), None
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            answer = None, error
+        connection.send(answer)
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent has died: what it has not committed, nobody waits for."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def _environment(changes: Mapping[str, str]) -> Iterator[None]:
+    """Environment variables for processes that are started in the block."""
+    before = {name: os.environ.get(name) for name in changes}
+    os.environ.update(changes)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

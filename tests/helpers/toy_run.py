@@ -1,0 +1,118 @@
+"""The folders of a run that is ready to make episodes: a robot, a table, a drawer, and nothing that was trained."""
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from aomgen.assets.usd_write import write_usd
+from aomgen.core.camera import Camera, look_at
+from aomgen.core.demonstration import Demonstration, EpisodeScene
+from aomgen.core.gaussians import gaussians_of
+from aomgen.core.light import hemisphere_light
+from aomgen.core.project import Project
+from aomgen.core.transforms import transform
+from aomgen.episodes.ik import ik_solver
+from aomgen.io.artifact import save_artifact
+from aomgen.results import ASSET_USD, FITTED, Results
+from aomgen.robots.loading import load_robot
+from aomgen.robots.robot import RobotModel
+from aomgen.splatting.surfels import surfels_of
+from aomgen.twin.binding import with_object
+from aomgen.twin.twin import Twin, TwinState, body_list
+from toy_drawer import SUPPORT, fitted_drawer, opening
+
+SURFELS = 300
+SIZE = (64, 48)
+
+
+class ToyResults(Results):
+    """What `EpisodeFactory` reads; the recording is made up."""
+
+    @cached_property
+    def robot(self) -> RobotModel:
+        return load_robot("ur5e_2f85")
+
+    @cached_property
+    def demonstration(self) -> Demonstration:
+        return opening(ik_solver(self.robot), fitted_drawer())
+
+    fps = 10.0
+    recorded: Any = SimpleNamespace(instruction="open the drawer")
+    alignment: Any = SimpleNamespace(joint_zeros_rad=np.zeros(6))
+
+
+def toy_run(
+    out: Path, *, poses: int = 2, assets: int = 1, params: dict[str, Any] | None = None
+) -> ToyResults:
+    """Write what the replacement stage leaves, for some equal drawers of different names."""
+    robot, fitted = load_robot("ur5e_2f85"), fitted_drawer()
+    folders = {"replacement": out / "07_replacement", "episodes": out / "08_episodes"}
+    project = Project(
+        capture=out,
+        out=out,
+        seed=5,
+        assets=tuple(f"drawer:{k}" for k in range(assets)),
+        poses=poses,
+        params={"episodes": params or {}},
+    )
+    results = ToyResults(project=project, out=out, folders=folders, workers=1)
+    camera = Camera(
+        fx=60, fy=60, cx=32, cy=24, width=SIZE[0], height=SIZE[1],
+        T_world_cam=look_at((0.6, -1.4, 1.0), (0.75, -0.2, 0.2)),
+    )  # fmt: skip
+    other = camera.moved(look_at((0.2, 1.2, 1.0), (0.75, -0.2, 0.2)))
+    light = hemisphere_light([0.8, 0.8, 0.8], [0.2, 0.2, 0.2])
+    plane = transform(np.eye(3), np.array([0.0, 0.0, SUPPORT.height]))
+    folders["replacement"].mkdir(parents=True)
+    save_artifact(
+        folders["replacement"],
+        "scene",
+        EpisodeScene(
+            support=SUPPORT,
+            T_world_plane=plane,
+            light=light,
+            light_source="made up",
+            cameras={"front": camera, "side": other},
+        ),
+    )
+    static, moving = (
+        surfels_of(link.meshes, SURFELS, np.random.default_rng(0))
+        for link in (fitted.asset.static, fitted.asset.moving)
+    )
+    for number in range(assets):
+        home = results.asset_folder(number)
+        named = replace(fitted, asset=replace(fitted.asset, name=f"drawer-{number}"))
+        save_artifact(home, FITTED, named)
+        write_usd(fitted.asset, home / ASSET_USD)
+        background = _table(robot, fitted.T_world_asset)
+        twin = with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)
+        save_artifact(home, "twin", twin)
+    return results
+
+
+def _table(robot: RobotModel, T_world_object: np.ndarray) -> Twin:
+    """A twin of a bare table, and an arm that nobody sees."""
+    rng, count = np.random.default_rng(1), 400
+    means = np.column_stack(
+        [rng.uniform(0.2, 1.4, count), rng.uniform(-0.8, 0.6, count), np.full(count, SUPPORT.height)]
+    )
+    return Twin(
+        robot=robot.name,
+        gaussians=gaussians_of(
+            means=means,
+            quats=np.tile([1.0, 0, 0, 0], (count, 1)),
+            scales=np.full((count, 3), [0.03, 0.03, 0.002]),
+            opacities=np.full(count, 0.95),
+            sh=rng.normal(0, 0.2, (count, 1, 3)),
+        ),
+        bodies=np.zeros(count, np.int32),
+        labels=np.zeros(count, np.uint8),
+        body_names=body_list(robot),
+        joint=fitted_drawer().asset.joint,
+        T_world_object=T_world_object,
+        scan_state=TwinState(joints=np.zeros(6), gripper=0.0, theta=0.0, T_world_object=T_world_object),
+    )

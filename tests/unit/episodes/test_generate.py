@@ -1,0 +1,213 @@
+"""Many workers, one tree: nothing that was made is lost, made twice, or depends on who made it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from aomgen.core.plan import Rejection, Variation
+from aomgen.episodes.factory import EpisodeFactory, Made
+from aomgen.episodes.generate import generate
+from aomgen.episodes.ledger import (
+    DRAWS_FILE,
+    Request,
+    Unit,
+    ended_units,
+    read_accounts,
+    read_draws,
+    write_rejection,
+)
+from aomgen.episodes.stage import run
+from aomgen.errors import ConfigError, NotEnoughEpisodesError
+from aomgen.executors import Done
+from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
+from drawer_episode import corner_camera, drawer_episode
+from toy_run import toy_run
+
+REQUEST = Request(assets=("a", "b"), episodes=5, attempts=12)
+
+
+class Scrambled:
+    """Does units in this process, in a random order, `slots` at a time, until it has done `stop_after`."""
+
+    def __init__(
+        self, work: Callable[[Unit], Any], slots: int, seed: int = 0, stop_after: int = 10**9
+    ) -> None:
+        self.slots, self._work, self._rng, self._left = slots, work, np.random.default_rng(seed), stop_after
+        self._units: list[Unit] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+    def submit(self, unit: Unit) -> None:
+        assert len(self._units) < self.slots
+        self._units.append(unit)
+
+    def next_done(self) -> Done:
+        if not self._left:
+            raise KeyboardInterrupt
+        self._left -= 1
+        unit = self._units.pop(self._rng.integers(len(self._units)))
+        return Done(unit=unit, value=self._work(unit))
+
+
+def variation(unit: Unit) -> Variation:
+    return Variation(seed=0, index=unit.index, x=0.01 * unit.index, y=0.0, yaw=0.0)
+
+
+def screen(unit: Unit) -> tuple[Variation, Rejection | None]:
+    """Every third draw is not tried."""
+    rejection = Rejection(reason="out_of_view", detail="beside the image") if unit.index % 3 == 2 else None
+    return variation(unit), rejection
+
+
+def work_in(folder: Path) -> Callable[[Unit], Made]:
+    """Every fourth draw is rejected, of asset b all but one in four."""
+
+    def work(unit: Unit) -> Made:
+        good = unit.index % 4 == 3 if unit.asset else unit.index % 4 != 1
+        if good:
+            cameras = {"front": corner_camera(64, 48)}
+            episode = drawer_episode(unit.number, np.zeros((3, 6)), np.zeros(3), cameras, {}, {})
+            commit_episode(folder, episode, {"front": b"video"})
+        else:
+            write_rejection(folder, unit, variation(unit), Rejection(reason="collision", detail="the hand"))
+        return Made(committed=good, seconds={})
+
+    return work
+
+
+def fill(folder: Path, executor: Scrambled, request: Request = REQUEST) -> None:
+    folder.mkdir(exist_ok=True)
+    generate(folder, request, executor, screen, lambda share, text: None)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole") / "episodes"
+    folder.mkdir()
+    fill(folder, Scrambled(work_in(folder), 1))
+    return folder
+
+
+@pytest.mark.parametrize(("slots", "seed"), [(2, 0), (3, 1), (8, 2), (40, 3)])
+def test_the_tree_does_not_depend_on_the_number_of_workers(whole, tmp_path, slots, seed):
+    fill(tmp_path / "run", Scrambled(work_in(tmp_path / "run"), slots, seed))
+    assert tree(tmp_path / "run") == tree(whole)
+
+
+def test_a_run_that_stops_anywhere_continues_to_the_same_tree(whole, tmp_path):
+    folder = tmp_path / "run"
+    for stop_after in range(4):
+        with pytest.raises(KeyboardInterrupt):
+            fill(folder, Scrambled(work_in(folder), 3, stop_after, stop_after))
+        balance(folder)
+    fill(folder, Scrambled(work_in(folder), 2))
+    assert tree(folder) == tree(whole)
+
+
+def balance(folder: Path) -> None:
+    for account in read_accounts(folder):
+        assert account.requested == account.committed + account.rejected + account.left
+        assert account.left >= 0
+
+
+def test_the_ledger_counts_what_came_of_the_request(whole):
+    full, short = read_accounts(whole)
+    assert (full.committed, full.rejected, full.left) == (5, 0, 0)
+    # Draws 0 1 3 4 6 7 9 10 12 13 15 16 are tried, 3 7 15 give an episode.
+    assert (short.committed, short.rejected, short.left, short.attempts) == (3, 2, 0, 12)
+    assert short.reasons == {"collision": 9, "out_of_view": 5}
+    draws = [draw for draw in read_draws(whole) if draw["asset"] == 1]
+    assert [draw["outcome"] for draw in draws[:4]] == ["rejected", "rejected", "skipped", "committed"]
+    assert all(draw["reason"] and draw["detail"] for draw in draws if draw["outcome"] != "committed")
+
+
+def test_more_episodes_are_added_to_what_is_there_and_fewer_taken_from_it(whole, tmp_path):
+    folder = tmp_path / "run"
+    more = replace(REQUEST, episodes=7, attempts=30)
+    fill(folder, Scrambled(work_in(folder), 2))
+    asked: list[Unit] = []
+    work = work_in(folder)
+    fill(folder, Scrambled(lambda unit: asked.append(unit) or work(unit), 2), more)
+    assert not {unit.number for unit in asked} & {int(path.name) for path in list_committed(whole)}
+    assert [account.committed for account in read_accounts(folder)] == [7, 7]
+    fill(folder, Scrambled(lambda unit: pytest.fail("made again"), 2))
+    assert tree(folder) == tree(whole)
+
+
+def test_what_nothing_comes_of_is_given_up(tmp_path):
+    def never(unit: Unit) -> tuple[Variation, Rejection | None]:
+        return variation(unit), Rejection(reason="out_of_reach")
+
+    generate(tmp_path, REQUEST, Scrambled(work_in(tmp_path), 2), never, lambda share, text: None)
+    assert [(a.committed, a.rejected, a.left) for a in read_accounts(tmp_path)] == [(0, 5, 0)] * 2
+
+
+def test_a_unit_whose_worker_was_lost_is_a_rejection(tmp_path):
+    class Losing(Scrambled):
+        def next_done(self) -> Done:
+            done = super().next_done()
+            return replace(done, value=None, lost="worker_died") if done.unit.index == 0 else done
+
+    def good(unit: Unit) -> Made:
+        return Made(committed=True, seconds={})
+
+    generate(
+        tmp_path,
+        replace(REQUEST, assets=("a",), episodes=1),
+        Losing(good, 1),
+        screen,
+        lambda share, text: None,
+    )
+    assert [draw["reason"] for draw in read_draws(tmp_path)] == ["worker_died", ""]
+
+
+def test_episodes_of_a_toy_run_are_real(tmp_path):
+    results = toy_run(
+        tmp_path,
+        params={
+            "ranges": {"x_m": [-0.02, 0.05], "yaw_deg": [-15, 15], "scale": [0.9, 1.0]},
+            "free_cameras": 1,
+        },
+    )
+    folder = results.folders["episodes"]
+    figures = run(results, folder, lambda share, text: None)
+    assert (figures["episodes"], figures["short"]) == (2, 0)
+    assert (folder / DRAWS_FILE).is_file()
+    committed, _ = ended_units(folder)
+    for path in list_committed(folder):
+        item = read_episode(path)
+        assert sorted(item.videos) == ["free0", "front", "side"]
+        assert item.episode.thetas[-1] > 0.09
+        assert (path / item.episode.asset_usd).resolve().is_file()
+        assert 0.9 <= item.episode.verdict["variation"]["scale"] <= 1.0
+    # The same unit made once more, in this process, is the same to the byte.
+    unit = min(committed, key=lambda unit: unit.number)
+    other = tmp_path / "again"
+    EpisodeFactory(results, other).make(unit)
+    name = f"{unit.number:06d}"
+    assert tree(other / name).keys() == tree(folder / name).keys()
+    assert {k: v for k, v in tree(other / name).items()} == tree(folder / name)
+
+
+def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path):
+    results = toy_run(tmp_path, params={"ranges": {"scale": [0.4, 0.4]}, "attempts_per_episode": 2}, poses=1)
+    with pytest.raises(NotEnoughEpisodesError, match="drawer-0: 0 of 1 episodes after 2 attempts"):
+        run(results, results.folders["episodes"], lambda share, text: None)
+    assert all(account.left == 0 for account in read_accounts(results.folders["episodes"]))
+
+
+def test_unknown_cameras_are_refused(tmp_path):
+    results = toy_run(tmp_path, params={"cameras": ["font"]})
+    with pytest.raises(ConfigError, match="'font' is no camera; did you mean 'front'"):
+        run(results, results.folders["episodes"], lambda share, text: None)
