@@ -19,8 +19,10 @@ from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, VerifiedEpisode
 from aomgen.core.transforms import apply, invert
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
-from aomgen.episodes.planning import PlanParams
-from aomgen.episodes.stage import episode_of
+from aomgen.episodes.ik import ik_solver
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.record import episode_of
+from aomgen.episodes.variations import Ranges, draw
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.loading import load_robot
