@@ -1,7 +1,7 @@
 """The command line: `aomgen --help` teaches the rest."""
 
-import importlib.resources
 import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +10,7 @@ import typer
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
 from aomgen.cli.robot_draft import robot_app
-from aomgen.cli.run import find_project, report_bug, run_project, stop_at_signals
+from aomgen.cli.run import find_project, report_bug, run_project, sample_capture, stop_at_signals
 from aomgen.errors import AomgenError, ConfigError, InputError
 
 app = typer.Typer(
@@ -25,7 +25,6 @@ app.add_typer(assets_app, name="assets")
 app.add_typer(bench_app, name="bench")
 app.add_typer(robot_app, name="robot")
 
-SAMPLE = "microwave-a"
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
 
 
@@ -73,9 +72,8 @@ def demo(
     """
     from aomgen.core.project import Project
 
-    sample = Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE
     project = Project(
-        capture=sample.resolve(),
+        capture=sample_capture(),
         out=out.resolve(),
         seed=seed,
         poses=poses,
@@ -182,19 +180,30 @@ def run(
     run_project(type(found).model_validate(found.model_dump() | {"params": params}), until=until, **machine)
 
 
+# How often `aomgen status --watch` looks, [s].
+WATCH_S = 2.0
+
+
 @app.command()
-def status(out: RunFolder) -> None:
-    """List the stages of a run and what is done."""
-    from aomgen.pipeline.manifest import read_manifest
-    from aomgen.pipeline.runner import stage_states
-    from aomgen.pipeline.stages import STAGES
+def status(
+    out: RunFolder,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Say it again whenever it changes, until the episodes are made.")
+    ] = False,
+) -> None:
+    """List the stages of a run, what is done, and what has come of the episodes asked for."""
+    from aomgen.cli.run import status_lines
 
     project = find_project(out)
-    for stage, state in stage_states(project, STAGES):
-        print(f"{state:8} {stage.folder:18} {stage.title}")
-        manifest = read_manifest(project.out / stage.folder)
-        for sentence in () if manifest is None else manifest.warnings:
-            print(f"         warning: {sentence}")
+    shown: list[str] = []
+    while True:
+        lines, left = status_lines(project)
+        if lines != shown:
+            print("\n".join(lines), flush=True)
+            shown = lines
+        if not (watch and left):
+            break
+        time.sleep(WATCH_S)
 
 
 @app.command()

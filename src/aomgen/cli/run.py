@@ -1,5 +1,6 @@
 """How the commands run: a project in a terminal, the project that a path means, and ends by a signal or a bug."""
 
+import importlib.resources
 import os
 import shlex
 import shutil
@@ -17,6 +18,8 @@ from types import TracebackType
 from aomgen import __version__
 from aomgen.errors import ConfigError, EstimationError, MissingFileError
 
+# Name of the bundled recording, in `aomgen.samples`.
+SAMPLE = "microwave-a"
 INTERRUPTED = "interrupted; run the same command again to continue\n"
 # Back to the line's start, delete it, show the cursor: a progress bar hides it.
 LEAVE_BAR = "\r\x1b[2K\x1b[?25h"
@@ -60,6 +63,35 @@ def run_project(project, *, until: str = "", **machine):
             write_report(project.out)
         print(f"dataset  {project.out / 'dataset'}")
         print(f"report   {project.out / 'report.html'}")
+
+
+def sample_capture() -> Path:
+    """Folder of the bundled recording."""
+    return (Path(str(importlib.resources.files("aomgen.samples"))) / SAMPLE).resolve()
+
+
+def status_lines(project) -> tuple[list[str], bool]:
+    """What `aomgen status` says of a run, and whether something is still to be made."""
+    from aomgen.episodes.ledger import read_accounts
+    from aomgen.pipeline.manifest import read_manifest
+    from aomgen.pipeline.runner import stage_states
+    from aomgen.pipeline.stages import STAGES
+
+    lines, left = [], False
+    for stage, state in stage_states(project, STAGES):
+        folder = project.out / stage.folder
+        lines.append(f"{state:8} {stage.folder:18} {stage.title}")
+        left |= state != "done"
+        manifest = read_manifest(folder)
+        lines += [f"         warning: {sentence}" for sentence in (manifest.warnings if manifest else ())]
+        for account in read_accounts(folder) if stage.name == "episodes" else ():
+            reasons = ", ".join(f"{count} {reason}" for reason, count in account.reasons.items())
+            lines.append(
+                f"         {account.asset}: {account.requested} requested = {account.committed} committed + "
+                f"{account.rejected} rejected + {account.left} left, after {account.attempts} attempts"
+                + (f" ({reasons})" if reasons else "")
+            )
+    return lines, left
 
 
 def find_project(path: Path):

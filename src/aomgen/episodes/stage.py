@@ -5,20 +5,25 @@ as there are processors, or Ray has.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from aomgen.core.progress import Progress
+from aomgen.episodes.distributions import distributions
 from aomgen.episodes.factory import EpisodeFactory, open_factory
 from aomgen.episodes.generate import generate
 from aomgen.episodes.ledger import Account, Request, read_accounts, read_draws
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.executors import Done, Executor, Processes, RayCluster
 from aomgen.io.artifact import read_json
+from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.results import Results
+
+# How the episodes are spread over what was asked for.
+DISTRIBUTIONS_FILE = "distributions.json"
 
 
 def run(
@@ -38,12 +43,17 @@ def run(
         raise NotEnoughEpisodesError(
             "episodes", " ".join(map(told, accounts)), "ask for other poses, or choose another asset"
         )
+    draws = read_draws(folder)
+    write_json(
+        folder / DISTRIBUTIONS_FILE,
+        {item.name: asdict(item) for item in distributions(draws, factory.params.ranges)},
+    )
     margins = [read_json(path / EPISODE_FILE)["verdict"]["margin"] for path in list_committed(folder)]
     return {
         "episodes": sum(account.committed for account in accounts),
         "short": sum(account.rejected for account in accounts),
         "rejected": sum(account.attempts - account.committed for account in accounts),
-        "skipped": sum(draw["outcome"] == "skipped" for draw in read_draws(folder)),
+        "skipped": sum(draw["outcome"] == "skipped" for draw in draws),
         "smallest_margin": float(min(margins, default=0.0)),
         "cameras": ", ".join([*factory.place.cameras, *["free"] * factory.place.free]),
         "warnings": [told(account) for account in accounts if account.rejected],

@@ -18,6 +18,7 @@ from aomgen.pipeline.runner import TIMINGS, results_of
 from aomgen.pipeline.stages import PROJECT_FILE, REPORT_FILE, STAGES
 from aomgen.report import recording_images
 from aomgen.report.drawing import sheet
+from aomgen.report.draws_section import draws_section
 from aomgen.report.episodes import episodes_section, rejects_section
 from aomgen.report.html import (
     Markup,
@@ -71,6 +72,7 @@ def write_report(out: Path) -> Path:
             ),
             *episodes_section(results),
         ],
+        "Asked for and delivered": draws_section(results),
         "Rejected poses": rejects_section(results),
         "What next": next_steps(results),
         **_recovered_sections(results),
