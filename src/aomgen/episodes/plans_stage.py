@@ -14,9 +14,10 @@ from typing import Any, Final
 
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.episode import ContactLog
-from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Verdict, VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array
+from aomgen.core.verdict import Verdict
 from aomgen.errors import MalformedFileError
 from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.generate import Generated, GenerationParams, Outcome, generate_episodes

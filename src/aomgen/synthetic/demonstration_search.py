@@ -12,7 +12,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.replay import Commands, read_touches, track
+from aomgen.simulation.replay import Commands, read_touches, stand, track
 from aomgen.simulation.scene import Scene
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
 from aomgen.synthetic.demonstration_planning import plan
@@ -164,7 +164,8 @@ def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstratio
     sides = _name_sides(model, scene.robot)
     qpos = np.empty((len(script.times_s), model.nq))
     contacts, foreign, warned = [], False, False
-    for step, data in enumerate(track(scene, model, start, commands, SETTLE_S)):
+    data = stand(scene, model, start, commands, SETTLE_S)
+    for step, _ in enumerate(track(scene, model, data, commands)):
         qpos[step] = data.qpos
         touches, strange = _read_touches(scene, data, sides)
         contacts.append(touches)
