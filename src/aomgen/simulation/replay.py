@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Final, NamedTuple
 
@@ -48,30 +48,19 @@ class Commands:
         return Commands(self.joints[tick:], self.velocities[tick:], self.gripper[tick:])
 
 
-@dataclass(frozen=True, slots=True)
-class Touch:
-    """One contact of the robot with anything else.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touches:
+    """Contacts of the robot with what is not the robot (C), ordered by tick.
 
     Attributes:
-        robot_geom, other_geom: Of the model.
-        distance: Between them, negative where they overlap, [m].
-        normal_world: Unit, into the robot.
-        force: Normal force, [N].
-        force_world: Whole force on the robot, [N].
+        ticks: When.
+        robot_geoms, other_geoms: Of the model.
+        distances: Between them, negative where they overlap, [m].
+        points_world: (C, 3), [m].
+        normals_world: (C, 3) unit, into the robot.
+        forces: Normal force, [N].
+        forces_world: Whole force on the robot (C, 3), [N].
     """
-
-    robot_geom: int
-    other_geom: int
-    distance: float
-    point_world: Array
-    normal_world: Array
-    force: float
-    force_world: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TouchLog:
-    """The touches of a run (C), ordered by tick; `forces` are normal forces, the rest as in `Touch`."""
 
     ticks: Annotated[NDArray[np.int64], "C"]
     robot_geoms: Annotated[NDArray[np.int64], "C"]
@@ -83,6 +72,17 @@ class TouchLog:
     forces_world: Annotated[Array, "C 3"]
 
     __post_init__ = freeze_arrays
+
+
+class Contacts(NamedTuple):
+    """All contacts at one tick as MuJoCo has them: geoms (C, 2), frames (C, 9), wrenches in them (C, 6)."""
+
+    tick: int
+    geoms: NDArray[np.int32]
+    distances: Array
+    points_world: Array
+    frames: Array
+    wrenches: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class SimulatedRun:
     Ts_world_ee: Array
     bases_world: Array
     commands: Array
-    touches: TouchLog
+    touches: Touches
     untouched: Checkpoint
 
 
@@ -152,6 +152,7 @@ def simulate(
     steps_a_tick = math.ceil(1 / (fps * ticks_a_frame * scene.model.opt.timestep))
     model = copy.copy(scene.model)
     model.opt.timestep = 1 / (fps * ticks_a_frame * steps_a_tick)
+    _ignore_hand_on_hand(scene, model)
     if setting is not None:
         apply_setting(scene, model, setting)
     latch, reach = (setting.latch, setting.latch_reach) if setting else (0.0, 0.0)
@@ -165,19 +166,20 @@ def simulate(
         first, data = untouched.tick, mujoco.MjData(model)
         mujoco.mj_setState(model, data, untouched.state, STATE)
     rows: list[_Row] = []
-    touches: list[tuple[int, Touch]] = []
-    friction, near = model.dof_frictionloss[scene.object_dof], False
+    contacts: list[Contacts] = []
+    friction, on_object, near = model.dof_frictionloss[scene.object_dof], scene.roles.object, False
     for tick, _ in enumerate(track(scene, model, data, commands.after(first), steps_a_tick), start=first):
         sample = tick % ticks_a_frame == 0
         if sample and data.warning.number[DIVERGENCE].any():
             return _diverged(tick / (fps * ticks_a_frame))
-        caught = data.qpos[scene.object_qpos] < reach
-        model.dof_frictionloss[scene.object_dof] = friction + caught * latch
+        if latch:
+            caught = data.qpos[scene.object_qpos] < reach
+            model.dof_frictionloss[scene.object_dof] = friction + caught * latch
         if approach is not None and tick == first:
             continue
-        found = list(read_touches(scene, data))
-        touches += [(tick, touch) for touch in found]
-        near = near or any(scene.roles.object[touch.other_geom] for touch in found)
+        if data.ncon:
+            contacts.append(read_contacts(model, data, tick))
+            near = near or bool(on_object[contacts[-1].geoms].any())
         if approach is None and not near and sample:
             untouched = _checkpoint(model, data, tick)
         rows.append(_read_row(scene, data))
@@ -185,7 +187,7 @@ def simulate(
         frame_ticks=ticks_a_frame * np.arange(len(joints)),
         tick_s=1 / (fps * ticks_a_frame),
         commands=commands.joints,
-        touches=_log(touches),
+        touches=find_touches(scene, contacts),
         untouched=untouched,
         **_stack(scene, rows),
     )
@@ -229,28 +231,47 @@ def track(
         mujoco.mj_step(model, data, steps_a_tick)
 
 
-def read_touches(scene: Scene, data: mujoco.MjData) -> Iterator[Touch]:
-    """Contacts of the robot with what is not the robot."""
-    if not data.ncon:
-        return
-    geoms = data.contact.geom
-    first, second = scene.roles.robot[geoms].T
-    wrench = np.zeros(6)
-    for index in np.flatnonzero(first != second).tolist():
-        contact = data.contact[index]
-        mujoco.mj_contactForce(scene.model, data, index, wrench)
-        # MuJoCo's normal points from the first geom to the second; ours into the robot.
-        sign, frame = -1.0 if first[index] else 1.0, contact.frame.reshape(3, 3)
-        robot, other = geoms[index] if first[index] else geoms[index, ::-1]
-        yield Touch(
-            robot_geom=int(robot),
-            other_geom=int(other),
-            distance=float(contact.dist),
-            point_world=contact.pos.copy(),
-            normal_world=sign * frame[0],
-            force=float(wrench[0]),
-            force_world=sign * (frame.T @ wrench[:3]),
-        )
+def read_contacts(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> Contacts:
+    """Copy what the next step overwrites; sorting it out is left to `find_touches`, once for all ticks."""
+    contact = data.contact
+    wrenches = np.empty((data.ncon, 6))
+    for index in range(data.ncon):
+        mujoco.mj_contactForce(model, data, index, wrenches[index])
+    return Contacts(
+        tick,
+        contact.geom.copy(),
+        contact.dist.copy(),
+        contact.pos.copy(),
+        contact.frame.copy(),
+        wrenches,
+    )
+
+
+def find_touches(scene: Scene, contacts: list[Contacts]) -> Touches:
+    """The contacts of the robot with what is not the robot."""
+    ticks = np.repeat([item.tick for item in contacts], [len(item.geoms) for item in contacts])
+    geoms = np.concatenate([np.zeros((0, 2), np.int32), *(item.geoms for item in contacts)])
+    robot = scene.roles.robot[geoms]
+    kept = robot[:, 0] != robot[:, 1]
+
+    def column(values: Iterable[Array], width: int) -> Array:
+        return np.concatenate([np.zeros((0, width)), *values])[kept]
+
+    # The robot's geom first. MuJoCo's normal points from the first geom to the second; ours into the robot.
+    ours = robot[kept, :1]
+    pairs = np.where(ours, geoms[kept], geoms[kept, ::-1])
+    frames = column((item.frames for item in contacts), 9) * np.where(ours, -1.0, 1.0)
+    wrenches = column((item.wrenches for item in contacts), 6)
+    return Touches(
+        ticks=ticks[kept],
+        robot_geoms=pairs[:, 0],
+        other_geoms=pairs[:, 1],
+        distances=np.concatenate([np.zeros(0), *(item.distances for item in contacts)])[kept],
+        points_world=column((item.points_world for item in contacts), 3),
+        normals_world=frames[:, :3],
+        forces=wrenches[:, 0],
+        forces_world=np.einsum("cij,ci->cj", frames.reshape(-1, 3, 3), wrenches[:, :3]),
+    )
 
 
 def _linear_commands(joints: Array, gripper: Array, fps: float, ticks_a_frame: int) -> Commands:
@@ -273,6 +294,16 @@ def _servo_controls(scene: Scene, commands: Commands) -> Array:
     return controls
 
 
+def _ignore_hand_on_hand(scene: Scene, model: mujoco.MjModel) -> None:
+    """Leave out contacts between shapes of the gripper other than its pads.
+
+    Where the shapes of a gripper's links are meshes, looking for contacts among them takes a sixth of all time.
+    """
+    shell = scene.roles.gripper & (scene.roles.finger < 0)
+    model.geom_contype[shell] |= model.geom_conaffinity[shell]
+    model.geom_conaffinity[shell] = 0
+
+
 def _checkpoint(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> Checkpoint:
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
@@ -285,10 +316,10 @@ def _diverged(time_s: float) -> Rejection:
 
 
 class _Row(NamedTuple):
-    """What one tick leaves: positions, the object joint's velocity, drives, end effector and base."""
+    """What one tick leaves: positions, velocities, what the drives and gravity compensation do, end effector, base."""
 
     qpos: Array
-    rate: float
+    qvel: Array
     torques: Array
     ee_point: Array
     R_ee: Array
@@ -296,11 +327,10 @@ class _Row(NamedTuple):
 
 
 def _read_row(scene: Scene, data: mujoco.MjData) -> _Row:
-    dofs = scene.arm.dofs
     return _Row(
         data.qpos.copy(),
-        data.qvel[scene.object_dof],
-        data.qfrc_actuator[dofs] + data.qfrc_gravcomp[dofs],
+        data.qvel.copy(),
+        data.qfrc_actuator + data.qfrc_gravcomp,
         data.site_xpos[scene.ee_site].copy(),
         data.site_xmat[scene.ee_site].copy(),
         data.xpos[scene.object_body].copy(),
@@ -309,33 +339,17 @@ def _read_row(scene: Scene, data: mujoco.MjData) -> _Row:
 
 def _stack(scene: Scene, rows: list[_Row]) -> dict[str, Array]:
     """Fields of a run from what its ticks left."""
-    qpos, rates, torques, points, turns, bases = (np.array(column) for column in zip(*rows, strict=True))
+    qpos, qvel, torques, points, turns, bases = (np.array(column) for column in zip(*rows, strict=True))
     opened, closed = scene.gripper.driver_range
     return {
         "joints": qpos[:, scene.arm.qpos],
         "gripper": np.clip((qpos[:, scene.gripper.driver] - opened) / (closed - opened), 0, 1),
         "thetas": qpos[:, scene.object_qpos],
-        "rates": rates,
-        "torques": torques,
+        "rates": qvel[:, scene.object_dof],
+        "torques": torques[:, scene.arm.dofs],
         "Ts_world_ee": transform(turns.reshape(-1, 3, 3), points),
         "bases_world": bases,
     }
-
-
-def _log(touches: list[tuple[int, Touch]]) -> TouchLog:
-    def column(name: str, *shape: int) -> Array:
-        return np.array([getattr(touch, name) for _, touch in touches]).reshape(-1, *shape)
-
-    return TouchLog(
-        ticks=np.array([tick for tick, _ in touches], np.int64),
-        robot_geoms=column("robot_geom"),
-        other_geoms=column("other_geom"),
-        distances=column("distance"),
-        points_world=column("point_world", 3),
-        normals_world=column("normal_world", 3),
-        forces=column("force"),
-        forces_world=column("force_world", 3),
-    )
 
 
 def _joined(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
@@ -349,6 +363,6 @@ def _joined(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
         item.name: np.concatenate(
             [getattr(approach.touches, item.name)[early], getattr(rest.touches, item.name)]
         )
-        for item in fields(TouchLog)
+        for item in fields(Touches)
     }
-    return replace(rest, touches=TouchLog(**touches), **values)
+    return replace(rest, touches=Touches(**touches), **values)
