@@ -21,8 +21,8 @@ class PassRule:
         contact_share: Share of the progress made while a pad at the handle carries force, at least.
         contact_force_n: What counts as carrying force, [N].
         min_revolute_rad, min_prismatic_m: Smallest planned final value.
-        start_share: Joint value before the robot touches the part, over the target, at most.
         written_share: Part of the final value, over the target, that the joint's velocity does not account for.
+        start_share: Joint value before the robot touches the part, over the target, at most.
         pushed_share: Share of the progress made by anything else of the robot than pads at the handle, at most.
         robot_force_n: Normal forces of the robot on all but handle and pads, [N]: a grazing touch; arms that work
             beside people stop at 100 N.
@@ -41,8 +41,8 @@ class PassRule:
     contact_force_n: float = 0.5
     min_revolute_rad: float = np.deg2rad(30.0)
     min_prismatic_m: float = 0.10
-    start_share: float = 0.02
     written_share: float = 0.05
+    start_share: float = 0.02
     pushed_share: float = 0.1
     robot_force_n: float = 15.0
     torque_share: float = 0.9
@@ -61,12 +61,12 @@ def judge(
 
     Returns:
         The figures; or a Rejection with the reason of the first check that fails. Causes come before what
-        follows from them: "pre_opened", "imposed", "door_pushed", "robot_contact", "torque", "tracking", "target",
+        follows from them: "imposed", "pre_opened", "door_pushed", "robot_contact", "torque", "tracking", "target",
         "contact", "penetration", "slides".
     """
     forces = _forces(run, scene, rule)
     touched = np.flatnonzero(forces.part)
-    first = touched[0] if len(touched) else len(run.thetas) - 1
+    first = int(touched[0]) if len(touched) else len(run.thetas)
     steps = np.maximum(np.diff(run.thetas), 0.0)
 
     def progress(ticks: NDArray[np.bool_]) -> float:
@@ -84,8 +84,8 @@ def judge(
         )
 
     checks = [
-        check("pre_opened", "start_share", np.abs(run.thetas[: first + 1]).max() / target),
         check("imposed", "written_share", written),
+        check("pre_opened", "start_share", np.abs(run.thetas[: max(first, 1)]).max() / target),
         check("door_pushed", "pushed_share", progress(pushing)),
         check("robot_contact", "robot_force_n", forces.strange.max()),
         check("torque", "torque_share", _torque_share(run, scene, rule.torque_s)),
@@ -175,7 +175,7 @@ def _torque_share(run: SimulatedRun, scene: Scene, seconds: float) -> float:
     """Largest mean of a drive's torque over its limit, in any time of a length."""
     count = max(round(seconds / run.tick_s), 1)
     total = np.cumsum(np.abs(run.torques) / scene.arm.torques, axis=0)
-    return float((total[count:] - total[:-count]).max() / count)
+    return float((total[count:] - total[:-count]).max(initial=0.0) / count)
 
 
 def _tracking_mm(run: SimulatedRun, scene: Scene) -> float:

@@ -46,7 +46,7 @@ def verify_plan(
         digests: SHA-256 of what the plan was made from, by name, for the certificate.
 
     Returns:
-        The episode with its verdict; or a Rejection "target_too_small", "imposed", "diverged", or one of `judge`, of
+        The episode with its verdict; or a Rejection "target_too_small", "not_finite", "imposed", "diverged", or one of `judge`, of
         the first setting that failed.
 
     Not checked: whether the real object's resistance lies within the settings; contacts of the robot with itself.
@@ -60,6 +60,8 @@ def verify_plan(
             detail=f"planned final joint value is {target:.3f}, limit {minimum:.3f}",
             metrics={"target_theta": target},
         )
+    if not (np.isfinite(plan.joints).all() and np.isfinite(plan.gripper).all()):
+        return Rejection(reason="not_finite", detail="an action is no number")
     drive = find_drive(scene)
     if drive:
         return Rejection(reason="imposed", detail=f"{drive} moves the object's joint")
