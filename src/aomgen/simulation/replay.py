@@ -109,7 +109,7 @@ class SimulatedRun:
         bases_world: Where the object's static link stands (N, 3), [m].
         commands: Commanded arm joints (N, J), [rad].
         touches: Of the robot with anything else.
-        untouched: State at the last sample before the robot touched the object.
+        untouched: State at the last sample, but the very last, before the robot touched the object.
     """
 
     frame_ticks: NDArray[np.int64]
@@ -155,7 +155,6 @@ def simulate(
     _ignore_hand_on_hand(scene, model)
     if setting is not None:
         apply_setting(scene, model, setting)
-    latch, reach = (setting.latch, setting.latch_reach) if setting else (0.0, 0.0)
     commands = _linear_commands(joints, gripper, fps, ticks_a_frame)
     if approach is None:
         start = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
@@ -167,20 +166,21 @@ def simulate(
         mujoco.mj_setState(model, data, untouched.state, STATE)
     rows: list[_Row] = []
     contacts: list[Contacts] = []
-    friction, on_object, near = model.dof_frictionloss[scene.object_dof], scene.roles.object, False
+    last = len(commands.joints) - 1
+    on_object, near = scene.roles.object, False
     for tick, _ in enumerate(track(scene, model, data, commands.after(first), steps_a_tick), start=first):
         sample = tick % ticks_a_frame == 0
         if sample and data.warning.number[DIVERGENCE].any():
             return _diverged(tick / (fps * ticks_a_frame))
-        if latch:
-            caught = data.qpos[scene.object_qpos] < reach
-            model.dof_frictionloss[scene.object_dof] = friction + caught * latch
+        if setting is not None and setting.latch:
+            caught = data.qpos[scene.object_qpos] < setting.latch_reach
+            model.dof_frictionloss[scene.object_dof] = setting.frictionloss + caught * setting.latch
         if approach is not None and tick == first:
             continue
         if data.ncon:
             contacts.append(read_contacts(model, data, tick))
             near = near or bool(on_object[contacts[-1].geoms].any())
-        if approach is None and not near and sample:
+        if approach is None and not near and sample and tick < last:
             untouched = _checkpoint(model, data, tick)
         rows.append(_read_row(scene, data))
     run = SimulatedRun(

@@ -10,7 +10,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from aomgen.assets.mjcf import RESISTANCES, JointResistance, holding_friction
+from aomgen.assets.mjcf import HOLDING_SOLIMP, RESISTANCES, JointResistance, holding_friction
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.verdict import Setting
 from aomgen.simulation.scene import Scene
@@ -60,9 +60,11 @@ def corner_setting(
 
 
 def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting) -> None:
-    """Let the object of a model, a copy of the scene's, resist in this way; the latch changes while it is simulated."""
+    """Let the object of a model, a copy of the scene's, resist in this way; it is closed and its latch holds."""
     model.dof_damping[scene.object_dof] = setting.damping
-    model.dof_frictionloss[scene.object_dof] = setting.frictionloss
+    model.dof_frictionloss[scene.object_dof] = setting.frictionloss + setting.latch
+    if setting.latch:
+        model.dof_solimp[scene.object_dof] = HOLDING_SOLIMP
     model.geom_friction[scene.roles.gripper | scene.roles.moving, 0] *= setting.grip_friction
     body, factor = model.body(scene.names.moving_body).id, setting.moving_mass / scene.asset.moving.mass
     if factor != 1.0:
