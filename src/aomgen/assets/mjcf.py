@@ -44,13 +44,13 @@ class JointResistance:
 RESISTANCES: Final[dict[JointType, tuple[JointResistance, ...]]] = {
     "revolute": (
         JointResistance(name="nominal", damping=0.3, frictionloss=0.15),
-        JointResistance(name="light", damping=0.05, frictionloss=0.02),
-        JointResistance(name="heavy", damping=1.2, frictionloss=0.8),
+        JointResistance(name="light", damping=0.02, frictionloss=0.02),
+        JointResistance(name="heavy", damping=2.0, frictionloss=1.5),
     ),
     "prismatic": (
         JointResistance(name="nominal", damping=4.0, frictionloss=2.0),
         JointResistance(name="light", damping=1.0, frictionloss=0.3),
-        JointResistance(name="heavy", damping=16.0, frictionloss=8.0),
+        JointResistance(name="heavy", damping=30.0, frictionloss=15.0),
     ),
 }
 

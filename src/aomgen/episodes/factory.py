@@ -105,6 +105,12 @@ class EpisodeFactory:
             free=self.params.free_cameras,
         )
 
+    @cached_property
+    def digests(self) -> dict[str, str]:
+        """SHA-256 of what every plan is made from, for the certificates."""
+        demo = self.results.demonstration
+        return {"demonstration": arrays_digest(demo.joints, demo.gripper, demo.thetas)}
+
     def screen(self, unit: Unit) -> tuple[Variation, Rejection | None]:
         """The variation of a draw, and why it is not worth trying, if it is not."""
         variation = self.variation(unit)
@@ -134,7 +140,7 @@ class EpisodeFactory:
                 fitted, self.results.demonstration, variation, scene, self.solver, self.plan_params
             )
         verified: VerifiedEpisode | Rejection = (
-            plan if isinstance(plan, Rejection) else self._verified(plan, scene)
+            plan if isinstance(plan, Rejection) else self._verified(plan, scene, opened.digests)
         )
         if isinstance(verified, Rejection):
             write_rejection(self.folder, unit, variation, verified)
@@ -142,9 +148,11 @@ class EpisodeFactory:
             self._commit(unit, verified, opened)
         return Made(committed=isinstance(verified, VerifiedEpisode), seconds=self._seconds)
 
-    def _verified(self, plan: EpisodePlan, scene: Scene) -> VerifiedEpisode | Rejection:
+    def _verified(
+        self, plan: EpisodePlan, scene: Scene, digests: Mapping[str, str]
+    ) -> VerifiedEpisode | Rejection:
         with self._timed("verify"):
-            return verify_plan(plan, scene)
+            return verify_plan(plan, scene, digests=digests)
 
     def _commit(self, unit: Unit, verified: VerifiedEpisode, opened: "OpenAsset") -> None:
         results, plan = self.results, verified.plan
@@ -196,6 +204,7 @@ class EpisodeFactory:
             fitted=self.results.fitted_assets[number],
             twin=load_artifact(home, "twin", Twin),
             usd=home / ASSET_USD,
+            digests=self.digests | {"asset": file_digest(home / ASSET_USD), "twin": file_digest(home / TWIN_ARRAYS)},
         )
 
     @contextmanager
@@ -213,6 +222,7 @@ class OpenAsset:
     fitted: FittedAsset
     twin: Twin
     usd: Path
+    digests: Mapping[str, str]
 
     def sized(self, scale: float) -> tuple[FittedAsset, Scene]:
         """The asset at a size, and the scene to plan and verify it in."""

@@ -26,6 +26,7 @@ def episode_of(
     """The episode that a verified plan becomes; its actions are the plan one frame ahead."""
     plan = verified.plan
     asset = plan.fitted.asset
+    settings = tuple(outcome.setting for outcome in verified.verdict.outcomes)
     return Episode(
         index=index,
         seed=plan.variation.seed,
@@ -48,7 +49,7 @@ def episode_of(
         T_world_object=plan.T_world_object,
         cameras=cameras,
         verdict={**verified.verdict.as_json(), "variation": asdict(plan.variation), "grasp": plan.grasp},
-        simulation=assumptions(asset, joint_zeros_rad, bolted=verified.verdict.bolted),
+        simulation=assumptions(asset, settings, joint_zeros_rad, bolted=verified.verdict.bolted),
     )
 
 

@@ -131,7 +131,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "short": Figure(name="missing"),
         "rejected": Figure(name="attempts rejected"),
         "skipped": Figure(name="draws not tried"),
-        # The pass rule: 90 % of the planned opening under every setting of damping and friction.
+        # The pass rule: 90 % of the planned opening in every setting.
         "smallest_margin": Figure(
             name="least opening", unit="% of the plan", digits=1, factor=100.0, offset=90.0, above=90.0
         ),
@@ -144,7 +144,10 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
             name="least opening", unit="% of the plan", digits=1, factor=100.0, above=90.0
         ),
         "contact_share": Figure(name="moved in contact", unit="%", digits=1, factor=100.0, above=80.0),
-        "tracking_mm": Figure(name="arm off its command", unit="mm", digits=1),
+        "tracking_mm": Figure(name="arm off its command", unit="mm", digits=1, below=20.0),
+        "torque_share": Figure(name="torque of the drives", unit="%", factor=100.0, below=90.0),
+        "handle_penetration_mm": Figure(name="fingers in the handle", unit="mm", digits=1, below=1.5),
+        "robot_force_n": Figure(name="force on other things", unit="N", below=15.0),
         "peak_force_n": Figure(name="peak grip force", unit="N"),
         "peak_reaction_n": Figure(name="peak force on the object", unit="N"),
     },

@@ -18,7 +18,7 @@ from aomgen.pipeline.figures import read_figure
 from aomgen.report.html import Markup, fold, heading, link, paragraph, table, text, video, whole
 from aomgen.results import Results
 from aomgen.simulation.collision_check import KinematicLimits
-from aomgen.simulation.verify import PassRule
+from aomgen.simulation.judge import PassRule
 
 # Episodes shown with videos; each adds two posters of some 15 kB to the page.
 SHOWN = 24
@@ -29,6 +29,9 @@ WORST = {
     "target_share": min,
     "contact_share": min,
     "tracking_mm": max,
+    "torque_share": max,
+    "handle_penetration_mm": max,
+    "robot_force_n": max,
     "peak_force_n": max,
     "peak_reaction_n": max,
 }
@@ -63,14 +66,15 @@ def episodes_section(results: Results) -> list[str]:
     """Cards with videos of the first episodes, a table of all, and what its figures are held against."""
     made = made_episodes(results)
     rule = PassRule()
-    names = [run["name"] for run in made[0].episode.verdict["dynamic"]]
+    count = len({run["name"] for item in made for run in item.episode.verdict["dynamic"]})
     cards = "".join(_card(item) for item in made[:SHOWN])
     more = f" The first {SHOWN} of {len(made)} are shown; the table has all." if len(made) > SHOWN else ""
     return [
         paragraph(
             f"{len(made)} episodes, each verified in physics before it was drawn: contact alone moves the passive "
             f"joint, to at least {rule.target_share:.0%} of the planned opening and for {rule.contact_share:.0%} "
-            f"of the way in contact, under all settings of damping and friction ({', '.join(names)}).{more}"
+            f"of the way in contact. Each was simulated in the nominal setting and two opposite ones, which differ in "
+            f"the joint's resistance, mass, grip and latch; {count} settings in all.{more}"
         ),
         f'<div class="cards">{cards}</div>',
         heading("Verdicts"),
@@ -97,9 +101,9 @@ def place_words(variation: Mapping[str, Any]) -> str:
 
 def force_limits(results: Results, made: list[Made]) -> str:
     """What the forces of the verdicts are held against, and that nothing is where nothing is."""
-    words = "No limit is set on the grip force: it tells how hard the simulated gripper squeezes."
+    words = "The grip force has no limit of its own: how deep it presses handle and pads into each other has."
     if not all(item.episode.verdict["bolted"] for item in made):
-        slide_mm = 1000 * PassRule().max_drift_m
+        slide_mm = PassRule().drift_mm
         return f"{words} The force on the object is limited by its base, which may slide {slide_mm:g} mm."
     friction = PassRule().base_friction
     holds = [
@@ -195,11 +199,19 @@ def reasons() -> dict[str, str]:
         "no_grip": f"a finger pad stays more than {contact.max_gap_mm:g} mm away from the handle",
         "no_grasp": "the asset offers no grasp",
         "target_too_small": "the planned opening is too small to count",
+        "not_finite": "an action is no number",
         "diverged": "the simulation became unstable",
-        "pre_opened": "the part had moved before the gripper arrived",
+        "imposed": "something else than contact moves the part, or its joint value was written",
+        "pre_opened": "the part had moved before the robot touched it",
+        "door_pushed": f"more than {rule.pushed_share:.0%} of the way was made by other contacts than pads on the handle",
+        "robot_contact": f"the robot pressed on other things than the handle with more than {rule.robot_force_n:g} N",
+        "torque": f"a drive needed more than {rule.torque_share:.0%} of its torque for {rule.torque_s:g} s",
+        "tracking": f"the arm was more than {rule.tracking_mm:g} mm off its command",
+        "penetration": f"gripper and handle overlapped by more than {rule.handle_penetration_mm:g} mm, or the robot and "
+        f"anything else by {rule.penetration_mm:g} mm",
         "target": f"the part reached less than {rule.target_share:.0%} of the planned opening",
         "contact": f"less than {rule.contact_share:.0%} of the way was made in contact",
-        "slides": f"the object's base slid by more than {1000 * rule.max_drift_m:g} mm",
+        "slides": f"the object's base slid by more than {rule.drift_mm:g} mm",
     }
 
 

@@ -2,31 +2,37 @@
 
 import copy
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Final, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.episode import ContactLog
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import transform
-from aomgen.core.values import Array
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.verdict import Setting
 from aomgen.simulation.scene import Scene
+from aomgen.simulation.settings import apply_setting
 
 # Rate of a UR5e's controller, [1/s]; a frame lasts a whole number of control ticks, so the rate used is a little higher.
 CONTROL_HZ: Final = 125.0
 # The arm stands at its first configuration for this long before the episode begins.
 SETTLE_S: Final = 0.2
-DIVERGENCE = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-    mujoco.mjtWarning.mjWARN_BADCTRL,
-    mujoco.mjtWarning.mjWARN_INERTIA,
-)
+DIVERGENCE: Final = [
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+        mujoco.mjtWarning.mjWARN_INERTIA,
+    )
+]
+# All that later steps depend on.
+STATE: Final = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,26 +43,54 @@ class Commands:
     velocities: Array
     gripper: Array
 
+    def after(self, tick: int) -> "Commands":
+        """Those from a tick on."""
+        return Commands(self.joints[tick:], self.velocities[tick:], self.gripper[tick:])
 
-@dataclass(frozen=True, slots=True)
-class Touch:
-    """One contact of the robot with anything else.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touches:
+    """Contacts of the robot with what is not the robot (C), ordered by tick.
 
     Attributes:
-        robot_geom, other_geom: Of the model.
-        distance: Between them, negative where they overlap, [m].
-        normal_world: Unit, into the robot.
-        force: Normal force, [N].
-        force_world: Whole force on the robot, [N].
+        ticks: When.
+        robot_geoms, other_geoms: Of the model.
+        distances: Between them, negative where they overlap, [m].
+        points_world: (C, 3), [m].
+        normals_world: (C, 3) unit, into the robot.
+        forces: Normal force, [N].
+        forces_world: Whole force on the robot (C, 3), [N].
     """
 
-    robot_geom: int
-    other_geom: int
-    distance: float
-    point_world: Array
-    normal_world: Array
-    force: float
-    force_world: Array
+    ticks: Annotated[NDArray[np.int64], "C"]
+    robot_geoms: Annotated[NDArray[np.int64], "C"]
+    other_geoms: Annotated[NDArray[np.int64], "C"]
+    distances: Annotated[Array, "C"]
+    points_world: Annotated[Array, "C 3"]
+    normals_world: Annotated[Array, "C 3"]
+    forces: Annotated[Array, "C"]
+    forces_world: Annotated[Array, "C 3"]
+
+    __post_init__ = freeze_arrays
+
+
+class Contacts(NamedTuple):
+    """All contacts at one tick as MuJoCo has them: geoms (C, 2), frames (C, 9), wrenches in them (C, 6)."""
+
+    tick: int
+    geoms: NDArray[np.int32]
+    distances: Array
+    points_world: Array
+    frames: Array
+    wrenches: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """Full state of the simulation at a tick."""
+
+    tick: int
+    state: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,146 +99,179 @@ class SimulatedRun:
 
     Attributes:
         frame_ticks: Tick of each commanded sample (T,).
+        tick_s: From one tick to the next, [s].
         joints: Reached arm joints (N, J), [rad].
         gripper: Reached gripper (N,), 0..1.
         thetas: Object joint (N,), [rad] or [m].
+        rates: Its velocity (N,), [rad/s] or [m/s].
+        torques: Of the arm's drives (N, J), with what carries the arm's weight, [N m] or [N].
         Ts_world_ee: Reached end effector (N, 4, 4).
+        bases_world: Where the object's static link stands (N, 3), [m].
         commands: Commanded arm joints (N, J), [rad].
-        pad_forces: Sum of the pads' normal forces on the moving part (N,), [N].
-        reactions: Level force of the whole robot on the object (N,), [N].
-        drift_m: How far the object's base moved since the first tick (N,), [m].
-        contacts: Of the pads with the moving part; its frames are ticks.
+        touches: Of the robot with anything else.
+        untouched: State at the last sample, but the very last, before the robot touched the object.
     """
 
     frame_ticks: NDArray[np.int64]
+    tick_s: float
     joints: Array
     gripper: Array
     thetas: Array
+    rates: Array
+    torques: Array
     Ts_world_ee: Array
+    bases_world: Array
     commands: Array
-    pad_forces: Array
-    reactions: Array
-    drift_m: Array
-    contacts: ContactLog
+    touches: Touches
+    untouched: Checkpoint
 
 
 def simulate(
-    scene: Scene, joints: Array, gripper: Array, fps: float, *, initial_theta: float = 0.0
+    scene: Scene,
+    joints: Array,
+    gripper: Array,
+    fps: float,
+    *,
+    setting: Setting | None = None,
+    approach: SimulatedRun | None = None,
+    initial_theta: float = 0.0,
 ) -> SimulatedRun | Rejection:
     """Track joints (T, J) and gripper (T,), T >= 2, with the arm's position controllers, without looking ahead.
 
     From sample t on, the command moves straight from sample t to sample t + 1 at constant velocity:
     the exported action at t, which names the target at t + 1, and the one before it are all that is used.
     Autoreset is off (see `build_scene`) and a warning of divergence ends the run with a Rejection "diverged".
-    `initial_theta` sets the object's joint at reset; anything but 0 is for tests.
+
+    Args:
+        setting: How the object resists; None leaves it as it is in the scene.
+        approach: A run of the same commands whose object resists otherwise; until the robot touches the object the
+            two are the same, so this one starts where that one was still `untouched`.
+        initial_theta: The object's joint at reset; anything but 0 is for tests.
     """
     ticks_a_frame = math.ceil(CONTROL_HZ / fps)
     steps_a_tick = math.ceil(1 / (fps * ticks_a_frame * scene.model.opt.timestep))
     model = copy.copy(scene.model)
     model.opt.timestep = 1 / (fps * ticks_a_frame * steps_a_tick)
+    _ignore_hand_on_hand(scene, model)
+    if setting is not None:
+        apply_setting(scene, model, setting)
     commands = _linear_commands(joints, gripper, fps, ticks_a_frame)
-    start = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
-    roles, base = scene.roles, model.body(scene.names.static_body).id
-    qpos, places, bases, touches = [], [], [], []
-    reactions = np.zeros(len(commands.joints))
-    for tick, data in enumerate(track(scene, model, start, commands, SETTLE_S, steps_a_tick)):
-        if any(data.warning[kind].number for kind in DIVERGENCE):
-            time_s = data.time - SETTLE_S
-            return Rejection(
-                reason="diverged",
-                detail=f"the simulation became unstable at {time_s:.2f} s",
-                metrics={"time_s": time_s},
-            )
-        qpos.append(data.qpos.copy())
-        places.append(transform(data.site_xmat[scene.ee_site].reshape(3, 3), data.site_xpos[scene.ee_site]))
-        bases.append(data.xpos[base].copy())
-        on_object = [
-            touch
-            for touch in read_touches(scene, data)
-            if roles.moving[touch.other_geom] or roles.static[touch.other_geom]
-        ]
-        reactions[tick] = np.linalg.norm(sum((touch.force_world[:2] for touch in on_object), np.zeros(2)))
-        touches += [
-            (tick, touch)
-            for touch in on_object
-            if touch.force > 0 and roles.moving[touch.other_geom] and roles.finger[touch.robot_geom] >= 0
-        ]
-    ticks = np.array([tick for tick, _ in touches], np.int64)
-    forces = np.array([touch.force for _, touch in touches])
-    reached, (opened, closed) = np.array(qpos), scene.gripper.driver_range
-    return SimulatedRun(
+    if approach is None:
+        start = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
+        first, data = 0, stand(scene, model, start, commands, SETTLE_S)
+        untouched = _checkpoint(model, data, 0)
+    else:
+        untouched = approach.untouched
+        first, data = untouched.tick, mujoco.MjData(model)
+        mujoco.mj_setState(model, data, untouched.state, STATE)
+    rows: list[_Row] = []
+    contacts: list[Contacts] = []
+    last = len(commands.joints) - 1
+    on_object, near = scene.roles.object, False
+    for tick, _ in enumerate(track(scene, model, data, commands.after(first), steps_a_tick), start=first):
+        sample = tick % ticks_a_frame == 0
+        if sample and data.warning.number[DIVERGENCE].any():
+            return _diverged(tick / (fps * ticks_a_frame))
+        if setting is not None and setting.latch:
+            caught = data.qpos[scene.object_qpos] < setting.latch_reach
+            model.dof_frictionloss[scene.object_dof] = setting.frictionloss + caught * setting.latch
+        if approach is not None and tick == first:
+            continue
+        if data.ncon:
+            contacts.append(read_contacts(model, data, tick))
+            near = near or bool(on_object[contacts[-1].geoms].any())
+        if approach is None and not near and sample and tick < last:
+            untouched = _checkpoint(model, data, tick)
+        rows.append(_read_row(scene, data))
+    run = SimulatedRun(
         frame_ticks=ticks_a_frame * np.arange(len(joints)),
-        joints=reached[:, scene.arm.qpos],
-        gripper=np.clip((reached[:, scene.gripper.driver] - opened) / (closed - opened), 0, 1),
-        thetas=reached[:, scene.object_qpos],
-        Ts_world_ee=np.array(places),
+        tick_s=1 / (fps * ticks_a_frame),
         commands=commands.joints,
-        pad_forces=np.bincount(ticks, forces, len(reached)).astype(np.float64),
-        reactions=reactions,
-        drift_m=np.linalg.norm(np.array(bases) - bases[0], axis=1),
-        contacts=ContactLog(
-            frames=ticks,
-            fingers=roles.finger[[touch.robot_geom for _, touch in touches]],
-            points_world=np.array([touch.point_world for _, touch in touches]).reshape(-1, 3),
-            normals_world=np.array([touch.normal_world for _, touch in touches]).reshape(-1, 3),
-            forces=forces,
-        ),
+        touches=find_touches(scene, contacts),
+        untouched=untouched,
+        **_stack(scene, rows),
     )
+    return run if approach is None else _joined(approach, run)
+
+
+def stand(
+    scene: Scene, model: mujoco.MjModel, start: Array, commands: Commands, settle_s: float
+) -> mujoco.MjData:
+    """The state after the arm has stood at the first command, from positions (nq,), until servos and contacts rest."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = start
+    still = Commands(commands.joints[:1], np.zeros_like(commands.joints[:1]), commands.gripper[:1])
+    data.ctrl[:] = _servo_controls(scene, still)[0]
+    mujoco.mj_step(model, data, round(settle_s / model.opt.timestep))
+    return data
 
 
 def track(
     scene: Scene,
     model: mujoco.MjModel,
-    start: Array,
+    data: mujoco.MjData,
     commands: Commands,
-    settle_s: float,
     steps_a_tick: int = 1,
 ) -> Iterator[mujoco.MjData]:
     """Drive arm and gripper by position control; gives the state at every tick, before its command is applied.
 
     Velocity feed-forward, `ctrl = q + kv / kp * dq`, takes the lag out of a position actuator. Nothing is written
-    into the state after the start.
+    into the state.
 
     Args:
         scene: What is where in the model.
         model: The scene's, maybe with another time step.
-        start: Generalised positions (nq,); the first command is held there before the first tick.
+        data: State at the first tick; it is advanced.
         commands: At every tick.
-        settle_s: Time before the first tick, in which servos and contacts come to rest, [s].
         steps_a_tick: Steps of the model from one tick to the next.
     """
-    data = mujoco.MjData(model)
-    data.qpos[:] = start
-    data.ctrl[:] = _servo_control(
-        scene, commands.joints[0], np.zeros_like(commands.joints[0]), commands.gripper[0]
-    )
-    mujoco.mj_step(model, data, round(settle_s / model.opt.timestep))
-    for joints, velocity, closing in zip(commands.joints, commands.velocities, commands.gripper, strict=True):
+    for control in _servo_controls(scene, commands):
         yield data
-        data.ctrl[:] = _servo_control(scene, joints, velocity, closing)
+        data.ctrl[:] = control
         mujoco.mj_step(model, data, steps_a_tick)
 
 
-def read_touches(scene: Scene, data: mujoco.MjData) -> Iterator[Touch]:
-    """Contacts of the robot with what is not the robot."""
-    robot, wrench = scene.roles.robot, np.zeros(6)
+def read_contacts(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> Contacts:
+    """Copy what the next step overwrites; sorting it out is left to `find_touches`, once for all ticks."""
+    contact = data.contact
+    wrenches = np.empty((data.ncon, 6))
     for index in range(data.ncon):
-        contact = data.contact[index]
-        a, b = (int(geom) for geom in contact.geom)
-        if robot[a] == robot[b]:
-            continue
-        mujoco.mj_contactForce(scene.model, data, index, wrench)
-        # MuJoCo's normal points from the first geom to the second; ours into the robot.
-        sign, frame = -1.0 if robot[a] else 1.0, contact.frame.reshape(3, 3)
-        yield Touch(
-            robot_geom=a if robot[a] else b,
-            other_geom=b if robot[a] else a,
-            distance=float(contact.dist),
-            point_world=contact.pos.copy(),
-            normal_world=sign * frame[0],
-            force=float(wrench[0]),
-            force_world=sign * (frame.T @ wrench[:3]),
-        )
+        mujoco.mj_contactForce(model, data, index, wrenches[index])
+    return Contacts(
+        tick,
+        contact.geom.copy(),
+        contact.dist.copy(),
+        contact.pos.copy(),
+        contact.frame.copy(),
+        wrenches,
+    )
+
+
+def find_touches(scene: Scene, contacts: list[Contacts]) -> Touches:
+    """The contacts of the robot with what is not the robot."""
+    ticks = np.repeat([item.tick for item in contacts], [len(item.geoms) for item in contacts])
+    geoms = np.concatenate([np.zeros((0, 2), np.int32), *(item.geoms for item in contacts)])
+    robot = scene.roles.robot[geoms]
+    kept = robot[:, 0] != robot[:, 1]
+
+    def column(values: Iterable[Array], width: int) -> Array:
+        return np.concatenate([np.zeros((0, width)), *values])[kept]
+
+    # The robot's geom first. MuJoCo's normal points from the first geom to the second; ours into the robot.
+    ours = robot[kept, :1]
+    pairs = np.where(ours, geoms[kept], geoms[kept, ::-1])
+    frames = column((item.frames for item in contacts), 9) * np.where(ours, -1.0, 1.0)
+    wrenches = column((item.wrenches for item in contacts), 6)
+    return Touches(
+        ticks=ticks[kept],
+        robot_geoms=pairs[:, 0],
+        other_geoms=pairs[:, 1],
+        distances=np.concatenate([np.zeros(0), *(item.distances for item in contacts)])[kept],
+        points_world=column((item.points_world for item in contacts), 3),
+        normals_world=frames[:, :3],
+        forces=wrenches[:, 0],
+        forces_world=np.einsum("cij,ci->cj", frames.reshape(-1, 3, 3), wrenches[:, :3]),
+    )
 
 
 def _linear_commands(joints: Array, gripper: Array, fps: float, ticks_a_frame: int) -> Commands:
@@ -218,11 +285,84 @@ def _linear_commands(joints: Array, gripper: Array, fps: float, ticks_a_frame: i
     return Commands(commands[:, :-1], velocities[:, :-1], commands[:, -1])
 
 
-def _servo_control(scene: Scene, command: Array, velocity: Array, closing: float) -> Array:
-    """Actuator controls (nu,) for arm joints (J,), [rad], their velocities [rad/s], and gripper 0..1."""
-    arm = scene.arm
-    control = np.zeros(scene.model.nu)
-    control[arm.actuators] = command + arm.kv / arm.kp * velocity
-    opened, closed = scene.gripper.control_range
-    control[scene.gripper.actuator] = opened + closing * (closed - opened)
-    return control
+def _servo_controls(scene: Scene, commands: Commands) -> Array:
+    """Actuator controls (N, nu) of commands (N)."""
+    arm, (opened, closed) = scene.arm, scene.gripper.control_range
+    controls = np.zeros((len(commands.joints), scene.model.nu))
+    controls[:, arm.actuators] = commands.joints + arm.kv / arm.kp * commands.velocities
+    controls[:, scene.gripper.actuator] = opened + commands.gripper * (closed - opened)
+    return controls
+
+
+def _ignore_hand_on_hand(scene: Scene, model: mujoco.MjModel) -> None:
+    """Leave out contacts between shapes of the gripper other than its pads.
+
+    Where the shapes of a gripper's links are meshes, looking for contacts among them takes a sixth of all time.
+    """
+    shell = scene.roles.gripper & (scene.roles.finger < 0)
+    model.geom_contype[shell] |= model.geom_conaffinity[shell]
+    model.geom_conaffinity[shell] = 0
+
+
+def _checkpoint(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> Checkpoint:
+    state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, state, STATE)
+    return Checkpoint(tick, state)
+
+
+def _diverged(time_s: float) -> Rejection:
+    detail = f"the simulation became unstable at {time_s:.2f} s"
+    return Rejection(reason="diverged", detail=detail, metrics={"time_s": time_s})
+
+
+class _Row(NamedTuple):
+    """What one tick leaves: positions, velocities, what the drives and gravity compensation do, end effector, base."""
+
+    qpos: Array
+    qvel: Array
+    torques: Array
+    ee_point: Array
+    R_ee: Array
+    base_point: Array
+
+
+def _read_row(scene: Scene, data: mujoco.MjData) -> _Row:
+    return _Row(
+        data.qpos.copy(),
+        data.qvel.copy(),
+        data.qfrc_actuator + data.qfrc_gravcomp,
+        data.site_xpos[scene.ee_site].copy(),
+        data.site_xmat[scene.ee_site].copy(),
+        data.xpos[scene.object_body].copy(),
+    )
+
+
+def _stack(scene: Scene, rows: list[_Row]) -> dict[str, Array]:
+    """Fields of a run from what its ticks left."""
+    qpos, qvel, torques, points, turns, bases = (np.array(column) for column in zip(*rows, strict=True))
+    opened, closed = scene.gripper.driver_range
+    return {
+        "joints": qpos[:, scene.arm.qpos],
+        "gripper": np.clip((qpos[:, scene.gripper.driver] - opened) / (closed - opened), 0, 1),
+        "thetas": qpos[:, scene.object_qpos],
+        "rates": qvel[:, scene.object_dof],
+        "torques": torques[:, scene.arm.dofs],
+        "Ts_world_ee": transform(turns.reshape(-1, 3, 3), points),
+        "bases_world": bases,
+    }
+
+
+def _joined(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
+    """The ticks of an approach up to where it was untouched, and those of a run that began there."""
+    last, early = approach.untouched.tick, approach.touches.ticks <= approach.untouched.tick
+    names = ("joints", "gripper", "thetas", "rates", "torques", "Ts_world_ee", "bases_world")
+    values = {
+        name: np.concatenate([getattr(approach, name)[: last + 1], getattr(rest, name)]) for name in names
+    }
+    touches = {
+        item.name: np.concatenate(
+            [getattr(approach.touches, item.name)[early], getattr(rest.touches, item.name)]
+        )
+        for item in fields(Touches)
+    }
+    return replace(rest, touches=Touches(**touches), **values)

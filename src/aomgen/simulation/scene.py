@@ -7,11 +7,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aomgen.assets.mjcf import AssetNames, add_asset, holding_friction
+from aomgen.assets.mjcf import AssetNames, add_asset
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.episode import FINGERS
-from aomgen.core.transforms import quat_from_matrix
+from aomgen.core.joint import Joint
+from aomgen.core.transforms import matrix_from_quat, quat_from_matrix, transform
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
@@ -30,13 +31,18 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmDrive:
-    """Addresses of the arm and its actuators in the model, and their stiffness [N m/rad] and damping [N m s/rad], (J,)."""
+    """Addresses of the arm and its actuators in the model, and their properties (J,).
+
+    `kp` is stiffness [N m/rad], `kv` damping [N m s/rad], `torques` the largest torque [N m], infinite where the
+    model states none; in [N] and [m] where a joint slides.
+    """
 
     qpos: Indices
     dofs: Indices
     actuators: Indices
     kp: Array
     kv: Array
+    torques: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +81,11 @@ class GeomRoles:
     handle: Mask
     finger: Indices
 
+    @property
+    def object(self) -> Mask:
+        """Both links of the object."""
+        return self.static | self.moving
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
@@ -88,6 +99,7 @@ class Scene:
         arm, gripper: Drives.
         roles: What the geoms belong to.
         object_qpos, object_dof: Addresses of the object's joint.
+        object_body: Id of its static link.
         ee_site: Id of the end effector.
         bolted: The object's base cannot move.
     """
@@ -101,28 +113,27 @@ class Scene:
     roles: GeomRoles
     object_qpos: int
     object_dof: int
+    object_body: int
     ee_site: int
     bolted: bool
 
-    def placed(
-        self, T_world_object: ArrayLike, *, damping: float | None = None, frictionloss: float | None = None
-    ) -> "Scene":
-        """The same scene with the object at a pose (4, 4), and with another joint resistance if one is given.
+    @property
+    def joint_world(self) -> Joint:
+        """The object's joint, world frame."""
+        body = self.object_body
+        R = matrix_from_quat(self.model.body_quat[body])
+        return self.asset.joint.moved(transform(R, self.model.body_pos[body]))
 
-        Damping is in [N m s/rad] or [N s/m], friction beyond what holds a lid's weight in [N m] or [N].
-        """
+    def placed(self, T_world_object: ArrayLike) -> "Scene":
+        """The same scene with the object at a pose (4, 4)."""
         model = copy.copy(self.model)
         T = np.asarray(T_world_object, np.float64)
-        body = model.body(self.names.static_body).id
+        body = self.object_body
         model.body_pos[body] = T[:3, 3]
         model.body_quat[body] = quat_from_matrix(T[:3, :3])
         if self.names.free_joint:
             address = model.joint(self.names.free_joint).qposadr[0]
             model.qpos0[address : address + 7] = np.append(T[:3, 3], quat_from_matrix(T[:3, :3]))
-        if damping is not None:
-            model.dof_damping[self.object_dof] = damping
-        if frictionloss is not None:
-            model.dof_frictionloss[self.object_dof] = frictionloss + holding_friction(self.asset)
         return replace(self, model=model)
 
     def qpos(self, joints: ArrayLike, gripper: ArrayLike, thetas: ArrayLike) -> Array:
@@ -151,7 +162,7 @@ def build_scene(
 
     Every robot body is gravity compensated, as an arm's own controller does. The table is a slab
     under the support plane, as large as it is known to be, else 1.4 m about the object; the
-    arm's foot does not collide with it. `damping` and `frictionloss` as in `Scene.placed`.
+    arm's foot does not collide with it. `damping` and `frictionloss` are as in `add_asset`.
 
     Args:
         robot: With position actuators on all arm joints.
@@ -198,6 +209,7 @@ def describe_scene(
         roles=_geom_roles(model, robot, names),
         object_qpos=int(joint.qposadr[0]),
         object_dof=int(joint.dofadr[0]),
+        object_body=model.body(names.static_body).id,
         ee_site=model.site(robot.ee_site).id,
         bolted=bolted,
     )
@@ -242,13 +254,17 @@ def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:
                 "add one to the model, or use ur5e_2f85",
             )
         actuators.append(int(driving[0]))
-    ids = np.array(actuators, np.int64)
+    ids, numbers = np.array(actuators, np.int64), [joint.id for joint in joints]
     return ArmDrive(
         qpos=np.array([joint.qposadr[0] for joint in joints], np.int64),
         dofs=np.array([joint.dofadr[0] for joint in joints], np.int64),
         actuators=ids,
         kp=-model.actuator_biasprm[ids, 1],
         kv=-model.actuator_biasprm[ids, 2],
+        torques=np.minimum(
+            np.where(model.actuator_forcelimited[ids], model.actuator_forcerange[ids, 1], np.inf),
+            np.where(model.jnt_actfrclimited[numbers], model.jnt_actfrcrange[numbers, 1], np.inf),
+        ),
     )
 
 

@@ -12,7 +12,7 @@ from aomgen.core.joint import Joint
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.replay import Commands, read_touches, track
+from aomgen.simulation.replay import Commands, Touches, find_touches, read_contacts, stand, track
 from aomgen.simulation.scene import Scene
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
 from aomgen.synthetic.demonstration_planning import plan
@@ -161,15 +161,15 @@ def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstratio
     model.actuator_forcerange[scene.gripper.actuator] *= script.grip
     start = scene.qpos(script.joints[:1], script.gripper[0], script.theta_start)[0]
     commands = Commands(script.joints, np.gradient(script.joints, CONTROL_STEP_S, axis=0), script.gripper)
-    sides = _name_sides(model, scene.robot)
     qpos = np.empty((len(script.times_s), model.nq))
-    contacts, foreign, warned = [], False, False
-    for step, data in enumerate(track(scene, model, start, commands, SETTLE_S)):
+    touched, warned = [], False
+    data = stand(scene, model, start, commands, SETTLE_S)
+    for step, _ in enumerate(track(scene, model, data, commands)):
         qpos[step] = data.qpos
-        touches, strange = _read_touches(scene, data, sides)
-        contacts.append(touches)
-        foreign |= strange
+        if data.ncon:
+            touched.append(read_contacts(model, data, step))
         warned = bool(data.warning.number.sum() > 0)
+    contacts, foreign = _sort_touches(scene, find_touches(scene, touched), len(qpos))
     opened, closed = scene.gripper.driver_range
     return SimulatedDemonstration(
         times_s=script.times_s,
@@ -177,29 +177,30 @@ def simulate(scene: Scene, script: CommandedTrajectory) -> SimulatedDemonstratio
         joints=qpos[:, scene.arm.qpos],
         gripper=(qpos[:, scene.gripper.driver] - opened) / (closed - opened),
         theta=qpos[:, scene.object_qpos],
-        contacts=tuple(contacts),
+        contacts=contacts,
         foreign=foreign,
         diverged=warned or not np.isfinite(qpos).all(),
     )
 
 
-def _read_touches(
-    scene: Scene, data: mujoco.MjData, sides: dict[int, str]
-) -> tuple[tuple[TrueContact, ...], bool]:
-    """Touches of the hand on the moving part, and whether the robot touches anything else."""
-    roles, found, strange = scene.roles, [], False
-    for touch in read_touches(scene, data):
-        if touch.distance > 0:
-            continue
-        if roles.moving[touch.other_geom] and roles.gripper[touch.robot_geom]:
-            finger = sides[int(scene.model.geom_bodyid[touch.robot_geom])]
-            normal = -touch.normal_world
-            found.append(
-                TrueContact(finger=finger, point=touch.point_world, normal=normal, force=touch.force)
-            )
-        else:
-            strange = True
-    return tuple(found), strange
+def _sort_touches(
+    scene: Scene, touches: Touches, steps: int
+) -> tuple[tuple[tuple[TrueContact, ...], ...], bool]:
+    """Touches of the hand on the moving part at every step, and whether the robot touches anything else."""
+    roles, sides = scene.roles, _name_sides(scene.model, scene.robot)
+    near = touches.distances <= 0
+    wanted = roles.moving[touches.other_geoms] & roles.gripper[touches.robot_geoms]
+    found: list[list[TrueContact]] = [[] for _ in range(steps)]
+    for row in np.flatnonzero(near & wanted).tolist():
+        finger = sides[int(scene.model.geom_bodyid[touches.robot_geoms[row]])]
+        contact = TrueContact(
+            finger=finger,
+            point=touches.points_world[row],
+            normal=-touches.normals_world[row],
+            force=float(touches.forces[row]),
+        )
+        found[touches.ticks[row]].append(contact)
+    return tuple(tuple(contacts) for contacts in found), bool(np.any(near & ~wanted))
 
 
 def _name_sides(model: mujoco.MjModel, robot: RobotModel) -> dict[int, str]:

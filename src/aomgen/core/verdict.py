@@ -1,0 +1,158 @@
+"""What verification tried and found: settings, figures against their limits, and the certificate of an episode."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """How the object resists in one simulated run.
+
+    Attributes:
+        name: For example "nominal".
+        damping: Of the joint, [N m s/rad] or [N s/m].
+        frictionloss: Its whole dry friction, [N m] or [N].
+        moving_mass: Of the moving part, [kg].
+        grip_friction: Factor on the sliding friction of gripper and moving part.
+        latch: Dry friction of a catch on top of the joint's, [N m] or [N] ...
+        latch_reach: ... below this joint value, [rad] or [m].
+    """
+
+    name: str
+    damping: float
+    frictionloss: float
+    moving_mass: float
+    grip_friction: float = 1.0
+    latch: float = 0.0
+    latch_reach: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """A figure against its limit.
+
+    Attributes:
+        reason: Of the rejection when it fails, for example "contact".
+        figure: Name with unit, for example "contact_share".
+        value, limit: In the figure's unit.
+        least: The limit is the smallest value that passes, else the largest.
+    """
+
+    reason: str
+    figure: str
+    value: float
+    limit: float
+    least: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether the limit is kept; not a number never is."""
+        return self.margin >= 0
+
+    @property
+    def margin(self) -> float:
+        """Distance to the limit, negative beyond it."""
+        return self.value - self.limit if self.least else self.limit - self.value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hold:
+    """From when to when finger pads carried force: times [s], and joint values [rad] or [m]."""
+
+    first_s: float
+    last_s: float
+    first_theta: float
+    last_theta: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SettingOutcome:
+    """One simulated run that passed.
+
+    Attributes:
+        final_theta: Joint value at the end of the run, [rad] or [m].
+        peak_force_n: Largest sum of normal forces of the pads on the part, [N].
+        peak_reaction_n: Largest horizontal force of the robot on the object, [N].
+        hold: When the pads held the part.
+        checks: All that was held against a limit.
+    """
+
+    setting: Setting
+    final_theta: float
+    peak_force_n: float
+    peak_reaction_n: float
+    hold: Hold
+    checks: tuple[Check, ...]
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """What was measured, by name with unit."""
+        forces = {"peak_force_n": self.peak_force_n, "peak_reaction_n": self.peak_reaction_n}
+        return {check.figure: check.value for check in self.checks} | forces
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """A passed verification.
+
+    Attributes:
+        target_theta: Planned final joint value, fixed before simulation, [rad] or [m].
+        outcomes: One for each setting, the nominal one last.
+        kinematic: Tier A's figures against their limits.
+        bolted: The object's base was held by the world; then its reaction is only reported.
+        seed, index: Of the variation; the settings were drawn from them.
+        versions: Of what computed it, by name.
+        digests: SHA-256 of what it was computed from, by name.
+    """
+
+    target_theta: float
+    outcomes: tuple[SettingOutcome, ...]
+    kinematic: tuple[Check, ...]
+    bolted: bool
+    seed: int
+    index: int
+    versions: Mapping[str, str] = field(default_factory=dict)
+    digests: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def margin(self) -> float:
+        """Smallest distance of the runs to the pass line of the planned opening, as a share of it."""
+        return self.margins["target_share"]
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """Smallest distance to each limit of the simulation over all settings, in the figure's unit."""
+        margins: dict[str, float] = {}
+        for check in (check for outcome in self.outcomes for check in outcome.checks):
+            margins[check.figure] = min(check.margin, margins.get(check.figure, check.margin))
+        return margins
+
+    def as_json(self) -> dict[str, Any]:
+        """The certificate: plain values that depend on the inputs alone."""
+        limits = {check.figure: check.limit for check in self.outcomes[0].checks}
+        return {
+            "passed": True,
+            "target_theta": self.target_theta,
+            "margin": self.margin,
+            "bolted": self.bolted,
+            "kinematic": {
+                check.figure: {"value": check.value, "limit": check.limit, "margin": check.margin}
+                for check in self.kinematic
+            },
+            "limits": limits,
+            "margins": self.margins,
+            "dynamic": [
+                {
+                    **asdict(outcome.setting),
+                    **outcome.figures,
+                    "final_theta": outcome.final_theta,
+                    "hold": asdict(outcome.hold),
+                }
+                for outcome in self.outcomes
+            ],
+            "seed": self.seed,
+            "index": self.index,
+            "versions": dict(self.versions),
+            "digests": dict(self.digests),
+        }

@@ -1,0 +1,185 @@
+"""When a simulated run counts as opening the object by hand: figures, their limits, and why they fail."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.plan import Rejection
+from aomgen.core.values import Array
+from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome
+from aomgen.simulation.replay import SimulatedRun
+from aomgen.simulation.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassRule:
+    """When a run counts. Honest runs of five categories stay within a third to two thirds of most limits.
+
+    Attributes:
+        target_share: Final joint value over the planned one, at least.
+        contact_share: Share of the progress made while a pad at the handle carries force, at least.
+        contact_force_n: What counts as carrying force, [N].
+        min_revolute_rad, min_prismatic_m: Smallest planned final value.
+        written_share: Part of the final value, over the target, that the joint's velocity does not account for.
+        start_share: Joint value before the robot touches the part, over the target, at most.
+        pushed_share: Share of the progress made by anything else of the robot than pads at the handle, at most.
+        robot_force_n: Normal forces of the robot on all but handle and pads, [N]: a grazing touch; arms that work
+            beside people stop at 100 N.
+        torque_share: Torque of a drive over its largest, as mean over `torque_s`, at most; drives may be at their
+            limit for a moment, where the command's velocity changes.
+        torque_s: Length of a frame at usual rates, [s].
+        tracking_mm: Distance between commanded and reached end effector, [mm]: 100 N on a usual arm's servos.
+        handle_penetration_mm: Of gripper and handle, [mm]: pads are rubber, some 3 mm thick.
+        penetration_mm: Of robot and anything else, [mm].
+        base_friction: Coefficient between the object and its support.
+        drift_mm: Way the base of an object that is not bolted may slide, [mm].
+    """
+
+    target_share: float = 0.9
+    contact_share: float = 0.8
+    contact_force_n: float = 0.5
+    min_revolute_rad: float = np.deg2rad(30.0)
+    min_prismatic_m: float = 0.10
+    written_share: float = 0.05
+    start_share: float = 0.02
+    pushed_share: float = 0.1
+    robot_force_n: float = 15.0
+    torque_share: float = 0.9
+    torque_s: float = 0.1
+    tracking_mm: float = 20.0
+    handle_penetration_mm: float = 1.5
+    penetration_mm: float = 1.0
+    base_friction: float = 0.5
+    drift_mm: float = 5.0
+
+
+def judge(
+    run: SimulatedRun, target: float, scene: Scene, setting: Setting, rule: PassRule
+) -> SettingOutcome | Rejection:
+    """Hold one run against the pass rule; the target is the planned final joint value, [rad] or [m].
+
+    Returns:
+        The figures; or a Rejection with the reason of the first check that fails. Causes come before what
+        follows from them: "imposed", "pre_opened", "door_pushed", "robot_contact", "torque", "tracking", "target",
+        "contact", "penetration", "slides".
+    """
+    forces = _forces(run, scene, rule)
+    touched = np.flatnonzero(forces.part)
+    first = int(touched[0]) if len(touched) else len(run.thetas)
+    steps = np.maximum(np.diff(run.thetas), 0.0)
+
+    def progress(ticks: NDArray[np.bool_]) -> float:
+        """Share made in steps that have one of these ticks at their beginning or end."""
+        return float(steps[ticks[:-1] | ticks[1:]].sum() / max(steps.sum(), 1e-9))
+
+    holding = forces.pads >= rule.contact_force_n
+    pushing = ~holding & (forces.pushing >= rule.contact_force_n)
+    explained = float(((run.rates[:-1] + run.rates[1:]) / 2).sum() * run.tick_s)
+    written = abs(float(run.thetas[-1] - run.thetas[0]) - explained) / target
+
+    def check(reason: str, figure: str, value: float, *, least: bool = False) -> Check:
+        return Check(
+            reason=reason, figure=figure, value=float(value), limit=getattr(rule, figure), least=least
+        )
+
+    checks = [
+        check("imposed", "written_share", written),
+        check("pre_opened", "start_share", np.abs(run.thetas[: max(first, 1)]).max() / target),
+        check("door_pushed", "pushed_share", progress(pushing)),
+        check("robot_contact", "robot_force_n", forces.strange.max()),
+        check("torque", "torque_share", _torque_share(run, scene, rule.torque_s)),
+        check("tracking", "tracking_mm", _tracking_mm(run, scene)),
+        check("target", "target_share", run.thetas[-1] / target, least=True),
+        check("contact", "contact_share", progress(holding), least=True),
+        check("penetration", "handle_penetration_mm", forces.handle_depth_mm),
+        check("penetration", "penetration_mm", forces.depth_mm),
+    ]
+    if not scene.bolted:
+        drift_mm = 1000 * np.linalg.norm(run.bases_world - run.bases_world[0], axis=1).max()
+        checks.append(check("slides", "drift_mm", drift_mm))
+    for item in checks:
+        if not item.passed:
+            detail = f"{item.figure} is {item.value:.3g}, limit {item.limit:.3g} (setting {setting.name})"
+            metrics = {other.figure: other.value for other in checks}
+            return Rejection(reason=item.reason, detail=detail, metrics=metrics)
+    held = np.flatnonzero(holding)[[0, -1]]
+    (first_s, last_s), (first_theta, last_theta) = held * run.tick_s, run.thetas[held]
+    return SettingOutcome(
+        setting=setting,
+        final_theta=float(run.thetas[-1]),
+        peak_force_n=float(forces.pads.max()),
+        peak_reaction_n=float(forces.reactions.max()),
+        hold=Hold(
+            first_s=float(first_s),
+            last_s=float(last_s),
+            first_theta=float(first_theta),
+            last_theta=float(last_theta),
+        ),
+        checks=tuple(checks),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Forces:
+    """Forces of the robot at every tick (N,), [N], and the deepest overlaps, [mm].
+
+    Attributes:
+        pads: Normal forces of pads on the handle, or on the part where it has none.
+        part: Normal forces on the moving part.
+        pushing: Normal forces on it of all but these pads, where they turn or push it open.
+        strange: Normal forces of all but these pads, the gripper at the handle, and pads on the part.
+        reactions: Level force on the object.
+        handle_depth_mm: Of the gripper in the handle.
+        depth_mm: Of the robot in anything else.
+    """
+
+    pads: Array
+    part: Array
+    pushing: Array
+    strange: Array
+    reactions: Array
+    handle_depth_mm: float
+    depth_mm: float
+
+
+def _forces(run: SimulatedRun, scene: Scene, rule: PassRule) -> _Forces:
+    touches, roles, joint = run.touches, scene.roles, scene.joint_world
+    part = roles.moving[touches.other_geoms]
+    handle = roles.handle[touches.other_geoms] if roles.handle.any() else part
+    pads = roles.finger[touches.robot_geoms] >= 0
+    grip, holding = roles.gripper[touches.robot_geoms] & handle, pads & handle
+    on_object = -touches.forces_world
+    moments = on_object
+    if joint.type == "revolute":
+        moments = np.cross(touches.points_world - joint.origin, on_object)
+    opening = moments @ joint.axis > 0
+
+    def sums(values: Array) -> Array:
+        return np.bincount(touches.ticks, values, len(run.thetas)).astype(np.float64)
+
+    level = on_object[:, :2] * roles.object[touches.other_geoms, None]
+    depths_mm = -1000 * touches.distances
+    return _Forces(
+        pads=sums(touches.forces * holding),
+        part=sums(touches.forces * part),
+        pushing=sums(touches.forces * (part & ~holding & opening)),
+        strange=sums(touches.forces * ~(grip | pads & part)),
+        reactions=np.hypot(sums(level[:, 0]), sums(level[:, 1])),
+        handle_depth_mm=float(depths_mm[grip].max(initial=0.0)),
+        depth_mm=float(depths_mm[~grip].max(initial=0.0)),
+    )
+
+
+def _torque_share(run: SimulatedRun, scene: Scene, seconds: float) -> float:
+    """Largest mean of a drive's torque over its limit, in any time of a length."""
+    count = max(round(seconds / run.tick_s), 1)
+    total = np.cumsum(np.abs(run.torques) / scene.arm.torques, axis=0)
+    return float((total[count:] - total[:-count]).max(initial=0.0) / count)
+
+
+def _tracking_mm(run: SimulatedRun, scene: Scene) -> float:
+    """Distance between commanded and reached end effector at its worst joint errors, [mm]."""
+    worst = np.unique(np.argsort(np.abs(run.commands - run.joints).max(1))[-5:])
+    commanded = scene.robot.ee_poses(run.commands[worst])[:, :3, 3]
+    return float(1000 * np.linalg.norm(commanded - run.Ts_world_ee[worst, :3, 3], axis=1).max())

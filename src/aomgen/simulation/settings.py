@@ -1,0 +1,86 @@
+"""How else the object may resist: settings of a simulated run, drawn from an episode's seed and index.
+
+Four properties have two levels each, which makes sixteen corners. An episode is tried in two opposite ones, so that
+it meets both levels of every property, and in the nominal setting; eight episodes in a row meet all sixteen.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from aomgen.assets.mjcf import HOLDING_SOLIMP, RESISTANCES, JointResistance, holding_friction
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.verdict import Setting
+from aomgen.simulation.scene import Scene
+
+# Factors on the moving part's mass: an empty drawer or thin door, and shelves full of jars.
+MASSES: Final = {"light": 0.5, "heavy": 2.0}
+# Factors on the friction of gripper and part, 0.6 to 0.8: clean rubber on paint, and greasy metal.
+GRIPS: Final = {"rough": 1.25, "slippery": 0.6}
+# Magnet and roller catches let go at 5 to 15 N at the handle, [N], within a few millimetres of its way, [m].
+LATCH_N, LATCH_WAY_M = 15.0, 0.004
+# Pairs of opposite corners.
+PAIRS: Final = 8
+
+
+def draw_settings(asset: ArticulatedAsset, seed: int, index: int) -> tuple[Setting, ...]:
+    """The settings of an episode, the hardest first and the nominal one last.
+
+    A block of eight indices meets all pairs in a random order: with a fixed one, places of the object, which come
+    from a sequence with periods of their own, would always meet the same corners.
+    """
+    order = np.random.default_rng([seed, index // PAIRS]).permutation(PAIRS)
+    bits = tuple(bool(order[index % PAIRS] >> bit & 1) for bit in range(3))
+    stiff = corner_setting(asset, True, *bits)
+    easy = corner_setting(asset, False, *(not bit for bit in bits))
+    nominal = _setting("nominal", asset, RESISTANCES[asset.joint.type][0])
+    return stiff, easy, nominal
+
+
+def corner_setting(
+    asset: ArticulatedAsset, stiff: bool, heavy: bool, slippery: bool, latched: bool
+) -> Setting:
+    """One corner. A part that its hinge's friction holds, as a laptop's lid, has no latch."""
+    _, light, hard = RESISTANCES[asset.joint.type]
+    mass, grip = "heavy" if heavy else "light", "slippery" if slippery else "rough"
+    latched = latched and not holding_friction(asset)
+    words = ("stiff" if stiff else "easy", mass, grip, *(["latched"] if latched else []))
+    setting = _setting(" ".join(words), asset, hard if stiff else light, MASSES[mass])
+    joint, lever = asset.joint, 1.0
+    if joint.type == "revolute":
+        lever = float(np.linalg.norm(np.cross(joint.axis, asset.handle_point - joint.origin)))
+    return replace(
+        setting,
+        grip_friction=GRIPS[grip],
+        latch=LATCH_N * lever * latched,
+        latch_reach=LATCH_WAY_M / lever * latched,
+    )
+
+
+def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting) -> None:
+    """Let the object of a model, a copy of the scene's, resist in this way; it is closed and its latch holds."""
+    model.dof_damping[scene.object_dof] = setting.damping
+    model.dof_frictionloss[scene.object_dof] = setting.frictionloss + setting.latch
+    if setting.latch:
+        model.dof_solimp[scene.object_dof] = HOLDING_SOLIMP
+    model.geom_friction[scene.roles.gripper | scene.roles.moving, 0] *= setting.grip_friction
+    body, factor = model.body(scene.names.moving_body).id, setting.moving_mass / scene.asset.moving.mass
+    if factor != 1.0:
+        model.body_mass[body] *= factor
+        model.body_inertia[body] *= factor
+        # Inverse weights, which contacts are scaled by, follow from the masses.
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _setting(
+    name: str, asset: ArticulatedAsset, resistance: JointResistance, mass_factor: float = 1.0
+) -> Setting:
+    """A setting without a latch; what holds a lid grows with its weight."""
+    return Setting(
+        name=name,
+        damping=resistance.damping,
+        frictionloss=resistance.frictionloss + mass_factor * holding_friction(asset),
+        moving_mass=mass_factor * asset.moving.mass,
+    )
