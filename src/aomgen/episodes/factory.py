@@ -1,5 +1,6 @@
 """One unit of work, from the draw to the committed episode or the rejection, in one process."""
 
+import hashlib
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -8,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera
@@ -109,7 +112,8 @@ class EpisodeFactory:
     def digests(self) -> dict[str, str]:
         """SHA-256 of what every plan is made from, for the certificates."""
         demo = self.results.demonstration
-        return {"demonstration": arrays_digest(demo.joints, demo.gripper, demo.thetas)}
+        arrays = np.column_stack([demo.times_s, demo.joints, demo.gripper, demo.thetas])
+        return {"demonstration": hashlib.sha256(arrays.astype("<f8").tobytes()).hexdigest()}
 
     def screen(self, unit: Unit) -> tuple[Variation, Rejection | None]:
         """The variation of a draw, and why it is not worth trying, if it is not."""
@@ -204,7 +208,7 @@ class EpisodeFactory:
             fitted=self.results.fitted_assets[number],
             twin=load_artifact(home, "twin", Twin),
             usd=home / ASSET_USD,
-            digests=self.digests | {"asset": file_digest(home / ASSET_USD), "twin": file_digest(home / TWIN_ARRAYS)},
+            digests=self.digests | {"asset": _digest(home / ASSET_USD), "twin": _digest(home / "twin.npz")},
         )
 
     @contextmanager
@@ -260,6 +264,11 @@ class OpenAsset:
     @cached_property
     def _own_layers(self) -> dict[str, StaticLayer]:
         return static_layers(self.twin, self.factory.place.cameras, 1)
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def open_factory(results: Results, folder: Path) -> Work:

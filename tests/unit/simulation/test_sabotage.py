@@ -10,7 +10,7 @@ import pytest
 
 from aomgen.assets.choice import make_asset
 from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode
-from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.transforms import transform
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation import replay
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
@@ -68,7 +68,9 @@ def test_what_is_honest_passes(drawer: Episode, microwave: Episode, index: int) 
         assert isinstance(result, VerifiedEpisode), result
 
 
-@pytest.mark.parametrize("side", [(0.08, 0, 0), (0, 0, 0.08), (0, 0, -0.08), (0.06, 0.06, 0), (0.08, -0.05, 0)])
+@pytest.mark.parametrize(
+    "side", [(0.08, 0, 0), (0, 0, 0.08), (0, 0, -0.08), (0.06, 0.06, 0), (0.08, -0.05, 0)]
+)
 def test_a_hand_beside_the_handle_opens_nothing(drawer: Episode, side: tuple[float, ...]) -> None:
     plan, scene = drawer
     assert reason(shifted(plan, *side), scene) == "target"
