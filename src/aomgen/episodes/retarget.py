@@ -8,11 +8,11 @@ it is made anew from the joint, so that the object may be another one.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import Akima1DInterpolator
 
 from aomgen.core.demonstration import Demonstration
@@ -20,6 +20,7 @@ from aomgen.core.episode import PHASES
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import (
     apply,
+    interpolate,
     invert,
     matrix_from_quat,
     matrix_from_rotvec,
@@ -127,82 +128,96 @@ def timing(demo: Demonstration) -> Timing:
     return Timing(close=close, start=start, end=end, free=free, last=float(times[-1]))
 
 
-def retarget(
-    demo: Demonstration,
-    fitted: FittedAsset,
-    T_world_object: Array,
-    grasp: Grasp,
-    fps: float,
-    *,
-    approach: Style = "demonstrated",
-    retreat: Style = "demonstrated",
-    slow_down: float = 1.0,
-) -> HandMotion:
-    """The hand's motion for an object at a new pose (4, 4), `fps` samples a second.
+class DemonstratedMotion:
+    """What a demonstration gives to all its retargeted motions; times are from its first sample, [s]."""
 
-    Timing is the demonstration's; a longer approach or a longer opening takes proportionally longer, so that speeds
-    stay as demonstrated. `slow_down`, at least 1, stretches both further; `approach` and `retreat` tell how the hand
-    moves beside the handle.
-
-    Not checked: reach, collisions.
-    """
-    moments = timing(demo)
-    path = _HandPath(demo, fitted, T_world_object, grasp, moments, (approach, retreat))
-    marks = moments.marks
-    stretch = np.maximum(path.stretches(), 1.0)
-    stretch[:3] *= slow_down
-    new_marks = np.concatenate([[0.0], np.cumsum(np.diff(marks) * stretch)])
-    samples = np.arange(int(new_marks[-1] * fps + 1e-6) + 1) / fps
-    keep = np.concatenate([[True], np.diff(new_marks) > 1e-9])
-    times = np.interp(samples, new_marks[keep], marks[keep])
-    demo_times = demo.times_s - demo.times_s[0]
-    phases = np.where(times < moments.close, APPROACH, np.where(times <= moments.free, CONTACT, RETREAT))
-    return HandMotion(
-        Ts_world_ee=path.at(times),
-        gripper=np.interp(times, demo_times, gripper_command(demo)),
-        thetas=path.thetas(times),
-        phases=phases,
-        demo_times_s=times,
-        blend=path.blend(times),
-    )
-
-
-class _HandPath:
-    """The new hand pose as a function of demonstration time; holds what all samples share."""
-
-    def __init__(
-        self,
-        demo: Demonstration,
-        fitted: FittedAsset,
-        T_world_object: Array,
-        grasp: Grasp,
-        moments: Timing,
-        styles: tuple[Style, Style],
-    ) -> None:
-        self.styles = styles
-        self.demo, self.fitted, self.grasp, self.moments = demo, fitted, grasp, moments
-        self.T_world_object = T_world_object
+    def __init__(self, demo: Demonstration) -> None:
+        self.demo, self.moments = demo, timing(demo)
         self.times = demo.times_s - demo.times_s[0]
+        self.command = gripper_command(demo)
         positions, quats = demo.Ts_world_ee[:, :3, 3], quat_from_matrix(demo.Ts_world_ee[:, :3, :3])
         flips = np.cumprod(np.sign(np.sum(quats[1:] * quats[:-1], 1)) + 1e-12)
         quats[1:] *= np.sign(flips)[:, None]
         self._poses = Akima1DInterpolator(self.times, np.column_stack([positions, quats]))
         ways = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._ways = np.concatenate([[0.0], np.cumsum(ways)])
+        # Samples between the marks (5, K), to compare the length of ways.
+        self.between = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], 24, axis=1)
+        self.lengths = _lengths(self.poses(self.between.ravel()), len(self.between))
 
-    def demonstrated(self, times: Array) -> Array:
+    def poses(self, times: Array) -> Array:
         """Recorded hand poses (N, 4, 4)."""
         poses = self._poses(np.clip(times, self.times[0], self.times[-1]))
         return transform(matrix_from_quat(poses[:, 3:]), poses[:, :3])
 
+    def way(self, times: ArrayLike) -> Array:
+        """Way of the hand up to times (N,), [m]."""
+        return np.interp(times, self.times, self._ways)
+
+    def joints(self, times: Array) -> Array:
+        """Recorded arm joints (N, J)."""
+        return np.stack([np.interp(times, self.times, column) for column in self.demo.joints.T], -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetargetedMotion:
+    """The new hand pose as a function of demonstration time, for one object, grasp and way of coming and going.
+
+    Attributes:
+        shown: The demonstration.
+        fitted, T_world_object: The object and where it stands (4, 4).
+        grasp: How the hand holds.
+        approach, retreat: How the hand moves beside the handle.
+        T_world_start: Where the hand begins (4, 4); where it was demonstrated if None.
+        lift: By how much the way there and back is raised between its ends, [m].
+        rigid: The paper's method: the contact segment turned with the object, straight ways there and back.
+    """
+
+    shown: DemonstratedMotion
+    fitted: FittedAsset
+    T_world_object: Array
+    grasp: Grasp
+    approach: Style = "demonstrated"
+    retreat: Style = "demonstrated"
+    T_world_start: Array | None = None
+    lift: float = 0.0
+    rigid: bool = False
+
+    def sample(self, fps: float, *, speed: float = 1.0, slow_down: ArrayLike = (1.0, 1.0, 1.0)) -> HandMotion:
+        """The motion, `fps` samples a second.
+
+        Timing is the demonstration's times `speed`; a longer approach or a longer opening takes proportionally longer,
+        so that speeds stay as asked. `slow_down`, at least 1, stretches each phase (3,) further.
+        """
+        moments, marks = self.shown.moments, self.shown.moments.marks
+        # Approach, three intervals of contact, retreat.
+        stretch = (
+            self.stretches * np.asarray(slow_down)[[APPROACH, CONTACT, CONTACT, CONTACT, RETREAT]] / speed
+        )
+        new_marks = np.concatenate([[0.0], np.cumsum(np.diff(marks) * stretch)])
+        samples = np.arange(int(new_marks[-1] * fps + 1e-6) + 1) / fps
+        keep = np.concatenate([[True], np.diff(new_marks) > 1e-9])
+        times = np.interp(samples, new_marks[keep], marks[keep])
+        phases = np.where(times < moments.close, APPROACH, np.where(times <= moments.free, CONTACT, RETREAT))
+        return HandMotion(
+            Ts_world_ee=self.at(times),
+            gripper=np.interp(times, self.shown.times, self.shown.command),
+            thetas=self.thetas(times),
+            phases=phases,
+            demo_times_s=times,
+            blend=self.blend(times),
+        )
+
     def thetas(self, times: Array) -> Array:
         """Planned joint value (N,)."""
-        moments = self.moments
+        moments = self.shown.moments
         return self.fitted.theta_at((times - moments.start) / max(moments.end - moments.start, 1e-9))
 
-    def holding(self, thetas: Array) -> Array:
-        """Hand poses (N, 4, 4) that hold the handle at joint values (N,)."""
-        asset, grasp = self.fitted.asset, self.grasp
+    def holding(self, times: Array) -> Array:
+        """Hand poses (N, 4, 4) that hold the handle at times (N,)."""
+        if self.rigid:
+            return self.T_world_object @ invert(self.fitted.T_world_asset) @ self.shown.poses(times)
+        asset, grasp, thetas = self.fitted.asset, self.grasp, self.thetas(times)
         held = apply(asset.joint.motion(thetas), self.fitted.contact_asset[None])
         R = np.broadcast_to(grasp.R_object_ee, (len(thetas), 3, 3))
         if asset.joint.type == "revolute":
@@ -211,44 +226,64 @@ class _HandPath:
 
     def at(self, times: Array) -> Array:
         """New hand poses (N, 4, 4)."""
-        result = self.holding(self.thetas(times))
-        before, after = times < self.moments.close, times > self.moments.free
-        result[before] = self._approach(times[before])
-        result[after] = self._retreat(times[after])
+        moments, (T_close, T_free) = self.shown.moments, self._ends
+        result = np.empty((len(times), 4, 4))
+        before, after = times < moments.close, times > moments.free
+        held = ~(before | after)
+        result[held] = self.holding(times[held])
+        result[before] = self._coming(times[before], T_close)
+        result[after] = self._going(times[after], T_free)
         return result
 
+    @cached_property
     def stretches(self) -> Array:
-        """Length of the new way over the demonstrated one, between the marks (5,)."""
-        marks = self.moments.marks
-        ratios = []
-        for first, last in pairwise(marks):
-            times = np.linspace(first, last, 40)
-            new, old = _length(self.at(times)), _length(self.demonstrated(times))
-            ratios.append(new / old if old > 0.03 and last - first > 1e-6 else 1.0)
-        return np.clip(ratios, 0.5, 4.0)
+        """Length of the new way over the demonstrated one, at least 1, between the marks (5,)."""
+        shown = self.shown
+        new = _lengths(self.at(shown.between.ravel()), len(shown.between))
+        moved = (shown.lengths > 0.03) & (np.diff(shown.moments.marks) > 1e-6)
+        return np.clip(np.where(moved, new / np.maximum(shown.lengths, 1e-9), 1.0), 1.0, 4.0)
 
     def blend(self, times: Array) -> Array:
         """Share of the new grasp in the approach poses (N,), smooth in the way left to go."""
-        close = self._way(np.array([self.moments.close]))
-        left = close - self._way(times)
-        total = max(float(close[0]) - RIGID_STRETCH_M, 1e-6)
-        share = np.clip(1.0 - (left - RIGID_STRETCH_M) / total, 0.0, 1.0)
-        return share * share * (3 - 2 * share)
+        shown, close = self.shown, self.shown.moments.close
+        if self.rigid:
+            return np.clip(times / max(close, 1e-9), 0.0, 1.0)
+        left = shown.way(close) - shown.way(times)
+        total = max(float(shown.way(close)) - RIGID_STRETCH_M, 1e-6)
+        return _smooth(1.0 - (left - RIGID_STRETCH_M) / total)
 
-    def _approach(self, times: Array) -> Array:
-        close = np.array([self.moments.close])
-        T_hold, T_demo_hold = self.holding(np.zeros(1))[0], self.demonstrated(close)[0]
-        old = self.demonstrated(times)
-        moved = self._beside(old, T_hold, T_demo_hold, self._way(close) - self._way(times), self.styles[0])
-        return _blend(old, moved, self.blend(times))
+    @cached_property
+    def _ends(self) -> Array:
+        """Hand poses when it closes and when it is free again (2, 4, 4)."""
+        moments = self.shown.moments
+        return self.holding(np.array([moments.close, moments.free]))
 
-    def _retreat(self, times: Array) -> Array:
-        free = np.array([self.moments.free])
-        T_hold = self.holding(self.thetas(free))[0]
-        gone = self._way(times) - self._way(free)
-        return self._beside(
-            self.demonstrated(times), T_hold, self.demonstrated(free)[0], gone, self.styles[1]
-        )
+    def _coming(self, times: Array, T_close: Array) -> Array:
+        shown, close = self.shown, self.shown.moments.close
+        old, blend = shown.poses(times), self.blend(times)
+        T_start = shown.demo.Ts_world_ee[0] if self.T_world_start is None else self.T_world_start
+        if self.rigid:
+            return interpolate(T_start, T_close, blend)
+        if self.T_world_start is not None:
+            # The start's change of place and of orientation fades.
+            turn = rotvec_from_matrix(T_start[:3, :3] @ shown.demo.Ts_world_ee[0, :3, :3].T)
+            old[:, :3, :3] = matrix_from_rotvec((1 - blend)[:, None] * turn) @ old[:, :3, :3]
+            old[:, :3, 3] += (1 - blend)[:, None] * (T_start - shown.demo.Ts_world_ee[0])[:3, 3]
+        left = shown.way(close) - shown.way(times)
+        moved = self._beside(old, T_close, shown.poses(np.array([close]))[0], left, self.approach)
+        Ts = _blend(old, moved, blend)
+        Ts[:, 2, 3] += self.lift * 4 * blend * (1 - blend)
+        return Ts
+
+    def _going(self, times: Array, T_free: Array) -> Array:
+        shown, free = self.shown, self.shown.moments.free
+        if self.rigid:
+            shares = (times - free) / max(shown.moments.last - free, 1e-9)
+            return interpolate(T_free, shown.demo.Ts_world_ee[-1], shares)
+        gone = shown.way(times) - shown.way(free)
+        Ts = self._beside(shown.poses(times), T_free, shown.poses(np.array([free]))[0], gone, self.retreat)
+        Ts[:, 2, 3] += self.lift * _smooth((gone - RIGID_STRETCH_M) / max(self.lift, 1e-6))
+        return Ts
 
     def _beside(self, old: Array, T_hold: Array, T_demo_hold: Array, way: Array, style: Style) -> Array:
         """Poses near the handle: the demonstrated ones moved with it, or straight along the approach."""
@@ -256,8 +291,11 @@ class _HandPath:
             return T_hold @ invert(T_demo_hold) @ old
         return transform(T_hold[:3, :3], T_hold[:3, 3] - way[:, None] * T_hold[:3, 2])
 
-    def _way(self, times: Array) -> Array:
-        return np.interp(times, self.times, self._ways)
+
+def _smooth(shares: Array) -> Array:
+    """Shares, cut to 0..1, that begin and end level."""
+    shares = np.clip(shares, 0.0, 1.0)
+    return shares * shares * (3 - 2 * shares)
 
 
 def _blend(Ts_a: Array, Ts_b: Array, shares: Array) -> Array:
@@ -267,8 +305,10 @@ def _blend(Ts_a: Array, Ts_b: Array, shares: Array) -> Array:
     return transform(R, (1 - shares)[:, None] * Ts_a[:, :3, 3] + shares[:, None] * Ts_b[:, :3, 3])
 
 
-def _length(Ts: Array) -> float:
-    """Way and turn of a path (N, 4, 4), [m]."""
-    ways = np.linalg.norm(np.diff(Ts[:, :3, 3], axis=0), axis=1)
-    turns = np.linalg.norm(rotvec_from_matrix(Ts[1:, :3, :3] @ np.swapaxes(Ts[:-1, :3, :3], 1, 2)), axis=1)
-    return float(ways.sum() + TURN_WEIGHT_M * turns.sum())
+def _lengths(Ts: Array, ways: int) -> Array:
+    """Way and turn, [m], of each of several ways one after another (N, 4, 4)."""
+    Ts = Ts.reshape(ways, -1, 4, 4)
+    steps = np.linalg.norm(np.diff(Ts[..., :3, 3], axis=1), axis=2)
+    # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
+    chords = np.linalg.norm(np.diff(Ts[..., :3, :3], axis=1), axis=(2, 3)) / np.sqrt(2)
+    return (steps + TURN_WEIGHT_M * chords).sum(1)
