@@ -5,7 +5,6 @@ from the joints of their knots.
 Source: damped Gauss-Newton steps (Wampler, 1986) on the product of exponentials of the arm (Brockett, 1984).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -145,44 +144,73 @@ def ik_solver(robot: RobotModel) -> IkSolver:
 def solve_path(
     solver: IkSolver, Ts_world_ee: Array, start_joints: ArrayLike, limits: IkLimits
 ) -> IkPath | Rejection:
-    """`solve_paths` for one path (T, 4, 4) that starts near joints (J,)."""
-    return solve_paths(solver, [np.asarray(Ts_world_ee)], np.asarray(start_joints)[None], limits)[0]
+    """Arm joints along a path of end effector poses (T, 4, 4), close enough together for the arm to follow.
 
-
-def solve_paths(
-    solver: IkSolver, paths: Sequence[Array], starts: Array, limits: IkLimits
-) -> list[IkPath | Rejection]:
-    """Arm joints along paths of end effector poses (T, 4, 4), close enough together for the arm to follow.
-
-    Where the arm is before the first pose (B, J) sets its branch. Speed is left to `check_speed`, as only the caller
+    Where the arm is before the first pose (J,) sets its branch. Speed is left to `check_speed`, as only the caller
     knows the time.
 
     Returns:
-        For every path its joints; or a Rejection "unreachable" or "joint_limit" at the first pose that breaks a limit.
+        The path; or a Rejection "unreachable" or "joint_limit" at the first pose that breaks a limit.
 
     Not checked: collisions.
     """
-    ways = [_way(path) for path in paths]
-    count = max(2, 1 + int(np.ceil(max(way[-1] for way in ways) / KNOT_WAY_M)))
-    rows = [np.searchsorted(way, np.linspace(0, way[-1], count)).clip(0, len(way) - 1) for way in ways]
-    knots = np.empty((len(paths), count, starts.shape[1]))
-    joints = starts
-    for k in range(count):
-        targets = np.stack([path[row[k]] for path, row in zip(paths, rows, strict=True)])
-        joints = converge(solver, targets, joints, limits.iterations)
-        knots[:, k] = joints
-    guesses = [
-        np.stack([np.interp(way, way[row], column) for column in knot.T], 1)
-        for way, row, knot in zip(ways, rows, knots, strict=True)
-    ]
-    joints = converge(solver, np.concatenate(paths), np.concatenate(guesses), limits.iterations)
-    return _judge(solver, paths, np.split(joints, np.cumsum([len(path) for path in paths])[:-1]), limits)
+    Ts = np.asarray(Ts_world_ee, np.float64)
+    way = _way(Ts)
+    marks = np.linspace(0, way[-1], 2 + int(way[-1] / KNOT_WAY_M))
+    rows = np.unique(np.searchsorted(way, marks).clip(0, len(way) - 1))
+    knots, _ = follow(solver, Ts[rows, None], np.asarray(start_joints)[None], limits)
+    guesses = np.stack([np.interp(np.arange(len(Ts)), rows, q) for q in knots[:, 0].T], 1)
+    return solve_from(solver, Ts, guesses, limits)
 
 
 def solve_from(solver: IkSolver, Ts_world_ee: Array, guesses: Array, limits: IkLimits) -> IkPath | Rejection:
-    """As `solve_path`, where joints near the solution (T, J) are known."""
+    """As `solve_path`, where joints near the solution (T, J) are known; all poses at once."""
     joints = converge(solver, Ts_world_ee, guesses, limits.iterations)
-    return _judge(solver, [Ts_world_ee], [joints], limits)[0]
+    residuals_mm, residuals_deg = _residuals(solver, Ts_world_ee, joints)
+    low, high = solver.robot.joint_limits.T
+    keep = np.where(solver.robot.slides, limits.slide_margin, limits.limit_margin)
+    margins = np.minimum(joints - low, high - joints)
+    missed = ~((residuals_mm <= limits.residual_mm) & (residuals_deg <= limits.residual_deg))
+    broken = np.flatnonzero(missed | ~np.all(margins >= keep, axis=1))
+    if not len(broken):
+        return IkPath(
+            joints=joints, residual_mm=float(residuals_mm.max()), residual_deg=float(residuals_deg.max())
+        )
+    row = int(broken[0])
+    if missed[row]:
+        mm, deg = float(residuals_mm[row]), float(residuals_deg[row])
+        return Rejection(
+            reason="unreachable",
+            detail=f"{mm:.1f} mm and {deg:.1f} deg from the asked pose",
+            metrics={"residual_mm": mm, "residual_deg": deg, "sample": float(row)},
+        )
+    worst = int(np.argmin(margins[row] / keep))
+    margin, name = float(margins[row, worst]), solver.robot.joint_names[worst]
+    return Rejection(
+        reason="joint_limit",
+        detail=f"{name} is {margin:.3f} from its limit, at least {keep[worst]} wanted",
+        metrics={"limit_margin": margin, "sample": float(row)},
+    )
+
+
+def follow(
+    solver: IkSolver, Ts_world_ee: Array, starts: Array, limits: IkLimits
+) -> tuple[Array, NDArray[np.int64]]:
+    """Joints (K, B, J) along B chains of poses (K, B, 4, 4), each from the one before, the first from `starts` (B, J).
+
+    Also how many poses of each chain (B,) were reached; a chain that misses one stops before it.
+    """
+    joints = np.empty((*Ts_world_ee.shape[:2], starts.shape[1]))
+    now, reached = np.array(starts), np.zeros(len(starts), np.int64)
+    for k, poses in enumerate(Ts_world_ee):
+        live = np.flatnonzero(reached == k)
+        found = converge(solver, poses[live], now[live], limits.iterations)
+        mm, deg = _residuals(solver, poses[live], found)
+        there = (mm <= limits.residual_mm) & (deg <= limits.residual_deg)
+        now[live[there]] = found[there]
+        reached[live[there]] += 1
+        joints[k] = now
+    return joints, reached
 
 
 def converge(solver: IkSolver, Ts_world_ee: Array, starts: Array, iterations: int) -> Array:
@@ -257,50 +285,10 @@ def check_speed(
     return Rejection(reason=reason, detail=detail, metrics={**figures, **by_phase})
 
 
-def _judge(
-    solver: IkSolver, paths: Sequence[Array], solved: Sequence[Array], limits: IkLimits
-) -> list[IkPath | Rejection]:
-    """Hold joints (T, J) of every path (T, 4, 4) against the limits."""
-    errors, _ = solver.errors(np.concatenate(paths), np.concatenate(solved))
-    residuals_mm = 1000 * np.linalg.norm(errors[:, :3], axis=1)
-    residuals_deg = np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))
-    cuts = np.cumsum([len(path) for path in paths])[:-1]
-    return [
-        _judge_path(solver.robot, *values, limits)
-        for values in zip(solved, np.split(residuals_mm, cuts), np.split(residuals_deg, cuts), strict=True)
-    ]
-
-
-def _judge_path(
-    robot: RobotModel, joints: Array, residuals_mm: Array, residuals_deg: Array, limits: IkLimits
-) -> IkPath | Rejection:
-    """A solved path (T, J); or a Rejection at its first pose that breaks a limit."""
-    low, high = robot.joint_limits.T
-    keep = np.where(robot.slides, limits.slide_margin, limits.limit_margin)
-    margins = np.minimum(joints - low, high - joints)
-    missed = ~((residuals_mm <= limits.residual_mm) & (residuals_deg <= limits.residual_deg))
-    stuck = ~np.all(margins >= keep, axis=1)
-    broken = np.flatnonzero(missed | stuck)
-    if not len(broken):
-        return IkPath(
-            joints=joints, residual_mm=float(residuals_mm.max()), residual_deg=float(residuals_deg.max())
-        )
-    row = int(broken[0])
-    done = row / max(len(joints) - 1, 1)
-    if missed[row]:
-        mm, deg = float(residuals_mm[row]), float(residuals_deg[row])
-        return Rejection(
-            reason="unreachable",
-            detail=f"{mm:.1f} mm and {deg:.1f} deg from the asked pose",
-            metrics={"residual_mm": mm, "residual_deg": deg, "path_share": done},
-        )
-    worst = int(np.argmin(margins[row] / keep))
-    margin = float(margins[row, worst])
-    return Rejection(
-        reason="joint_limit",
-        detail=f"{robot.joint_names[worst]} is {margin:.3f} from its limit, at least {keep[worst]} wanted",
-        metrics={"limit_margin": margin, "path_share": done},
-    )
+def _residuals(solver: IkSolver, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
+    """Distances of joints (N, J) to poses (N, 4, 4): (N,), [mm] and [deg]."""
+    errors, _ = solver.errors(Ts_world_ee, joints)
+    return 1000 * np.linalg.norm(errors[:, :3], axis=1), np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))
 
 
 def _way(Ts: Array) -> Array:

@@ -4,9 +4,10 @@ The arm is solved at the grasp first, then backwards to the start and on to the 
 branch of the arm where it matters.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import islice
-from typing import Literal, NamedTuple, get_args
+from itertools import islice, product
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,16 +17,15 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
 from aomgen.episodes.grasps import grasps
-from aomgen.episodes.ik import (
-    IkLimits,
-    IkPath,
-    IkSolver,
-    check_speed,
-    converge,
-    solve_from,
-    solve_paths,
+from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, converge, follow, solve_from
+from aomgen.episodes.retarget import (
+    CONTACT,
+    KNOTS,
+    DemonstratedMotion,
+    HandMotion,
+    RetargetedMotion,
+    Style,
 )
-from aomgen.episodes.retarget import CONTACT, DemonstratedMotion, HandMotion, RetargetedMotion, Style
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.simulation.scene import Scene
 
@@ -38,6 +38,10 @@ START_TOLERANCE_RAD = 0.05
 SEED_STEPS = 12
 # Of Gauss-Newton at each of them; what is left over is done at the next.
 SEED_ITERATIONS = 4
+# A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
+SLOWER = 1.05
+# How far the ways to the handle and back are raised to pass over what blocks them, [m].
+LIFTS_M = (0.12, 0.25)
 # Reasons of rejection, from early to late.
 REASONS = (
     "joint_limit",
@@ -91,210 +95,215 @@ def plan_episode(
         `grasps_tried`.
     """
     T_world_object = variation.placed(fitted)
-    shown = DemonstratedMotion(demo)
+    placed = scene.placed(T_world_object)
     task = _Task(
-        shown,
-        variation,
-        fitted,
-        T_world_object,
-        scene.placed(T_world_object),
-        solver,
-        params,
-        _start(demo, variation),
+        shown=DemonstratedMotion(demo),
+        variation=variation,
+        fitted=fitted,
+        placed=placed,
+        solver=solver,
+        params=params,
+        start=demo.joints[0] + (np.array(variation.start_offset) if variation.start_offset else 0.0),
+        held_at=_held_at(fitted, demo, placed),
     )
-    tried = _grasps(task)
-    best = Rejection(reason="no_grasp", detail="the asset offers no grasp")
-    for motion, contact in zip(tried, _contact_paths(task, tried), strict=True):
-        result = contact if isinstance(contact, Rejection) else _plan_with(task, motion, contact)
-        if isinstance(result, EpisodePlan):
-            return result
-        best = max(best, result, key=_rank)
-    return replace(best, metrics={**best.metrics, "grasps_tried": float(len(tried))})
+    motions = _grasped(task, T_world_object)
+    contacts = _follow_contact(task, motions)
+    best, held = Rejection(reason="no_grasp", detail="the asset offers no grasp"), dict[int, Array]()
+    for k, contact in enumerate(contacts):
+        if isinstance(contact, Rejection):
+            best = max(best, contact, key=_rank)
+        else:
+            held[k] = contact
+    # Grasps that hold, and among them those that something blocks beside the handle.
+    checked, blocked = set[int](), set[int]()
+    for style, group in _ways(params.method):
+        tried = sorted(blocked if style.lift else held)
+        styled = {k: replace(motions[k], **style._asdict()) for k in tried}
+        arms = _follow_sides(task, styled, held)
+        for free, k in product(group, tried):
+            if k not in held:
+                continue
+            result = None if k in checked else _check_grip(task, motions[k], held[k])
+            checked.add(k)
+            if result is None:
+                result = _plan_with(task, styled[k], arms[k], free)
+            if isinstance(result, EpisodePlan):
+                return result
+            best = max(best, result, key=_rank)
+            if result.metrics.get("in_contact"):
+                del held[k]
+                blocked.discard(k)
+            elif result.reason == "collision":
+                blocked.add(k)
+    return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
 
 
 class _Task(NamedTuple):
-    """What all grasps of one variation share; `start` are the arm's first joints (J,)."""
+    """What all grasps of one variation share; `start` are the arm's first joints (J,), `held_at` where fingers stall."""
 
     shown: DemonstratedMotion
     variation: Variation
     fitted: FittedAsset
-    T_world_object: Array
     placed: Scene
     solver: IkSolver
     params: PlanParams
     start: Array
+    held_at: float
 
 
-class _Path(NamedTuple):
-    """Arm joints (T, J) at moments of the demonstration (T,), [s]."""
+class _Arm(NamedTuple):
+    """Joints (3 K, J) at the knots of approach, contact and retreat; why the hand cannot come or go, if it cannot."""
 
-    times: Array
     joints: Array
+    lost: Rejection | None
 
 
 class _Ways(NamedTuple):
-    """One choice of how to come and go; `lift` raises the way there and back, [m]."""
+    """How the hand comes and goes beside the handle; `lift` raises the ways there and back, [m]."""
 
-    free: FreeWay
-    approach: Style
-    retreat: Style
+    approach: Style = "demonstrated"
+    retreat: Style = "demonstrated"
     lift: float = 0.0
 
 
-# The demonstrated ways first; the third is the one with the least to go wrong.
-WAYS = (
-    _Ways("cartesian", "demonstrated", "demonstrated"),
-    _Ways("joints", "demonstrated", "demonstrated"),
-    _Ways("joints", "straight", "straight"),
-)
-# Over what stands in the way, when nothing but a collision beside the handle keeps the ways above.
-DETOURS = tuple(_Ways("cartesian", style, style, lift) for lift in (0.12, 0.25) for style in get_args(Style))
+def _ways(method: str) -> list[tuple[_Ways, tuple[FreeWay, ...]]]:
+    """Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first."""
+    if method == "paper":
+        return [(_Ways(), ("cartesian",))]
+    straight = _Ways("straight", "straight")
+    detours = [(way._replace(lift=lift), ("cartesian",)) for lift in LIFTS_M for way in (_Ways(), straight)]
+    return [(_Ways(), ("cartesian", "joints")), (straight, ("joints",)), *detours]
 
 
-def _start(demo: Demonstration, variation: Variation) -> Array:
-    return demo.joints[0] + (np.array(variation.start_offset) if variation.start_offset else 0.0)
-
-
-def _grasps(task: _Task) -> list[RetargetedMotion]:
+def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
     """The motions with all grasps that the method tries, the nearest to the demonstrated one first."""
     fitted, demo, shown = task.fitted, task.shown.demo, task.shown
     R_front_ee = fitted.T_world_asset[:3, :3].T @ shown.poses(np.array([shown.moments.start]))[0, :3, :3]
     found = grasps(fitted, R_front_ee, float(demo.grasp_ee[2]), demo.ee_turn_ratio)
-    T_world_start = task.placed.robot.ee_poses(task.start[None])[0] if task.variation.start_offset else None
+    moved = bool(task.variation.start_offset)
     rigid = task.params.method == "paper"
     return [
         RetargetedMotion(
             shown=shown,
             fitted=fitted,
-            T_world_object=task.T_world_object,
+            T_world_object=T_world_object,
             grasp=grasp,
-            T_world_start=T_world_start,
+            T_world_start=task.placed.robot.ee_poses(task.start[None])[0] if moved else None,
             rigid=rigid,
         )
         for grasp in (islice(found, 1) if rigid else found)
     ]
 
 
-def _contact_paths(task: _Task, motions: list[RetargetedMotion]) -> list[_Path | Rejection]:
-    """Arm joints while the hand holds, for all grasps at once, on the demonstration's branch.
-
-    The contact segment decides most grasps: no way of coming or going can mend a Rejection here.
-    """
-    shown, limits = task.shown, task.params.ik
-    close, free = shown.moments.close, shown.moments.free
-    times = np.linspace(close, free, max(2, int((free - close) * task.params.fps)))
-    targets = [motion.holding(times) for motion in motions]
+def _follow_contact(task: _Task, motions: list[RetargetedMotion]) -> list[Array | Rejection]:
+    """Joints (K, J) at the knots of the contact, for all grasps at once, on the demonstration's branch."""
+    shown, times = task.shown, task.shown.knots[2]
+    targets = np.stack([motion.holding(times) for motion in motions], 1)
     # Walk from the demonstrated grasp to the new one, so that the branch is the same; part of that walk may be
     # out of reach although its end is not.
     first = shown.poses(times[:1])[0]
-    steps = np.stack([interpolate(first, target[0], np.linspace(0, 1, SEED_STEPS)) for target in targets], 1)
+    steps = np.stack([interpolate(first, T, np.linspace(0, 1, SEED_STEPS)) for T in targets[0]], 1)
     joints = np.repeat(shown.joints(times[:1]), len(motions), 0)
     for poses in steps:
         joints = converge(task.solver, poses, joints, SEED_ITERATIONS)
-    solved = solve_paths(task.solver, targets, joints, limits)
-    return [path if isinstance(path, Rejection) else _Path(times, path.joints) for path in solved]
+    solved, reached = follow(task.solver, targets, joints, task.params.ik)
+    return [
+        solved[:, k] if count == KNOTS else _lost("with the handle", count) for k, count in enumerate(reached)
+    ]
 
 
-def _plan_with(task: _Task, motion: RetargetedMotion, contact: _Path) -> EpisodePlan | Rejection:
-    """The first way of coming and going that works with one grasp."""
-    best = _checked_contact(task, motion, contact)
-    if best is not None:
-        return best
-    best = Rejection(reason="no_grasp")
-    for ways in WAYS[:1] if motion.rigid else WAYS + DETOURS:
-        if ways.lift and best.reason != "collision":
-            break
-        styled = replace(motion, approach=ways.approach, retreat=ways.retreat, lift=ways.lift)
-        result = _planned(task, styled, ways, contact)
-        if isinstance(result, EpisodePlan):
-            return result
-        best = max(best, result, key=_rank)
-        if result.metrics.get("in_contact"):
-            break
-    return best
+def _follow_sides(
+    task: _Task, motions: Mapping[int, RetargetedMotion], held: Mapping[int, Array]
+) -> dict[int, _Arm]:
+    """Arm joints before and after the contact, for all grasps at once, away from where the hand holds."""
+    if not motions:
+        return {}
+    starts = np.stack([held[k][end] for end in (0, -1) for k in motions])
+    to = np.stack([motion.knots[0][::-1] for motion in motions.values()], 1)
+    off = np.stack([motion.knots[4] for motion in motions.values()], 1)
+    joints, reached = follow(task.solver, np.concatenate([to, off], 1), starts, task.params.ik)
+    arms = {}
+    for number, k in enumerate(motions):
+        went = len(motions) + number
+        lost = "back from the handle to the start" if reached[number] < KNOTS else "away from the handle"
+        least = min(reached[number], reached[went])
+        arms[k] = _Arm(
+            np.concatenate([joints[::-1, number], held[k], joints[:, went]]),
+            None if least == KNOTS else _lost(lost, least),
+        )
+    return arms
 
 
-def _checked_contact(task: _Task, motion: RetargetedMotion, contact: _Path) -> Rejection | None:
-    """What keeps the hand from holding with this grasp, whatever the ways there and back."""
-    sampled = motion.sample(task.params.fps)
-    held = np.flatnonzero(sampled.phases == CONTACT)
-    joints = np.stack([np.interp(sampled.demo_times_s[held], contact.times, q) for q in contact.joints.T], 1)
-    rows = slice(held[0], held[-1] + 1)
-    result = _collision_free(task, sampled, joints, rows)
-    return result if isinstance(result, Rejection) else None
+def _lost(where: str, knots: int) -> Rejection:
+    return Rejection(
+        reason="unreachable",
+        detail=f"the arm can follow the hand {where} for {knots} of {KNOTS} poses",
+        metrics={"path_share": knots / KNOTS},
+    )
 
 
-def _planned(task: _Task, motion: RetargetedMotion, ways: _Ways, contact: _Path) -> EpisodePlan | Rejection:
+def _plan_with(task: _Task, motion: RetargetedMotion, arm: _Arm, free: FreeWay) -> EpisodePlan | Rejection:
     """The episode with one grasp and one way; a motion that is only too fast is tried again more slowly."""
     params, slow_down = task.params, np.ones(len(PHASES))
-    known = contact
+    if arm.lost is not None and free == "cartesian":
+        return arm.lost
     while True:
         sampled = motion.sample(params.fps, speed=task.variation.speed, slow_down=slow_down)
-        path = _solve(task, sampled, known, ways.free)
+        path = _solve(task, sampled, arm, free)
         if isinstance(path, Rejection):
             return path
-        speed = check_speed(path.joints, params.fps, params.ik, task.placed.robot.slides, sampled.phases)
-        if not isinstance(speed, Rejection):
+        rates = check_speed(path.joints, params.fps, params.ik, task.placed.robot.slides, sampled.phases)
+        if not isinstance(rates, Rejection):
             break
-        slow_down *= np.maximum(1.0, 1.05 * np.array([speed.metrics[f"{phase}_share"] for phase in PHASES]))
+        needed = np.array([rates.metrics[f"{phase}_share"] for phase in PHASES])
+        slow_down *= np.where(needed > 1.0, SLOWER * needed, 1.0)
         if not slow_down.max() <= params.max_slow_down:
-            return speed
-    result = _collision_free(task, sampled, path.joints, slice(None))
-    if isinstance(result, Rejection):
-        return result
+            return rates
+    figures = _check_motion(task, sampled, path.joints)
+    if isinstance(figures, Rejection):
+        return figures
+    lifted = f", raised {motion.lift:.2f} m" if motion.lift else ""
     return EpisodePlan(
         variation=task.variation,
         fitted=task.fitted,
-        T_world_object=task.T_world_object,
+        T_world_object=motion.T_world_object,
         fps=params.fps,
         joints=path.joints,
         gripper=sampled.gripper,
         thetas=sampled.thetas,
         phases=sampled.phases,
         Ts_world_ee=task.placed.robot.ee_poses(path.joints),
-        grasp=f"{motion.grasp.name}; {ways.free} way, {ways.approach} approach, {ways.retreat} retreat",
-        metrics={**result, "residual_mm": path.residual_mm, "residual_deg": path.residual_deg, **speed},
+        grasp=f"{motion.grasp.name}; {free} way, {motion.approach} approach, {motion.retreat} retreat{lifted}",
+        metrics={**figures, **rates, "residual_mm": path.residual_mm, "residual_deg": path.residual_deg},
     )
 
 
-def _solve(task: _Task, motion: HandMotion, contact: _Path, free_way: FreeWay) -> IkPath | Rejection:
-    """Arm joints of the whole motion, given those of its contact segment.
+def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkPath | Rejection:
+    """Arm joints of the whole motion, from those at its knots.
 
     Returns:
         The path; or a Rejection "unreachable", "joint_limit" or "branch" (the way back from the
         grasp does not end in the start pose).
     """
-    limits = task.params.ik
-    held = np.flatnonzero(motion.phases == CONTACT)
-    guesses = np.stack([np.interp(motion.demo_times_s[held], contact.times, q) for q in contact.joints.T], 1)
-    path = solve_from(task.solver, motion.Ts_world_ee[held], guesses, limits)
-    if isinstance(path, Rejection):
-        return replace(path, metrics={**path.metrics, "in_contact": 1.0})
-    first, last = held[0], held[-1]
+    knots = task.shown.knots[[0, 2, 4]].ravel()
+    guesses = np.stack([np.interp(motion.demo_times_s, knots, q) for q in arm.joints.T], 1)
     # Rows before this one are free.
-    free = int(np.searchsorted(motion.blend[:first], 1.0 - 1e-9)) if free_way == "joints" else 0
-    around = [np.arange(first - 1, free - 1, -1), np.arange(last + 1, len(motion.thetas))]
-    ends = path.joints[[0, -1]]
-    kept = [k for k, rows in enumerate(around) if len(rows)]
-    paths = solve_paths(task.solver, [motion.Ts_world_ee[around[k]] for k in kept], ends[kept], limits)
-    joints = np.empty((len(motion.thetas), path.joints.shape[1]))
-    joints[held] = path.joints
-    residuals = [(path.residual_mm, path.residual_deg)]
-    for k, side in zip(kept, paths, strict=True):
-        if isinstance(side, Rejection):
-            return side
-        joints[around[k]] = side.joints
-        residuals.append((side.residual_mm, side.residual_deg))
+    free = int(np.searchsorted(motion.blend, 1.0 - 1e-9)) if free_way == "joints" else 0
+    path = solve_from(task.solver, motion.Ts_world_ee[free:], guesses[free:], task.params.ik)
+    if isinstance(path, Rejection):
+        row = free + round(path.metrics["sample"])
+        return replace(path, metrics={**path.metrics, "path_share": row / len(guesses)})
     if free_way == "joints":
-        joints[:free] = _free_joints(task, motion, joints[free], free)
-    elif not (start_error := float(np.abs(joints[0] - task.start).max())) <= START_TOLERANCE_RAD:
+        joints = np.concatenate([_free_joints(task, motion, path.joints[0], free), path.joints])
+        return replace(path, joints=joints)
+    start_error = float(np.abs(path.joints[0] - task.start).max())
+    if not start_error <= START_TOLERANCE_RAD:
         return Rejection(
             reason="branch",
             detail="the way back from the grasp does not end in the start pose",
             metrics={"start_error_rad": start_error},
         )
-    worst_mm, worst_deg = np.max(residuals, axis=0)
-    return IkPath(joints=joints, residual_mm=float(worst_mm), residual_deg=float(worst_deg))
+    return path
 
 
 def _free_joints(task: _Task, motion: HandMotion, goal: Array, free: int) -> Array:
@@ -304,27 +313,37 @@ def _free_joints(task: _Task, motion: HandMotion, goal: Array, free: int) -> Arr
     return shown[:free] + (1 - blend) * (task.start - shown[0]) + blend * (goal - shown[free])
 
 
-def _collision_free(
-    task: _Task, motion: HandMotion, joints: Array, rows: slice
-) -> dict[str, float] | Rejection:
-    """Tier A of joints at `rows` of a motion, the fingers as wide open as the handle will hold them."""
-    fitted, demo, placed = task.fitted, task.shown.demo, task.placed
+def _held_at(fitted: FittedAsset, demo: Demonstration, placed: Scene) -> float:
+    """Gripper value 0..1 at which the fingers stall on what they hold."""
     bar = fitted.asset.handle_bar
     measured = float(np.median(demo.gripper[demo.contact_frames]))
-    width = 2 * float(np.min(bar.half_extents)) if bar is not None else 0.0
-    held_at = holding_gripper(placed.robot, width, measured) if bar is not None else measured
+    return (
+        measured
+        if bar is None
+        else holding_gripper(placed.robot, 2 * float(bar.half_extents.min()), measured)
+    )
+
+
+def _check_grip(task: _Task, motion: RetargetedMotion, contact: Array) -> Rejection | None:
+    """What keeps the hand from holding in this grasp, whatever the ways there and back: tier A at the knots (K, J)."""
+    thetas, still = motion.thetas(task.shown.knots[2]), np.ones(KNOTS)
+    result = check_kinematics(
+        task.placed, contact, task.held_at * still, thetas, still > 0, task.params.kinematic
+    )
+    if not isinstance(result, Rejection):
+        return None
+    return replace(result, metrics={**result.metrics, "in_contact": 1.0})
+
+
+def _check_motion(task: _Task, motion: HandMotion, joints: Array) -> dict[str, float] | Rejection:
+    """Tier A of a whole motion, the fingers as wide open as the handle will hold them."""
     holding = (motion.phases == CONTACT) & (motion.gripper > 0.95)
     # While the fingers close or open about the handle, how far they are is left to the simulation.
     between = (motion.phases == CONTACT) & ~holding
-    gripper = np.minimum(motion.gripper, held_at)
-    widest = max(0.5 * held_at, float(gripper.min()))
+    gripper = np.minimum(motion.gripper, task.held_at)
+    widest = max(0.5 * task.held_at, float(gripper.min()))
     gripper = np.where(between, np.minimum(gripper, widest), gripper)
-    result = check_kinematics(
-        placed, joints, gripper[rows], motion.thetas[rows], holding[rows], task.params.kinematic
-    )
-    if isinstance(result, Rejection) and (motion.phases[rows][round(result.metrics["sample"])] == CONTACT):
-        return replace(result, metrics={**result.metrics, "in_contact": 1.0})
-    return result
+    return check_kinematics(task.placed, joints, gripper, motion.thetas, holding, task.params.kinematic)
 
 
 def _rank(rejection: Rejection) -> float:

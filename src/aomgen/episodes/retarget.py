@@ -38,6 +38,8 @@ Style = Literal["demonstrated", "straight"]
 RIGID_STRETCH_M = 0.10
 # A turn of one radian counts as this much way, [m].
 TURN_WEIGHT_M = 0.15
+# Poses of each interval between two marks from which the others are solved: some 5 cm apart.
+KNOTS = 16
 # Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
 MIN_GRASP = 0.05
 # A gripper that measures less than this counts as open.
@@ -141,9 +143,9 @@ class DemonstratedMotion:
         self._poses = Akima1DInterpolator(self.times, np.column_stack([positions, quats]))
         ways = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._ways = np.concatenate([[0.0], np.cumsum(ways)])
-        # Samples between the marks (5, K), to compare the length of ways.
-        self.between = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], 24, axis=1)
-        self.lengths = _lengths(self.poses(self.between.ravel()), len(self.between))
+        # Knots between the marks (5, K).
+        self.knots = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], KNOTS, axis=1)
+        self.lengths = _lengths(self.poses(self.knots.ravel()).reshape(*self.knots.shape, 4, 4))
 
     def poses(self, times: Array) -> Array:
         """Recorded hand poses (N, 4, 4)."""
@@ -236,10 +238,16 @@ class RetargetedMotion:
         return result
 
     @cached_property
+    def knots(self) -> Array:
+        """New hand poses at the demonstration's knots (5, K, 4, 4)."""
+        times = self.shown.knots
+        return self.at(times.ravel()).reshape(*times.shape, 4, 4)
+
+    @cached_property
     def stretches(self) -> Array:
         """Length of the new way over the demonstrated one, at least 1, between the marks (5,)."""
         shown = self.shown
-        new = _lengths(self.at(shown.between.ravel()), len(shown.between))
+        new = _lengths(self.knots)
         moved = (shown.lengths > 0.03) & (np.diff(shown.moments.marks) > 1e-6)
         return np.clip(np.where(moved, new / np.maximum(shown.lengths, 1e-9), 1.0), 1.0, 4.0)
 
@@ -305,9 +313,8 @@ def _blend(Ts_a: Array, Ts_b: Array, shares: Array) -> Array:
     return transform(R, (1 - shares)[:, None] * Ts_a[:, :3, 3] + shares[:, None] * Ts_b[:, :3, 3])
 
 
-def _lengths(Ts: Array, ways: int) -> Array:
-    """Way and turn, [m], of each of several ways one after another (N, 4, 4)."""
-    Ts = Ts.reshape(ways, -1, 4, 4)
+def _lengths(Ts: Array) -> Array:
+    """Way and turn (W,), [m], of several ways (W, K, 4, 4)."""
     steps = np.linalg.norm(np.diff(Ts[..., :3, 3], axis=1), axis=2)
     # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
     chords = np.linalg.norm(np.diff(Ts[..., :3, :3], axis=1), axis=(2, 3)) / np.sqrt(2)
