@@ -11,6 +11,7 @@ from typing import Annotated
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solveh_banded
 
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import Rejection
@@ -26,6 +27,13 @@ TURN_WEIGHT_M = 0.3
 KNOT_WAY_M = 0.08
 # Largest change of a joint in one step, [rad] or [m]; far targets make long steps, and more would leave the branch.
 MAX_STEP = 0.5
+# Weight of joint accelerations against hand errors in a smooth path, [m^2 s^4/rad^2]: 5 rad/s^2 that last a frame of
+# 0.1 s count as much as 1 mm.
+SMOOTHNESS = 3e-8
+# Of its least-squares step, [m^2]: only keeps it solvable.
+STIFFNESS = 1e-6
+# Steps of a smooth path are small enough, [rad]; the weights are set anew so often; share of a limit that is aimed at.
+SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.8
 # Good enough is better than exact: near a singular pose the last 0.2 mm cost a turn of the wrist. [m], [rad].
 CLOSE_M, CLOSE_RAD = 2e-4, 2e-3
 
@@ -47,10 +55,10 @@ class IkLimits:
     residual_deg: float = 0.5
     speed: float = 2.6
     slide_speed: float = 1.0
-    acceleration: float = 100.0
-    slide_acceleration: float = 100.0
-    jerk: float = 10000.0
-    slide_jerk: float = 10000.0
+    acceleration: float = 10.0
+    slide_acceleration: float = 5.0
+    jerk: float = 100.0
+    slide_jerk: float = 50.0
     limit_margin: float = 0.02
     slide_margin: float = 0.002
     iterations: int = 12
@@ -160,12 +168,66 @@ def solve_path(
     rows = np.unique(np.searchsorted(way, marks).clip(0, len(way) - 1))
     knots, _ = follow(solver, Ts[rows, None], np.asarray(start_joints)[None], limits)
     guesses = np.stack([np.interp(np.arange(len(Ts)), rows, q) for q in knots[:, 0].T], 1)
-    return solve_from(solver, Ts, guesses, limits)
+    return _judge(solver, Ts, converge(solver, Ts, guesses, limits.iterations), limits)
 
 
-def solve_from(solver: IkSolver, Ts_world_ee: Array, guesses: Array, limits: IkLimits) -> IkPath | Rejection:
-    """As `solve_path`, where joints near the solution (T, J) are known; all poses at once."""
-    joints = converge(solver, Ts_world_ee, guesses, limits.iterations)
+def solve_smoothly(
+    solver: IkSolver,
+    Ts_world_ee: Array,
+    guesses: Array,
+    fps: float,
+    limits: IkLimits,
+    start: Array | None = None,
+) -> IkPath | Rejection:
+    """As `solve_path`, from joints near the solution (T, J), so smoothly in time as the limits of the residuals allow.
+
+    Near a singular pose, where exact joints would jump, the hand strays by up to those limits instead. A `start` (J,)
+    is where the arm begins, if it meets the first pose.
+    """
+    low, high = solver.robot.joint_limits.T
+    joints, count = np.clip(guesses, low, high), len(guesses)
+    second = np.diff(np.eye(count), 2, axis=0)
+    bending = SMOOTHNESS * fps**4 * (second.T @ second)
+    weights = np.ones((count, 2))
+    for _ in range(ROUNDS):
+        for _ in range(limits.iterations):
+            errors, J = solver.errors(Ts_world_ee, joints)
+            scales = np.repeat(weights * [1.0, TURN_WEIGHT_M], 3, axis=1)[..., None]
+            J, errors = scales * J, scales * errors[..., None]
+            hessians = J.swapaxes(1, 2) @ J
+            gradient = (J.swapaxes(1, 2) @ errors)[..., 0] - bending @ joints
+            if start is not None:
+                hessians[0] += np.eye(len(start))
+                gradient[0] += start - joints[0]
+            step = _solve_banded(hessians, bending, gradient)
+            step *= min(1.0, MAX_STEP / max(float(np.abs(step).max()), 1e-9))
+            joints = np.clip(joints + step, low, high)
+            if np.abs(step).max() < SETTLED:
+                break
+        residuals = np.stack(_residuals(solver, Ts_world_ee, joints), 1)
+        shares = residuals / (RESERVE * np.array([limits.residual_mm, limits.residual_deg]))
+        if shares.max() <= 1.0:
+            break
+        # Poses that stray too far count more in the next round.
+        weights *= np.clip(shares, 1.0, 3.0)
+    return _judge(solver, Ts_world_ee, joints, limits)
+
+
+def _solve_banded(hessians: Array, bending: Array, gradient: Array) -> Array:
+    """Solve for a step (T, J): Hessians (T, J, J) of the poses, and second differences (T, T) that tie each joint in time."""
+    count, size = gradient.shape
+    bands = np.zeros((2 * size + 1, count, size))
+    for below in range(size):
+        bands[below, :, : size - below] = np.diagonal(hessians, -below, 1, 2)
+    bands[0] += STIFFNESS
+    for later in range(min(3, count)):
+        bands[later * size, : count - later] += np.diagonal(bending, -later)[:, None]
+    flat = bands.reshape(2 * size + 1, -1)[:, : count * size]
+    return solveh_banded(flat, gradient.ravel(), lower=True, check_finite=False).reshape(count, size)
+
+
+def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits) -> IkPath | Rejection:
+    """Joints (T, J) as a path; or a Rejection at the first pose that breaks a limit."""
     residuals_mm, residuals_deg = _residuals(solver, Ts_world_ee, joints)
     low, high = solver.robot.joint_limits.T
     keep = np.where(solver.robot.slides, limits.slide_margin, limits.limit_margin)

@@ -17,7 +17,7 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
 from aomgen.episodes.grasps import grasps
-from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, converge, follow, solve_from
+from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, converge, follow, solve_smoothly
 from aomgen.episodes.retarget import (
     CONTACT,
     KNOTS,
@@ -289,7 +289,9 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
     guesses = np.stack([np.interp(motion.demo_times_s, knots, q) for q in arm.joints.T], 1)
     # Rows before this one are free.
     free = int(np.searchsorted(motion.blend, 1.0 - 1e-9)) if free_way == "joints" else 0
-    path = solve_from(task.solver, motion.Ts_world_ee[free:], guesses[free:], task.params.ik)
+    start = task.start if free_way == "cartesian" else None
+    poses, params = motion.Ts_world_ee[free:], task.params
+    path = solve_smoothly(task.solver, poses, guesses[free:], params.fps, params.ik, start)
     if isinstance(path, Rejection):
         row = free + round(path.metrics["sample"])
         return replace(path, metrics={**path.metrics, "path_share": row / len(guesses)})
