@@ -105,12 +105,12 @@ class IkSolver:
             T = T @ step
         T = T @ self.T_world_home
         directions = (before.reshape(len(q), -1, 4) @ self.lines).reshape(*q.shape, 4, 2)
-        axes, slides = directions[..., :3, 0], self.robot.slides[:, None, None]
-        levers = T[:, :3, 3] - directions[..., :3, 1]
-        jacobians = np.empty((len(joints), 6, len(q)))
-        jacobians[:, :3] = np.moveaxis(np.where(slides, axes, _cross(axes, levers)), 0, 2)
-        jacobians[:, 3:] = np.moveaxis(np.where(slides, 0.0, axes), 0, 2)
-        return T, jacobians
+        axes, slides = directions[..., :3, 0], self.robot.slides
+        jacobians = np.empty((*q.shape, 6))
+        jacobians[..., :3] = _cross(axes, T[:, :3, 3] - directions[..., :3, 1])
+        jacobians[..., 3:] = axes
+        jacobians[slides, :, :3], jacobians[slides, :, 3:] = axes[slides], 0.0
+        return T, np.ascontiguousarray(jacobians.transpose(1, 2, 0))
 
     def errors(self, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
         """What is left (N, 6) from joints (N, J) to poses (N, 4, 4), [m] and [rad], and the Jacobians (N, 6, J)."""

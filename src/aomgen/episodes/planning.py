@@ -170,9 +170,8 @@ def _ways(method: str) -> list[tuple[_Ways, tuple[FreeWay, ...]]]:
     """Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first."""
     if method == "paper":
         return [(_Ways(), ("cartesian",))]
-    straight = _Ways("straight", "straight")
-    detours = [(way._replace(lift=lift), ("cartesian",)) for lift in LIFTS_M for way in (_Ways(), straight)]
-    return [(_Ways(), ("cartesian", "joints")), (straight, ("joints",)), *detours]
+    detours = [(_Ways(lift=lift), ("cartesian",)) for lift in LIFTS_M]
+    return [(_Ways(), ("cartesian", "joints")), (_Ways("straight", "straight"), ("joints",)), *detours]
 
 
 def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
@@ -258,10 +257,11 @@ def _plan_with(task: _Task, motion: RetargetedMotion, arm: _Arm, free: FreeWay) 
         needed = np.array([rates.metrics[f"{phase}_share"] for phase in PHASES])
         slow_down *= np.where(needed > 1.0, SLOWER * needed, 1.0)
         if not slow_down.max() <= params.max_slow_down:
-            return rates
+            in_contact = float(slow_down[CONTACT] > params.max_slow_down)
+            return replace(rates, metrics={**rates.metrics, "in_contact": in_contact})
     figures = _check_motion(task, sampled, path.joints)
     if isinstance(figures, Rejection):
-        return figures
+        return _located(figures, sampled)
     lifted = f", raised {motion.lift:.2f} m" if motion.lift else ""
     return EpisodePlan(
         variation=task.variation,
@@ -293,8 +293,7 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
     poses, params = motion.Ts_world_ee[free:], task.params
     path = solve_smoothly(task.solver, poses, guesses[free:], params.fps, params.ik, start)
     if isinstance(path, Rejection):
-        row = free + round(path.metrics["sample"])
-        return replace(path, metrics={**path.metrics, "path_share": row / len(guesses)})
+        return _located(path, motion, free)
     if free_way == "joints":
         joints = np.concatenate([_free_joints(task, motion, path.joints[0], free), path.joints])
         return replace(path, joints=joints)
@@ -346,6 +345,13 @@ def _check_motion(task: _Task, motion: HandMotion, joints: Array) -> dict[str, f
     widest = max(0.5 * task.held_at, float(gripper.min()))
     gripper = np.where(between, np.minimum(gripper, widest), gripper)
     return check_kinematics(task.placed, joints, gripper, motion.thetas, holding, task.params.kinematic)
+
+
+def _located(rejection: Rejection, motion: HandMotion, first: int = 0) -> Rejection:
+    """A Rejection of rows from `first` on, with where it is: in contact no way there and back can mend it."""
+    row = first + round(rejection.metrics["sample"])
+    where = {"path_share": row / len(motion.phases), "in_contact": float(motion.phases[row] == CONTACT)}
+    return replace(rejection, metrics={**rejection.metrics, **where})
 
 
 def _rank(rejection: Rejection) -> float:
