@@ -33,7 +33,7 @@ SMOOTHNESS = 3e-8
 # Of its least-squares step, [m^2]: only keeps it solvable.
 STIFFNESS = 1e-6
 # Steps of a smooth path are small enough, [rad]; the weights are set anew so often; share of a limit that is aimed at.
-SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.8
+SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.95
 # Good enough is better than exact: near a singular pose the last 0.2 mm cost a turn of the wrist. [m], [rad].
 CLOSE_M, CLOSE_RAD = 2e-4, 2e-3
 
