@@ -21,17 +21,19 @@ from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, converge
 from aomgen.episodes.retarget import (
     CONTACT,
     KNOTS,
+    RIGID_STRETCH_M,
     DemonstratedMotion,
     HandMotion,
     RetargetedMotion,
     Style,
+    smoothstep,
 )
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.simulation.scene import Scene
 
-# The free way to the object: straight in space as the paper has it, or smooth in the joints,
-# which no singular pose can spoil.
-FreeWay = Literal["cartesian", "joints"]
+# The free way to the object: demonstrated poses that bend towards it, as the paper has it; demonstrated joints that
+# do so, which no singular pose can spoil; or straight in the joints.
+FreeWay = Literal["cartesian", "joints", "direct"]
 # The Cartesian way has to end where the demonstration began, on the same branch, [rad].
 START_TOLERANCE_RAD = 0.05
 # Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
@@ -40,8 +42,6 @@ SEED_STEPS = 12
 SEED_ITERATIONS = 4
 # A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
 SLOWER = 1.05
-# How far the ways to the handle and back are raised to pass over what blocks them, [m].
-LIFTS_M = (0.12, 0.25)
 # Reasons of rejection, from early to late.
 REASONS = (
     "joint_limit",
@@ -116,8 +116,9 @@ def plan_episode(
             held[k] = contact
     # Grasps that hold, and among them those that something blocks beside the handle.
     checked, blocked = set[int](), set[int]()
-    for style, group in _ways(params.method):
-        tried = sorted(blocked if style.lift else held)
+    for ways in WAYS + DETOURS if params.method == "aomgen" else WAYS[:1]:
+        style, group = ways
+        tried = sorted(blocked if ways in DETOURS else held)
         styled = {k: replace(motions[k], **style._asdict()) for k in tried}
         arms = _follow_sides(task, styled, held)
         for free, k in product(group, tried):
@@ -159,19 +160,24 @@ class _Arm(NamedTuple):
 
 
 class _Ways(NamedTuple):
-    """How the hand comes and goes beside the handle; `lift` raises the ways there and back, [m]."""
+    """How the hand comes and goes beside the handle; see `RetargetedMotion`."""
 
     approach: Style = "demonstrated"
     retreat: Style = "demonstrated"
+    stretch: float = RIGID_STRETCH_M
     lift: float = 0.0
 
 
-def _ways(method: str) -> list[tuple[_Ways, tuple[FreeWay, ...]]]:
-    """Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first."""
-    if method == "paper":
-        return [(_Ways(), ("cartesian",))]
-    detours = [(_Ways(lift=lift), ("cartesian",)) for lift in LIFTS_M]
-    return [(_Ways(), ("cartesian", "joints")), (_Ways("straight", "straight"), ("joints",)), *detours]
+# Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first.
+WAYS: tuple[tuple[_Ways, tuple[FreeWay, ...]], ...] = (
+    (_Ways(), ("cartesian", "joints")),
+    (_Ways("straight", "straight"), ("joints",)),
+)
+# Then, where only a collision beside the handle is in the way: from farther in front, or over what blocks.
+DETOURS: tuple[tuple[_Ways, tuple[FreeWay, ...]], ...] = (
+    (_Ways("straight", "straight", stretch=0.25), ("direct",)),
+    (_Ways(lift=0.25), ("cartesian",)),
+)
 
 
 def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
@@ -288,15 +294,15 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
     knots = task.shown.knots[[0, 2, 4]].ravel()
     guesses = np.stack([np.interp(motion.demo_times_s, knots, q) for q in arm.joints.T], 1)
     # Rows before this one are free.
-    free = int(np.searchsorted(motion.blend, 1.0 - 1e-9)) if free_way == "joints" else 0
+    free = 0 if free_way == "cartesian" else int(np.searchsorted(motion.blend, 1.0 - 1e-9))
     start = task.start if free_way == "cartesian" else None
     poses, params = motion.Ts_world_ee[free:], task.params
     path = solve_smoothly(task.solver, poses, guesses[free:], params.fps, params.ik, start)
     if isinstance(path, Rejection):
         return _located(path, motion, free)
-    if free_way == "joints":
-        joints = np.concatenate([_free_joints(task, motion, path.joints[0], free), path.joints])
-        return replace(path, joints=joints)
+    if free_way != "cartesian":
+        joints = _free_joints(task, motion, path.joints[0], free, free_way)
+        return replace(path, joints=np.concatenate([joints, path.joints]))
     start_error = float(np.abs(path.joints[0] - task.start).max())
     if not start_error <= START_TOLERANCE_RAD:
         return Rejection(
@@ -307,8 +313,11 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
     return path
 
 
-def _free_joints(task: _Task, motion: HandMotion, goal: Array, free: int) -> Array:
-    """The demonstrated joints, bent so that they begin at the start and end in `goal`: joints (free, J)."""
+def _free_joints(task: _Task, motion: HandMotion, goal: Array, free: int, free_way: FreeWay) -> Array:
+    """Joints (free, J) from the start to `goal`: the demonstrated ones, bent at both ends, or straight."""
+    if free_way == "direct":
+        shares = smoothstep(np.arange(free) / max(free, 1))[:, None]
+        return task.start + shares * (goal - task.start)
     shown = task.shown.joints(motion.demo_times_s[: free + 1])
     blend = motion.blend[:free, None]
     return shown[:free] + (1 - blend) * (task.start - shown[0]) + blend * (goal - shown[free])

@@ -171,6 +171,7 @@ class RetargetedMotion:
         grasp: How the hand holds.
         approach, retreat: How the hand moves beside the handle.
         T_world_start: Where the hand begins (4, 4); where it was demonstrated if None.
+        stretch: How far from the handle the hand moves with the object, [m].
         lift: By how much the way there and back is raised between its ends, [m].
         rigid: The paper's method: the contact segment turned with the object, straight ways there and back.
     """
@@ -182,6 +183,7 @@ class RetargetedMotion:
     approach: Style = "demonstrated"
     retreat: Style = "demonstrated"
     T_world_start: Array | None = None
+    stretch: float = RIGID_STRETCH_M
     lift: float = 0.0
     rigid: bool = False
 
@@ -257,8 +259,8 @@ class RetargetedMotion:
         if self.rigid:
             return np.clip(times / max(close, 1e-9), 0.0, 1.0)
         left = shown.way(close) - shown.way(times)
-        total = max(float(shown.way(close)) - RIGID_STRETCH_M, 1e-6)
-        return _smooth(1.0 - (left - RIGID_STRETCH_M) / total)
+        total = max(float(shown.way(close)) - self.stretch, 1e-6)
+        return smoothstep(1.0 - (left - self.stretch) / total)
 
     @cached_property
     def _ends(self) -> Array:
@@ -290,7 +292,7 @@ class RetargetedMotion:
             return interpolate(T_free, shown.demo.Ts_world_ee[-1], shares)
         gone = shown.way(times) - shown.way(free)
         Ts = self._beside(shown.poses(times), T_free, shown.poses(np.array([free]))[0], gone, self.retreat)
-        Ts[:, 2, 3] += self.lift * _smooth((gone - RIGID_STRETCH_M) / max(self.lift, 1e-6))
+        Ts[:, 2, 3] += self.lift * smoothstep((gone - self.stretch) / max(self.lift, 1e-6))
         return Ts
 
     def _beside(self, old: Array, T_hold: Array, T_demo_hold: Array, way: Array, style: Style) -> Array:
@@ -300,7 +302,7 @@ class RetargetedMotion:
         return transform(T_hold[:3, :3], T_hold[:3, 3] - way[:, None] * T_hold[:3, 2])
 
 
-def _smooth(shares: Array) -> Array:
+def smoothstep(shares: Array) -> Array:
     """Shares, cut to 0..1, that begin and end level."""
     shares = np.clip(shares, 0.0, 1.0)
     return shares * shares * (3 - 2 * shares)
