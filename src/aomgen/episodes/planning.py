@@ -17,23 +17,23 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
 from aomgen.episodes.grasps import grasps
-from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, converge, follow, solve_smoothly
+from aomgen.episodes.ik import IkSolver, converge, follow, solve_smoothly
+from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
 from aomgen.episodes.retarget import (
     CONTACT,
+    DETOURS,
     KNOTS,
-    RIGID_STRETCH_M,
+    WAYS,
     DemonstratedMotion,
+    FreeWay,
     HandMotion,
     RetargetedMotion,
-    Style,
-    smoothstep,
+    free_joints,
 )
+from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.simulation.scene import Scene
 
-# The free way to the object: demonstrated poses that bend towards it, as the paper has it; demonstrated joints that
-# do so, which no singular pose can spoil; or straight in the joints.
-FreeWay = Literal["cartesian", "joints", "direct"]
 # The Cartesian way has to end where the demonstration began, on the same branch, [rad].
 START_TOLERANCE_RAD = 0.05
 # Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
@@ -104,7 +104,7 @@ def plan_episode(
         solver=solver,
         params=params,
         start=demo.joints[0] + (np.array(variation.start_offset) if variation.start_offset else 0.0),
-        held_at=_held_at(fitted, demo, placed),
+        held_at=_held_at(fitted, demo, placed.robot),
     )
     motions = _grasped(task, T_world_object)
     contacts = _follow_contact(task, motions)
@@ -157,27 +157,6 @@ class _Arm(NamedTuple):
 
     joints: Array
     lost: Rejection | None
-
-
-class _Ways(NamedTuple):
-    """How the hand comes and goes beside the handle; see `RetargetedMotion`."""
-
-    approach: Style = "demonstrated"
-    retreat: Style = "demonstrated"
-    stretch: float = RIGID_STRETCH_M
-    lift: float = 0.0
-
-
-# Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first.
-WAYS: tuple[tuple[_Ways, tuple[FreeWay, ...]], ...] = (
-    (_Ways(), ("cartesian", "joints")),
-    (_Ways("straight", "straight"), ("joints",)),
-)
-# Then, where only a collision beside the handle is in the way: from farther in front, or over what blocks.
-DETOURS: tuple[tuple[_Ways, tuple[FreeWay, ...]], ...] = (
-    (_Ways("straight", "straight", stretch=0.25), ("direct",)),
-    (_Ways(lift=0.25), ("cartesian",)),
-)
 
 
 def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
@@ -301,7 +280,7 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
     if isinstance(path, Rejection):
         return _located(path, motion, free)
     if free_way != "cartesian":
-        joints = _free_joints(task, motion, path.joints[0], free, free_way)
+        joints = free_joints(task.shown, motion, task.start, path.joints[0], free, free_way)
         return replace(path, joints=np.concatenate([joints, path.joints]))
     start_error = float(np.abs(path.joints[0] - task.start).max())
     if not start_error <= START_TOLERANCE_RAD:
@@ -313,25 +292,11 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
     return path
 
 
-def _free_joints(task: _Task, motion: HandMotion, goal: Array, free: int, free_way: FreeWay) -> Array:
-    """Joints (free, J) from the start to `goal`: the demonstrated ones, bent at both ends, or straight."""
-    if free_way == "direct":
-        shares = smoothstep(np.arange(free) / max(free, 1))[:, None]
-        return task.start + shares * (goal - task.start)
-    shown = task.shown.joints(motion.demo_times_s[: free + 1])
-    blend = motion.blend[:free, None]
-    return shown[:free] + (1 - blend) * (task.start - shown[0]) + blend * (goal - shown[free])
-
-
-def _held_at(fitted: FittedAsset, demo: Demonstration, placed: Scene) -> float:
+def _held_at(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> float:
     """Gripper value 0..1 at which the fingers stall on what they hold."""
-    bar = fitted.asset.handle_bar
     measured = float(np.median(demo.gripper[demo.contact_frames]))
-    return (
-        measured
-        if bar is None
-        else holding_gripper(placed.robot, 2 * float(bar.half_extents.min()), measured)
-    )
+    bar = fitted.asset.handle_bar
+    return measured if bar is None else holding_gripper(robot, 2 * float(bar.half_extents.min()), measured)
 
 
 def _check_grip(task: _Task, motion: RetargetedMotion, contact: Array) -> Rejection | None:

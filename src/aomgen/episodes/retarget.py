@@ -9,13 +9,13 @@ it is made anew from the joint, so that the object may be another one.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import Akima1DInterpolator
 
-from aomgen.core.demonstration import Demonstration
+from aomgen.core.demonstration import Demonstration, gripper_command, timing
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import (
@@ -34,39 +34,15 @@ from aomgen.episodes.grasps import Grasp
 APPROACH, CONTACT, RETREAT = range(len(PHASES))
 # How the hand moves beside the handle: as demonstrated, or straight along its approach direction.
 Style = Literal["demonstrated", "straight"]
+# The free way to the object: demonstrated poses that bend towards it, as the paper has it; demonstrated joints that
+# do so, which no singular pose can spoil; or straight in the joints.
+FreeWay = Literal["cartesian", "joints", "direct"]
 # The last stretch of the approach, and the first of the retreat, moves with the object, [m].
 RIGID_STRETCH_M = 0.10
 # A turn of one radian counts as this much way, [m].
 TURN_WEIGHT_M = 0.15
 # Poses of each interval between two marks from which the others are solved: some 5 cm apart.
 KNOTS = 16
-# Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
-MIN_GRASP = 0.05
-# A gripper that measures less than this counts as open.
-OPEN = 0.03
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Timing:
-    """Moments of the demonstration, [s] from its first sample.
-
-    Attributes:
-        close: The gripper begins to close.
-        start, end: The part begins and ceases to move.
-        free: The gripper is open again.
-        last: The demonstration ends.
-    """
-
-    close: float
-    start: float
-    end: float
-    free: float
-    last: float
-
-    @property
-    def marks(self) -> Array:
-        """All moments in order (6,), 0 first."""
-        return np.array([0.0, self.close, self.start, self.end, self.free, self.last])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,41 +69,25 @@ class HandMotion:
     __post_init__ = freeze_arrays
 
 
-def gripper_command(demo: Demonstration) -> Array:
-    """The command of the gripper (T,), 0..1, from what was measured.
+class Ways(NamedTuple):
+    """How the hand comes and goes beside the handle; see `RetargetedMotion`."""
 
-    A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
-    1; the level it comes with stays. A demonstration that closes nothing keeps what was measured.
-    """
-    opened, share = _closing(demo)
-    return share if opened is None else opened + (1.0 - opened) * share
-
-
-def _closing(demo: Demonstration) -> tuple[float | None, Array]:
-    """Level at which the gripper comes, and how far it is from there to its hold (T,), 0..1.
-
-    None, and what was measured, where nothing is closed.
-    """
-    contact = demo.contact_frames
-    hold, opened = float(np.median(demo.gripper[contact])), float(np.min(demo.gripper[: contact[0] + 1]))
-    if not hold - opened >= MIN_GRASP:
-        return None, demo.gripper
-    share = (demo.gripper - opened) / (0.95 * (hold - opened))
-    return opened if opened > OPEN else 0.0, np.where(share < 0.03, 0.0, np.clip(share, 0.0, 1.0))
+    approach: Style = "demonstrated"
+    retreat: Style = "demonstrated"
+    stretch: float = RIGID_STRETCH_M
+    lift: float = 0.0
 
 
-def timing(demo: Demonstration) -> Timing:
-    """When the hand closes, pulls, opens and leaves."""
-    times = demo.times_s - demo.times_s[0]
-    _, share = _closing(demo)
-    start, end = demo.start_s - demo.times_s[0], demo.end_s - demo.times_s[0]
-    close, free = start, end
-    if share.max() > 0.5 and share.min() < 0.05:
-        open_before = np.flatnonzero((times <= start) & (share < 0.05))
-        open_after = np.flatnonzero((times >= end) & (share < 0.15))
-        close = float(times[open_before[-1]]) if len(open_before) else 0.0
-        free = float(times[open_after[0]]) if len(open_after) else float(times[-1])
-    return Timing(close=close, start=start, end=end, free=free, last=float(times[-1]))
+# Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first.
+WAYS: tuple[tuple[Ways, tuple[FreeWay, ...]], ...] = (
+    (Ways(), ("cartesian", "joints")),
+    (Ways("straight", "straight"), ("joints",)),
+)
+# Then, where only a collision beside the handle is in the way: from farther in front, or over what blocks.
+DETOURS: tuple[tuple[Ways, tuple[FreeWay, ...]], ...] = (
+    (Ways("straight", "straight", stretch=0.25), ("direct",)),
+    (Ways(lift=0.25), ("cartesian",)),
+)
 
 
 class DemonstratedMotion:
@@ -260,7 +220,7 @@ class RetargetedMotion:
             return np.clip(times / max(close, 1e-9), 0.0, 1.0)
         left = shown.way(close) - shown.way(times)
         total = max(float(shown.way(close)) - self.stretch, 1e-6)
-        return smoothstep(1.0 - (left - self.stretch) / total)
+        return _smoothstep(1.0 - (left - self.stretch) / total)
 
     @cached_property
     def _ends(self) -> Array:
@@ -292,7 +252,7 @@ class RetargetedMotion:
             return interpolate(T_free, shown.demo.Ts_world_ee[-1], shares)
         gone = shown.way(times) - shown.way(free)
         Ts = self._beside(shown.poses(times), T_free, shown.poses(np.array([free]))[0], gone, self.retreat)
-        Ts[:, 2, 3] += self.lift * smoothstep((gone - self.stretch) / max(self.lift, 1e-6))
+        Ts[:, 2, 3] += self.lift * _smoothstep((gone - self.stretch) / max(self.lift, 1e-6))
         return Ts
 
     def _beside(self, old: Array, T_hold: Array, T_demo_hold: Array, way: Array, style: Style) -> Array:
@@ -302,7 +262,19 @@ class RetargetedMotion:
         return transform(T_hold[:3, :3], T_hold[:3, 3] - way[:, None] * T_hold[:3, 2])
 
 
-def smoothstep(shares: Array) -> Array:
+def free_joints(
+    shown: DemonstratedMotion, motion: HandMotion, start: Array, goal: Array, free: int, free_way: FreeWay
+) -> Array:
+    """Joints (free, J) from the start to `goal`: the demonstrated ones, bent at both ends, or straight."""
+    if free_way == "direct":
+        shares = _smoothstep(np.arange(free) / max(free, 1))[:, None]
+        return start + shares * (goal - start)
+    joints = shown.joints(motion.demo_times_s[: free + 1])
+    blend = motion.blend[:free, None]
+    return joints[:free] + (1 - blend) * (start - joints[0]) + blend * (goal - joints[free])
+
+
+def _smoothstep(shares: Array) -> Array:
     """Shares, cut to 0..1, that begin and end level."""
     shares = np.clip(shares, 0.0, 1.0)
     return shares * shares * (3 - 2 * shares)
