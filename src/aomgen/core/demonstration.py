@@ -12,6 +12,11 @@ from aomgen.core.light import Light
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 
+# Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
+MIN_GRASP = 0.05
+# A gripper that measures less than this counts as open.
+OPEN = 0.03
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demonstration:
@@ -51,6 +56,66 @@ class Demonstration:
     def grasp_path_world(self) -> Array:
         """Held point at every frame (T, 3), [m]."""
         return apply(self.Ts_world_ee, self.grasp_ee[None])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Timing:
+    """Moments of the demonstration, [s] from its first sample.
+
+    Attributes:
+        close: The gripper begins to close.
+        start, end: The part begins and ceases to move.
+        free: The gripper is open again.
+        last: The demonstration ends.
+    """
+
+    close: float
+    start: float
+    end: float
+    free: float
+    last: float
+
+    @property
+    def marks(self) -> Array:
+        """All moments in order (6,), 0 first."""
+        return np.array([0.0, self.close, self.start, self.end, self.free, self.last])
+
+
+def gripper_command(demo: Demonstration) -> Array:
+    """The command of the gripper (T,), 0..1, from what was measured.
+
+    A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
+    1; the level it comes with stays. A demonstration that closes nothing keeps what was measured.
+    """
+    opened, share = _closing(demo)
+    return share if opened is None else opened + (1.0 - opened) * share
+
+
+def _closing(demo: Demonstration) -> tuple[float | None, Array]:
+    """Level at which the gripper comes, and how far it is from there to its hold (T,), 0..1.
+
+    None, and what was measured, where nothing is closed.
+    """
+    contact = demo.contact_frames
+    hold, opened = float(np.median(demo.gripper[contact])), float(np.min(demo.gripper[: contact[0] + 1]))
+    if not hold - opened >= MIN_GRASP:
+        return None, demo.gripper
+    share = (demo.gripper - opened) / (0.95 * (hold - opened))
+    return opened if opened > OPEN else 0.0, np.where(share < 0.03, 0.0, np.clip(share, 0.0, 1.0))
+
+
+def timing(demo: Demonstration) -> Timing:
+    """When the hand closes, pulls, opens and leaves."""
+    times = demo.times_s - demo.times_s[0]
+    _, share = _closing(demo)
+    start, end = demo.start_s - demo.times_s[0], demo.end_s - demo.times_s[0]
+    close, free = start, end
+    if share.max() > 0.5 and share.min() < 0.05:
+        open_before = np.flatnonzero((times <= start) & (share < 0.05))
+        open_after = np.flatnonzero((times >= end) & (share < 0.15))
+        close = float(times[open_before[-1]]) if len(open_before) else 0.0
+        free = float(times[open_after[0]]) if len(open_after) else float(times[-1])
+    return Timing(close=close, start=start, end=end, free=free, last=float(times[-1]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,67 +1,115 @@
-"""Inverse kinematics along a path: each pose starts from the one before, so the arm keeps its branch."""
+"""Inverse kinematics along paths, all poses of a path at once.
+
+A coarse chain of knots is solved first, each from the one before, so the arm keeps its branch; the poses between start
+from the joints of their knots.
+Source: damped Gauss-Newton steps (Wampler, 1986) on the product of exponentials of the arm (Brockett, 1984).
+"""
 
 from dataclasses import dataclass
 from typing import Annotated
 
-import mink
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solveh_banded
 
 from aomgen.core.plan import Rejection
-from aomgen.core.transforms import quat_from_matrix
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.transforms import skew, transform
+from aomgen.core.values import Array, Matrix4, freeze_arrays
+from aomgen.episodes.joint_limits import IkLimits, IkPath
 from aomgen.robots.robot import RobotModel
 
-# Of the least-squares step; carries the arm across singular poses instead of around them.
+# Of the least-squares step, [m^2]; carries the arm across singular poses instead of around them.
 DAMPING = 1e-3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IkLimits:
-    """What a solved path must keep.
-
-    Attributes:
-        residual_mm, residual_deg: Largest distance to the asked pose.
-        speed, slide_speed: Largest speed of a turning and of a sliding joint, [rad/s] and [m/s].
-        limit_margin, slide_margin: Distance kept from their limits, [rad] and [m].
-        iterations: Gauss-Newton steps a pose.
-    """
-
-    residual_mm: float = 1.0
-    residual_deg: float = 0.5
-    speed: float = 2.6
-    slide_speed: float = 1.0
-    limit_margin: float = 0.02
-    slide_margin: float = 0.002
-    iterations: int = 12
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IkPath:
-    """A solved path: joints, and its largest residuals."""
-
-    joints: Annotated[Array, "_ _"]
-    residual_mm: float
-    residual_deg: float
-
-    __post_init__ = freeze_arrays
+# A turn of one radian counts as this much way, [m].
+TURN_WEIGHT_M = 0.3
+# From knot to knot of a chain, way and turn together, [m]: so near that the step keeps the branch.
+KNOT_WAY_M = 0.08
+# Largest change of a joint in one step, [rad] or [m]; far targets make long steps, and more would leave the branch.
+MAX_STEP = 0.5
+# Weight of joint accelerations against hand errors in a smooth path, [m^2 s^4/rad^2]: 5 rad/s^2 that last a frame of
+# 0.1 s count as much as 1 mm.
+SMOOTHNESS = 3e-8
+# Of its least-squares step, [m^2]: only keeps it solvable.
+STIFFNESS = 1e-6
+# Steps of a smooth path are small enough, [rad]; the weights are set anew so often; share of a limit that is aimed at.
+SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.95
+# Good enough is better than exact: near a singular pose the last 0.2 mm cost a turn of the wrist. [m], [rad].
+CLOSE_M, CLOSE_RAD = 2e-4, 2e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IkSolver:
-    """The robot and its compiled model without visual meshes, ready for many paths; qpos addresses of the arm joints."""
+    """The arm as a chain of J joints, described in the world frame with all joints at zero.
+
+    Attributes:
+        robot: Its model.
+        lines: Direction and a point of every joint's axis, homogeneous, as columns; [m].
+        turning: What each joint does: `(1, sin q, cos q, q) @ turning` is its transform, row by row.
+        T_world_home: End effector.
+    """
 
     robot: RobotModel
-    model: mujoco.MjModel
-    addresses: NDArray[np.int64]
+    lines: Annotated[Array, "J 4 2"]
+    turning: Annotated[Array, "J 4 16"]
+    T_world_home: Matrix4
+
+    __post_init__ = freeze_arrays
+
+    def kinematics(self, joints: Array) -> tuple[Array, Array]:
+        """End effector poses (N, 4, 4) at joints (N, J), and their Jacobians (N, 6, J): velocity, angular velocity."""
+        q = joints.T
+        factors = np.stack([np.ones_like(q), np.sin(q), np.cos(q), q], -1)
+        steps = (factors @ self.turning).reshape(*q.shape, 4, 4)
+        before = np.empty_like(steps)
+        T = np.broadcast_to(np.eye(4), steps.shape[1:])
+        for j, step in enumerate(steps):
+            before[j] = T
+            T = T @ step
+        T = T @ self.T_world_home
+        directions = (before.reshape(len(q), -1, 4) @ self.lines).reshape(*q.shape, 4, 2)
+        axes, slides = directions[..., :3, 0], self.robot.slides
+        jacobians = np.empty((*q.shape, 6))
+        jacobians[..., :3] = _cross(axes, T[:, :3, 3] - directions[..., :3, 1])
+        jacobians[..., 3:] = axes
+        jacobians[slides, :, :3], jacobians[slides, :, 3:] = axes[slides], 0.0
+        return T, np.ascontiguousarray(jacobians.transpose(1, 2, 0))
+
+    def errors(self, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
+        """What is left (N, 6) from joints (N, J) to poses (N, 4, 4), [m] and [rad], and the Jacobians (N, 6, J)."""
+        T, jacobians = self.kinematics(joints)
+        turn = Ts_world_ee[:, :3, :3] @ T[:, :3, :3].swapaxes(1, 2)
+        sines = 0.5 * (turn[:, [2, 0, 1], [1, 2, 0]] - turn[:, [1, 2, 0], [2, 0, 1]])
+        sine = np.sqrt((sines**2).sum(1))
+        angle = np.arctan2(sine, 0.5 * (turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2] - 1))
+        errors = np.empty((len(joints), 6))
+        errors[:, :3] = Ts_world_ee[:, :3, 3] - T[:, :3, 3]
+        errors[:, 3:] = sines * (angle / np.maximum(sine, 1e-12))[:, None]
+        return errors, jacobians
 
 
 def ik_solver(robot: RobotModel) -> IkSolver:
-    """Compile the robot alone for inverse kinematics."""
+    """Read the arm's chain from its model."""
     model = robot.spec(visual=False).compile()
-    addresses = np.array([model.joint(name).qposadr[0] for name in robot.joint_names], np.int64)
-    return IkSolver(robot=robot, model=model, addresses=addresses)
+    data = mujoco.MjData(model)
+    data.qpos[:] = robot.qpos(np.zeros((1, len(robot.joint_names))), 0.0)[0]
+    mujoco.mj_kinematics(model, data)
+    ids = [model.joint(name).id for name in robot.joint_names]
+    site, axes, points = data.site(robot.ee_site), data.xaxis[ids], data.xanchor[ids]
+    lines, turning = np.zeros((len(ids), 4, 2)), np.zeros((len(ids), 4, 4, 4))
+    lines[:, :3, 0], lines[:, :3, 1], lines[:, 3, 1] = axes, points, 1.0
+    for j, (axis, point) in enumerate(zip(axes, points, strict=True)):
+        if robot.slides[j]:
+            turning[j, 0], turning[j, 3, :3, 3] = np.eye(4), axis
+            continue
+        along, K = np.outer(axis, axis), skew(axis)
+        across = np.eye(3) - along
+        # Rodrigues' formula about a line through a point.
+        turning[j, :3, :3, :3] = along, K, across
+        turning[j, :3, :3, 3] = across @ point, -K @ point, -across @ point
+        turning[j, 0, 3, 3] = 1.0
+    T_world_home = transform(site.xmat.reshape(3, 3), site.xpos)
+    return IkSolver(robot=robot, lines=lines, turning=turning.reshape(-1, 4, 16), T_world_home=T_world_home)
 
 
 def solve_path(
@@ -77,74 +125,158 @@ def solve_path(
 
     Not checked: collisions.
     """
-    configuration = mink.Configuration(solver.model)
-    qpos = solver.robot.qpos(np.asarray(start_joints)[None], 0.0)[0]
-    configuration.update(qpos)
-    task = mink.FrameTask(solver.robot.ee_site, "site", position_cost=1.0, orientation_cost=0.3)
-    bounds = [mink.ConfigurationLimit(solver.model)]
+    Ts = np.asarray(Ts_world_ee, np.float64)
+    way = _way(Ts)
+    marks = np.linspace(0, way[-1], 2 + int(way[-1] / KNOT_WAY_M))
+    rows = np.unique(np.searchsorted(way, marks).clip(0, len(way) - 1))
+    knots, _ = follow(solver, Ts[rows, None], np.asarray(start_joints)[None], limits)
+    guesses = np.stack([np.interp(np.arange(len(Ts)), rows, q) for q in knots[:, 0].T], 1)
+    return _judge(solver, Ts, converge(solver, Ts, guesses, limits.iterations), limits)
+
+
+def solve_smoothly(
+    solver: IkSolver,
+    Ts_world_ee: Array,
+    guesses: Array,
+    fps: float,
+    limits: IkLimits,
+    start: Array | None = None,
+) -> IkPath | Rejection:
+    """As `solve_path`, from joints near the solution (T, J), so smoothly in time as the limits of the residuals allow.
+
+    Near a singular pose, where exact joints would jump, the hand strays by up to those limits instead. A `start` (J,)
+    is where the arm begins, if it meets the first pose.
+    """
+    low, high = solver.robot.joint_limits.T
+    joints, count = np.clip(guesses, low, high), len(guesses)
+    second = np.diff(np.eye(count), 2, axis=0)
+    bending = SMOOTHNESS * fps**4 * (second.T @ second)
+    weights = np.ones((count, 2))
+    for _ in range(ROUNDS):
+        for _ in range(limits.iterations):
+            errors, J = solver.errors(Ts_world_ee, joints)
+            scales = np.repeat(weights * [1.0, TURN_WEIGHT_M], 3, axis=1)[..., None]
+            J, errors = scales * J, scales * errors[..., None]
+            hessians = J.swapaxes(1, 2) @ J
+            gradient = (J.swapaxes(1, 2) @ errors)[..., 0] - bending @ joints
+            if start is not None:
+                hessians[0] += np.eye(len(start))
+                gradient[0] += start - joints[0]
+            step = _solve_banded(hessians, bending, gradient)
+            step *= min(1.0, MAX_STEP / max(float(np.abs(step).max()), 1e-9))
+            joints = np.clip(joints + step, low, high)
+            if np.abs(step).max() < SETTLED:
+                break
+        residuals = np.stack(_residuals(solver, Ts_world_ee, joints), 1)
+        shares = residuals / (RESERVE * np.array([limits.residual_mm, limits.residual_deg]))
+        if shares.max() <= 1.0:
+            break
+        # Poses that stray too far count more in the next round.
+        weights *= np.clip(shares, 1.0, 3.0)
+    return _judge(solver, Ts_world_ee, joints, limits)
+
+
+def _solve_banded(hessians: Array, bending: Array, gradient: Array) -> Array:
+    """Solve for a step (T, J): Hessians (T, J, J) of the poses, and second differences (T, T) that tie each joint in time."""
+    count, size = gradient.shape
+    bands = np.zeros((2 * size + 1, count, size))
+    for below in range(size):
+        bands[below, :, : size - below] = np.diagonal(hessians, -below, 1, 2)
+    bands[0] += STIFFNESS
+    for later in range(min(3, count)):
+        bands[later * size, : count - later] += np.diagonal(bending, -later)[:, None]
+    flat = bands.reshape(2 * size + 1, -1)[:, : count * size]
+    return solveh_banded(flat, gradient.ravel(), lower=True, check_finite=False).reshape(count, size)
+
+
+def _judge(solver: IkSolver, Ts_world_ee: Array, joints: Array, limits: IkLimits) -> IkPath | Rejection:
+    """Joints (T, J) as a path; or a Rejection at the first pose that breaks a limit."""
+    residuals_mm, residuals_deg = _residuals(solver, Ts_world_ee, joints)
     low, high = solver.robot.joint_limits.T
     keep = np.where(solver.robot.slides, limits.slide_margin, limits.limit_margin)
-    joints = np.empty((len(Ts_world_ee), len(solver.addresses)))
-    worst_mm, worst_deg = 0.0, 0.0
-    for row, T in enumerate(np.asarray(Ts_world_ee, np.float64)):
-        task.set_target(mink.SE3(np.concatenate([quat_from_matrix(T[:3, :3]), T[:3, 3]])))
-        residual_mm, residual_deg = _converge(configuration, task, bounds, limits)
-        joints[row] = configuration.q[solver.addresses]
-        worst_mm, worst_deg = max(worst_mm, residual_mm), max(worst_deg, residual_deg)
-        done = row / max(len(Ts_world_ee) - 1, 1)
-        if not (residual_mm <= limits.residual_mm and residual_deg <= limits.residual_deg):
-            return Rejection(
-                reason="unreachable",
-                detail=f"{residual_mm:.1f} mm and {residual_deg:.1f} deg from the asked pose",
-                metrics={"residual_mm": residual_mm, "residual_deg": residual_deg, "path_share": done},
-            )
-        margins = np.minimum(joints[row] - low, high - joints[row])
-        worst = int(np.argmin(margins / keep))
-        if not margins[worst] >= keep[worst]:
-            return Rejection(
-                reason="joint_limit",
-                detail=f"{solver.robot.joint_names[worst]} is {margins[worst]:.3f} from its limit, at least {keep[worst]} wanted",
-                metrics={"limit_margin": float(margins[worst]), "path_share": done},
-            )
-    return IkPath(joints=joints, residual_mm=worst_mm, residual_deg=worst_deg)
-
-
-def check_speed(joints: Array, fps: float, limits: IkLimits, slides: NDArray[np.bool_]) -> float | Rejection:
-    """Largest speed on a path (T, J) as a share of its joint's limit; or a Rejection "too_fast".
-
-    A jump is one too. `slides` tells which joints (J,) are prismatic.
-    """
-    limit = np.where(slides, limits.slide_speed, limits.speed)
-    speeds = np.abs(np.diff(joints, axis=0)) * fps
-    shares = (speeds / limit).max(1)
-    share = float(shares.max(initial=0.0))
-    if share <= 1.0:
-        return share
-    step = int(shares.argmax())
-    joint = int((speeds[step] / limit).argmax())
-    detail = f"joint {joint + 1} moves at {speeds[step, joint]:.1f} per second at {step / fps:.1f} s, limit {limit[joint]}"
+    margins = np.minimum(joints - low, high - joints)
+    missed = ~((residuals_mm <= limits.residual_mm) & (residuals_deg <= limits.residual_deg))
+    broken = np.flatnonzero(missed | ~np.all(margins >= keep, axis=1))
+    if not len(broken):
+        return IkPath(
+            joints=joints, residual_mm=float(residuals_mm.max()), residual_deg=float(residuals_deg.max())
+        )
+    row = int(broken[0])
+    if missed[row]:
+        mm, deg = float(residuals_mm[row]), float(residuals_deg[row])
+        return Rejection(
+            reason="unreachable",
+            detail=f"{mm:.1f} mm and {deg:.1f} deg from the asked pose",
+            metrics={"residual_mm": mm, "residual_deg": deg, "sample": float(row)},
+        )
+    worst = int(np.argmin(margins[row] / keep))
+    margin, name = float(margins[row, worst]), solver.robot.joint_names[worst]
     return Rejection(
-        reason="too_fast",
-        detail=detail,
-        metrics={"joint_speed": float(speeds[step, joint]), "speed_share": share},
+        reason="joint_limit",
+        detail=f"{name} is {margin:.3f} from its limit, at least {keep[worst]} wanted",
+        metrics={"limit_margin": margin, "sample": float(row)},
     )
 
 
-def _converge(
-    configuration: mink.Configuration,
-    task: mink.FrameTask,
-    bounds: list[mink.ConfigurationLimit],
-    limits: IkLimits,
-) -> tuple[float, float]:
-    """Gauss-Newton steps towards the task; the remaining distance, [mm] and [deg]."""
-    for _ in range(limits.iterations):
-        error = task.compute_error(configuration)
-        # Good enough is better than exact: near a singular pose the last 0.2 mm cost a turn of the wrist.
-        if np.linalg.norm(error[:3]) < 2e-4 and np.linalg.norm(error[3:]) < 2e-3:
+def follow(
+    solver: IkSolver, Ts_world_ee: Array, starts: Array, limits: IkLimits
+) -> tuple[Array, NDArray[np.int64]]:
+    """Joints (K, B, J) along B chains of poses (K, B, 4, 4), each from the one before, the first from `starts` (B, J).
+
+    Also how many poses of each chain (B,) were reached; a chain that misses one stops before it.
+    """
+    joints = np.empty((*Ts_world_ee.shape[:2], starts.shape[1]))
+    now, reached = np.array(starts), np.zeros(len(starts), np.int64)
+    for k, poses in enumerate(Ts_world_ee):
+        live = np.flatnonzero(reached == k)
+        found = converge(solver, poses[live], now[live], limits.iterations)
+        mm, deg = _residuals(solver, poses[live], found)
+        there = (mm <= limits.residual_mm) & (deg <= limits.residual_deg)
+        now[live[there]] = found[there]
+        reached[live[there]] += 1
+        joints[k] = now
+    return joints, reached
+
+
+def converge(solver: IkSolver, Ts_world_ee: Array, starts: Array, iterations: int) -> Array:
+    """Joints (N, J) after Gauss-Newton steps from `starts` (N, J) towards poses (N, 4, 4), within the joint limits."""
+    low, high = solver.robot.joint_limits.T
+    weights = np.repeat([1.0, TURN_WEIGHT_M], 3)[:, None]
+    joints = np.clip(starts, low, high)
+    rows = np.arange(len(joints))
+    for _ in range(iterations):
+        errors, jacobians = solver.errors(Ts_world_ee[rows], joints[rows])
+        squares = errors**2
+        left = (squares[:, :3].sum(1) >= CLOSE_M**2) | (squares[:, 3:].sum(1) >= CLOSE_RAD**2)
+        if not left.any():
             break
-        velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=DAMPING, limits=bounds)
-        # Far targets make long steps; half a radian at once would leave the branch.
-        velocity *= min(1.0, 0.5 / max(float(np.abs(velocity).max()), 1e-9))
-        configuration.integrate_inplace(velocity, 1.0)
-    error = task.compute_error(configuration)
-    return 1000 * float(np.linalg.norm(error[:3])), float(np.rad2deg(np.linalg.norm(error[3:])))
+        rows, errors, J = rows[left], weights * errors[left, :, None], weights * jacobians[left]
+        gradient = J.swapaxes(1, 2) @ errors
+        # A joint at its limit that would go on stands still.
+        q = joints[rows]
+        stuck = ((q <= low) & (gradient[..., 0] < 0)) | ((q >= high) & (gradient[..., 0] > 0))
+        J = np.where(stuck[:, None], 0.0, J)
+        hessian = J.swapaxes(1, 2) @ J + DAMPING * np.eye(J.shape[2])
+        step = np.linalg.solve(hessian, J.swapaxes(1, 2) @ errors)[..., 0]
+        step *= np.minimum(1.0, MAX_STEP / np.maximum(np.abs(step).max(1, keepdims=True), 1e-9))
+        joints[rows] = np.clip(q + step, low, high)
+    return joints
+
+
+def _residuals(solver: IkSolver, Ts_world_ee: Array, joints: Array) -> tuple[Array, Array]:
+    """Distances of joints (N, J) to poses (N, 4, 4): (N,), [mm] and [deg]."""
+    errors, _ = solver.errors(Ts_world_ee, joints)
+    return 1000 * np.linalg.norm(errors[:, :3], axis=1), np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))
+
+
+def _way(Ts: Array) -> Array:
+    """Way and turn along a path (T, 4, 4) up to each pose (T,), [m]."""
+    steps = np.linalg.norm(np.diff(Ts[:, :3, 3], axis=0), axis=1)
+    # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
+    chords = np.linalg.norm(np.diff(Ts[:, :3, :3], axis=0), axis=(1, 2)) / np.sqrt(2)
+    return np.concatenate([[0.0], np.cumsum(steps + TURN_WEIGHT_M * chords)])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products (..., 3); numpy's own is several times slower on short arrays."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]

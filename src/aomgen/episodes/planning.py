@@ -4,34 +4,51 @@ The arm is solved at the grasp first, then backwards to the start and on to the 
 branch of the arm where it matters.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice, product
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from aomgen.core.demonstration import Demonstration
+from aomgen.core.episode import PHASES
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
-from aomgen.episodes.grasps import Grasp, grasps
-from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, solve_path
-from aomgen.episodes.retarget import CONTACT, HandMotion, Style, retarget, timing
+from aomgen.episodes.grasps import grasps
+from aomgen.episodes.ik import IkSolver, converge, follow, solve_smoothly
+from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
+from aomgen.episodes.retarget import (
+    CONTACT,
+    DETOURS,
+    KNOTS,
+    WAYS,
+    DemonstratedMotion,
+    FreeWay,
+    HandMotion,
+    RetargetedMotion,
+    free_joints,
+)
+from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
 from aomgen.simulation.scene import Scene
 
-# The free way to the object: straight in space as the paper has it, or smooth in the joints,
-# which no singular pose can spoil.
-FreeWay = Literal["cartesian", "joints"]
 # The Cartesian way has to end where the demonstration began, on the same branch, [rad].
 START_TOLERANCE_RAD = 0.05
 # Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
 SEED_STEPS = 12
+# Of Gauss-Newton at each of them; what is left over is done at the next.
+SEED_ITERATIONS = 4
+# A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
+SLOWER = 1.05
 # Reasons of rejection, from early to late.
 REASONS = (
     "joint_limit",
     "unreachable",
     "branch",
     "too_fast",
+    "too_jerky",
     "self_collision",
     "collision",
     "grip_collision",
@@ -47,13 +64,15 @@ class PlanParams:
         fps: Samples a second.
         ik: Limits of the arm.
         kinematic: Limits of tier A.
-        max_slow_down: How much slower than demonstrated a too fast plan may become.
+        max_slow_down: How much slower than asked a phase of a too fast plan may become.
+        method: "aomgen", or "paper" to compare: the demonstrated contact turned with the object, straight ways beside it.
     """
 
     fps: float = 10.0
     ik: IkLimits = field(default_factory=IkLimits)
     kinematic: KinematicLimits = field(default_factory=KinematicLimits)
     max_slow_down: float = 2.0
+    method: Literal["aomgen", "paper"] = "aomgen"
 
 
 def plan_episode(
@@ -77,195 +96,239 @@ def plan_episode(
     """
     T_world_object = variation.placed(fitted)
     placed = scene.placed(T_world_object)
-    close = int(np.searchsorted(demo.times_s - demo.times_s[0], timing(demo).start))
-    R_front_ee = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[min(close, len(demo.times_s) - 1), :3, :3]
-    depth = float(demo.grasp_ee[2])
-    best: Rejection | None = None
-    tried = 0
-    # The contact segment decides most grasps; its Rejection ends a grasp's other ways.
-    for grasp in grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio):
-        tried += 1
-        task = _Task(fitted, demo, variation, T_world_object, placed, solver, params)
-        result = _plan_with(task, grasp)
-        if isinstance(result, EpisodePlan):
-            return result
-        if best is None or _rank(result) > _rank(best):
-            best = result
-    if best is None:
-        return Rejection(reason="no_grasp", detail="the asset offers no grasp")
-    return Rejection(
-        reason=best.reason, detail=best.detail, metrics={**best.metrics, "grasps_tried": float(tried)}
+    task = _Task(
+        shown=DemonstratedMotion(demo),
+        variation=variation,
+        fitted=fitted,
+        placed=placed,
+        solver=solver,
+        params=params,
+        start=demo.joints[0] + (np.array(variation.start_offset) if variation.start_offset else 0.0),
+        held_at=_held_at(fitted, demo, placed.robot),
     )
+    motions = _grasped(task, T_world_object)
+    contacts = _follow_contact(task, motions)
+    best, held = Rejection(reason="no_grasp", detail="the asset offers no grasp"), dict[int, Array]()
+    for k, contact in enumerate(contacts):
+        if isinstance(contact, Rejection):
+            best = max(best, contact, key=_rank)
+        else:
+            held[k] = contact
+    # Grasps that hold, and among them those that something blocks beside the handle.
+    checked, blocked = set[int](), set[int]()
+    for ways in WAYS + DETOURS if params.method == "aomgen" else WAYS[:1]:
+        style, group = ways
+        tried = sorted(blocked if ways in DETOURS else held)
+        styled = {k: replace(motions[k], **style._asdict()) for k in tried}
+        arms = _follow_sides(task, styled, held)
+        for free, k in product(group, tried):
+            if k not in held:
+                continue
+            result = None if k in checked else _check_grip(task, motions[k], held[k])
+            checked.add(k)
+            if result is None:
+                result = _plan_with(task, styled[k], arms[k], free)
+            if isinstance(result, EpisodePlan):
+                return result
+            best = max(best, result, key=_rank)
+            if result.metrics.get("in_contact"):
+                del held[k]
+                blocked.discard(k)
+            elif result.reason == "collision":
+                blocked.add(k)
+    return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
 
 
 class _Task(NamedTuple):
-    """What all grasps of one variation share."""
+    """What all grasps of one variation share; `start` are the arm's first joints (J,), `held_at` where fingers stall."""
 
-    fitted: FittedAsset
-    demo: Demonstration
+    shown: DemonstratedMotion
     variation: Variation
-    T_world_object: Array
+    fitted: FittedAsset
     placed: Scene
     solver: IkSolver
     params: PlanParams
+    start: Array
+    held_at: float
 
 
-class _Ways(NamedTuple):
-    """One choice of how to come and go."""
+class _Arm(NamedTuple):
+    """Joints (3 K, J) at the knots of approach, contact and retreat; why the hand cannot come or go, if it cannot."""
 
-    free: FreeWay
-    approach: Style
-    retreat: Style
-
-
-# The demonstrated ways first; the last is the one with the least to go wrong.
-WAYS = (
-    _Ways("cartesian", "demonstrated", "demonstrated"),
-    _Ways("joints", "demonstrated", "demonstrated"),
-    _Ways("joints", "straight", "straight"),
-)
+    joints: Array
+    lost: Rejection | None
 
 
-def _plan_with(task: _Task, grasp: Grasp) -> EpisodePlan | Rejection:
-    """The first way of coming and going that works with one grasp."""
-    params = task.params
-    best: Rejection | None = None
-    for ways in WAYS:
-        motion, path = _solved(task, grasp, ways)
-        result = path if isinstance(path, Rejection) else _collision_free(task, motion, path)
-        if isinstance(path, IkPath) and not isinstance(result, Rejection):
-            speed = float(np.abs(np.diff(path.joints, axis=0)).max() * params.fps)
-            residuals = {"residual_mm": path.residual_mm, "residual_deg": path.residual_deg}
-            return EpisodePlan(
-                variation=task.variation,
-                fitted=task.fitted,
-                T_world_object=task.T_world_object,
-                fps=params.fps,
-                joints=path.joints,
-                gripper=motion.gripper,
-                thetas=motion.thetas,
-                phases=motion.phases,
-                Ts_world_ee=task.placed.robot.ee_poses(path.joints),
-                grasp=f"{grasp.name}; {ways.free} way, {ways.approach} approach, {ways.retreat} retreat",
-                metrics={**result, **residuals, "joint_speed": speed},
-            )
-        if isinstance(result, Rejection) and (best is None or _rank(result) > _rank(best)):
-            best = result
-        if isinstance(result, Rejection) and result.metrics.get("in_contact"):
-            break
-    return best or Rejection(reason="no_grasp")
-
-
-def _solved(task: _Task, grasp: Grasp, ways: _Ways) -> tuple[HandMotion, IkPath | Rejection]:
-    """Hand and arm motion; a motion that is only too fast is tried again more slowly."""
-    params, slow_down = task.params, 1.0
-    while True:
-        motion = retarget(
-            task.demo,
-            task.fitted,
-            task.T_world_object,
-            grasp,
-            params.fps,
-            approach=ways.approach,
-            retreat=ways.retreat,
-            slow_down=slow_down,
+def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
+    """The motions with all grasps that the method tries, the nearest to the demonstrated one first."""
+    fitted, demo, shown = task.fitted, task.shown.demo, task.shown
+    R_front_ee = fitted.T_world_asset[:3, :3].T @ shown.poses(np.array([shown.moments.start]))[0, :3, :3]
+    found = grasps(fitted, R_front_ee, float(demo.grasp_ee[2]), demo.ee_turn_ratio)
+    moved = bool(task.variation.start_offset)
+    rigid = task.params.method == "paper"
+    return [
+        RetargetedMotion(
+            shown=shown,
+            fitted=fitted,
+            T_world_object=T_world_object,
+            grasp=grasp,
+            T_world_start=task.placed.robot.ee_poses(task.start[None])[0] if moved else None,
+            rigid=rigid,
         )
-        contact = _solve_contact(task, motion)
-        if isinstance(contact, Rejection):
-            # No way of coming or going can mend this grasp.
-            return motion, replace(contact, metrics={**contact.metrics, "in_contact": 1.0})
-        path = _solve_around(task, motion, contact, ways.free)
-        if isinstance(path, Rejection):
-            return motion, path
-        speed = check_speed(path.joints, params.fps, params.ik, task.placed.robot.slides)
-        if not isinstance(speed, Rejection):
-            return motion, path
-        slow_down *= 1.1 * speed.metrics["speed_share"]
-        if not slow_down <= params.max_slow_down:
-            return motion, speed
+        for grasp in (islice(found, 1) if rigid else found)
+    ]
 
 
-def _solve_contact(task: _Task, motion: HandMotion) -> IkPath | Rejection:
-    """Arm joints of the contact frames, on the demonstration's branch."""
-    demo, contact = task.demo, np.flatnonzero(motion.phases == CONTACT)
-    demo_times = demo.times_s - demo.times_s[0]
-    nearest = int(np.argmin(np.abs(demo_times - motion.demo_times_s[contact[0]])))
-    # Walk from the demonstrated grasp to the new one, so that the branch is the same.
-    there = interpolate(
-        demo.Ts_world_ee[nearest], motion.Ts_world_ee[contact[0]], np.linspace(0, 1, SEED_STEPS)
+def _follow_contact(task: _Task, motions: list[RetargetedMotion]) -> list[Array | Rejection]:
+    """Joints (K, J) at the knots of the contact, for all grasps at once, on the demonstration's branch."""
+    shown, times = task.shown, task.shown.knots[2]
+    targets = np.stack([motion.holding(times) for motion in motions], 1)
+    # Walk from the demonstrated grasp to the new one, so that the branch is the same; part of that walk may be
+    # out of reach although its end is not.
+    first = shown.poses(times[:1])[0]
+    steps = np.stack([interpolate(first, T, np.linspace(0, 1, SEED_STEPS)) for T in targets[0]], 1)
+    joints = np.repeat(shown.joints(times[:1]), len(motions), 0)
+    for poses in steps:
+        joints = converge(task.solver, poses, joints, SEED_ITERATIONS)
+    solved, reached = follow(task.solver, targets, joints, task.params.ik)
+    return [
+        solved[:, k] if count == KNOTS else _lost("with the handle", count) for k, count in enumerate(reached)
+    ]
+
+
+def _follow_sides(
+    task: _Task, motions: Mapping[int, RetargetedMotion], held: Mapping[int, Array]
+) -> dict[int, _Arm]:
+    """Arm joints before and after the contact, for all grasps at once, away from where the hand holds."""
+    if not motions:
+        return {}
+    starts = np.stack([held[k][end] for end in (0, -1) for k in motions])
+    to = np.stack([motion.knots[0][::-1] for motion in motions.values()], 1)
+    off = np.stack([motion.knots[4] for motion in motions.values()], 1)
+    joints, reached = follow(task.solver, np.concatenate([to, off], 1), starts, task.params.ik)
+    arms = {}
+    for number, k in enumerate(motions):
+        went = len(motions) + number
+        lost = "back from the handle to the start" if reached[number] < KNOTS else "away from the handle"
+        least = min(reached[number], reached[went])
+        arms[k] = _Arm(
+            np.concatenate([joints[::-1, number], held[k], joints[:, went]]),
+            None if least == KNOTS else _lost(lost, least),
+        )
+    return arms
+
+
+def _lost(where: str, knots: int) -> Rejection:
+    return Rejection(
+        reason="unreachable",
+        detail=f"the arm can follow the hand {where} for {knots} of {KNOTS} poses",
+        metrics={"path_share": knots / KNOTS},
     )
-    seed = solve_path(task.solver, there, demo.joints[nearest], task.params.ik)
-    # Part of that walk may be out of reach although its end is not.
-    start = demo.joints[nearest] if isinstance(seed, Rejection) else seed.joints[-1]
-    return solve_path(task.solver, motion.Ts_world_ee[contact], start, task.params.ik)
 
 
-def _solve_around(
-    task: _Task, motion: HandMotion, contact_path: IkPath, free_way: FreeWay
-) -> IkPath | Rejection:
-    """Arm joints of the whole motion, given those of its contact frames.
+def _plan_with(task: _Task, motion: RetargetedMotion, arm: _Arm, free: FreeWay) -> EpisodePlan | Rejection:
+    """The episode with one grasp and one way; a motion that is only too fast is tried again more slowly."""
+    params, slow_down = task.params, np.ones(len(PHASES))
+    if arm.lost is not None and free == "cartesian":
+        return arm.lost
+    while True:
+        sampled = motion.sample(params.fps, speed=task.variation.speed, slow_down=slow_down)
+        path = _solve(task, sampled, arm, free)
+        if isinstance(path, Rejection):
+            return path
+        rates = check_speed(path.joints, params.fps, params.ik, task.placed.robot.slides, sampled.phases)
+        if not isinstance(rates, Rejection):
+            break
+        needed = np.array([rates.metrics[f"{phase}_share"] for phase in PHASES])
+        slow_down *= np.where(needed > 1.0, SLOWER * needed, 1.0)
+        if not slow_down.max() <= params.max_slow_down:
+            in_contact = float(slow_down[CONTACT] > params.max_slow_down)
+            return replace(rates, metrics={**rates.metrics, "in_contact": in_contact})
+    figures = _check_motion(task, sampled, path.joints)
+    if isinstance(figures, Rejection):
+        return _located(figures, sampled)
+    lifted = f", raised {motion.lift:.2f} m" if motion.lift else ""
+    return EpisodePlan(
+        variation=task.variation,
+        fitted=task.fitted,
+        T_world_object=motion.T_world_object,
+        fps=params.fps,
+        joints=path.joints,
+        gripper=sampled.gripper,
+        thetas=sampled.thetas,
+        phases=sampled.phases,
+        Ts_world_ee=task.placed.robot.ee_poses(path.joints),
+        grasp=f"{motion.grasp.name}; {free} way, {motion.approach} approach, {motion.retreat} retreat{lifted}",
+        metrics={**figures, **rates, "residual_mm": path.residual_mm, "residual_deg": path.residual_deg},
+    )
+
+
+def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkPath | Rejection:
+    """Arm joints of the whole motion, from those at its knots.
 
     Returns:
         The path; or a Rejection "unreachable", "joint_limit" or "branch" (the way back from the
-        grasp does not end in the demonstrated start pose).
+        grasp does not end in the start pose).
     """
-    contact = np.flatnonzero(motion.phases == CONTACT)
-    first, last = contact[0], contact[-1]
-    joints = np.empty((len(motion.thetas), contact_path.joints.shape[1]))
-    joints[contact] = contact_path.joints
+    knots = task.shown.knots[[0, 2, 4]].ravel()
+    guesses = np.stack([np.interp(motion.demo_times_s, knots, q) for q in arm.joints.T], 1)
     # Rows before this one are free.
-    free = int(np.searchsorted(motion.blend[:first], 1.0 - 1e-9)) if free_way == "joints" else 0
-    paths = [contact_path]
-    for rows, start in (
-        (np.arange(last + 1, len(joints)), contact_path.joints[-1]),
-        (np.arange(first - 1, free - 1, -1), contact_path.joints[0]),
-    ):
-        path = solve_path(task.solver, motion.Ts_world_ee[rows], start, task.params.ik)
-        if isinstance(path, Rejection):
-            return path
-        joints[rows] = path.joints
-        paths.append(path)
-    start_error = float(np.abs(joints[0] - task.demo.joints[0]).max())
-    if free_way == "joints":
-        joints[:free] = _free_joints(motion, task.demo, joints[free], free)
-    elif not start_error <= START_TOLERANCE_RAD:
+    free = 0 if free_way == "cartesian" else int(np.searchsorted(motion.blend, 1.0 - 1e-9))
+    start = task.start if free_way == "cartesian" else None
+    poses, params = motion.Ts_world_ee[free:], task.params
+    path = solve_smoothly(task.solver, poses, guesses[free:], params.fps, params.ik, start)
+    if isinstance(path, Rejection):
+        return _located(path, motion, free)
+    if free_way != "cartesian":
+        joints = free_joints(task.shown, motion, task.start, path.joints[0], free, free_way)
+        return replace(path, joints=np.concatenate([joints, path.joints]))
+    start_error = float(np.abs(path.joints[0] - task.start).max())
+    if not start_error <= START_TOLERANCE_RAD:
         return Rejection(
             reason="branch",
-            detail="the way back from the grasp does not end in the demonstrated start pose",
+            detail="the way back from the grasp does not end in the start pose",
             metrics={"start_error_rad": start_error},
         )
-    return IkPath(
-        joints=joints,
-        residual_mm=max(path.residual_mm for path in paths),
-        residual_deg=max(path.residual_deg for path in paths),
-    )
+    return path
 
 
-def _free_joints(motion: HandMotion, demo: Demonstration, goal: Array, free: int) -> Array:
-    """The demonstrated joints, bent so that they end in `goal`: joints (free, J)."""
-    times = demo.times_s - demo.times_s[0]
-    at = motion.demo_times_s[: free + 1]
-    demonstrated = np.stack([np.interp(at, times, column) for column in demo.joints.T], -1)
-    return demonstrated[:free] + motion.blend[:free, None] * (goal - demonstrated[free])
-
-
-def _collision_free(task: _Task, motion: HandMotion, path: IkPath) -> dict[str, float] | Rejection:
-    """Tier A with the fingers as wide open as the handle will hold them."""
-    fitted, demo, placed = task.fitted, task.demo, task.placed
-    bar = fitted.asset.handle_bar
+def _held_at(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> float:
+    """Gripper value 0..1 at which the fingers stall on what they hold."""
     measured = float(np.median(demo.gripper[demo.contact_frames]))
-    width = 2 * float(np.min(bar.half_extents)) if bar is not None else 0.0
-    held_at = holding_gripper(placed.robot, width, measured) if bar is not None else measured
+    bar = fitted.asset.handle_bar
+    return measured if bar is None else holding_gripper(robot, 2 * float(bar.half_extents.min()), measured)
+
+
+def _check_grip(task: _Task, motion: RetargetedMotion, contact: Array) -> Rejection | None:
+    """What keeps the hand from holding in this grasp, whatever the ways there and back: tier A at the knots (K, J)."""
+    thetas, still = motion.thetas(task.shown.knots[2]), np.ones(KNOTS)
+    result = check_kinematics(
+        task.placed, contact, task.held_at * still, thetas, still > 0, task.params.kinematic
+    )
+    if not isinstance(result, Rejection):
+        return None
+    return replace(result, metrics={**result.metrics, "in_contact": 1.0})
+
+
+def _check_motion(task: _Task, motion: HandMotion, joints: Array) -> dict[str, float] | Rejection:
+    """Tier A of a whole motion, the fingers as wide open as the handle will hold them."""
     holding = (motion.phases == CONTACT) & (motion.gripper > 0.95)
     # While the fingers close or open about the handle, how far they are is left to the simulation.
     between = (motion.phases == CONTACT) & ~holding
-    gripper = np.minimum(motion.gripper, held_at)
-    widest = max(0.5 * held_at, float(gripper.min()))
+    gripper = np.minimum(motion.gripper, task.held_at)
+    widest = max(0.5 * task.held_at, float(gripper.min()))
     gripper = np.where(between, np.minimum(gripper, widest), gripper)
-    return check_kinematics(placed, path.joints, gripper, motion.thetas, holding, task.params.kinematic)
+    return check_kinematics(task.placed, joints, gripper, motion.thetas, holding, task.params.kinematic)
+
+
+def _located(rejection: Rejection, motion: HandMotion, first: int = 0) -> Rejection:
+    """A Rejection of rows from `first` on, with where it is: in contact no way there and back can mend it."""
+    row = first + round(rejection.metrics["sample"])
+    where = {"path_share": row / len(motion.phases), "in_contact": float(motion.phases[row] == CONTACT)}
+    return replace(rejection, metrics={**rejection.metrics, **where})
 
 
 def _rank(rejection: Rejection) -> float:
     """How far planning came, to tell which of several rejections says most."""
-    known = REASONS.index(rejection.reason) if rejection.reason in REASONS else len(REASONS)
+    known = REASONS.index(rejection.reason) if rejection.reason in REASONS else -1
     return known + rejection.metrics.get("path_share", 0.0)

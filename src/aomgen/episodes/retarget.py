@@ -8,18 +8,19 @@ it is made anew from the joint, so that the object may be another one.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Annotated, Literal
+from functools import cached_property
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import Akima1DInterpolator
 
-from aomgen.core.demonstration import Demonstration
+from aomgen.core.demonstration import Demonstration, gripper_command, timing
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import (
     apply,
+    interpolate,
     invert,
     matrix_from_quat,
     matrix_from_rotvec,
@@ -33,37 +34,15 @@ from aomgen.episodes.grasps import Grasp
 APPROACH, CONTACT, RETREAT = range(len(PHASES))
 # How the hand moves beside the handle: as demonstrated, or straight along its approach direction.
 Style = Literal["demonstrated", "straight"]
+# The free way to the object: demonstrated poses that bend towards it, as the paper has it; demonstrated joints that
+# do so, which no singular pose can spoil; or straight in the joints.
+FreeWay = Literal["cartesian", "joints", "direct"]
 # The last stretch of the approach, and the first of the retreat, moves with the object, [m].
 RIGID_STRETCH_M = 0.10
 # A turn of one radian counts as this much way, [m].
 TURN_WEIGHT_M = 0.15
-# Smallest change of the gripper that is a grasp: fingers that reach under a lid are hardly open before.
-MIN_GRASP = 0.05
-# A gripper that measures less than this counts as open.
-OPEN = 0.03
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Timing:
-    """Moments of the demonstration, [s] from its first sample.
-
-    Attributes:
-        close: The gripper begins to close.
-        start, end: The part begins and ceases to move.
-        free: The gripper is open again.
-        last: The demonstration ends.
-    """
-
-    close: float
-    start: float
-    end: float
-    free: float
-    last: float
-
-    @property
-    def marks(self) -> Array:
-        """All moments in order (6,), 0 first."""
-        return np.array([0.0, self.close, self.start, self.end, self.free, self.last])
+# Poses of each interval between two marks from which the others are solved: some 5 cm apart.
+KNOTS = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,119 +69,119 @@ class HandMotion:
     __post_init__ = freeze_arrays
 
 
-def gripper_command(demo: Demonstration) -> Array:
-    """The command of the gripper (T,), 0..1, from what was measured.
+class Ways(NamedTuple):
+    """How the hand comes and goes beside the handle; see `RetargetedMotion`."""
 
-    A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
-    1; the level it comes with stays. A demonstration that closes nothing keeps what was measured.
-    """
-    opened, share = _closing(demo)
-    return share if opened is None else opened + (1.0 - opened) * share
-
-
-def _closing(demo: Demonstration) -> tuple[float | None, Array]:
-    """Level at which the gripper comes, and how far it is from there to its hold (T,), 0..1.
-
-    None, and what was measured, where nothing is closed.
-    """
-    contact = demo.contact_frames
-    hold, opened = float(np.median(demo.gripper[contact])), float(np.min(demo.gripper[: contact[0] + 1]))
-    if not hold - opened >= MIN_GRASP:
-        return None, demo.gripper
-    share = (demo.gripper - opened) / (0.95 * (hold - opened))
-    return opened if opened > OPEN else 0.0, np.where(share < 0.03, 0.0, np.clip(share, 0.0, 1.0))
+    approach: Style = "demonstrated"
+    retreat: Style = "demonstrated"
+    stretch: float = RIGID_STRETCH_M
+    lift: float = 0.0
 
 
-def timing(demo: Demonstration) -> Timing:
-    """When the hand closes, pulls, opens and leaves."""
-    times = demo.times_s - demo.times_s[0]
-    _, share = _closing(demo)
-    start, end = demo.start_s - demo.times_s[0], demo.end_s - demo.times_s[0]
-    close, free = start, end
-    if share.max() > 0.5 and share.min() < 0.05:
-        open_before = np.flatnonzero((times <= start) & (share < 0.05))
-        open_after = np.flatnonzero((times >= end) & (share < 0.15))
-        close = float(times[open_before[-1]]) if len(open_before) else 0.0
-        free = float(times[open_after[0]]) if len(open_after) else float(times[-1])
-    return Timing(close=close, start=start, end=end, free=free, last=float(times[-1]))
+# Ways in the order in which they are tried, and how the free way is made: the demonstrated ones first.
+WAYS: tuple[tuple[Ways, tuple[FreeWay, ...]], ...] = (
+    (Ways(), ("cartesian", "joints")),
+    (Ways("straight", "straight"), ("joints",)),
+)
+# Then, where only a collision beside the handle is in the way: from farther in front, or over what blocks.
+DETOURS: tuple[tuple[Ways, tuple[FreeWay, ...]], ...] = (
+    (Ways("straight", "straight", stretch=0.25), ("direct",)),
+    (Ways(lift=0.25), ("cartesian",)),
+)
 
 
-def retarget(
-    demo: Demonstration,
-    fitted: FittedAsset,
-    T_world_object: Array,
-    grasp: Grasp,
-    fps: float,
-    *,
-    approach: Style = "demonstrated",
-    retreat: Style = "demonstrated",
-    slow_down: float = 1.0,
-) -> HandMotion:
-    """The hand's motion for an object at a new pose (4, 4), `fps` samples a second.
+class DemonstratedMotion:
+    """What a demonstration gives to all its retargeted motions; times are from its first sample, [s]."""
 
-    Timing is the demonstration's; a longer approach or a longer opening takes proportionally longer, so that speeds
-    stay as demonstrated. `slow_down`, at least 1, stretches both further; `approach` and `retreat` tell how the hand
-    moves beside the handle.
-
-    Not checked: reach, collisions.
-    """
-    moments = timing(demo)
-    path = _HandPath(demo, fitted, T_world_object, grasp, moments, (approach, retreat))
-    marks = moments.marks
-    stretch = np.maximum(path.stretches(), 1.0)
-    stretch[:3] *= slow_down
-    new_marks = np.concatenate([[0.0], np.cumsum(np.diff(marks) * stretch)])
-    samples = np.arange(int(new_marks[-1] * fps + 1e-6) + 1) / fps
-    keep = np.concatenate([[True], np.diff(new_marks) > 1e-9])
-    times = np.interp(samples, new_marks[keep], marks[keep])
-    demo_times = demo.times_s - demo.times_s[0]
-    phases = np.where(times < moments.close, APPROACH, np.where(times <= moments.free, CONTACT, RETREAT))
-    return HandMotion(
-        Ts_world_ee=path.at(times),
-        gripper=np.interp(times, demo_times, gripper_command(demo)),
-        thetas=path.thetas(times),
-        phases=phases,
-        demo_times_s=times,
-        blend=path.blend(times),
-    )
-
-
-class _HandPath:
-    """The new hand pose as a function of demonstration time; holds what all samples share."""
-
-    def __init__(
-        self,
-        demo: Demonstration,
-        fitted: FittedAsset,
-        T_world_object: Array,
-        grasp: Grasp,
-        moments: Timing,
-        styles: tuple[Style, Style],
-    ) -> None:
-        self.styles = styles
-        self.demo, self.fitted, self.grasp, self.moments = demo, fitted, grasp, moments
-        self.T_world_object = T_world_object
+    def __init__(self, demo: Demonstration) -> None:
+        self.demo, self.moments = demo, timing(demo)
         self.times = demo.times_s - demo.times_s[0]
+        self.command = gripper_command(demo)
         positions, quats = demo.Ts_world_ee[:, :3, 3], quat_from_matrix(demo.Ts_world_ee[:, :3, :3])
         flips = np.cumprod(np.sign(np.sum(quats[1:] * quats[:-1], 1)) + 1e-12)
         quats[1:] *= np.sign(flips)[:, None]
         self._poses = Akima1DInterpolator(self.times, np.column_stack([positions, quats]))
         ways = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._ways = np.concatenate([[0.0], np.cumsum(ways)])
+        # Knots between the marks (5, K).
+        self.knots = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], KNOTS, axis=1)
+        self.lengths = _lengths(self.poses(self.knots.ravel()).reshape(*self.knots.shape, 4, 4))
 
-    def demonstrated(self, times: Array) -> Array:
+    def poses(self, times: Array) -> Array:
         """Recorded hand poses (N, 4, 4)."""
         poses = self._poses(np.clip(times, self.times[0], self.times[-1]))
         return transform(matrix_from_quat(poses[:, 3:]), poses[:, :3])
 
+    def way(self, times: ArrayLike) -> Array:
+        """Way of the hand up to times (N,), [m]."""
+        return np.interp(times, self.times, self._ways)
+
+    def joints(self, times: Array) -> Array:
+        """Recorded arm joints (N, J)."""
+        return np.stack([np.interp(times, self.times, column) for column in self.demo.joints.T], -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetargetedMotion:
+    """The new hand pose as a function of demonstration time, for one object, grasp and way of coming and going.
+
+    Attributes:
+        shown: The demonstration.
+        fitted, T_world_object: The object and where it stands (4, 4).
+        grasp: How the hand holds.
+        approach, retreat: How the hand moves beside the handle.
+        T_world_start: Where the hand begins (4, 4); where it was demonstrated if None.
+        stretch: How far from the handle the hand moves with the object, [m].
+        lift: By how much the way there and back is raised between its ends, [m].
+        rigid: The paper's method: the contact segment turned with the object, straight ways there and back.
+    """
+
+    shown: DemonstratedMotion
+    fitted: FittedAsset
+    T_world_object: Array
+    grasp: Grasp
+    approach: Style = "demonstrated"
+    retreat: Style = "demonstrated"
+    T_world_start: Array | None = None
+    stretch: float = RIGID_STRETCH_M
+    lift: float = 0.0
+    rigid: bool = False
+
+    def sample(self, fps: float, *, speed: float = 1.0, slow_down: ArrayLike = (1.0, 1.0, 1.0)) -> HandMotion:
+        """The motion, `fps` samples a second.
+
+        Timing is the demonstration's times `speed`; a longer approach or a longer opening takes proportionally longer,
+        so that speeds stay as asked. `slow_down`, at least 1, stretches each phase (3,) further.
+        """
+        moments, marks = self.shown.moments, self.shown.moments.marks
+        # Approach, three intervals of contact, retreat.
+        stretch = (
+            self.stretches * np.asarray(slow_down)[[APPROACH, CONTACT, CONTACT, CONTACT, RETREAT]] / speed
+        )
+        new_marks = np.concatenate([[0.0], np.cumsum(np.diff(marks) * stretch)])
+        samples = np.arange(int(new_marks[-1] * fps + 1e-6) + 1) / fps
+        keep = np.concatenate([[True], np.diff(new_marks) > 1e-9])
+        times = np.interp(samples, new_marks[keep], marks[keep])
+        phases = np.where(times < moments.close, APPROACH, np.where(times <= moments.free, CONTACT, RETREAT))
+        return HandMotion(
+            Ts_world_ee=self.at(times),
+            gripper=np.interp(times, self.shown.times, self.shown.command),
+            thetas=self.thetas(times),
+            phases=phases,
+            demo_times_s=times,
+            blend=self.blend(times),
+        )
+
     def thetas(self, times: Array) -> Array:
         """Planned joint value (N,)."""
-        moments = self.moments
+        moments = self.shown.moments
         return self.fitted.theta_at((times - moments.start) / max(moments.end - moments.start, 1e-9))
 
-    def holding(self, thetas: Array) -> Array:
-        """Hand poses (N, 4, 4) that hold the handle at joint values (N,)."""
-        asset, grasp = self.fitted.asset, self.grasp
+    def holding(self, times: Array) -> Array:
+        """Hand poses (N, 4, 4) that hold the handle at times (N,)."""
+        if self.rigid:
+            return self.T_world_object @ invert(self.fitted.T_world_asset) @ self.shown.poses(times)
+        asset, grasp, thetas = self.fitted.asset, self.grasp, self.thetas(times)
         held = apply(asset.joint.motion(thetas), self.fitted.contact_asset[None])
         R = np.broadcast_to(grasp.R_object_ee, (len(thetas), 3, 3))
         if asset.joint.type == "revolute":
@@ -211,44 +190,70 @@ class _HandPath:
 
     def at(self, times: Array) -> Array:
         """New hand poses (N, 4, 4)."""
-        result = self.holding(self.thetas(times))
-        before, after = times < self.moments.close, times > self.moments.free
-        result[before] = self._approach(times[before])
-        result[after] = self._retreat(times[after])
+        moments, (T_close, T_free) = self.shown.moments, self._ends
+        result = np.empty((len(times), 4, 4))
+        before, after = times < moments.close, times > moments.free
+        held = ~(before | after)
+        result[held] = self.holding(times[held])
+        result[before] = self._coming(times[before], T_close)
+        result[after] = self._going(times[after], T_free)
         return result
 
+    @cached_property
+    def knots(self) -> Array:
+        """New hand poses at the demonstration's knots (5, K, 4, 4)."""
+        times = self.shown.knots
+        return self.at(times.ravel()).reshape(*times.shape, 4, 4)
+
+    @cached_property
     def stretches(self) -> Array:
-        """Length of the new way over the demonstrated one, between the marks (5,)."""
-        marks = self.moments.marks
-        ratios = []
-        for first, last in pairwise(marks):
-            times = np.linspace(first, last, 40)
-            new, old = _length(self.at(times)), _length(self.demonstrated(times))
-            ratios.append(new / old if old > 0.03 and last - first > 1e-6 else 1.0)
-        return np.clip(ratios, 0.5, 4.0)
+        """Length of the new way over the demonstrated one, at least 1, between the marks (5,)."""
+        shown = self.shown
+        new = _lengths(self.knots)
+        moved = (shown.lengths > 0.03) & (np.diff(shown.moments.marks) > 1e-6)
+        return np.clip(np.where(moved, new / np.maximum(shown.lengths, 1e-9), 1.0), 1.0, 4.0)
 
     def blend(self, times: Array) -> Array:
         """Share of the new grasp in the approach poses (N,), smooth in the way left to go."""
-        close = self._way(np.array([self.moments.close]))
-        left = close - self._way(times)
-        total = max(float(close[0]) - RIGID_STRETCH_M, 1e-6)
-        share = np.clip(1.0 - (left - RIGID_STRETCH_M) / total, 0.0, 1.0)
-        return share * share * (3 - 2 * share)
+        shown, close = self.shown, self.shown.moments.close
+        if self.rigid:
+            return np.clip(times / max(close, 1e-9), 0.0, 1.0)
+        left = shown.way(close) - shown.way(times)
+        total = max(float(shown.way(close)) - self.stretch, 1e-6)
+        return _smoothstep(1.0 - (left - self.stretch) / total)
 
-    def _approach(self, times: Array) -> Array:
-        close = np.array([self.moments.close])
-        T_hold, T_demo_hold = self.holding(np.zeros(1))[0], self.demonstrated(close)[0]
-        old = self.demonstrated(times)
-        moved = self._beside(old, T_hold, T_demo_hold, self._way(close) - self._way(times), self.styles[0])
-        return _blend(old, moved, self.blend(times))
+    @cached_property
+    def _ends(self) -> Array:
+        """Hand poses when it closes and when it is free again (2, 4, 4)."""
+        moments = self.shown.moments
+        return self.holding(np.array([moments.close, moments.free]))
 
-    def _retreat(self, times: Array) -> Array:
-        free = np.array([self.moments.free])
-        T_hold = self.holding(self.thetas(free))[0]
-        gone = self._way(times) - self._way(free)
-        return self._beside(
-            self.demonstrated(times), T_hold, self.demonstrated(free)[0], gone, self.styles[1]
-        )
+    def _coming(self, times: Array, T_close: Array) -> Array:
+        shown, close = self.shown, self.shown.moments.close
+        old, blend = shown.poses(times), self.blend(times)
+        T_start = shown.demo.Ts_world_ee[0] if self.T_world_start is None else self.T_world_start
+        if self.rigid:
+            return interpolate(T_start, T_close, blend)
+        if self.T_world_start is not None:
+            # The start's change of place and of orientation fades.
+            turn = rotvec_from_matrix(T_start[:3, :3] @ shown.demo.Ts_world_ee[0, :3, :3].T)
+            old[:, :3, :3] = matrix_from_rotvec((1 - blend)[:, None] * turn) @ old[:, :3, :3]
+            old[:, :3, 3] += (1 - blend)[:, None] * (T_start - shown.demo.Ts_world_ee[0])[:3, 3]
+        left = shown.way(close) - shown.way(times)
+        moved = self._beside(old, T_close, shown.poses(np.array([close]))[0], left, self.approach)
+        Ts = _blend(old, moved, blend)
+        Ts[:, 2, 3] += self.lift * 4 * blend * (1 - blend)
+        return Ts
+
+    def _going(self, times: Array, T_free: Array) -> Array:
+        shown, free = self.shown, self.shown.moments.free
+        if self.rigid:
+            shares = (times - free) / max(shown.moments.last - free, 1e-9)
+            return interpolate(T_free, shown.demo.Ts_world_ee[-1], shares)
+        gone = shown.way(times) - shown.way(free)
+        Ts = self._beside(shown.poses(times), T_free, shown.poses(np.array([free]))[0], gone, self.retreat)
+        Ts[:, 2, 3] += self.lift * _smoothstep((gone - self.stretch) / max(self.lift, 1e-6))
+        return Ts
 
     def _beside(self, old: Array, T_hold: Array, T_demo_hold: Array, way: Array, style: Style) -> Array:
         """Poses near the handle: the demonstrated ones moved with it, or straight along the approach."""
@@ -256,8 +261,23 @@ class _HandPath:
             return T_hold @ invert(T_demo_hold) @ old
         return transform(T_hold[:3, :3], T_hold[:3, 3] - way[:, None] * T_hold[:3, 2])
 
-    def _way(self, times: Array) -> Array:
-        return np.interp(times, self.times, self._ways)
+
+def free_joints(
+    shown: DemonstratedMotion, motion: HandMotion, start: Array, goal: Array, free: int, free_way: FreeWay
+) -> Array:
+    """Joints (free, J) from the start to `goal`: the demonstrated ones, bent at both ends, or straight."""
+    if free_way == "direct":
+        shares = _smoothstep(np.arange(free) / max(free, 1))[:, None]
+        return start + shares * (goal - start)
+    joints = shown.joints(motion.demo_times_s[: free + 1])
+    blend = motion.blend[:free, None]
+    return joints[:free] + (1 - blend) * (start - joints[0]) + blend * (goal - joints[free])
+
+
+def _smoothstep(shares: Array) -> Array:
+    """Shares, cut to 0..1, that begin and end level."""
+    shares = np.clip(shares, 0.0, 1.0)
+    return shares * shares * (3 - 2 * shares)
 
 
 def _blend(Ts_a: Array, Ts_b: Array, shares: Array) -> Array:
@@ -267,8 +287,9 @@ def _blend(Ts_a: Array, Ts_b: Array, shares: Array) -> Array:
     return transform(R, (1 - shares)[:, None] * Ts_a[:, :3, 3] + shares[:, None] * Ts_b[:, :3, 3])
 
 
-def _length(Ts: Array) -> float:
-    """Way and turn of a path (N, 4, 4), [m]."""
-    ways = np.linalg.norm(np.diff(Ts[:, :3, 3], axis=0), axis=1)
-    turns = np.linalg.norm(rotvec_from_matrix(Ts[1:, :3, :3] @ np.swapaxes(Ts[:-1, :3, :3], 1, 2)), axis=1)
-    return float(ways.sum() + TURN_WEIGHT_M * turns.sum())
+def _lengths(Ts: Array) -> Array:
+    """Way and turn (W,), [m], of several ways (W, K, 4, 4)."""
+    steps = np.linalg.norm(np.diff(Ts[..., :3, 3], axis=1), axis=2)
+    # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
+    chords = np.linalg.norm(np.diff(Ts[..., :3, :3], axis=1), axis=(2, 3)) / np.sqrt(2)
+    return (steps + TURN_WEIGHT_M * chords).sum(1)

@@ -2,16 +2,24 @@
 
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.plan import Rejection
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, matrix_from_quat
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.scene import GeomRoles, Scene
+from aomgen.simulation.scene import Scene
+
+# No point moves farther between two configurations that are looked at, [m].
+SWEEP_M = 0.005
+# How much longer the way of a point may be than the chord between its samples, as a factor.
+SWEEP_RESERVE = 1.25
+# What overlaps: nothing that counts, robot and scene, two parts of the robot, hand and handle.
+NOTHING, SCENE, SELF, HANDLE = range(4)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +47,10 @@ def check_kinematics(
     holding: NDArray[np.bool_],
     limits: KinematicLimits,
 ) -> dict[str, float] | Rejection:
-    """Place robot and object along a trajectory of T samples and measure overlaps and the grip.
+    """Move robot and object along a trajectory of T samples and measure overlaps and the grip.
+
+    Between two samples everything moves linearly in the joints, as the simulator commands it, and is looked at
+    so often that no point of robot or part goes farther than `SWEEP_M` in between.
 
     Args:
         scene: With the object at its pose.
@@ -48,40 +59,144 @@ def check_kinematics(
 
     Returns:
         Figures `penetration_mm`, `handle_penetration_mm`, `self_penetration_mm`, `grip_gap_mm`; or a
-        Rejection "collision", "self_collision", "grip_collision" or "no_grip".
-
-    Not checked: what happens between the samples; pass a trajectory dense enough.
+        Rejection "collision", "self_collision", "grip_collision" or "no_grip" with the `sample` at which it is worst.
     """
-    data = mujoco.MjData(scene.model)
-    worst = {"scene": 0.0, "self": 0.0, "handle": 0.0}
-    where = ""
-    allowed_self = _start_overlap(scene, data, joints[0], gripper[0]) + limits.self_margin_mm
-    gap = 0.0
-    for qpos, holds in zip(scene.qpos(joints, gripper, thetas), holding, strict=True):
-        _place(scene, data, qpos)
-        for kind, depth_mm, pair in _overlaps(scene.model, data, scene.roles, bool(holds)):
-            if depth_mm > worst[kind]:
-                worst[kind] = depth_mm
-                where = pair if kind == "scene" else where
-        if holds:
-            gap = max(gap, _grip_gap_mm(scene, data))
-    figures = {
-        "penetration_mm": worst["scene"],
-        "handle_penetration_mm": worst["handle"],
-        "self_penetration_mm": worst["self"],
-        "grip_gap_mm": gap,
-    }
+    data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
+    worst = {"scene": _Overlap(*_object_overlap(scene, data)), "self": _Overlap(), "handle": _Overlap()}
+    rows = np.arange(len(joints), dtype=np.float64)
+    start = scene.qpos(joints[:1], gripper[0], 0.0)
+    allowed_self = limits.self_margin_mm + _sweep(scene, data, kinds, start, rows[:1], holding)[0]["self"].mm
+    qpos = scene.qpos(joints, gripper, thetas)
+    # Samples first: most of what collides does so there already.
+    found, places = _sweep(scene, data, kinds, qpos, rows, holding)
+    worst = {kind: max(worst[kind], found[kind]) for kind in worst}
+    gaps = [_grip_gap_mm(scene, data, row) for row in qpos[holding]]
+    gap = _Overlap(max(gaps, default=0.0), float(np.flatnonzero(holding)[np.argmax(gaps)]) if gaps else 0.0)
+    result = _judge(worst, gap, allowed_self, limits)
+    if isinstance(result, Rejection):
+        return result
+    counts = np.ceil(_moves(scene, places) / SWEEP_M * SWEEP_RESERVE).astype(int)
+    between = np.concatenate([k + np.arange(1, n) / n for k, n in enumerate(counts)] or [rows[:0]])
+    before = between.astype(int)
+    shares = (between - before)[:, None]
+    swept = (1 - shares) * qpos[before] + shares * qpos[before + 1]
+    found, _ = _sweep(scene, data, kinds, swept, between, holding)
+    return _judge({kind: max(worst[kind], found[kind]) for kind in worst}, gap, allowed_self, limits)
+
+
+class _Overlap(NamedTuple):
+    """How deep two shapes overlap, [mm], at which sample, and which."""
+
+    mm: float = 0.0
+    sample: float = 0.0
+    names: str = ""
+
+
+def _judge(
+    worst: dict[str, _Overlap], gap: _Overlap, allowed_self: float, limits: KinematicLimits
+) -> dict[str, float] | Rejection:
+    """The figures, or the first limit that they break."""
     tests = [
-        ("collision", "penetration_mm", limits.max_penetration_mm, f" ({where})"),
-        ("self_collision", "self_penetration_mm", allowed_self, ""),
-        ("grip_collision", "handle_penetration_mm", limits.max_handle_penetration_mm, ""),
-        ("no_grip", "grip_gap_mm", limits.max_gap_mm, ""),
+        ("collision", "penetration_mm", worst["scene"], limits.max_penetration_mm),
+        ("self_collision", "self_penetration_mm", worst["self"], allowed_self),
+        ("grip_collision", "handle_penetration_mm", worst["handle"], limits.max_handle_penetration_mm),
+        ("no_grip", "grip_gap_mm", gap, limits.max_gap_mm),
     ]
-    for reason, name, limit, place in tests:
-        if not figures[name] <= limit:
-            detail = f"{name} is {figures[name]:.1f}, limit {limit:.1f}{place}"
-            return Rejection(reason=reason, detail=detail, metrics=figures)
+    figures = {name: overlap.mm for _, name, overlap, _ in tests}
+    for reason, name, overlap, limit in tests:
+        if not overlap.mm <= limit:
+            place = f" ({overlap.names})" if overlap.names else ""
+            return Rejection(
+                reason=reason,
+                detail=f"{name} is {overlap.mm:.1f}, limit {limit:.1f}{place}",
+                metrics={**figures, "sample": overlap.sample},
+            )
     return figures
+
+
+def _sweep(
+    scene: Scene,
+    data: mujoco.MjData,
+    kinds: NDArray[np.int8],
+    qpos: Array,
+    rows: Array,
+    holding: NDArray[np.bool_],
+) -> tuple[dict[str, _Overlap], Array]:
+    """Deepest overlaps of each kind at states (N, nq), which stand at `rows` (N,) of the trajectory.
+
+    Also poses (N, B, 12) of all bodies: rotation, then position.
+    """
+    model = scene.model
+    places = np.empty((len(qpos), model.nbody, 12))
+    pairs, depths, counts = [], [], np.zeros(len(qpos), np.int64)
+    for index, row in enumerate(qpos):
+        _place(scene, data, row)
+        places[index, :, :9], places[index, :, 9:] = data.xmat, data.xpos
+        if data.ncon:
+            counts[index] = data.ncon
+            pairs.append(np.array(data.contact.geom))
+            depths.append(np.array(data.contact.dist))
+    worst = {"scene": _Overlap(), "self": _Overlap(), "handle": _Overlap()}
+    if not pairs:
+        return worst, places
+    touching, at = np.concatenate(pairs), np.repeat(rows, counts)
+    mm = -1000.0 * np.concatenate(depths)
+    # Fingers that close or open about the handle between two samples are meant to touch it.
+    held = holding[np.floor(at).astype(int)] | holding[np.ceil(at).astype(int)]
+    kind = kinds[touching[:, 0], touching[:, 1]]
+    kind = np.where((kind == HANDLE) & ~held, SCENE, kind)
+    for name, number in (("scene", SCENE), ("self", SELF), ("handle", HANDLE)):
+        mine = np.where(kind == number, mm, 0.0)
+        deepest = int(mine.argmax())
+        if mine[deepest] > 0:
+            # The robot's geom first.
+            a, b = sorted(touching[deepest], key=lambda geom: not scene.roles.robot[geom])
+            names = f"{model.body(model.geom_bodyid[a]).name} and {model.geom(int(b)).name}"
+            worst[name] = _Overlap(float(mine[deepest]), float(at[deepest]), names)
+    return worst, places
+
+
+def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
+    """What it means when two geoms (G, G) overlap."""
+    roles = scene.roles
+    robot, hand = roles.robot, roles.gripper
+    kinds = np.zeros((len(robot), len(robot)), np.int8)
+    kinds[robot[:, None] ^ robot] = SCENE
+    kinds[robot[:, None] & robot & ~(hand[:, None] & hand)] = SELF
+    for a, b, kind in ((hand, roles.handle, HANDLE), (roles.moving, roles.obstacle, SCENE)):
+        pairs = a[:, None] & b
+        kinds[pairs | pairs.T] = kind
+    return kinds
+
+
+def _object_overlap(scene: Scene, data: mujoco.MjData) -> tuple[float, float, str]:
+    """How deep the object's base stands in an obstacle, [mm]: MuJoCo does not pair what cannot move."""
+    static, obstacles = np.flatnonzero(scene.roles.static), np.flatnonzero(scene.roles.obstacle)
+    if not len(obstacles):
+        return 0.0, 0.0, ""
+    mujoco.mj_kinematics(scene.model, data)
+    distances = {
+        (a, b): mujoco.mj_geomDistance(scene.model, data, int(a), int(b), 0.1, None)
+        for a, b in product(static, obstacles)
+    }
+    (a, b), distance = min(distances.items(), key=lambda item: item[1])
+    names = f"{scene.model.geom(int(a)).name} and {scene.model.geom(int(b)).name}"
+    return max(0.0, -1000.0 * distance), 0.0, names
+
+
+def _moves(scene: Scene, places: Array) -> Array:
+    """How far any point of robot or part moves from each state to the next (N - 1,), [m], for body poses (N, B, 12)."""
+    model = scene.model
+    solid = np.flatnonzero(scene.roles.robot | scene.roles.moving)
+    signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+    # A rigid motion moves no point of a box farther than one of its corners.
+    corners = model.geom_aabb[solid, None, :3] + signs * model.geom_aabb[solid, None, 3:]
+    turns = matrix_from_quat(model.geom_quat[solid])
+    corners = np.einsum("gij,gkj->gki", turns, corners) + model.geom_pos[solid, None]
+    poses = places[:, model.geom_bodyid[solid]]
+    steps = np.diff(poses, axis=0)
+    shifts = corners @ steps[..., :9].reshape(*steps.shape[:2], 3, 3).swapaxes(2, 3) + steps[..., None, 9:]
+    return np.sqrt((shifts**2).sum(-1).max((1, 2)))
 
 
 def table_overlap_m(scene: Scene, joints: Array) -> float:
@@ -119,34 +234,10 @@ def _place(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
     mujoco.mj_collision(scene.model, data)
 
 
-def _overlaps(
-    model: mujoco.MjModel, data: mujoco.MjData, roles: GeomRoles, holds: bool
-) -> list[tuple[str, float, str]]:
-    """Kind, depth [mm] and names of every penetrating contact of the robot."""
-    pairs = np.array(data.contact.geom)
-    # The robot's geom first.
-    pairs = np.where(roles.robot[pairs[:, :1]], pairs, pairs[:, ::-1])
-    hand = roles.gripper[pairs].all(1)
-    found = []
-    for index in np.flatnonzero((data.contact.dist < 0) & roles.robot[pairs[:, 0]] & ~hand):
-        a, b = pairs[index]
-        kind = "self" if roles.robot[b] else "scene"
-        if holds and roles.gripper[a] and roles.handle[b]:
-            kind = "handle"
-        names = f"{model.body(model.geom_bodyid[a]).name} and {model.geom(int(b)).name}"
-        found.append((kind, -1000.0 * float(data.contact.dist[index]), names))
-    return found
-
-
-def _start_overlap(scene: Scene, data: mujoco.MjData, joints: Array, gripper: float) -> float:
-    """Overlap of the robot with itself at the start, [mm]: fat colliders of a real pose."""
-    _place(scene, data, scene.qpos(joints[None], gripper, 0.0)[0])
-    depths = [d for kind, d, _ in _overlaps(scene.model, data, scene.roles, False) if kind == "self"]
-    return max(depths, default=0.0)
-
-
-def _grip_gap_mm(scene: Scene, data: mujoco.MjData) -> float:
+def _grip_gap_mm(scene: Scene, data: mujoco.MjData, qpos: Array) -> float:
     """Distance between the handle and the farther finger's pads, [mm]; 0 for a robot without pads."""
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(scene.model, data)
     handle = np.flatnonzero(scene.roles.handle if scene.roles.handle.any() else scene.roles.moving)
     gap = 0.0
     for finger in (0, 1):

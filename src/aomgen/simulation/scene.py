@@ -1,6 +1,7 @@
 """One MuJoCo model of robot, table and articulated object, and where everything is in it."""
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.assets.mjcf import AssetNames, add_asset
-from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.episode import FINGERS
 from aomgen.core.joint import Joint
@@ -17,7 +18,7 @@ from aomgen.core.values import Array
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
 
-TABLE = "table"
+TABLE, OBSTACLES = "table", "obstacles"
 # So thick that nothing passes through in one step of the simulation, [m].
 TABLE_THICKNESS_M = 0.04
 # Half size of the table where its outline is unknown, about the object, [m].
@@ -69,13 +70,14 @@ class GeomRoles:
     """What each geom (G,) of the model belongs to.
 
     Attributes:
-        robot, gripper, table, static, moving, handle: Masks; gripper is part of robot, handle of moving.
+        robot, gripper, table, obstacle, static, moving, handle: Masks; gripper is part of robot, handle of moving.
         finger: Index of the finger whose pad it is (0 left, 1 right), else -1.
     """
 
     robot: Mask
     gripper: Mask
     table: Mask
+    obstacle: Mask
     static: Mask
     moving: Mask
     handle: Mask
@@ -157,6 +159,7 @@ def build_scene(
     frictionloss: float = 0.1,
     bolted: bool = True,
     visual: bool = False,
+    obstacles: Sequence[BoxCollider] = (),
 ) -> Scene:
     """Compile robot, table and object into one model.
 
@@ -168,6 +171,7 @@ def build_scene(
         robot: With position actuators on all arm joints.
         bolted: Weld the object to the world instead of letting it stand by friction.
         visual: Also add what is seen, for rendering.
+        obstacles: What else stands there and does not move, poses in the world frame.
 
     Raises:
         ConfigError: The robot has no position actuators.
@@ -179,6 +183,7 @@ def build_scene(
             body.gravcomp = 1.0
     T = np.asarray(T_world_object, np.float64)
     _add_table(spec, robot, support, T[:2, 3])
+    _add_obstacles(spec, obstacles)
     names = add_asset(
         spec, asset, T, damping=damping, frictionloss=frictionloss, visual=visual, bolted=bolted
     )
@@ -229,6 +234,20 @@ def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, ce
     )
     for name in _foot_bodies(spec, robot):
         spec.add_exclude(name=f"{TABLE}_{name}", bodyname1="world", bodyname2=name)
+
+
+def _add_obstacles(spec: mujoco.MjSpec, obstacles: Sequence[BoxCollider]) -> None:
+    # A body of their own: the foot ignores what belongs to the world's body.
+    body = spec.worldbody.add_body(name=OBSTACLES)
+    for number, box in enumerate(obstacles):
+        body.add_geom(
+            name=f"{OBSTACLES}_{number}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=box.T_asset_box[:3, 3],
+            quat=quat_from_matrix(box.T_asset_box[:3, :3]),
+            size=box.half_extents,
+            group=3,
+        )
 
 
 def _foot_bodies(spec: mujoco.MjSpec, robot: RobotModel) -> list[str]:
@@ -305,6 +324,7 @@ def _geom_roles(model: mujoco.MjModel, robot: RobotModel, names: AssetNames) -> 
         robot=np.array([name in robot_bodies for name in bodies]),
         gripper=np.array([name in hand for name in bodies]),
         table=mask((TABLE,)),
+        obstacle=np.array([name == OBSTACLES for name in bodies]),
         static=mask(names.static_geoms),
         moving=mask(names.moving_geoms),
         handle=mask(names.handle_geoms),

@@ -1,0 +1,95 @@
+"""What the arm's joints may do along a path: where, how fast, how abruptly."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.episode import PHASES
+from aomgen.core.plan import Rejection
+from aomgen.core.values import Array, freeze_arrays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IkLimits:
+    """What a solved path must keep.
+
+    Attributes:
+        residual_mm, residual_deg: Largest distance to the asked pose.
+        speed, slide_speed: Largest speed of a turning and of a sliding joint, [rad/s] and [m/s].
+        acceleration, slide_acceleration: The same, [rad/s^2] and [m/s^2].
+        jerk, slide_jerk: The same, [rad/s^3] and [m/s^3].
+        limit_margin, slide_margin: Distance kept from their limits, [rad] and [m].
+        iterations: Gauss-Newton steps a pose.
+    """
+
+    residual_mm: float = 1.0
+    residual_deg: float = 0.5
+    speed: float = 2.6
+    slide_speed: float = 1.0
+    acceleration: float = 10.0
+    slide_acceleration: float = 5.0
+    jerk: float = 100.0
+    slide_jerk: float = 50.0
+    limit_margin: float = 0.02
+    slide_margin: float = 0.002
+    iterations: int = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IkPath:
+    """A solved path: joints, and its largest residuals."""
+
+    joints: Annotated[Array, "_ _"]
+    residual_mm: float
+    residual_deg: float
+
+    __post_init__ = freeze_arrays
+
+
+def check_speed(
+    joints: Array,
+    fps: float,
+    limits: IkLimits,
+    slides: NDArray[np.bool_],
+    phases: NDArray[np.int64],
+) -> dict[str, float] | Rejection:
+    """Largest speed, acceleration and jerk on a path (T, J) that begins and ends at rest.
+
+    A jump is too fast. `slides` tells which joints (J,) are prismatic.
+
+    Returns:
+        `joint_speed`, `joint_acceleration`, `joint_jerk` in [rad/s] and so on; or a Rejection "too_fast" or "too_jerky"
+        with the factor by which each phase would have to take longer.
+    """
+    at_rest = np.pad(joints, ((2, 2), (0, 0)), mode="edge")
+    needed, figures, reason, detail = np.zeros(len(joints)), {}, "", ""
+    for order, (name, limit, slide_limit) in enumerate(
+        (
+            ("speed", limits.speed, limits.slide_speed),
+            ("acceleration", limits.acceleration, limits.slide_acceleration),
+            ("jerk", limits.jerk, limits.slide_jerk),
+        ),
+        start=1,
+    ):
+        rates = np.abs(np.diff(at_rest, order, axis=0)) * fps**order
+        shares = rates / np.where(slides, slide_limit, limit)
+        figures[f"joint_{name}"] = float(rates.max())
+        step, joint = np.unravel_index(int(shares.argmax()), shares.shape)
+        if not shares[step, joint] <= 1.0 and not reason:
+            reason = "too_fast" if order == 1 else "too_jerky"
+            detail = f"{name} of joint {joint + 1} is {rates[step, joint]:.1f}, limit {(slide_limit if slides[joint] else limit)}"
+        # A rate belongs to all samples that it is made of.
+        factors = shares.max(1) ** (1 / order)
+        for shift in range(order + 1):
+            rows = np.arange(len(factors)) + shift - 2
+            inside = (rows >= 0) & (rows < len(joints))
+            np.maximum.at(needed, rows[inside], factors[inside])
+    if not reason:
+        return figures
+    by_phase = {
+        f"{phase}_share": float(needed[phases == index].max(initial=0.0))
+        for index, phase in enumerate(PHASES)
+    }
+    return Rejection(reason=reason, detail=detail, metrics={**figures, **by_phase})
