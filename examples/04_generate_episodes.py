@@ -19,9 +19,9 @@ from aomgen.core.plan import FittedAsset
 from aomgen.core.progress import silent
 from aomgen.core.transforms import apply, invert
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
-from aomgen.episodes.stage import episode_of
-from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.generate import GenerationParams, generate_episodes
+from aomgen.episodes.planning import PlanParams
+from aomgen.episodes.stage import episode_of
 from aomgen.io.episode_folder import commit_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.loading import load_robot

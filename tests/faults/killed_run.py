@@ -16,9 +16,9 @@ from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
-from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.generate import GenerationParams, PoseRanges
 from aomgen.episodes.ik import IkLimits, ik_solver
+from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.plans_stage import generate_in
 from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video

@@ -18,9 +18,9 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Ver
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.errors import NotEnoughEpisodesError
-from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.ik import IkSolver, ik_solver
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.errors import NotEnoughEpisodesError
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import table_overlap_m
 from aomgen.simulation.scene import Scene, build_scene

@@ -17,9 +17,9 @@ from aomgen.core.episode import ContactLog
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Verdict, VerifiedEpisode
 from aomgen.core.progress import Progress
 from aomgen.core.values import Array
-from aomgen.errors import MalformedFileError
-from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.generate import Generated, GenerationParams, Outcome, generate_episodes
+from aomgen.episodes.planning import PlanParams
+from aomgen.errors import MalformedFileError
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.atomic import remove_staging, write_json
 from aomgen.results import Results

@@ -1,6 +1,6 @@
 """Images of an episode from fixed cameras, by the twin."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Final
 
@@ -8,34 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
+from aomgen.core.gaussians import concatenate
+from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import RigidParts
-from aomgen.splatting.session import draw_sessions
-from aomgen.twin.shadow import (
-    FAR,
-    MOVES,
-    STANDS,
-    DirectionalLight,
-    cast_shadow,
-    intersect_surface,
-    silhouette,
-)
+from aomgen.splatting.session import RenderSession, draw_sessions
+from aomgen.twin.plane_shadow import PlaneGrid, SoftShadow, cast_on_plane, cast_soft_shadow
+from aomgen.twin.shadow import FAR, MOVES, STANDS, intersect_surface, silhouette
 from aomgen.twin.twin import (
     OBJECT,
     PART,
     StaticLayer,
     Twin,
     moving_layer,
+    posed_by,
     shadow_roles,
     static_layer,
     trajectory_body_poses,
 )
 
-# Joint values for which the shadow is computed; between them it is interpolated.
-SHADOW_STATES: Final = 5
 # Frames that are drawn at once; bounds the memory of their colors and shades.
 BATCH: Final = 32
+# Cell of a map of the arm's crisp shadow, [m]: about a pixel.
+CRISP_CELL: Final = 0.004
+# Colors darker than this have no share to speak of, 0..1.
+DARK: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +69,8 @@ def render_frames(
     layers: Mapping[str, StaticLayer],
     T_world_plane: Array | None = None,
     threads: int | None = None,
+    *,
+    soft: SoftShadow | None = None,
 ) -> dict[str, NDArray[np.uint8]]:
     """Draw an episode: frames (T, H, W, 3) uint8 of each camera.
 
@@ -79,119 +79,183 @@ def render_frames(
         layers: From `static_layers`, of the same twin.
         T_world_plane: The surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
+        soft: From `cast_soft_shadow`, of the same twin and surface; None to find it here.
     """
     Ts = trajectory_body_poses(
         twin, robot, trajectory.joints, trajectory.gripper, trajectory.thetas, trajectory.T_world_object
     )
-    moving = moving_layer(twin)
-    shades = {} if T_world_plane is None else _shades(twin, trajectory, layers, T_world_plane)
-    arm = (
-        None
-        if twin.directional_light is None
-        else _ArmShadow(twin, robot, twin.directional_light, (Ts[0], not shades), layers)
-    )
-    batches: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in layers}
-    knots = _knots(trajectory.thetas)
+    if T_world_plane is not None and soft is None:
+        soft = cast_soft_shadow(twin, T_world_plane, threads)
+    stands = (Ts == Ts[:1]).all((0, 2, 3))
+    views = [_Still(twin, stands, Ts[0], layer, threads) for layer in layers.values()]
+    shades: list[_SoftShades | _CrispShades] = []
+    if soft is not None and T_world_plane is not None:
+        shades.append(_SoftShades(twin, trajectory, soft, views, T_world_plane))
+    if twin.directional_light is not None:
+        shades.append(_CrispShades(twin, robot, Ts, soft is None, views, threads))
+    moving = moving_layer(twin.select(~stands[twin.bodies]))
+    batches: list[list[NDArray[np.uint8]]] = []
     for start in range(0, len(Ts), BATCH):
-        thetas = trajectory.thetas[start : start + BATCH]
-        darkened = [
-            np.stack([_between(shades[name], knots, theta) for theta in thetas]) if name in shades else None
-            for name in layers
-        ]
-        if arm is not None:
-            cast = arm.shades(Ts[start : start + BATCH])
-            # One light is taken only once.
-            darkened = [
-                own if other is None else np.minimum(own, other)
-                for own, other in zip(cast, darkened, strict=True)
-            ]
-        sessions = [layer.session for layer in layers.values()]
-        motion = moving.motion(Ts[start : start + BATCH])
-        drawn = draw_sessions(sessions, moving.gaussians, motion, darkened, threads)
-        for name, images in zip(layers, drawn, strict=True):
-            batches[name].append(images)
-    return {name: np.concatenate(images) for name, images in batches.items()}
+        chosen = slice(start, start + BATCH)
+        motion = moving.motion(Ts[chosen])
+        darkened = _darkened([item.factors(chosen) for item in shades], views, len(motion))
+        sessions = [view.session for view in views]
+        batches.append(draw_sessions(sessions, moving.gaussians, motion, darkened, threads))
+    return {
+        name: np.concatenate(images) for name, images in zip(layers, zip(*batches, strict=True), strict=True)
+    }
 
 
-class _ArmShadow:
-    """The shadow that the robot throws on the surface it works over, from frame to frame.
+class _Still:
+    """What a camera sees of all that stands still in an episode.
 
-    Args:
-        twin: With a directional light.
-        robot: Its robot.
-        light: The twin's.
-        placed: Body poses (B, 4, 4) of what stands, and whether the object's part throws its shadow too.
-        layers: Cameras.
+    Attributes:
+        session: Draws into it what moves.
+        layer: Of the scene, without the robot and the object.
+        scene_share: How much of each pixel's color (H, W) is of the scene, 0..1: shadows fall on that.
     """
 
     def __init__(
         self,
         twin: Twin,
-        robot: RobotModel,
-        light: DirectionalLight,
-        placed: tuple[Array, bool],
-        layers: Mapping[str, StaticLayer],
+        stands: NDArray[np.bool_],
+        Ts_world_body: Array,
+        layer: StaticLayer,
+        threads: int | None,
     ) -> None:
-        Ts_world_body, with_part = placed
-        roles = shadow_roles(twin, robot)
+        bodies = twin.select(stands[twin.bodies] & twin.moves)
+        self.layer, self.session = layer, layer.session
+        self.scene_share = np.ones(layer.depth.shape, np.float32)
+        if not len(bodies.gaussians):
+            return
+        world = posed_by(bodies, Ts_world_body)
+        scene = twin.gaussians.select(~twin.moves)
+        self.session = RenderSession(concatenate([scene, world]), layer.camera, threads=threads)
+        alone, both = (
+            layer.session.draw(world, shade=np.full_like(self.scene_share, shade)).rgb.sum(-1)
+            for shade in (0, 1)
+        )
+        self.scene_share = 1 - np.where(both > DARK, alone / np.maximum(both, DARK), 0)
+
+    def surface(self, T_world_plane: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.float32]]:
+        """Pixels (N,) that show a surface at all, as indices into H * W, points (N, 3) there, and its share (N,)."""
+        depth = np.minimum(self.layer.depth, FAR).astype(np.float64)
+        points, belongs = intersect_surface(T_world_plane, self.layer.camera, depth)
+        share = (belongs * self.scene_share).astype(np.float32).ravel()
+        pixels = np.flatnonzero(share > 0)
+        return pixels, points.reshape(-1, 3)[pixels], share[pixels]
+
+
+# For each camera the pixels (N,) that are darkened in a batch of T frames, and factors (T, N) on their colors.
+Factors = list[tuple[NDArray[np.int64], NDArray[np.float32]]]
+
+
+class _SoftShades:
+    """The shadow that the object throws in the light from all around, from frame to frame."""
+
+    def __init__(
+        self,
+        twin: Twin,
+        trajectory: Trajectory,
+        soft: SoftShadow,
+        views: Sequence[_Still],
+        T_world_plane: Array,
+    ) -> None:
+        assert twin.relit is not None
+        lit = np.flatnonzero(twin.relit_bodies == twin.body(OBJECT))
+        light = twin.relit.lights[twin.relit.light_of[lit[0]]]
+        T_world_object = trajectory.T_world_object
+        taken = 1 - soft.arriving(light, T_world_object).reshape(len(soft.thetas), -1)
+        to_plane = invert(T_world_object @ soft.T_object_plane)
+        self._states = soft.states(trajectory.thetas)
+        self._places: Factors = []
+        for view in views:
+            pixels, points, share = view.surface(T_world_plane)
+            dark = taken @ soft.grid.lookup(apply(to_plane, points)[:, :2]).T
+            # sRGB is close to the power 1 / 2.2 of linear light.
+            factors = 1 - share * (1 - np.maximum(1 - dark, 0) ** np.float32(1 / 2.2))
+            hit = (factors < 1).any(0)
+            self._places.append((pixels[hit], factors[:, hit]))
+
+    def factors(self, frames: slice) -> Factors:
+        states = self._states[frames]
+        return [(pixels, states @ factors) for pixels, factors in self._places]
+
+
+class _CrispShades:
+    """The shadow that the robot, and perhaps the object's part, throws in a directional light."""
+
+    def __init__(
+        self,
+        twin: Twin,
+        robot: RobotModel,
+        Ts_world_body: Array,
+        with_part: bool,
+        views: Sequence[_Still],
+        threads: int | None,
+    ) -> None:
+        light, roles = twin.directional_light, shadow_roles(twin, robot)
+        assert light is not None
         moving, stands = (roles == MOVES) & (with_part | (twin.bodies != twin.body(PART))), roles == STANDS
-        self._light, self._arm, self._bodies = light, twin.gaussians.select(moving), twin.bodies[moving]
-        parts = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
-        fixed = silhouette(twin.gaussians.select(stands), light.direction, parts)
-        self._places = []
-        for layer in layers.values():
-            depth = np.minimum(layer.depth, FAR).astype(np.float64)
-            points, belongs = intersect_surface(light.T_world_plane, layer.camera, depth)
-            seen = belongs > 0
-            self._places.append((points[seen], belongs[seen] * (1 - fixed.at(points[seen])), seen))
+        self._bodies, self._parts, self._threads = twin.gaussians.select(moving), twin.bodies[moving], threads
+        self._to_plane = invert(light.T_world_plane)
+        self._direction = self._to_plane[:3, :3] @ light.direction
+        self._Ts = self._to_plane @ Ts_world_body
+        fixed = silhouette(
+            twin.gaussians.select(stands),
+            light.direction,
+            RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body[0]),
+        )
+        surfaces = [view.surface(light.T_world_plane) for view in views]
+        self._grid = self._reached([points for _, points, _ in surfaces])
+        shade = 1 - float(light.shade.mean())
+        self._places = [
+            (
+                pixels,
+                (shade * share * (1 - fixed.at(points))).astype(np.float32),
+                self._grid.lookup(apply(self._to_plane, points)[:, :2]),
+            )
+            for pixels, points, share in surfaces
+        ]
 
-    def shades(self, Ts_world_body: Array) -> list[NDArray[np.float32]]:
-        """Factors (T, H, W) on each camera's static image for body poses (T, B, 4, 4)."""
-        shade = 1 - float(self._light.shade.mean())
-        images = [np.ones((len(Ts_world_body), *seen.shape), np.float32) for _, _, seen in self._places]
-        for t, Ts in enumerate(Ts_world_body):
-            parts = RigidParts(indices=self._bodies, Ts_world_part=Ts)
-            cast = silhouette(self._arm, self._light.direction, parts)
-            for image, (points, share, seen) in zip(images, self._places, strict=True):
-                image[t][seen] = 1 - shade * share * cast.at(points)
-        return images
+    def _reached(self, points_world: Sequence[Array]) -> PlaneGrid:
+        """Cells where shadow may fall and is seen."""
+        boxes = []
+        for body in np.unique(self._parts):
+            own = self._bodies.means[self._parts == body]
+            corners = np.stack(
+                np.meshgrid(*np.stack([own.min(0), own.max(0)], 1), indexing="ij"), -1
+            ).reshape(-1, 3)
+            cast = apply(self._Ts[:, None, body], corners)
+            boxes.append(
+                (cast[..., :2] - cast[..., 2:] * self._direction[:2] / self._direction[2]).reshape(-1, 2)
+            )
+        seen = [apply(self._to_plane, points)[:, :2] for points in points_world if len(points)]
+        if not boxes or not seen:
+            return PlaneGrid(low=np.zeros(2), cell=CRISP_CELL, columns=1, rows=1)
+        cast, met = np.concatenate(boxes), np.concatenate(seen)
+        low, high = np.maximum(cast.min(0), met.min(0)), np.minimum(cast.max(0), met.max(0))
+        columns, rows = np.maximum(np.ceil((high - low) / CRISP_CELL), 0).astype(int).tolist()
+        return PlaneGrid(low=low - CRISP_CELL, cell=CRISP_CELL, columns=columns + 2, rows=rows + 2)
 
-
-def _knots(thetas: Array) -> Array:
-    return np.linspace(thetas.min(), max(thetas.max(), thetas.min() + 1e-6), SHADOW_STATES)
-
-
-def _shades(
-    twin: Twin, trajectory: Trajectory, layers: Mapping[str, StaticLayer], T_world_plane: Array
-) -> dict[str, NDArray[np.float32]]:
-    """Factors (SHADOW_STATES, H, W) on each camera's static image, one for each knot."""
-    owners, relit = twin.relit_bodies, twin.relit
-    members = {name: np.flatnonzero(owners == twin.body(name)) for name in (OBJECT, PART)}
-    if relit is None or not len(members[OBJECT]):
-        return {}
-    light = relit.lights[relit.light_of[members[OBJECT][0]]]
-    solid = {name: twin.gaussians.select(relit.indices[rows]) for name, rows in members.items()}
-    T_object = trajectory.T_world_object
-    places = {
-        name: layer.camera.center + layer.camera.directions() * np.minimum(layer.depth, 100.0)[..., None]
-        for name, layer in layers.items()
-    }
-    Ts_part = T_object @ twin.joint.motion(_knots(trajectory.thetas))
-    shadows = cast_shadow(
-        solid[OBJECT].transformed(T_object),
-        [solid[PART].transformed(T) for T in Ts_part],
-        T_world_plane,
-        light,
-    )
-    return {
-        name: np.stack([shadow.at(seen, layers[name].camera.center) for shadow in shadows])
-        for name, seen in places.items()
-    }
+    def factors(self, frames: slice) -> Factors:
+        Ts = self._Ts[frames]
+        toward = np.tile(self._direction, (len(Ts), 1))
+        cast = cast_on_plane(self._bodies, self._parts, Ts, toward, self._grid, self._threads)
+        flat = np.ascontiguousarray(cast.reshape(len(Ts), -1).T)
+        return [(pixels, 1 - weight * (lookup @ flat).T) for pixels, weight, lookup in self._places]
 
 
-def _between(images: NDArray[np.float32], knots: Array, theta: float) -> NDArray[np.float32]:
-    """Image at a joint value, linear between the knots' images."""
-    place = float(np.interp(theta, knots, np.arange(len(knots))))
-    first = min(int(place), len(knots) - 2)
-    share = np.float32(place - first)
-    return (1 - share) * images[first] + share * images[first + 1]
+def _darkened(
+    shades: Sequence[Factors], views: Sequence[_Still], count: int
+) -> list[NDArray[np.float32] | None]:
+    """Factors (T, H, W) on each camera's still image; one light is taken only once."""
+    images = []
+    for index, view in enumerate(views):
+        shape = view.layer.depth.shape
+        image = np.ones((count, shape[0] * shape[1]), np.float32) if shades else None
+        for factors in shades:
+            pixels, values = factors[index]
+            image[:, pixels] = np.minimum(image[:, pixels], values)
+        images.append(None if image is None else image.reshape(count, *shape))
+    return images

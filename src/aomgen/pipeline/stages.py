@@ -65,8 +65,8 @@ def _parts(results: Results, folder: Path, progress: Progress) -> dict[str, Any]
 
 def _episodes(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Episodes of the verified plans."""
-    from aomgen.episodes.stage import run
     from aomgen.episodes.plans_stage import load_generalization
+    from aomgen.episodes.stage import run
 
     return run(
         results, folder, progress, load_generalization(results.folders["plans"], results.fitted_assets)

@@ -9,11 +9,11 @@ import pytest
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset, Rejection, Variation, VerifiedEpisode
-from aomgen.errors import MalformedFileError, NotEnoughEpisodesError
 from aomgen.episodes import generate
 from aomgen.episodes.generate import GenerationParams, PoseRanges, generate_episodes
 from aomgen.episodes.ik import ik_solver
 from aomgen.episodes.plans_stage import FOLDER, generate_in, load_generalization, read_attempt, recall_attempt
+from aomgen.errors import MalformedFileError, NotEnoughEpisodesError
 from aomgen.robots.robot import RobotModel
 from toy_drawer import SUPPORT, fitted_drawer, opening
 

@@ -10,8 +10,6 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
-from aomgen.errors import NotEnoughEpisodesError
-from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.generate import (
     GenerationParams,
     PoseRanges,
@@ -22,8 +20,10 @@ from aomgen.episodes.generate import (
 )
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
-from aomgen.episodes.retarget import CONTACT, gripper_command, retarget, timing
+from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.plans_stage import generate_in, load_generalization
+from aomgen.episodes.retarget import CONTACT, gripper_command, retarget, timing
+from aomgen.errors import NotEnoughEpisodesError
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from toy_drawer import SUPPORT, fitted_drawer, opening
