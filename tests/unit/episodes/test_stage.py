@@ -12,7 +12,7 @@ from aomgen.episodes.stage import run_episodes
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
 from aomgen.io.atomic import STAGING_PREFIX
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
-from aomgen.io.video import read_video
+from aomgen.io.video import encode_video, read_video
 from aomgen.twin.binding import with_object
 from aomgen.twin.shadow import DirectionalLight
 from aomgen.twin.twin import Twin, TwinState, render_state
@@ -172,9 +172,17 @@ def test_nothing_is_left_of_an_episode_that_cannot_be_written(toy_scene, committ
     episode = read_episode(committed[0]).episode
     with pytest.raises(ValueError, match="do not match"):
         commit_episode(tmp_path, episode, {"front": b"x"})
+    videos = {name: path.read_bytes() for name, path in read_episode(committed[0]).videos.items()}
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(StorageError):
-        commit_episode(tmp_path / "file", episode, {"front": b"x", "side": b"y"})
+        commit_episode(tmp_path / "file", episode, videos)
+    for wrong in (b"x", encode_video(np.zeros((FRAMES - 1, 60, 80, 3), np.uint8), 10), videos["side"][:-400]):
+        with pytest.raises(CorruptArtifactError, match=r"side\.mp4"):
+            commit_episode(tmp_path, episode, videos | {"side": wrong})
+    with pytest.raises(ValueError, match="depth of front"):
+        commit_episode(
+            tmp_path, episode, videos, {"depth": dict.fromkeys(videos, np.zeros((1, 2, 3), np.uint16))}
+        )
     assert list_committed(tmp_path) == []
 
 
