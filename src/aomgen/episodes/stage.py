@@ -8,21 +8,23 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aomgen.core.camera import Camera
+from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.episode import Episode
-from aomgen.core.plan import VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, VerifiedEpisode
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
-from aomgen.episodes.render import Trajectory, render_frames, static_layers
+from aomgen.episodes.render import CameraFrames, ImageParams, Trajectory, render_episode, static_layers
 from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import remove_staging
-from aomgen.io.episode_folder import commit_episode, episode_folder, list_committed
+from aomgen.io.episode_folder import ImageKind, commit_episode, episode_folder, list_committed
 from aomgen.io.video import encode_video
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.verify import assumptions
-from aomgen.twin.twin import StaticLayer, Twin
+from aomgen.twin.plane_shadow import cast_soft_shadow
+from aomgen.twin.twin import Twin
 
 # Episodes rendered at a time, each on one thread; usual machines have more cores.
 WORKERS: Final = 2
@@ -60,6 +62,7 @@ def run_episodes(
     instruction: str,
     joint_zeros_rad: Array,
     T_world_plane: Array | None = None,
+    images: ImageParams = ImageParams(),
     workers: int = WORKERS,
     progress: Progress = silent,
 ) -> list[Path]:
@@ -75,6 +78,7 @@ def run_episodes(
         instruction: Language instruction.
         joint_zeros_rad: Of the recorded arm, see `assumptions`.
         T_world_plane: The surface that shadows fall on, (4, 4).
+        images: What is stored of images.
         workers: Episodes drawn at the same time.
 
     Raises:
@@ -85,15 +89,33 @@ def run_episodes(
     done = set(list_committed(folder))
     open_ = [i for i in range(len(verified)) if episode_folder(folder, i) not in done]
     layers = {name: static_layers(twin, cameras) for name, twin in twins.items()} if open_ else {}
+    softs = {
+        name: cast_soft_shadow(twin, T_world_plane)
+        for name, twin in twins.items()
+        if open_ and T_world_plane is not None
+    }
     # One engine thread a worker, except when a worker is alone.
     threads = 1 if workers > 1 else None
 
     def draw(index: int) -> None:
         name = verified[index].plan.fitted.asset.name
         usd = Path(os.path.relpath(usd_files[name], episode_folder(folder, index)))
-        episode = episode_of(verified[index], index, usd, robot, instruction, cameras, joint_zeros_rad)
-        videos = episode_videos(episode, twins[name], robot, layers[name], T_world_plane, threads)
-        commit_episode(folder, episode, videos)
+        paths = {}
+        if images.robot_cameras:
+            paths = robot.camera_paths(verified[index].joints, verified[index].gripper)
+        episode = episode_of(verified[index], index, usd, robot, instruction, cameras, joint_zeros_rad, paths)
+        drawn = render_episode(
+            twins[name],
+            robot,
+            trajectory_of(episode),
+            layers[name],
+            T_world_plane,
+            threads,
+            soft=softs.get(name),
+            paths=paths,
+            params=images,
+        )
+        store_episode(folder, episode, drawn, images)
 
     with ThreadPoolExecutor(workers) as pool:
         tasks = [pool.submit(draw, index) for index in open_]
@@ -115,9 +137,11 @@ def episode_of(
     instruction: str,
     cameras: Mapping[str, Camera],
     joint_zeros_rad: Array,
+    paths: Mapping[str, CameraPath],
 ) -> Episode:
     """The episode that a verified plan becomes; its actions are the plan one frame ahead."""
     plan = verified.plan
+    moving = {name: path.at(0) for name, path in paths.items()}
     asset = plan.fitted.asset
     return Episode(
         index=index,
@@ -139,7 +163,8 @@ def episode_of(
         contacts=verified.contacts,
         joint=asset.joint.moved(plan.T_world_object),
         T_world_object=plan.T_world_object,
-        cameras=cameras,
+        cameras={**cameras, **moving},
+        camera_poses={name: path.Ts_world_cam for name, path in paths.items()},
         verdict={**verified.verdict.as_json(), "variation": asdict(plan.variation), "grasp": plan.grasp},
         simulation=assumptions(asset, joint_zeros_rad, bolted=verified.verdict.bolted),
     )
@@ -150,20 +175,27 @@ def _ahead(samples: Array) -> Array:
     return np.concatenate([samples[1:], samples[-1:]])
 
 
-def episode_videos(
-    episode: Episode,
-    twin: Twin,
-    robot: RobotModel,
-    layers: Mapping[str, StaticLayer],
-    T_world_plane: Array | None,
-    threads: int | None,
-) -> dict[str, bytes]:
-    """MP4 bytes of each camera."""
-    trajectory = Trajectory(
+def trajectory_of(episode: Episode | EpisodePlan) -> Trajectory:
+    """What moves in the images of an episode, or of a plan."""
+    return Trajectory(
         joints=episode.joints,
         gripper=episode.gripper,
         thetas=episode.thetas,
         T_world_object=episode.T_world_object,
     )
-    frames = render_frames(twin, robot, trajectory, layers, T_world_plane, threads)
-    return {name: encode_video(images, episode.fps) for name, images in frames.items()}
+
+
+def store_episode(
+    folder: Path, episode: Episode, drawn: Mapping[str, CameraFrames], params: ImageParams
+) -> Path:
+    """Encode an episode's images and commit it; raises as `commit_episode`."""
+    videos = {
+        name: encode_video(frames.images_srgb, episode.fps, codec=params.codec)
+        for name, frames in drawn.items()
+    }
+    images: dict[ImageKind, dict[str, NDArray]] = {}
+    if params.depth:
+        images["depth"] = {name: np.asarray(frames.depth_mm) for name, frames in drawn.items()}
+    if params.labels:
+        images["labels"] = {name: np.asarray(frames.labels) for name, frames in drawn.items()}
+    return commit_episode(folder, episode, videos, images, params.codec)

@@ -4,14 +4,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aomgen.core.camera import Camera, look_at
+from aomgen.core.camera import Camera, CameraPath, look_at
 from aomgen.core.episode import no_contacts
 from aomgen.core.plan import EpisodePlan, FittedAsset, SettingOutcome, Variation, Verdict, VerifiedEpisode
-from aomgen.episodes.render import Trajectory, render_frames, static_layers
-from aomgen.episodes.stage import run_episodes
+from aomgen.episodes.render import ImageParams, Trajectory, render_episode, render_frames, static_layers
+from aomgen.episodes.stage import run_episodes, trajectory_of
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
 from aomgen.io.atomic import STAGING_PREFIX
-from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
+from aomgen.io.episode_folder import commit_episode, list_committed, read_episode, read_images
 from aomgen.io.video import encode_video, read_video
 from aomgen.twin.binding import with_object
 from aomgen.twin.shadow import DirectionalLight
@@ -89,7 +89,15 @@ def verified(toy_scene, turn: float) -> VerifiedEpisode:
     )
 
 
-def run(toy_scene, twin, cameras, folder: Path, count: int = 2, workers: int = 2) -> list[Path]:
+def run(
+    toy_scene,
+    twin,
+    cameras,
+    folder: Path,
+    count: int = 2,
+    workers: int = 2,
+    images: ImageParams = ImageParams(),
+) -> list[Path]:
     episodes = [verified(toy_scene, 0.2 * (k + 1)) for k in range(count)]
     return run_episodes(
         episodes,
@@ -101,6 +109,7 @@ def run(toy_scene, twin, cameras, folder: Path, count: int = 2, workers: int = 2
         instruction="open the microwave",
         joint_zeros_rad=ZEROS_RAD,
         T_world_plane=np.eye(4),
+        images=images,
         workers=workers,
     )
 
@@ -157,15 +166,84 @@ def test_a_second_run_keeps_what_is_committed(toy_scene, twin, cameras, tmp_path
 
 
 def test_shadow_only_darkens_the_static_picture(toy_scene, twin, cameras):
-    plan = verified(toy_scene, 0.1).plan
-    trajectory = Trajectory(
-        joints=plan.joints, gripper=plan.gripper, thetas=plan.thetas, T_world_object=plan.T_world_object
-    )
+    trajectory = trajectory_of(verified(toy_scene, 0.1).plan)
     layers = static_layers(twin, cameras)
     bright = render_frames(twin, toy_scene.robot, trajectory, layers)["front"].astype(int)
     dark = render_frames(twin, toy_scene.robot, trajectory, layers, np.eye(4))["front"].astype(int)
     assert (dark <= bright + 1).all()
     assert (dark < bright - 8).any()
+
+
+def test_all_kinds_of_images_are_stored(toy_scene, twin, cameras, tmp_path):
+    wanted = ImageParams(codec="av1", depth=True, labels=True, robot_cameras=True)
+    small = {"front": cameras["front"].resized(96, 72)}
+    (folder,) = run(toy_scene, twin, small, tmp_path / "episodes", count=1, images=wanted)
+    item = read_episode(folder)
+    assert set(item.videos) == {"front", "wrist"}
+    assert item.codec == "av1"
+    Ts_world_ee = toy_scene.robot.ee_poses(item.episode.joints)
+    # A camera on the hand stands still before it.
+    Ts_ee_cam = np.linalg.inv(Ts_world_ee) @ item.episode.camera_poses["wrist"]
+    np.testing.assert_allclose(Ts_ee_cam, np.tile(Ts_ee_cam[:1], (FRAMES, 1, 1)), atol=1e-9)
+    assert Ts_ee_cam[0, 2, 2] > 0.9  # looks along the approach
+    for name, camera in item.episode.cameras.items():
+        depth, labels = (read_images(item.images[kind][name]) for kind in ("depth", "labels"))
+        assert depth.shape == labels.shape == (FRAMES, camera.height, camera.width)
+        assert set(np.unique(labels)) <= {0, 1, 2, 3}
+    front = read_images(item.images["labels"]["front"])
+    assert {1, 2, 3} <= set(np.unique(front))
+
+
+def test_depth_and_labels_are_what_the_twin_shows(toy_scene, twin, cameras):
+    layers, trajectory = static_layers(twin, cameras), trajectory_of(verified(toy_scene, 0.3).plan)
+    params = ImageParams(depth=True, labels=True)
+    drawn = render_episode(twin, toy_scene.robot, trajectory, layers, params=params)["front"]
+    state = TwinState(
+        joints=trajectory.joints[2],
+        gripper=trajectory.gripper[2],
+        theta=trajectory.thetas[2],
+        T_world_object=trajectory.T_world_object,
+    )
+    want = render_state(twin, toy_scene.robot, state, cameras["front"], with_ids=True)
+    seen = want.alpha > 0.9
+    assert seen.mean() > 0.2
+    off = np.abs(drawn.depth_mm[2] - 1000 * want.median_depth)[seen]
+    assert (off < 1).mean() > 0.99
+    assert (drawn.labels[2] == np.where(want.median_depth > 0, twin.labels[want.max_id], 0)).mean() > 0.99
+
+
+def test_a_moving_camera_that_stands_still_sees_what_a_fixed_one_sees(toy_scene, twin, cameras):
+    plane, trajectory = np.eye(4), trajectory_of(verified(toy_scene, 0.3).plan)
+    camera = cameras["front"]
+    path = CameraPath(camera=camera, Ts_world_cam=np.tile(camera.T_world_cam, (FRAMES, 1, 1)))
+    lamp = DirectionalLight(direction=(0.0, 0.6, 0.8), T_world_plane=plane, shade=np.full(3, 0.6))
+    for lit in (twin, replace(twin, directional_light=lamp)):
+        layers = static_layers(lit, {"front": camera})
+        drawn = render_episode(lit, toy_scene.robot, trajectory, layers, plane, paths={"moving": path})
+        error = np.abs(drawn["moving"].images_srgb.astype(float) - drawn["front"].images_srgb).mean()
+        bare = render_episode(twin, toy_scene.robot, trajectory, layers, paths={"moving": path})
+        shadow = np.abs(bare["front"].images_srgb.astype(float) - drawn["front"].images_srgb).mean()
+        # Shadows end with a pixel, not with a share of one.
+        assert error < 0.2 * shadow
+        assert np.abs(bare["moving"].images_srgb.astype(int) - bare["front"].images_srgb).max() <= 1
+
+
+def test_what_stands_still_changes_no_picture(toy_scene, twin, cameras):
+    """Against the posed twin, all of it drawn anew for each frame."""
+    trajectory = trajectory_of(verified(toy_scene, 0.3).plan)
+    drawn = render_frames(twin, toy_scene.robot, trajectory, static_layers(twin, cameras))
+    alone = render_frames(twin, toy_scene.robot, trajectory, static_layers(twin, cameras), threads=1)
+    for name, camera in cameras.items():
+        np.testing.assert_array_equal(drawn[name], alone[name])
+        for index in range(FRAMES):
+            state = TwinState(
+                joints=trajectory.joints[index],
+                gripper=trajectory.gripper[index],
+                theta=trajectory.thetas[index],
+                T_world_object=trajectory.T_world_object,
+            )
+            want = 255 * render_state(twin, toy_scene.robot, state, camera).rgb
+            assert np.abs(drawn[name][index] - want).max() <= 1
 
 
 def test_nothing_is_left_of_an_episode_that_cannot_be_written(toy_scene, committed, tmp_path):

@@ -112,7 +112,7 @@ def test_the_object_frame_is_found_from_points(toy_scene):
 def test_layers_are_the_picture_of_everything(toy_scene):
     twin, state = toy_scene.twin, replace(toy_scene.twin.scan_state, theta=0.9)
     everything = render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb
-    layer, moving = static_layer(twin, toy_scene.camera), moving_layer(twin)
+    layer, moving = static_layer(twin, toy_scene.camera), moving_layer(twin.select(twin.moves))
     motion = moving.motion(body_poses(twin, toy_scene.robot, state)[None])
     (layered,) = layer.session.draw_many(moving.gaussians, motion)
     # Rounded to 8 bits; posing by numpy rounds a little otherwise.
@@ -131,7 +131,7 @@ def test_lit_surfaces_of_a_layer_move_as_the_posed_twin_does(toy_scene):
     states = [replace(twin.scan_state, theta=theta) for theta in (0.0, 0.0, 1.2)]
     Ts = np.stack([body_poses(twin, toy_scene.robot, state) for state in states])
     layer = static_layer(twin, toy_scene.camera)
-    prepared = moving_layer(twin)
+    prepared = moving_layer(twin.select(twin.moves))
     frames = layer.session.draw_many(prepared.gaussians, prepared.motion(Ts))
     np.testing.assert_array_equal(frames[0], frames[1])
     assert (frames[2] != frames[1]).any()
