@@ -25,6 +25,7 @@ from aomgen.robots.robot import RobotModel
 from aomgen.simulation.verify import assumptions
 from aomgen.twin.plane_shadow import cast_soft_shadow
 from aomgen.twin.twin import Twin
+from aomgen.twin.variation import changed, light_gains, scaled
 
 # Episodes rendered at a time, each on one thread; usual machines have more cores.
 WORKERS: Final = 2
@@ -104,14 +105,18 @@ def run_episodes(
         if images.robot_cameras:
             paths = robot.camera_paths(verified[index].joints, verified[index].gripper)
         episode = episode_of(verified[index], index, usd, robot, instruction, cameras, joint_zeros_rad, paths)
+        variation = verified[index].plan.variation
+        twin = changed(scaled(twins[name], variation.scale), variation.light, variation.material)
+        same = (light_gains(variation.light) == 1).all()
+        soft = softs.get(name)
         drawn = render_episode(
-            twins[name],
+            twin,
             robot,
             trajectory_of(episode),
-            layers[name],
+            layers[name] if same else static_layers(twin, cameras, threads),
             T_world_plane,
             threads,
-            soft=softs.get(name),
+            soft=soft and soft.scaled(variation.scale, twin.joint.type == "prismatic"),
             paths=paths,
             params=images,
         )

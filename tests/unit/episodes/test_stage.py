@@ -6,7 +6,16 @@ import pytest
 
 from aomgen.core.camera import Camera, CameraPath, look_at
 from aomgen.core.episode import no_contacts
-from aomgen.core.plan import EpisodePlan, FittedAsset, SettingOutcome, Variation, Verdict, VerifiedEpisode
+from aomgen.core.plan import (
+    EpisodePlan,
+    FittedAsset,
+    LightChange,
+    MaterialChange,
+    SettingOutcome,
+    Variation,
+    Verdict,
+    VerifiedEpisode,
+)
 from aomgen.episodes.render import ImageParams, Trajectory, render_episode, render_frames, static_layers
 from aomgen.episodes.stage import run_episodes, trajectory_of
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
@@ -192,6 +201,27 @@ def test_all_kinds_of_images_are_stored(toy_scene, twin, cameras, tmp_path):
         assert set(np.unique(labels)) <= {0, 1, 2, 3}
     front = read_images(item.images["labels"]["front"])
     assert {1, 2, 3} <= set(np.unique(front))
+
+
+def test_an_episode_in_half_the_light_is_stored_so(toy_scene, twin, cameras, committed, tmp_path):
+    usual = verified(toy_scene, 0.2)
+    dim = replace(usual.plan.variation, light=LightChange(intensity=0.5), material=MaterialChange(hue=1.0))
+    (folder,) = run_episodes(
+        [replace(usual, plan=replace(usual.plan, variation=dim))],
+        {toy_scene.asset.name: twin},
+        {toy_scene.asset.name: tmp_path / "asset.usda"},
+        toy_scene.robot,
+        cameras,
+        tmp_path / "episodes",
+        instruction="open the microwave",
+        joint_zeros_rad=ZEROS_RAD,
+        T_world_plane=np.eye(4),
+    )
+    shown, before = (
+        read_video(read_episode(path).videos["front"]).frames_srgb for path in (folder, committed[0])
+    )
+    assert 0.6 < shown.mean() / before.mean() < 0.85  # 0.5 in linear light is 0.73 in sRGB
+    assert read_episode(folder).episode.verdict["variation"]["light"]["intensity"] == 0.5
 
 
 def test_depth_and_labels_are_what_the_twin_shows(toy_scene, twin, cameras):
