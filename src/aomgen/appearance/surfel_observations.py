@@ -64,7 +64,7 @@ def observe_surfels(twin: Twin, robot: RobotModel, views: Sequence[PosedImages])
 
     The twin's relit Gaussians, all of which move, are the surfels (M); whatever else is in it may hide them.
     """
-    moving = moving_layer(twin)
+    moving = moving_layer(twin.select(twin.moves))
     first_disc = len(twin.gaussians) - len(twin.relit_bodies)
     pieces, poses = [], []
     for view in views:

@@ -1,6 +1,7 @@
 """A pinhole camera with its pose."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,6 +91,20 @@ class Camera:
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         rays_cam = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
         return rays_cam @ self.T_world_cam[:3, :3].T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPath:
+    """A camera that moves: the optics of `camera`, whose own pose counts for nothing, and its pose at T frames."""
+
+    camera: Camera
+    Ts_world_cam: Annotated[Array, "T 4 4"]
+
+    __post_init__ = freeze_arrays
+
+    def at(self, frame: int) -> Camera:
+        """The camera at one frame."""
+        return self.camera.moved(self.Ts_world_cam[frame])
 
 
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:

@@ -1,7 +1,7 @@
 """One generated demonstration as a frozen value."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -75,9 +75,10 @@ class Episode:
         contacts: Finger contacts.
         joint: The object's joint, world frame, at this episode's object pose.
         T_world_object: Object pose (4, 4).
-        cameras: Camera of each video, by name.
+        cameras: Camera of each video, by name; one that moves is at its first pose.
         verdict: What verification measured; plain JSON values.
         simulation: What verification assumed about object and control; plain JSON values.
+        camera_poses: Poses T_world_cam (T, 4, 4) of the cameras that move, by name.
     """
 
     index: int
@@ -102,10 +103,13 @@ class Episode:
     cameras: Mapping[str, Camera]
     verdict: Mapping[str, Any]
     simulation: Mapping[str, Any]
+    camera_poses: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
-        freeze_arrays(self)
+        for name, Ts in self.camera_poses.items():
+            if name not in self.cameras or np.shape(Ts) != (len(self), 4, 4):
+                raise ValueError(f"Episode.camera_poses of {name} have shape {np.shape(Ts)}, or no camera")
 
     def __len__(self) -> int:
         return len(self.thetas)

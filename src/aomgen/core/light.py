@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.conventions import srgb_from_linear
-from aomgen.core.sh import rotate_sh, sh_basis
+from aomgen.core.sh import sh_basis, sh_rotation
 from aomgen.core.values import Array, freeze_arrays
 
 # Factors that turn radiance coefficients of bands 0, 1, 2 into irradiance coefficients.
@@ -41,9 +41,14 @@ class Light:
         return np.maximum(basis @ self.radiance_sh, 0)
 
     def seen_from(self, R_world_body: ArrayLike) -> Array:
-        """Coefficients (9, 3) in a body's frame."""
-        turned = rotate_sh(self.radiance_sh[None].astype(np.float32), np.asarray(R_world_body, np.float64).T)
-        return turned[0].astype(np.float64)
+        """Coefficients (..., 9, 3) in the frames of bodies turned by (..., 3, 3)."""
+        Rs_body_world = np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
+        constant = np.broadcast_to(self.radiance_sh[:1], (*Rs_body_world.shape[:-2], 1, 3))
+        turned = [
+            matrix @ self.radiance_sh[band * band : (band + 1) ** 2]
+            for band, matrix in enumerate(sh_rotation(Rs_body_world, 2), start=1)
+        ]
+        return np.concatenate([constant, *turned], -2)
 
     def scaled(self, gain: ArrayLike) -> "Light":
         """The light made brighter by a factor, or by three, one for each channel."""

@@ -43,7 +43,7 @@ def sh_basis(directions: ArrayLike, degree: int) -> Array:
 
 
 def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
-    """Matrices (2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (3, 3).
+    """Matrices (..., 2l + 1, 2l + 1), l = 1..degree, that rotate coefficients by R (..., 3, 3).
 
     The rotated function is `f'(R d) = f(d)`. Each band is found exactly from a few sample
     directions, because a band's basis functions span a space that rotation maps to itself.
@@ -51,7 +51,9 @@ def sh_rotation(R: ArrayLike, degree: int) -> list[Array]:
     R = np.asarray(R, np.float64)
     directions, solvers = _sampled_bands(degree)
     turned = sh_basis(directions @ R, degree)  # basis at R^T d
-    return [solver @ turned[:, band * band : (band + 1) ** 2] for band, solver in enumerate(solvers, start=1)]
+    return [
+        solver @ turned[..., band * band : (band + 1) ** 2] for band, solver in enumerate(solvers, start=1)
+    ]
 
 
 @cache

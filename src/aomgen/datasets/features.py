@@ -100,11 +100,6 @@ def column_statistics(values: ArrayLike) -> dict[str, list]:
     return {name: array.tolist() for name, array in result.items()} | {"count": [len(data)]}
 
 
-def color_counts(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """How often each value 0..255 occurs in each channel of frames (F, H, W, 3): (3, 256)."""
-    return np.stack([np.bincount(frames[..., channel].ravel(), minlength=256) for channel in range(3)])
-
-
 def image_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, list]:
     """Statistics (3, 1, 1) of the color channels in 0..1, from counts (3, 256) that stand for a number of frames."""
     levels = np.arange(256) / 255

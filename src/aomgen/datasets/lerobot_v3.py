@@ -21,7 +21,6 @@ from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
 from aomgen.core.values import Array
 from aomgen.datasets.features import (
-    color_counts,
     column_statistics,
     feature_columns,
     feature_names,
@@ -30,7 +29,7 @@ from aomgen.datasets.features import (
 from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
 from aomgen.io.atomic import staged_folder, write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
-from aomgen.io.video import concatenate_videos, read_video
+from aomgen.io.video import concatenate_videos
 
 VERSION: Final = "v3.0"
 # The format's defaults: files in a folder, and sizes of files, [MB].
@@ -44,9 +43,6 @@ INDEX_TYPES: Final = {
     "index": "int64",
     "task_index": "int64",
 }
-# Pixels of every fourth row and column of at most this many frames an episode enter the
-# color statistics.
-SAMPLED_FRAMES: Final = 20
 
 
 def write_lerobot_v3(
@@ -84,7 +80,7 @@ def write_lerobot_v3(
         _write_parquet(meta / "episodes" / "chunk-000" / "file-000.parquet", pa.Table.from_pylist(rows))
         _write_parquet(meta / "tasks.parquet", _task_table(tasks))
         _write_json(meta / "stats.json", _statistics(columns, counts, frames))
-        _write_json(meta / "info.json", _info(episodes[0].episode, len(episodes), len(tasks), frames))
+        _write_json(meta / "info.json", _info(episodes[0], len(episodes), len(tasks), frames))
     return {"episodes": len(episodes), "frames": frames}
 
 
@@ -92,7 +88,13 @@ def _check_alike(item: CommittedEpisode, first: CommittedEpisode) -> None:
     def kind(committed: CommittedEpisode) -> dict[str, Any]:
         episode = committed.episode
         sizes = {name: (camera.width, camera.height) for name, camera in sorted(episode.cameras.items())}
-        return {"fps": episode.fps, "robot": episode.robot, "joints": episode.joint_names, "cameras": sizes}
+        return {
+            "fps": episode.fps,
+            "robot": episode.robot,
+            "joints": episode.joint_names,
+            "cameras": sizes,
+            "codec": committed.codec,
+        }
 
     have, want = kind(item), kind(first)
     for name, value in have.items():
@@ -197,11 +199,9 @@ def _write_videos(
                 start += length
         totals[camera] = np.zeros((3, 256), np.int64)
         for i, item in enumerate(episodes):
-            frames = read_video(item.videos[camera]).frames_srgb
-            step = max(len(frames) // SAMPLED_FRAMES, 1)
-            counts = color_counts(frames[::step, ::4, ::4])
+            counts = item.color_counts[camera]
             totals[camera] += counts
-            for kind, numbers in image_statistics(counts, len(frames)).items():
+            for kind, numbers in image_statistics(counts, len(item.episode)).items():
                 rows[i][f"stats/{key}/{kind}"] = numbers
             progress((done + (i + 1) / len(episodes)) / len(cameras), f"{camera}: {i + 1} of {len(episodes)}")
     return totals
@@ -231,8 +231,9 @@ def _statistics(
     return statistics
 
 
-def _info(first: Episode, episodes: int, tasks: int, frames: int) -> dict[str, Any]:
-    """Content of info.json of a dataset whose episodes are all like `first`."""
+def _info(committed: CommittedEpisode, episodes: int, tasks: int, frames: int) -> dict[str, Any]:
+    """Content of info.json of a dataset whose episodes are all like one of them."""
+    first = committed.episode
     features: dict[str, Any] = {
         name: {"dtype": "float32", "shape": [len(names)], "names": list(names)}
         for name, names in feature_names(first).items()
@@ -245,7 +246,7 @@ def _info(first: Episode, episodes: int, tasks: int, frames: int) -> dict[str, A
             "info": {
                 "video.height": camera.height,
                 "video.width": camera.width,
-                "video.codec": "h264",
+                "video.codec": committed.codec,
                 "video.pix_fmt": "yuv420p",
                 "video.is_depth_map": False,
                 "video.fps": first.fps,

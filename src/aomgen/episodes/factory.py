@@ -18,22 +18,23 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Ver
 from aomgen.episodes.ik import ik_solver
 from aomgen.episodes.ledger import Unit, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
-from aomgen.episodes.record import episode_of
-from aomgen.episodes.render import Trajectory, render_frames, static_layers
+from aomgen.episodes.record import episode_of, store_episode, trajectory_of
+from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.episodes.screening import TABLE_CLEARANCE_M, Place, longest_reach
 from aomgen.episodes.variations import Ranges, draw, scaled_fit
 from aomgen.errors import ConfigError
 from aomgen.executors import Work
 from aomgen.io.artifact import load_artifact
 from aomgen.io.atomic import staged_folder
-from aomgen.io.episode_folder import commit_episode, episode_folder
+from aomgen.io.episode_folder import episode_folder
 from aomgen.io.schema import suggest
-from aomgen.io.video import encode_video
 from aomgen.results import ASSET_USD, Results
 from aomgen.simulation.collision_check import table_overlap_m
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.verify import verify_plan
+from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow
 from aomgen.twin.twin import StaticLayer, Twin
+from aomgen.twin.variation import changed, light_gains, scaled
 
 # Assets that a worker keeps open: the one it works on, and the next.
 OPEN_ASSETS: Final = 2
@@ -52,6 +53,7 @@ class GenerationParams:
         attempts_per_episode: Draws tried for each wanted episode before giving up.
         cameras: Names of the scene's cameras that are used; empty for all.
         free_cameras: Cameras added, placed by `ranges.free`.
+        images: What is stored of the images, and whether the robot's own cameras are drawn.
         timeout_s: One unit takes no longer, or is given up, [s].
     """
 
@@ -61,6 +63,7 @@ class GenerationParams:
     attempts_per_episode: int = 5
     cameras: tuple[str, ...] = ()
     free_cameras: int = 0
+    images: ImageParams = field(default_factory=ImageParams)
     timeout_s: float = 600.0
 
 
@@ -159,38 +162,35 @@ class EpisodeFactory:
             return verify_plan(plan, scene, digests=digests)
 
     def _commit(self, unit: Unit, verified: VerifiedEpisode, opened: "OpenAsset") -> None:
-        results, plan = self.results, verified.plan
+        results, plan, images = self.results, verified.plan, self.params.images
         home = episode_folder(self.folder, unit.number)
-        usd = Path(os.path.relpath(self._object_usd(unit, plan, opened), home))
         cameras = self.place.views(plan.variation, opened.fitted)
+        paths = results.robot.camera_paths(verified.joints, verified.gripper) if images.robot_cameras else {}
         episode = episode_of(
             verified,
             unit.number,
-            usd,
+            Path(os.path.relpath(self._object_usd(unit, plan, opened), home)),
             results.robot,
             results.recorded.instruction,
             cameras,
             results.alignment.joint_zeros_rad,
-        )
-        trajectory = Trajectory(
-            joints=episode.joints,
-            gripper=episode.gripper,
-            thetas=episode.thetas,
-            T_world_object=episode.T_world_object,
+            paths,
         )
         with self._timed("draw"):
-            frames = render_frames(
-                opened.twin,
+            twin, layers, soft = opened.seen(plan.variation, cameras)
+            frames = render_episode(
+                twin,
                 results.robot,
-                trajectory,
-                opened.layers(cameras),
+                trajectory_of(episode),
+                layers,
                 results.episode_scene.T_world_plane,
                 1,
+                soft=soft,
+                paths=paths,
+                params=images,
             )
         with self._timed("encode"):
-            videos = {name: encode_video(images, episode.fps) for name, images in frames.items()}
-        with self._timed("commit"):
-            commit_episode(self.folder, episode, videos)
+            store_episode(self.folder, episode, frames, images)
 
     def _object_usd(self, unit: Unit, plan: EpisodePlan, opened: "OpenAsset") -> Path:
         """The file in which others can simulate the object; one of another size is written for this episode."""
@@ -254,16 +254,28 @@ class OpenAsset:
         lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
         return build_scene(robot, fitted.asset, fitted.T_world_asset, lower, bolted=bolted)
 
-    def layers(self, cameras: Mapping[str, Camera]) -> dict[str, StaticLayer]:
-        """What the cameras see of what never moves; kept for the scene's own cameras."""
+    def seen(
+        self, variation: Variation, cameras: Mapping[str, Camera]
+    ) -> tuple[Twin, dict[str, StaticLayer], SoftShadow | None]:
+        """The twin as a variation shows it, what cameras see of what never moves, and the object's soft shadow.
+
+        What the recording's light and cameras show is kept for the next episode.
+        """
+        twin = changed(scaled(self.twin, variation.scale), variation.light, variation.material)
         own = self.factory.place.cameras
-        if all(cameras[name] is own.get(name) for name in cameras):
-            return self._own_layers
-        return static_layers(self.twin, cameras, 1)
+        usual = cameras.keys() == own.keys() and all(cameras[name] is own[name] for name in own)
+        usual &= bool((light_gains(variation.light) == 1).all())
+        layers = self._layers if usual else static_layers(twin, cameras, 1)
+        soft = self._soft_shadow
+        return twin, layers, soft and soft.scaled(variation.scale, twin.joint.type == "prismatic")
 
     @cached_property
-    def _own_layers(self) -> dict[str, StaticLayer]:
+    def _layers(self) -> dict[str, StaticLayer]:
         return static_layers(self.twin, self.factory.place.cameras, 1)
+
+    @cached_property
+    def _soft_shadow(self) -> SoftShadow | None:
+        return cast_soft_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
 
 
 def _digest(path: Path) -> str:

@@ -1,15 +1,19 @@
-"""The record that a verified plan becomes."""
+"""The record that a verified plan becomes, and how it is committed with its images."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from aomgen.core.camera import Camera
+from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.episode import Episode
-from aomgen.core.plan import VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, VerifiedEpisode
 from aomgen.core.values import Array
+from aomgen.episodes.render import CameraFrames, ImageParams, Trajectory
+from aomgen.io.episode_folder import ImageKind, commit_episode
+from aomgen.io.video import encode_video
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.verify import assumptions
 
@@ -22,9 +26,11 @@ def episode_of(
     instruction: str,
     cameras: Mapping[str, Camera],
     joint_zeros_rad: Array,
+    paths: Mapping[str, CameraPath] | None = None,
 ) -> Episode:
-    """The episode that a verified plan becomes; its actions are the plan one frame ahead."""
-    plan = verified.plan
+    """The episode that a verified plan becomes; its actions are the plan one frame ahead, `paths` cameras that move."""
+    plan, paths = verified.plan, paths or {}
+    moving = {name: path.at(0) for name, path in paths.items()}
     asset = plan.fitted.asset
     settings = tuple(outcome.setting for outcome in verified.verdict.outcomes)
     return Episode(
@@ -47,7 +53,8 @@ def episode_of(
         contacts=verified.contacts,
         joint=asset.joint.moved(plan.T_world_object),
         T_world_object=plan.T_world_object,
-        cameras=cameras,
+        cameras={**cameras, **moving},
+        camera_poses={name: path.Ts_world_cam for name, path in paths.items()},
         verdict={**verified.verdict.as_json(), "variation": asdict(plan.variation), "grasp": plan.grasp},
         simulation=assumptions(asset, settings, joint_zeros_rad, bolted=verified.verdict.bolted),
     )
@@ -56,3 +63,29 @@ def episode_of(
 def _ahead(samples: Array) -> Array:
     """What comes one sample later (T, ...); the last stays."""
     return np.concatenate([samples[1:], samples[-1:]])
+
+
+def trajectory_of(episode: Episode | EpisodePlan) -> Trajectory:
+    """What moves in the images of an episode, or of a plan."""
+    return Trajectory(
+        joints=episode.joints,
+        gripper=episode.gripper,
+        thetas=episode.thetas,
+        T_world_object=episode.T_world_object,
+    )
+
+
+def store_episode(
+    folder: Path, episode: Episode, drawn: Mapping[str, CameraFrames], params: ImageParams
+) -> Path:
+    """Encode an episode's images and commit it; raises as `commit_episode`."""
+    videos = {
+        name: encode_video(frames.images_srgb, episode.fps, codec=params.codec)
+        for name, frames in drawn.items()
+    }
+    images: dict[ImageKind, dict[str, NDArray]] = {}
+    if params.depth:
+        images["depth"] = {name: np.asarray(frames.depth_mm) for name, frames in drawn.items()}
+    if params.labels:
+        images["labels"] = {name: np.asarray(frames.labels) for name, frames in drawn.items()}
+    return commit_episode(folder, episode, videos, images, params.codec)

@@ -1,41 +1,53 @@
-"""Images of an episode from fixed cameras, by the twin."""
+"""Images of an episode from fixed cameras and from cameras that the robot carries, by the twin."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.camera import Camera
+from aomgen.conventions import BACKGROUND
+from aomgen.core.camera import Camera, CameraPath
+from aomgen.core.gaussians import concatenate
 from aomgen.core.values import Array, Matrix4, freeze_arrays
+from aomgen.episodes.shading import CrispShade, Shade, SoftShade, find_shaded_pixels, shaded_factors
+from aomgen.io.video import Codec
 from aomgen.robots.robot import RobotModel
-from aomgen.splatting.rasterizer import RigidParts
-from aomgen.splatting.session import draw_sessions
-from aomgen.twin.shadow import (
-    FAR,
-    MOVES,
-    STANDS,
-    DirectionalLight,
-    cast_shadow,
-    intersect_surface,
-    silhouette,
-)
+from aomgen.splatting.session import Motion, RenderSession, draw_outputs
+from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow
 from aomgen.twin.twin import (
-    OBJECT,
-    PART,
     StaticLayer,
     Twin,
     moving_layer,
-    shadow_roles,
+    posed_by,
     static_layer,
     trajectory_body_poses,
 )
 
-# Joint values for which the shadow is computed; between them it is interpolated.
-SHADOW_STATES: Final = 5
 # Frames that are drawn at once; bounds the memory of their colors and shades.
 BATCH: Final = 32
+# Colors darker than this have no share to speak of, 0..1.
+DARK: Final = 1e-4
+# Crisp shadow is followed this far around the path of a camera that moves, [m].
+NEAR_PATH: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageParams:
+    """What is stored of an episode's images.
+
+    Attributes:
+        codec: Of the videos.
+        depth: Also store depth, [mm].
+        labels: Also store part labels.
+        robot_cameras: Also draw what the robot's own cameras see, each of which costs as much as all fixed ones.
+    """
+
+    codec: Codec = "h264"
+    depth: bool = False
+    labels: bool = False
+    robot_cameras: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,11 +69,19 @@ class Trajectory:
     __post_init__ = freeze_arrays
 
 
-def static_layers(
-    twin: Twin, cameras: Mapping[str, Camera], threads: int | None = None
-) -> dict[str, StaticLayer]:
-    """What each camera sees of the scene that never moves; the same for all episodes of a scene."""
-    return {name: static_layer(twin, camera, threads) for name, camera in cameras.items()}
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraFrames:
+    """What a camera shows in an episode.
+
+    Attributes:
+        images_srgb: Frames.
+        depth_mm: Median depth, 0 for none; None unless asked for.
+        labels: Part that is seen, see `conventions.PART_LABELS`; None unless asked for.
+    """
+
+    images_srgb: Annotated[NDArray[np.uint8], "T H W 3"]
+    depth_mm: Annotated[NDArray[np.uint16], "T H W"] | None = None
+    labels: Annotated[NDArray[np.uint8], "T H W"] | None = None
 
 
 def render_frames(
@@ -71,127 +91,200 @@ def render_frames(
     layers: Mapping[str, StaticLayer],
     T_world_plane: Array | None = None,
     threads: int | None = None,
+    *,
+    soft: SoftShadow | None = None,
 ) -> dict[str, NDArray[np.uint8]]:
-    """Draw an episode: frames (T, H, W, 3) uint8 of each camera.
+    """Draw an episode: frames (T, H, W, 3) uint8 of each camera; arguments as `render_episode`."""
+    drawn = render_episode(twin, robot, trajectory, layers, T_world_plane, threads, soft=soft)
+    return {name: frames.images_srgb for name, frames in drawn.items()}
+
+
+def render_episode(
+    twin: Twin,
+    robot: RobotModel,
+    trajectory: Trajectory,
+    layers: Mapping[str, StaticLayer],
+    T_world_plane: Array | None = None,
+    threads: int | None = None,
+    *,
+    soft: SoftShadow | None = None,
+    paths: Mapping[str, CameraPath] | None = None,
+    params: ImageParams = ImageParams(),
+) -> dict[str, CameraFrames]:
+    """Draw an episode from fixed and from moving cameras.
 
     Args:
         twin: With the object that stands in it.
         layers: From `static_layers`, of the same twin.
         T_world_plane: The surface that the object's shadow falls on; None for no shadow.
         threads: As in `splatting.rasterizer.render`.
+        soft: From `cast_soft_shadow`, of the same twin and surface; None to find it here.
+        paths: Cameras that move, by name.
+        params: Which images.
     """
     Ts = trajectory_body_poses(
         twin, robot, trajectory.joints, trajectory.gripper, trajectory.thetas, trajectory.T_world_object
     )
-    moving = moving_layer(twin)
-    shades = {} if T_world_plane is None else _shades(twin, trajectory, layers, T_world_plane)
-    arm = (
-        None
-        if twin.directional_light is None
-        else _ArmShadow(twin, robot, twin.directional_light, (Ts[0], not shades), layers)
-    )
-    batches: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in layers}
-    knots = _knots(trajectory.thetas)
-    for start in range(0, len(Ts), BATCH):
-        thetas = trajectory.thetas[start : start + BATCH]
-        darkened = [
-            np.stack([_between(shades[name], knots, theta) for theta in thetas]) if name in shades else None
-            for name in layers
-        ]
-        if arm is not None:
-            cast = arm.shades(Ts[start : start + BATCH])
-            # One light is taken only once.
-            darkened = [
-                own if other is None else np.minimum(own, other)
-                for own, other in zip(cast, darkened, strict=True)
-            ]
-        sessions = [layer.session for layer in layers.values()]
-        motion = moving.motion(Ts[start : start + BATCH])
-        drawn = draw_sessions(sessions, moving.gaussians, motion, darkened, threads)
-        for name, images in zip(layers, drawn, strict=True):
-            batches[name].append(images)
-    return {name: np.concatenate(images) for name, images in batches.items()}
+    shades: list[Shade] = []
+    if T_world_plane is not None:
+        soft = cast_soft_shadow(twin, T_world_plane, threads) if soft is None else soft
+        if soft is not None:
+            shades.append(SoftShade(twin, trajectory.thetas, trajectory.T_world_object, soft, T_world_plane))
+    stands = (Ts == Ts[:1]).all((0, 2, 3))
+    views = [_StillView(twin, stands, Ts[0], layer, threads) for layer in layers.values()]
+    drawn: dict[str, CameraFrames] = {}
+    if views:
+        alone = None if twin.directional_light is None else not shades
+        seen = [view.points() for view in views]
+        cast = [] if alone is None else [CrispShade(twin, robot, Ts, seen, with_part=alone, threads=threads)]
+        frames = _draw_fixed(twin, Ts, stands, views, [*shades, *cast], params, threads)
+        drawn |= zip(layers, frames, strict=True)
+    for name, path in (paths or {}).items():
+        around = path.Ts_world_cam[:, None, :3, 3] + NEAR_PATH * np.stack([np.ones(3), -np.ones(3)])
+        cast = (
+            []
+            if twin.directional_light is None
+            else [CrispShade(twin, robot, Ts, [around], with_part=not shades, threads=threads)]
+        )
+        drawn[name] = _draw_moving(twin, Ts, path, [*shades, *cast], params, threads)
+    return drawn
 
 
-class _ArmShadow:
-    """The shadow that the robot throws on the surface it works over, from frame to frame.
+class _StillView:
+    """What a fixed camera sees of all that stands still in an episode.
 
-    Args:
-        twin: With a directional light.
-        robot: Its robot.
-        light: The twin's.
-        placed: Body poses (B, 4, 4) of what stands, and whether the object's part throws its shadow too.
-        layers: Cameras.
+    Attributes:
+        session: Draws into it what moves.
+        layer: Of the scene, without the robot and the object.
+        labels: Of the session's Gaussians.
+        scene_share: How much of each pixel's color (H, W) is of the scene, 0..1: shadows fall on that.
     """
 
     def __init__(
         self,
         twin: Twin,
-        robot: RobotModel,
-        light: DirectionalLight,
-        placed: tuple[Array, bool],
-        layers: Mapping[str, StaticLayer],
+        stands: NDArray[np.bool_],
+        Ts_world_body: Array,
+        layer: StaticLayer,
+        threads: int | None,
     ) -> None:
-        Ts_world_body, with_part = placed
-        roles = shadow_roles(twin, robot)
-        moving, stands = (roles == MOVES) & (with_part | (twin.bodies != twin.body(PART))), roles == STANDS
-        self._light, self._arm, self._bodies = light, twin.gaussians.select(moving), twin.bodies[moving]
-        parts = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
-        fixed = silhouette(twin.gaussians.select(stands), light.direction, parts)
-        self._places = []
-        for layer in layers.values():
-            depth = np.minimum(layer.depth, FAR).astype(np.float64)
-            points, belongs = intersect_surface(light.T_world_plane, layer.camera, depth)
-            seen = belongs > 0
-            self._places.append((points[seen], belongs[seen] * (1 - fixed.at(points[seen])), seen))
+        bodies = twin.select(stands[twin.bodies] & twin.moves)
+        self.layer, self.session = layer, layer.session
+        self.scene_share = np.ones(layer.depth.shape, np.float32)
+        self.labels = np.append(twin.labels[~twin.moves], bodies.labels)
+        if not len(bodies.gaussians):
+            return
+        world = posed_by(bodies, Ts_world_body)
+        scene = twin.gaussians.select(~twin.moves)
+        self.session = RenderSession(concatenate([scene, world]), layer.camera, threads=threads)
+        alone, both = (
+            layer.session.draw(world, shade=np.full_like(self.scene_share, shade)).rgb.sum(-1)
+            for shade in (0, 1)
+        )
+        self.scene_share = 1 - np.where(both > DARK, alone / np.maximum(both, DARK), 0)
 
-    def shades(self, Ts_world_body: Array) -> list[NDArray[np.float32]]:
-        """Factors (T, H, W) on each camera's static image for body poses (T, B, 4, 4)."""
-        shade = 1 - float(self._light.shade.mean())
-        images = [np.ones((len(Ts_world_body), *seen.shape), np.float32) for _, _, seen in self._places]
-        for t, Ts in enumerate(Ts_world_body):
-            parts = RigidParts(indices=self._bodies, Ts_world_part=Ts)
-            cast = silhouette(self._arm, self._light.direction, parts)
-            for image, (points, share, seen) in zip(images, self._places, strict=True):
-                image[t][seen] = 1 - shade * share * cast.at(points)
-        return images
+    def points(self) -> Array:
+        """What is seen of the scene (H, W, 3)."""
+        camera, depth = self.layer.camera, self.layer.depth
+        return (camera.center + camera.directions() * depth[..., None])[np.isfinite(depth)]
 
 
-def _knots(thetas: Array) -> Array:
-    return np.linspace(thetas.min(), max(thetas.max(), thetas.min() + 1e-6), SHADOW_STATES)
+def _outputs(params: ImageParams, *, shaded: bool = False) -> tuple[str, ...]:
+    more = params.depth or params.labels or shaded
+    return ("rgb8", "alpha", "median_depth", "max_id") if more else ("rgb8",)
 
 
-def _shades(
-    twin: Twin, trajectory: Trajectory, layers: Mapping[str, StaticLayer], T_world_plane: Array
-) -> dict[str, NDArray[np.float32]]:
-    """Factors (SHADOW_STATES, H, W) on each camera's static image, one for each knot."""
-    owners, relit = twin.relit_bodies, twin.relit
-    members = {name: np.flatnonzero(owners == twin.body(name)) for name in (OBJECT, PART)}
-    if relit is None or not len(members[OBJECT]):
-        return {}
-    light = relit.lights[relit.light_of[members[OBJECT][0]]]
-    solid = {name: twin.gaussians.select(relit.indices[rows]) for name, rows in members.items()}
-    T_object = trajectory.T_world_object
-    places = {
-        name: layer.camera.center + layer.camera.directions() * np.minimum(layer.depth, 100.0)[..., None]
-        for name, layer in layers.items()
-    }
-    Ts_part = T_object @ twin.joint.motion(_knots(trajectory.thetas))
-    shadows = cast_shadow(
-        solid[OBJECT].transformed(T_object),
-        [solid[PART].transformed(T) for T in Ts_part],
-        T_world_plane,
-        light,
+def _frames(
+    batches: Sequence[Mapping[str, NDArray]], labels: NDArray[np.uint8], params: ImageParams
+) -> CameraFrames:
+    """All batches of a camera as one; `labels` (N,) of the Gaussians in the engine's order."""
+    depth, parts = None, None
+    if params.depth:
+        depth = np.concatenate([np.rint(np.clip(1000 * item["median_depth"], 0, 65535)) for item in batches])
+    if params.labels:
+        # Where less than half of the light comes from Gaussians, the background is seen.
+        parts = np.concatenate(
+            [np.where(item["median_depth"] > 0, labels[item["max_id"]], BACKGROUND) for item in batches]
+        )
+    return CameraFrames(
+        images_srgb=np.concatenate([item["rgb8"] for item in batches]),
+        depth_mm=None if depth is None else depth.astype(np.uint16),
+        labels=None if parts is None else parts.astype(np.uint8),
     )
-    return {
-        name: np.stack([shadow.at(seen, layers[name].camera.center) for shadow in shadows])
-        for name, seen in places.items()
-    }
 
 
-def _between(images: NDArray[np.float32], knots: Array, theta: float) -> NDArray[np.float32]:
-    """Image at a joint value, linear between the knots' images."""
-    place = float(np.interp(theta, knots, np.arange(len(knots))))
-    first = min(int(place), len(knots) - 2)
-    share = np.float32(place - first)
-    return (1 - share) * images[first] + share * images[first + 1]
+def _draw_fixed(
+    twin: Twin,
+    Ts_world_body: Array,
+    stands: NDArray[np.bool_],
+    views: Sequence[_StillView],
+    shades: Sequence[Shade],
+    params: ImageParams,
+    threads: int | None,
+) -> list[CameraFrames]:
+    moving = moving_layer(twin.select(~stands[twin.bodies]))
+    places = [
+        [find_shaded_pixels(shade, view.layer.camera, view.layer.depth, view.scene_share) for shade in shades]
+        for view in views
+    ]
+    batches = []
+    for start in range(0, len(Ts_world_body), BATCH):
+        chosen = slice(start, start + BATCH)
+        motion = moving.motion(Ts_world_body[chosen])
+        dark = [shade.dark(chosen) for shade in shades]
+        darkened: list[NDArray[np.float32] | None] = [None] * len(views)
+        for index, view in enumerate(views if shades else ()):
+            image = np.ones((len(motion), view.layer.depth.size), np.float32)
+            for place, maps in zip(places[index], dark, strict=True):
+                # One light is taken only once.
+                image[:, place.pixels] = np.minimum(image[:, place.pixels], place.factors(maps))
+            darkened[index] = image.reshape(len(motion), *view.layer.depth.shape)
+        sessions = [view.session for view in views]
+        batches.append(draw_outputs(sessions, moving.gaussians, motion, _outputs(params), darkened, threads))
+    return [
+        _frames(items, np.append(view.labels, moving.labels), params)
+        for view, items in zip(views, zip(*batches, strict=True), strict=True)
+    ]
+
+
+def _draw_moving(
+    twin: Twin,
+    Ts_world_body: Array,
+    path: CameraPath,
+    shades: Sequence[Shade],
+    params: ImageParams,
+    threads: int | None,
+) -> CameraFrames:
+    """Frames of a camera for which nothing stands still: everything moves before it."""
+    everything = moving_layer(twin)
+    scene = everything.bodies == 0
+    session = RenderSession(twin.gaussians.select(slice(0, 0)), path.camera.moved(np.eye(4)), threads=threads)
+    batches = []
+    for start in range(0, len(Ts_world_body), BATCH):
+        chosen = slice(start, start + BATCH)
+        motion = everything.motion(Ts_world_body[chosen])
+        before = Motion(
+            parts=motion.parts,
+            Ts_world_part=np.linalg.inv(path.Ts_world_cam[chosen])[:, None] @ motion.Ts_world_part,
+            colors=motion.colors,
+        )
+        outputs = _outputs(params, shaded=bool(shades))
+        (images,) = draw_outputs([session], everything.gaussians, before, outputs, threads=threads)
+        dark = [shade.dark(chosen) for shade in shades]
+        for t in range(len(motion) if shades else 0):
+            depth, camera = images["median_depth"][t], path.at(start + t)
+            found = [
+                shaded_factors(shade, maps[t], camera, depth)
+                for shade, maps in zip(shades, dark, strict=True)
+            ]
+            factors = np.where(scene[images["max_id"][t]], np.minimum.reduce(found), 1)
+            images["rgb8"][t] = np.rint(images["rgb8"][t] * factors[..., None])
+        batches.append(images)
+    return _frames(batches, everything.labels, params)
+
+
+def static_layers(
+    twin: Twin, cameras: Mapping[str, Camera], threads: int | None = None
+) -> dict[str, StaticLayer]:
+    """What each camera sees of the scene that never moves; the same for all episodes of a scene."""
+    return {name: static_layer(twin, camera, threads) for name, camera in cameras.items()}

@@ -17,7 +17,8 @@ from aomgen.errors import ConfigError
 Range = tuple[float, float]
 # An area has at least three corners.
 CORNERS: Final = 3
-FAR_ENOUGH: Final = 100_000  # draws of an asset, at most: the number of an episode has five digits for them
+# Light of a black body has a known color between these, [K].
+COLDEST_K, HOTTEST_K = 1667, 25_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,6 +90,13 @@ class Ranges:
         for name in ("scale", "speed", "light_intensity", "light_temperature_k"):
             if not getattr(self, name)[0] > 0:
                 raise ConfigError(f"episodes.ranges.{name}", f"is {getattr(self, name)}", "want more than 0")
+        low, high = self.light_temperature_k
+        if not (low >= COLDEST_K and high <= HOTTEST_K):
+            raise ConfigError(
+                "episodes.ranges.light_temperature_k",
+                f"is {low:g} to {high:g}",
+                f"want {COLDEST_K} to {HOTTEST_K}",
+            )
         if self.axes not in ("world", "object"):
             raise ConfigError("episodes.ranges.axes", f"is '{self.axes}'", 'want "world" or "object"')
         if self.polygon and not (len(self.polygon) >= CORNERS and area(self.polygon) > 0):

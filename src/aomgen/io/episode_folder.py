@@ -2,9 +2,11 @@
 
 ```
 episodes/000007/
-  episode.json     names, seeds, cameras, joint, contacts, verdict, sha256 of the other files
-  frames.npz       per-frame arrays
-  <camera>.mp4     one video for each camera
+  episode.json          names, seeds, cameras, joint, contacts, verdict, sha256 of the other files
+  frames.npz            per-frame arrays, colors in the videos
+  <camera>.mp4          one video for each camera
+  <camera>.depth.npz    where asked for: depth (T, H, W) uint16, [mm], 0 for none
+  <camera>.labels.npz   where asked for: part labels (T, H, W) uint8, see `conventions.PART_LABELS`
 ```
 """
 
@@ -12,20 +14,24 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
+import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.camera import Camera
 from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.errors import CorruptArtifactError, MalformedFileError
-from aomgen.io.artifact import arrays_from_bytes, npz_bytes, read_json
+from aomgen.io.artifact import arrays_from_bytes, npz_bytes, read_json, read_npz
 from aomgen.io.atomic import STAGING_PREFIX, staged_folder, write_bytes, write_json
+from aomgen.io.video import Codec, decode_samples
 
 # Raised when the files of an episode change.
-FORMAT: Final = 2
+FORMAT: Final = 3
 EPISODE_FILE: Final = "episode.json"
+# Pixels of every fourth row and column of about this many frames of a video enter its color statistics.
+SAMPLED_FRAMES: Final = 20
 # Largest frames.npz read, [bytes]: far above a usual one.
 MAX_FRAMES_BYTES: Final = 256 << 20
 _ARRAYS: Final = (
@@ -38,6 +44,9 @@ _ARRAYS: Final = (
     "thetas",
     "phases",
 )
+# Exact images of an episode: depth, [mm], and part labels.
+ImageKind = Literal["depth", "labels"]
+_IMAGE_TYPES: Final = {"depth": np.uint16, "labels": np.uint8}
 _CONTACT_ARRAYS: Final = ("frames", "fingers", "points_world", "normals_world", "forces")
 
 
@@ -50,12 +59,18 @@ class CommittedEpisode:
         episode: Its content.
         videos: MP4 path of each camera.
         sha256: Digest of each file beside episode.json.
+        codec: Of the videos.
+        color_counts: How often each value 0..255 occurs in each channel (3, 256) of sampled frames, by camera.
+        images: Files of exact images by kind and camera; see `read_images`.
     """
 
     folder: Path
     episode: Episode
     videos: Mapping[str, Path]
     sha256: Mapping[str, str]
+    codec: Codec
+    color_counts: Mapping[str, NDArray[np.int64]]
+    images: Mapping[ImageKind, Mapping[str, Path]]
 
 
 def episode_folder(root: Path, index: int) -> Path:
@@ -63,33 +78,82 @@ def episode_folder(root: Path, index: int) -> Path:
     return root / f"{index:06d}"
 
 
-def commit_episode(root: Path, episode: Episode, videos: Mapping[str, bytes]) -> Path:
+def commit_episode(
+    root: Path,
+    episode: Episode,
+    videos: Mapping[str, bytes],
+    images: Mapping[ImageKind, Mapping[str, NDArray[np.integer]]] | None = None,
+    codec: Codec = "h264",
+) -> Path:
     """Write an episode so that it appears complete or not at all.
 
     Args:
         root: Folder of all episodes.
         episode: What to store.
         videos: MP4 bytes by camera name; the same names as `episode.cameras`.
+        images: Exact images (T, H, W) by kind and camera.
+        codec: Of the videos.
 
     Returns:
         The episode's folder.
 
     Raises:
         StorageError: The disk refuses.
-        ValueError: Videos and cameras differ in their names; a programming error.
+        CorruptArtifactError: A video cannot be decoded, or has not as many frames as the episode.
+        ValueError: Videos or images and cameras differ in their names, or images in their shape; a programming error.
     """
-    if set(videos) != set(episode.cameras):
-        raise ValueError(f"videos {sorted(videos)} do not match cameras {sorted(episode.cameras)}")
-    files = {"frames.npz": npz_bytes(_frame_arrays(episode))} | {
-        f"{name}.mp4": videos[name] for name in sorted(videos)
-    }
+    images, path = images or {}, episode_folder(root, episode.index)
+    for kind, by_camera in {"videos": videos, **images}.items():
+        if set(by_camera) != set(episode.cameras):
+            raise ValueError(f"{kind} {sorted(by_camera)} do not match cameras {sorted(episode.cameras)}")
+    arrays = _frame_arrays(episode)
+    for name in sorted(videos):
+        arrays[f"colors_{name}"] = _color_counts(videos[name], path / f"{name}.mp4", len(episode))
+    files = {"frames.npz": npz_bytes(arrays)} | {f"{name}.mp4": videos[name] for name in sorted(videos)}
+    for kind, by_camera in images.items():
+        for name, stack in sorted(by_camera.items()):
+            camera = episode.cameras[name]
+            want = (len(episode), camera.height, camera.width)
+            if stack.shape != want or stack.dtype != _IMAGE_TYPES[kind]:
+                raise ValueError(f"{kind} of {name} has shape {stack.shape} of {stack.dtype}, want {want}")
+            files[_image_file(name, kind)] = npz_bytes({kind: stack}, packed=True)
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
-    path = episode_folder(root, episode.index)
+    header = {**_header(episode), "codec": codec, "images": sorted(images), "sha256": digests}
     with staged_folder(path) as folder:
         for name, data in files.items():
             write_bytes(folder / name, data)
-        write_json(folder / EPISODE_FILE, {**_header(episode), "sha256": digests})
+        write_json(folder / EPISODE_FILE, header)
     return path
+
+
+def color_counts(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """How often each value 0..255 occurs in each channel of frames (F, H, W, 3): (3, 256)."""
+    return np.stack([np.bincount(frames[..., channel].ravel(), minlength=256) for channel in range(3)])
+
+
+def _color_counts(video: bytes, path: Path, frames: int) -> NDArray[np.int64]:
+    """Color counts of a video that has been decoded to the end."""
+    count, samples = decode_samples(video, path, max(frames // SAMPLED_FRAMES, 1))
+    if count != frames:
+        raise CorruptArtifactError(path, f"has {count} frames, the episode {frames}", "generate it again")
+    return color_counts(np.stack(samples)[:, ::4, ::4])
+
+
+def _image_file(camera: str, kind: str) -> str:
+    return f"{camera}.{kind}.npz"
+
+
+def read_images(path: Path) -> NDArray[np.integer]:
+    """The exact images (T, H, W) of one of an episode's files.
+
+    Raises:
+        MissingFileError, LimitExceededError, MalformedFileError: As their names say.
+    """
+    arrays = read_npz(path)
+    kind = path.name.split(".")[-2]
+    if set(arrays) != {kind} or arrays[kind].ndim != 3 or arrays[kind].dtype != _IMAGE_TYPES.get(kind):
+        raise MalformedFileError(path, f"holds no images of {kind}", "generate the episode again")
+    return arrays[kind]
 
 
 def list_committed(root: Path) -> list[Path]:
@@ -113,17 +177,33 @@ def read_episode(folder: Path) -> CommittedEpisode:
         raise MalformedFileError(where, f"is not an episode of format {FORMAT}", "generate the episode again")
     try:
         digests: dict[str, str] = dict(header["sha256"])
+        images = {
+            kind: {name: folder / _image_file(name, kind) for name in header["cameras"]}
+            for kind in header["images"]
+        }
         expected = {"frames.npz", *(f"{name}.mp4" for name in header["cameras"])}
+        expected |= {file.name for files in images.values() for file in files.values()}
         if set(digests) != expected:
             raise MalformedFileError(where, f"names files {sorted(digests)}, want {sorted(expected)}")
         data = {name: _checked(folder / name, digest) for name, digest in sorted(digests.items())}
-        episode = _episode(header, arrays_from_bytes(data["frames.npz"], folder / "frames.npz"))
+        arrays = arrays_from_bytes(data["frames.npz"], folder / "frames.npz")
+        episode = _episode(header, arrays)
         videos = {name: folder / f"{name}.mp4" for name in episode.cameras}
+        counts = {name: arrays[f"colors_{name}"] for name in videos}
+        codec = header["codec"]
     except (KeyError, TypeError, ValueError) as error:
         raise MalformedFileError(
             where, f"is not complete ({error!r})", "generate the episode again"
         ) from error
-    return CommittedEpisode(folder=folder, episode=episode, videos=videos, sha256=digests)
+    return CommittedEpisode(
+        folder=folder,
+        episode=episode,
+        videos=videos,
+        sha256=digests,
+        codec=codec,
+        color_counts=counts,
+        images=images,
+    )
 
 
 def _checked(path: Path, digest: str) -> bytes:
@@ -143,7 +223,8 @@ def _checked(path: Path, digest: str) -> bytes:
 
 def _frame_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
     contacts = {f"contact_{name}": getattr(episode.contacts, name) for name in _CONTACT_ARRAYS}
-    return {name: getattr(episode, name) for name in _ARRAYS} | contacts
+    poses = {f"Ts_world_cam_{name}": np.asarray(Ts) for name, Ts in sorted(episode.camera_poses.items())}
+    return {name: getattr(episode, name) for name in _ARRAYS} | contacts | poses
 
 
 def _header(episode: Episode) -> dict[str, Any]:
@@ -190,4 +271,7 @@ def _episode(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Episode
         contacts=ContactLog(**contacts),
         joint=Joint(**header["joint"]),
         cameras={name: Camera(**values) for name, values in header["cameras"].items()},
+        camera_poses={
+            name: arrays[key] for name in header["cameras"] if (key := f"Ts_world_cam_{name}") in arrays
+        },
     )

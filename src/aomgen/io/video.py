@@ -2,12 +2,13 @@
 
 import fractions
 import io
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 import av
 import av.error
@@ -17,12 +18,25 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.errors import LimitExceededError, MalformedFileError, MissingFileError
+from aomgen.errors import (
+    BackendError,
+    CorruptArtifactError,
+    LimitExceededError,
+    MalformedFileError,
+    MissingFileError,
+)
 
 # Eleven minutes at 30 fps; a demonstration takes less than one.
 MAX_FRAMES = 20_000
 # Decoded frames stay in memory: 24 GB at three bytes a pixel.
 MAX_PIXELS_TOTAL = 8_000_000_000
+
+Codec = Literal["h264", "av1"]
+# Encoder of each codec and its options.
+_ENCODERS: Final = {
+    "h264": ("libx264", {"crf": "20", "g": "2", "preset": "veryfast", "mbtree": "0"}),
+    "av1": ("libsvtav1", {"crf": "30", "g": "2", "preset": "9", "svtav1-params": "lp=1"}),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,23 +178,37 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
         yield container, container.streams.video[0]
 
 
-def encode_video(frames: Iterable[NDArray[np.uint8]], fps: int, *, crf: int = 20) -> bytes:
-    """MP4 bytes (H.264, yuv420p, a key frame every second frame) of frames (H, W, 3) uint8.
+def encode_video(
+    frames: Iterable[NDArray[np.uint8]], fps: int, *, codec: Codec = "h264", crf: int | None = None
+) -> bytes:
+    """MP4 bytes (yuv420p, a key frame every second frame) of frames (H, W, 3) uint8.
 
     One thread for colors and one for the encoder, so the same frames always give the same bytes.
     For the same reason x264's macroblock tree is off: its AVX-512 code reads memory that was never
     written, so that small images came out in one of several ways. This makes files 8 % larger.
+
+    Args:
+        codec: H.264 is read everywhere, AV1 is smaller.
+        crf: Quality, lower is better; None takes the codec's usual one.
+
+    Raises:
+        BackendError: This PyAV has no such encoder.
     """
+    encoder, options = _ENCODERS[codec]
+    if encoder not in av.codecs_available:
+        raise BackendError("PyAV", f"has no encoder {encoder}", "install PyAV's own wheel, or choose h264")
+    # SVT-AV1 tells its settings otherwise; 1 leaves errors.
+    os.environ.setdefault("SVT_LOG", "1")
     buffer = io.BytesIO()
     with av.open(buffer, "w", format="mp4") as container:
         stream = None
         for index, frame in enumerate(frames):
             if stream is None:
-                stream = container.add_stream("libx264", rate=fps)
+                stream = container.add_stream(encoder, rate=fps)
                 stream.height, stream.width = frame.shape[:2]
                 stream.pix_fmt = "yuv420p"
                 stream.thread_count = 1
-                stream.options = {"crf": str(crf), "g": "2", "preset": "veryfast", "mbtree": "0"}
+                stream.options = options if crf is None else options | {"crf": str(crf)}
             picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
             picture = picture.reformat(format="yuv420p", threads=1)
             picture.pts = index
@@ -189,6 +217,31 @@ def encode_video(frames: Iterable[NDArray[np.uint8]], fps: int, *, crf: int = 20
         if stream is not None:
             container.mux(stream.encode(None))
     return buffer.getvalue()
+
+
+def decode_samples(data: bytes, where: Path, step: int) -> tuple[int, list[NDArray[np.uint8]]]:
+    """How many frames a video's bytes really hold, and every `step`-th of them (H, W, 3).
+
+    Raises:
+        CorruptArtifactError: The bytes cannot be decoded; `where` names them.
+    """
+    count, samples = 0, []
+    try:
+        with av.open(io.BytesIO(data)) as container:
+            container.streams.video[0].thread_count = 1
+            for frame in container.decode(video=0):
+                if frame.is_corrupt:
+                    raise CorruptArtifactError(
+                        where, f"frame {count} is damaged", "generate the episode again"
+                    )
+                if count % step == 0:
+                    samples.append(np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8))
+                count += 1
+    except (av.error.FFmpegError, IndexError) as error:
+        raise CorruptArtifactError(
+            where, f"cannot be decoded ({error})", "generate the episode again"
+        ) from error
+    return count, samples
 
 
 def concatenate_videos(paths: Sequence[Path], fps: int) -> tuple[bytes, list[int]]:
@@ -215,7 +268,7 @@ def concatenate_videos(paths: Sequence[Path], fps: int) -> tuple[bytes, list[int
                     codec = video.codec_context
                     found = (codec.name, codec.width, codec.height, bytes(codec.extradata or b""))
                     if stream is None:
-                        stream, settings = target.add_stream_from_template(video), found
+                        stream, settings = target.add_stream_from_template(video, opaque=True), found
                     if found != settings:
                         raise MalformedFileError(
                             path, "has another size or encoding", "generate the episodes again"

@@ -82,6 +82,18 @@ class GripperSection(_Section):
         return {name: (self.open[name], self.closed[name]) for name in self.open}
 
 
+class CameraSection(_Section):
+    """A camera on a body: its pose there (x right, y down, z forward), vertical field of view, and size, [px]."""
+
+    name: str = Field(pattern=r"^[a-z0-9_]+$")
+    body: str
+    position: Three
+    quat_wxyz: Four
+    fov_deg: float = Field(gt=0, lt=180)
+    width: int = Field(ge=1, le=4096)
+    height: int = Field(ge=1, le=4096)
+
+
 class RobotDescription(_Section):
     """What a robot.toml says; see `docs/capture.md`."""
 
@@ -91,6 +103,7 @@ class RobotDescription(_Section):
     joints: tuple[str, ...] = Field(min_length=1)
     end_effector: EndEffectorSection
     gripper: GripperSection | None = None
+    camera: tuple[CameraSection, ...] = ()
 
 
 def read_description(path: Path) -> RobotDescription:
@@ -107,6 +120,8 @@ def read_description(path: Path) -> RobotDescription:
         )
     if bool(found.end_effector.site) == bool(found.end_effector.body):
         raise MalformedFileError(path, "end_effector needs a site or a body", "give one of them")
+    if len({camera.name for camera in found.camera}) < len(found.camera):
+        raise MalformedFileError(path, "has two cameras of one name", "give each its own")
     return found
 
 
@@ -205,6 +220,17 @@ joints = [{joints}]  # the arm, from the base on
 
 [end_effector]  # z out of the palm, y from the left to the right finger
 {f'site = "{end.site}"' if end.site else place}
+"""
+    for camera in description.camera:
+        text += f"""
+[[camera]]  # x right, y down, z forward
+name = "{camera.name}"
+body = "{camera.body}"
+position = {list(camera.position)}
+quat_wxyz = {list(camera.quat_wxyz)}
+fov_deg = {camera.fov_deg}
+width = {camera.width}
+height = {camera.height}
 """
     if gripper is None:
         return text

@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from aomgen.core.camera import Camera
 from aomgen.core.recording import RobotChoice
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.errors import ConfigError, MalformedFileError
@@ -21,6 +22,7 @@ from aomgen.robots.actuation import add_actuation, drop_visual
 from aomgen.robots.description import (
     FILE_NAME,
     ActuatorSection,
+    CameraSection,
     EndEffectorSection,
     PadSection,
     RobotDescription,
@@ -35,7 +37,7 @@ from aomgen.robots.geom_meshes import visual_meshes
 from aomgen.robots.gripper import MIN_TRAVEL_M, GripperTable, no_fingers, settle_fingers
 from aomgen.robots.propose import propose_description
 from aomgen.robots.reading import ancestors, arm_chain, compile_model, read_finished_spec, read_robot_spec
-from aomgen.robots.robot import FingerPad, HandDrive, RobotModel, body_poses, site_poses
+from aomgen.robots.robot import FingerPad, HandDrive, RobotCamera, RobotModel, body_poses, site_poses
 
 HEADER = "robot"
 FILES = "robot"
@@ -177,6 +179,7 @@ def _assemble(description: RobotDescription, files: RobotFiles, path: Path, *, t
         drive=None if gripper is None or actuator is None else _hand_drive(gripper.strokes, actuator),
         hand_bodies=tuple(compiled.body(b).name for b in chain.hand_bodies),
         ee_site=ee_site,
+        cameras={item.name: _robot_camera(model, item) for item in description.camera},
         _model=compiled,
         _full=spec,
         _bare=bare,
@@ -187,6 +190,7 @@ def _check_names(description: RobotDescription, model: mujoco.MjModel, path: Pat
     """Refuse bodies, joints, sites and actuators that the model does not have."""
     end, gripper = description.end_effector, description.gripper
     wanted = [("site", end.site, "end_effector.site"), ("body", end.body, "end_effector.body")]
+    wanted += [("body", camera.body, "camera.body") for camera in description.camera]
     if gripper is not None:
         wanted += [("body", pad.body, f"gripper.{side}.body") for side, pad in gripper.pads.items()]
         wanted += [("joint", name, "gripper.open") for name in gripper.open]
@@ -218,6 +222,15 @@ def _finger_pad(model: mujoco.MjModel, side: str, pad: PadSection) -> FingerPad:
         T_body_pad=transform(matrix_from_quat(pad.quat_wxyz), pad.center),
         half_extents=np.array(pad.half_extents),
     )
+
+
+def _robot_camera(model: mujoco.MjModel, item: CameraSection) -> RobotCamera:
+    focal = item.height / 2 / np.tan(np.radians(item.fov_deg) / 2)
+    T_body_cam = transform(matrix_from_quat(item.quat_wxyz), item.position)
+    view = Camera(
+        fx=focal, fy=focal, cx=item.width / 2, cy=item.height / 2, width=item.width, height=item.height, T_world_cam=T_body_cam
+    )  # fmt: skip
+    return RobotCamera(body=model.body(item.body).id - 1, view=view)
 
 
 def _colliders(model: mujoco.MjModel, body: int) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aomgen.core.camera import Camera, CameraPath
 from aomgen.core.mesh import sample_surface
 from aomgen.core.transforms import apply, matrix_from_quat, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
@@ -52,6 +53,14 @@ class FingerPad:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RobotCamera:
+    """A camera on a body, an index into `RobotModel.body_names`; what `view` calls world is the body's frame."""
+
+    body: int
+    view: Camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HandDrive:
     """The finger joint that a gripper value measures, the actuator that closes, and their values at 0 and 1."""
 
@@ -76,6 +85,7 @@ class RobotModel:
         drive: What closes the hand; None for an arm without fingers.
         hand_bodies: Names of the bodies that hang on the last arm body.
         ee_site: Name of the site that is the end effector (between the pads).
+        cameras: That it carries, by name.
     """
 
     name: str
@@ -90,6 +100,7 @@ class RobotModel:
     drive: HandDrive | None
     hand_bodies: tuple[str, ...]
     ee_site: str
+    cameras: Mapping[str, RobotCamera]
     _model: mujoco.MjModel
     _full: mujoco.MjSpec
     _bare: mujoco.MjSpec
@@ -132,6 +143,14 @@ class RobotModel:
     def link_poses(self, joints: ArrayLike, gripper: ArrayLike) -> Array:
         """Poses T_world_body (T, B, 4, 4) of all bodies; arguments as `qpos`."""
         return body_poses(self._model, self.qpos(joints, gripper))[:, 1:]
+
+    def camera_paths(self, joints: ArrayLike, gripper: ArrayLike) -> dict[str, CameraPath]:
+        """Where its cameras are at T frames; arguments as `qpos`."""
+        Ts = self.link_poses(joints, gripper)
+        return {
+            name: CameraPath(camera=item.view, Ts_world_cam=Ts[:, item.body] @ item.view.T_world_cam)
+            for name, item in self.cameras.items()
+        }
 
     def ee_poses(self, joints: ArrayLike) -> Array:
         """Poses T_world_ee (T, 4, 4) of the end effector site for joints (T, J)."""

@@ -27,6 +27,8 @@ from aomgen.splatting.rasterizer import (
 
 # Side of the engine's tiles, [px].
 TILE = 16
+_CHANNELS = {"rgb8": (3,)}
+_TYPES = {"rgb8": np.uint8, "alpha": np.float32, "median_depth": np.float32, "max_id": np.int32}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,26 +190,27 @@ class RenderSession:
         return shades
 
     def _frames(
-        self, motion: Motion, shades: ArrayLike | None
-    ) -> tuple[NDArray[np.uint8], list[native.Frame], dict[str, NDArray]]:
+        self, motion: Motion, shades: ArrayLike | None, outputs: Sequence[str]
+    ) -> tuple[dict[str, NDArray], list[native.Frame], dict[str, NDArray]]:
         """Images to be drawn, what the engine draws them by, and arrays that must stay alive meanwhile."""
-        count = len(motion)
-        images = np.empty((count, self.camera.height, self.camera.width, 3), np.uint8)
+        shape = (len(motion), self.camera.height, self.camera.width)
+        images = {name: np.empty(shape + _CHANNELS.get(name, ()), _TYPES[name]) for name in outputs}
         Ts = self.camera.T_cam_world @ motion.Ts_world_part
-        arrays = {
+        arrays = images | {
             "cam_from_part": np.ascontiguousarray(Ts[:, :, :3], np.float32),
-            "tiles": self._unknown_tiles(count),
-            "rgb8": images,
+            "tiles": self._unknown_tiles(len(motion)),
         }
         if motion.colors is not None:
             arrays["colors"] = motion.colors
         if shades is not None:
-            arrays["shade"] = self._checked_shades(shades, (count,))
+            arrays["shade"] = self._checked_shades(shades, shape[:1])
+        starts = addresses_of(arrays)
+        steps = {name: arrays[name].strides[0] for name in starts}
         frames = [
             native.Frame(
-                session=self._handle, **addresses_of({name: array[t] for name, array in arrays.items()})
+                session=self._handle, **{name: start + t * steps[name] for name, start in starts.items()}
             )
-            for t in range(count)
+            for t in range(len(motion))
         ]
         return images, frames, arrays
 
@@ -228,11 +231,25 @@ def draw_sessions(
         shades: For each session factors (T, H, W) as in `RenderSession.draw`, or None.
         threads: None for all processors of the process.
     """
+    drawn = draw_outputs(sessions, moving, motion, ("rgb8",), shades, threads)
+    return [images["rgb8"] for images in drawn]
+
+
+def draw_outputs(
+    sessions: Sequence[RenderSession],
+    moving: Gaussians,
+    motion: Motion,
+    outputs: Sequence[str],
+    shades: Sequence[NDArray[np.float32] | None] | None = None,
+    threads: int | None = None,
+) -> list[dict[str, NDArray]]:
+    """As `draw_sessions`, what is wanted of "rgb8", "alpha", "median_depth" and "max_id" (these two together)."""
     if len(motion.parts) != len(moving):
         raise ValueError(f"{len(motion.parts)} part indices for {len(moving)} Gaussians")
     colored = 0 if motion.colors is None else motion.colors.shape[1]
     drawn = [
-        session._frames(motion, None if shades is None else shades[i]) for i, session in enumerate(sessions)
+        session._frames(motion, None if shades is None else shades[i], outputs)
+        for i, session in enumerate(sessions)
     ]
     scene = native_scene(moving)
     scene.parts = motion.parts.ctypes.data

@@ -1,16 +1,22 @@
 """Surfaces that are lit anew as they turn, and what a camera has seen of them before."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.light import Light, shaded_srgb
+from aomgen.conventions import srgb_from_linear
+from aomgen.core.light import Light
 from aomgen.core.values import Array, freeze_arrays, require_indices
 
 # Weights below this are as good as none.
 NEGLIGIBLE: Final = 1e-3
+# Surfaces that are lit at once: their colors in a batch of states stay in the processor's cache.
+BLOCK: Final = 256
+# Steps of linear light, of which the darkest is a tenth of a grey level.
+LEVELS: Final = 1 << 14
 # Where the views' weights add up to less than this, the residual fades out.
 FULL_WEIGHT: Final = 0.6
 
@@ -88,29 +94,69 @@ class Relit:
             residuals=tuple(residuals),
         )
 
-    def colors_srgb(self, owners: NDArray[np.int32], Ts_world_body: Array) -> Array:
-        """Colors (T, M, 3), sRGB 0..1, in T states.
+    def colors_srgb(self, owners: NDArray[np.int32], Ts_world_body: Array) -> NDArray[np.float32]:
+        """Colors (T, M, 3), sRGB 0..1, in T states: `core.light.shaded_srgb` to a tenth of a grey level.
 
         Args:
             owners: Body of every surface (M,).
             Ts_world_body: Body poses (T, B, 4, 4).
         """
         Rs = Ts_world_body[..., :3, :3]
-        colors = np.empty((len(Rs), len(self.indices), 3))
-        for body, light in np.unique(np.stack([owners, self.light_of], 1), axis=0).tolist():
-            rows = np.flatnonzero((owners == body) & (self.light_of == light))
-            albedo, transfer = self.albedo_linear[rows], self.transfer[rows]
-            for t, R in enumerate(Rs[:, body]):
-                if t and np.array_equal(R, Rs[t - 1, body]):
-                    colors[t, rows] = colors[t - 1, rows]
-                else:
-                    colors[t, rows] = shaded_srgb(albedo, transfer, self.lights[light].seen_from(R))
+        colors = np.empty((len(Rs), len(self.indices), 3), np.float32)
+        groups = owners.astype(np.int64) * len(self.lights) + self.light_of
+        for group in np.unique(groups).tolist():
+            rows = np.flatnonzero(groups == group)
+            body, light = divmod(group, len(self.lights))
+            # Each orientation once.
+            state_of, different = _distinct(Rs[:, body])
+            light_body = self.lights[light].seen_from(different).astype(np.float32)
+            for start in range(0, len(rows), BLOCK):
+                block = rows[start : start + BLOCK]
+                lit = _shaded_blocks(self.albedo_linear[block], self.transfer[block], light_body)
+                colors[:, _as_slice(block)] = lit if len(lit) == len(Rs) else lit[state_of]
         for residual in self.residuals:
-            weights = residual.weights(Rs[:, residual.body])
-            for t, k in np.argwhere(weights > NEGLIGIBLE):
-                colors[t, residual.rows] += weights[t, k] * residual.difference_srgb[k]
-            colors[:, residual.rows] = np.clip(colors[:, residual.rows], 0, 1)
+            weights = residual.weights(Rs[:, residual.body]).astype(np.float32)
+            weights[weights <= NEGLIGIBLE] = 0
+            for start in range(0, len(residual.rows), BLOCK):
+                block = _as_slice(residual.rows[start : start + BLOCK])
+                difference = residual.difference_srgb[:, start : start + BLOCK]
+                seen = weights @ difference.reshape(len(difference), -1)
+                seen = seen.reshape(len(Rs), -1, 3) + colors[:, block]
+                colors[:, block] = np.clip(seen, 0, 1, out=seen)
         return colors
+
+
+def _shaded_blocks(
+    albedo_linear: NDArray[np.float32], transfer: NDArray[np.float32], lights: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """sRGB colors (T, R, 3) of diffuse surfaces (R, 3), (R, 9) in lights (T, 9, 3) of their frame.
+
+    Products of matrices as small as these are never divided among threads, so that they round in one way only.
+    """
+    table, colors = _srgb_table(), np.empty((len(lights), len(transfer), 3), np.float32)
+    by_channel = np.ascontiguousarray(np.moveaxis(lights, -1, 0)) * np.float32(LEVELS)
+    for channel in range(3):
+        levels = by_channel[channel] @ (transfer * albedo_linear[:, channel, None]).T
+        levels += np.float32(0.5)
+        colors[..., channel] = table.take(levels.astype(np.int64), mode="clip")
+    return colors
+
+
+@cache
+def _srgb_table() -> NDArray[np.float32]:
+    return srgb_from_linear(np.arange(LEVELS + 1) / LEVELS).astype(np.float32)
+
+
+def _distinct(Rs: Array) -> tuple[NDArray[np.int64], Array]:
+    """For each of T orientations (T, 3, 3) its place among those that differ from the one before, and these."""
+    new = np.append(True, (Rs[1:] != Rs[:-1]).any((1, 2)))
+    return np.cumsum(new) - 1, Rs[new]
+
+
+def _as_slice(rows: NDArray[np.int64]) -> NDArray[np.int64] | slice:
+    """The same rows, as a slice where they follow one another: several times faster."""
+    first, last = int(rows[0]), int(rows[-1])
+    return slice(first, last + 1) if (np.diff(rows) == 1).all() else rows
 
 
 def join_relit(first: Relit | None, second: Relit) -> Relit:

@@ -1,25 +1,21 @@
-"""What lights see of bodies, and the shadows that these throw: crisp from one strong light, soft from all around.
+"""What one strong light sees of bodies, and the crisp shadows that these throw.
 
 Whether a point is in shadow is read off an image of the bodies taken from the light (shadow
 mapping: Williams 1978, "Casting curved shadows on curved surfaces").
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from aomgen.core.camera import Camera
 from aomgen.core.gaussians import SH_C0, Gaussians
-from aomgen.core.light import Light
-from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import apply, invert, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.splatting.rasterizer import RigidParts, render
-from aomgen.splatting.surfaces import sphere_directions
 
 # Distance of a camera whose image counts as an orthographic one, [m].
 FAR: Final = 60.0
@@ -31,14 +27,6 @@ HEIGHTS: Final = (-0.09, -0.06, 0.012, 0.03)
 # The role of Gaussians for shadows: what they fall on, what throws one that is always the same, and what throws one
 # that comes and goes.
 SCENE, STANDS, MOVES = range(3)
-# Cell of a map of soft light, [m]: it leaves no finer detail in a shadow.
-CELL: Final = 0.015
-# Soft shadow is followed this far from the object, and fades out over the last third, [m].
-REACH: Final = 0.35
-# Directions of soft light over the whole sphere, of which half lie above the plane; the map is smoothed after.
-DIRECTIONS: Final = 160
-# Light that things around throw into a shadow, as a share of what is blocked.
-FILL: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,70 +158,3 @@ def remove_shadow(gaussians: Gaussians, dark: Array, shade: Array) -> Gaussians:
     sh = gaussians.sh * factor[:, None]
     sh[:, 0] = ((0.5 + SH_C0 * gaussians.sh[:, 0]) * factor - 0.5) / SH_C0
     return gaussians.with_sh(sh)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShadowMap:
-    """Share of soft light that still arrives on a surface.
-
-    Attributes:
-        T_world_plane: Frame of the surface, z = 0 on it.
-        low: Corner of cell (0, 0), plane frame, [m].
-        share: 0..1, linear.
-    """
-
-    T_world_plane: Matrix4
-    low: Annotated[Array, "2"]
-    share: Annotated[Array, "_ _"]
-
-    __post_init__ = freeze_arrays
-
-    def at(self, points_world: ArrayLike, eye_world: ArrayLike) -> NDArray[np.float32]:
-        """Factor on sRGB values (...,) at points (..., 3) seen from an eye (3,); 1 off the surface.
-
-        The shadow is looked up where the line of sight meets the surface.
-        """
-        T_plane_world = invert(self.T_world_plane)
-        places, eye = apply(T_plane_world, points_world), apply(T_plane_world, eye_world)
-        along = eye[2] / np.maximum(eye[2] - places[..., 2], 1e-6)
-        met = eye[:2] + along[..., None] * (places[..., :2] - eye[:2])
-        cells = (met - self.low) / CELL - 0.5
-        share = map_coordinates(self.share, [cells[..., 1], cells[..., 0]], order=1, cval=1.0)
-        # sRGB is close to the power 1 / 2.2 of linear light.
-        factor = np.maximum(share, 0) ** (1 / 2.2)
-        return (1 - surface_share(self.T_world_plane, points_world) * (1 - factor)).astype(np.float32)
-
-
-def cast_shadow(
-    still: Gaussians, moving: Sequence[Gaussians], T_world_plane: ArrayLike, light: Light
-) -> list[ShadowMap]:
-    """Soft shadows of an object on the plane it stands on, one for every place of its moving part.
-
-    The light of every direction is stopped by what the object's silhouette covers as seen from there. All Gaussians
-    are in the world frame; `still` holds at least one.
-    """
-    T = np.asarray(T_world_plane, np.float64)
-    T_plane_world = invert(T)
-    points = np.concatenate([apply(T_plane_world, body.means)[:, :2] for body in (still, *moving)])
-    low = points.min(0) - REACH
-    columns, rows = np.ceil((points.max(0) + REACH - low) / CELL).astype(int)
-    x, y = np.meshgrid(low[0] + (np.arange(columns) + 0.5) * CELL, low[1] + (np.arange(rows) + 0.5) * CELL)
-    cells = apply(T, np.stack([x, y, np.zeros_like(x)], -1))
-    arriving, total = np.zeros((len(moving), rows, columns)), 0.0
-    directions = sphere_directions(DIRECTIONS)
-    for direction in directions[directions @ T[:3, 2] > 0]:
-        radiance = float((sh_basis(direction[None], 2) @ light.radiance_sh).mean())
-        weight = float(direction @ T[:3, 2]) * max(radiance, 0.0)
-        if weight > 0:
-            passed = weight * (1 - silhouette(still, direction).at(cells))
-            for shares, part in zip(arriving, moving, strict=True):
-                shares += passed * (1 - silhouette(part, direction).at(cells))
-            total += weight
-    # The cell's distance from the border, as a share of the last third of the reach.
-    from_side, from_end = (np.minimum(np.arange(n), n - 1 - np.arange(n)) for n in (rows, columns))
-    fade = np.clip(np.minimum(from_side[:, None], from_end) * CELL / (REACH / 3), 0, 1)
-    maps = []
-    for shares in arriving:
-        share = gaussian_filter(FILL + (1 - FILL) * shares / max(total, 1e-9), 1.0)
-        maps.append(ShadowMap(T_world_plane=T, low=low, share=1 - (1 - share) * fade))
-    return maps

@@ -229,27 +229,31 @@ class MovingLayer:
     Attributes:
         gaussians: In body frames; the M relit ones last, in the order of `relit`.
         bodies: Body of each.
+        labels: Part label of each.
         relit: What is lit anew as it turns.
     """
 
     gaussians: Gaussians
     bodies: NDArray[np.int32]
+    labels: NDArray[np.uint8]
     relit: Relit | None
 
     def motion(self, Ts_world_body: ArrayLike) -> Motion:
         """The layer's frames for body poses (T, B, 4, 4): Gaussians turn with their bodies, surfaces are lit."""
         Ts, colors = np.asarray(Ts_world_body, np.float64), None
         if self.relit is not None and (count := len(self.relit.indices)):
-            colors = self.relit.colors_srgb(self.bodies[-count:], Ts).astype(np.float32)
+            colors = self.relit.colors_srgb(self.bodies[-count:], Ts)
         return Motion(parts=self.bodies, Ts_world_part=Ts, colors=colors)
 
 
-def moving_layer(twin: Twin) -> MovingLayer:
-    """Prepare what moves in a twin."""
-    moving = twin.select(twin.moves)
+def moving_layer(moving: Twin) -> MovingLayer:
+    """Prepare a twin, of which everything moves."""
     lit = np.zeros(0, np.int64) if moving.relit is None else moving.relit.indices
     plain = np.setdiff1d(np.arange(len(moving.bodies)), lit)
     order = np.concatenate([plain[np.argsort(moving.bodies[plain], kind="stable")], lit])
     return MovingLayer(
-        gaussians=moving.gaussians.select(order), bodies=moving.bodies[order], relit=moving.relit
+        gaussians=moving.gaussians.select(order),
+        bodies=moving.bodies[order],
+        labels=moving.labels[order],
+        relit=moving.relit,
     )

@@ -11,7 +11,6 @@ from aomgen.core.episode import ContactLog, Episode
 from aomgen.core.joint import Joint
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.datasets.features import (
-    color_counts,
     column_statistics,
     ee_deltas,
     ee_targets,
@@ -19,8 +18,8 @@ from aomgen.datasets.features import (
     image_statistics,
 )
 from aomgen.datasets.lerobot_v3 import assign_files, write_lerobot_v3
-from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
-from aomgen.io.episode_folder import commit_episode
+from aomgen.errors import ConfigError, MissingFileError
+from aomgen.io.episode_folder import color_counts, commit_episode
 from aomgen.io.video import concatenate_videos, encode_video, read_video
 
 FPS = 10
@@ -207,12 +206,19 @@ def test_unlike_episodes_are_refused_and_nothing_is_left(folders, tmp_path):
     assert not (tmp_path / "dataset").exists()
 
 
-def test_a_video_of_another_length_is_refused(tmp_path):
-    episode = make_episode(0, 9, cameras=("front",))
-    folder = commit_episode(tmp_path / "e", episode, {"front": encode_video(make_frames(0, 7), FPS)})
-    with pytest.raises(CorruptArtifactError, match="7 frames"):
-        write_lerobot_v3([folder], tmp_path / "dataset")
-    assert not (tmp_path / "dataset").exists()
+def test_the_dataset_of_av1_videos_says_so(tmp_path):
+    episode = make_episode(0, 6, cameras=("front",))
+    frames = make_frames(0, 6)
+    folder = commit_episode(
+        tmp_path / "e", episode, {"front": encode_video(frames, FPS, codec="av1")}, codec="av1"
+    )
+    write_lerobot_v3([folder], tmp_path / "dataset")
+    info = json.loads((tmp_path / "dataset/meta/info.json").read_text())
+    assert info["features"]["observation.images.front"]["info"]["video.codec"] == "av1"
+    joined = read_video(tmp_path / "dataset/videos/observation.images.front/chunk-000/file-000.mp4")
+    assert np.abs(joined.frames_srgb.astype(int) - frames).max() < 6
+    with pytest.raises(ConfigError, match="codec"):
+        write_lerobot_v3([folder, commit(tmp_path / "e", 1, 6, cameras=("front",))], tmp_path / "mixed")
 
 
 def test_joining_needs_every_video(tmp_path):

@@ -144,7 +144,7 @@ def test_an_arm_that_jumps_exceeds_its_torques(drawer: Episode, frame: int, join
 def test_drives_that_are_too_weak_are_noticed(drawer: Episode, microwave: Episode, share: float) -> None:
     for plan, scene in (drawer, microwave):
 
-        def weaken(model: mujoco.MjModel) -> None:
+        def weaken(model: mujoco.MjModel, scene: Scene = scene) -> None:
             model.actuator_forcerange[scene.arm.actuators] *= share
 
         weak = replace(with_model(scene, weaken), arm=replace(scene.arm, torques=share * scene.arm.torques))

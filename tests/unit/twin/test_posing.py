@@ -3,14 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.core.gaussians import gaussians_of
 from aomgen.core.sh import sh_basis
 from aomgen.core.transforms import angle_between, apply, invert, matrix_from_rotvec, transform
 from aomgen.errors import MalformedFileError, MissingFileError
 from aomgen.io.artifact import load_artifact, save_artifact
 from aomgen.splatting.rasterizer import render
 from aomgen.twin.binding import object_frame, with_object
-from aomgen.twin.shadow import cast_shadow
 from aomgen.twin.twin import (
     PART,
     Twin,
@@ -114,7 +112,7 @@ def test_the_object_frame_is_found_from_points(toy_scene):
 def test_layers_are_the_picture_of_everything(toy_scene):
     twin, state = toy_scene.twin, replace(toy_scene.twin.scan_state, theta=0.9)
     everything = render_state(twin, toy_scene.robot, state, toy_scene.camera).rgb
-    layer, moving = static_layer(twin, toy_scene.camera), moving_layer(twin)
+    layer, moving = static_layer(twin, toy_scene.camera), moving_layer(twin.select(twin.moves))
     motion = moving.motion(body_poses(twin, toy_scene.robot, state)[None])
     (layered,) = layer.session.draw_many(moving.gaussians, motion)
     # Rounded to 8 bits; posing by numpy rounds a little otherwise.
@@ -133,7 +131,7 @@ def test_lit_surfaces_of_a_layer_move_as_the_posed_twin_does(toy_scene):
     states = [replace(twin.scan_state, theta=theta) for theta in (0.0, 0.0, 1.2)]
     Ts = np.stack([body_poses(twin, toy_scene.robot, state) for state in states])
     layer = static_layer(twin, toy_scene.camera)
-    prepared = moving_layer(twin)
+    prepared = moving_layer(twin.select(twin.moves))
     frames = layer.session.draw_many(prepared.gaussians, prepared.motion(Ts))
     np.testing.assert_array_equal(frames[0], frames[1])
     assert (frames[2] != frames[1]).any()
@@ -141,29 +139,6 @@ def test_lit_surfaces_of_a_layer_move_as_the_posed_twin_does(toy_scene):
     for frame, poses in zip(frames[1:], Ts[1:], strict=True):
         want = layer.session.draw(posed_by(bodies_alone, poses)).rgb
         assert np.abs(frame / 255 - want).max() < 0.502 / 255 + 2e-3
-
-
-def test_a_box_casts_its_shadow_away_from_the_light(toy_scene):
-    rng = np.random.default_rng(0)
-    points = rng.uniform((-0.1, -0.1, 0), (0.1, 0.1, 0.2), (20_000, 3))
-    box = gaussians_of(
-        means=points,
-        quats=np.tile([1.0, 0, 0, 0], (len(points), 1)),
-        scales=np.full((len(points), 3), 0.005),
-        opacities=np.full(len(points), 0.9),
-        sh=np.zeros((len(points), 1, 3)),
-    )
-    radiance = np.zeros((9, 3))
-    radiance[0], radiance[3], radiance[2] = 1.0, -0.6, 0.4  # bright from +x and above
-    light = replace(toy_scene.light, radiance_sh=radiance)
-    places = np.array([[-0.13, 0, 0], [0.13, 0, 0], [-2.0, 0, 0], [-0.13, 0, 0.1]])
-    lower, upper = box.select(points[:, 2] < 0.1), box.select(points[:, 2] >= 0.1)
-    (shadow,) = cast_shadow(lower, [upper], np.eye(4), light)
-    factor = shadow.at(places, (0.0, 0.0, 2.0))
-    assert factor[0] < factor[1] < 1
-    assert factor[0] < 0.8
-    assert factor[2] == 1  # far away
-    assert factor[3] == 1  # not on the surface
 
 
 def test_a_twin_survives_storage_byte_for_byte(toy_scene, tmp_path):

@@ -1,0 +1,149 @@
+"""A twin in another light, with another material on its object, or with an object of another size."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.conventions import linear_from_srgb, srgb_from_linear
+from aomgen.core.gaussians import SH_C0, Gaussians
+from aomgen.core.plan import LightChange, MaterialChange
+from aomgen.core.transforms import matrix_from_rotvec
+from aomgen.core.values import Array
+from aomgen.twin.relighting import Relit
+from aomgen.twin.twin import OBJECT, PART, Twin
+
+# What the recorded light counts as, [K].
+RECORDED_K: Final = 6500.0
+# Linear sRGB of XYZ. Source: IEC 61966-2-1.
+RGB_OF_XYZ: Final = ((3.2406, -1.5372, -0.4986), (-0.9689, 1.8758, 0.0415), (0.0557, -0.2040, 1.0570))
+# Luminance of linear sRGB. Source: IEC 61966-2-1.
+LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
+# Below this an sRGB color has no ratio to speak of.
+BLACK: Final = 1e-3
+
+
+def changed(twin: Twin, light: LightChange, material: MaterialChange) -> Twin:
+    """The twin in another light and with another material on its object; the same twin where nothing changes.
+
+    Intensity and temperature change every color, as a camera with fixed exposure and white balance would see it. A turn
+    of the light changes surfaces that are lit anew and the shadow of what moves; what was scanned keeps its shading.
+    """
+    gains = light_gains(light)
+    if material != MaterialChange():
+        twin = _with_material(twin, material_matrix(material))
+    if light.turn:
+        twin = _with_turned_light(twin, matrix_from_rotvec([0.0, 0.0, light.turn]))
+    return twin if (gains == 1).all() else _with_gains(twin, gains)
+
+
+def scaled(twin: Twin, factor: float) -> Twin:
+    """The twin with its object scaled about the object frame's origin, joint included."""
+    if factor == 1:
+        return twin
+    S = np.diag([factor, factor, factor, 1.0])
+    mine = np.isin(twin.bodies, [twin.body(OBJECT), twin.body(PART)])
+    own, g = twin.gaussians.select(mine).transformed(S), twin.gaussians
+    means, scales = np.array(g.means), np.array(g.scales)
+    means[mine], scales[mine] = own.means, own.scales
+    theta = twin.scan_state.theta * (factor if twin.joint.type == "prismatic" else 1.0)
+    return replace(
+        twin,
+        gaussians=replace(g, means=means, scales=scales),
+        joint=twin.joint.moved(S),
+        scan_state=replace(twin.scan_state, theta=theta),
+    )
+
+
+def light_gains(light: LightChange) -> Array:
+    """Factors (3,) on linear colors; the temperature alone leaves the luminance of white as it is."""
+    tint = _blackbody_rgb(light.temperature_k) / _blackbody_rgb(RECORDED_K)
+    return light.intensity * tint / (tint @ np.array(LUMINANCE) if light.temperature_k != RECORDED_K else 1.0)
+
+
+def material_matrix(material: MaterialChange) -> Array:
+    """Linear map (3, 3) of linear colors: about the grey axis by the hue, away from it by the saturation, times brightness."""
+    grey = np.full((3, 3), 1 / 3)
+    turn = matrix_from_rotvec(material.hue * np.ones(3) / np.sqrt(3))
+    return material.brightness * (grey + material.saturation * turn @ (np.eye(3) - grey))
+
+
+def _blackbody_rgb(temperature_k: float) -> Array:
+    """Linear sRGB (3,) of a black body, Y = 1; 1667 to 25 000 K.
+
+    Source: Kim et al. 2002, "Design of advanced color temperature control system for HDTV applications".
+    """
+    if not 1667 <= temperature_k <= 25_000:
+        raise ValueError(f"a color temperature of {temperature_k:g} K, want 1667 to 25000")
+    t = 1e3 / temperature_k
+    warm = temperature_k <= 4000
+    x = np.polyval(
+        (-0.2661239, -0.2343589, 0.8776956, 0.179910)
+        if warm
+        else (-3.0258469, 2.1070379, 0.2226347, 0.240390),
+        t,
+    )
+    if temperature_k <= 2222:
+        y = np.polyval((-1.1063814, -1.34811020, 2.18555832, -0.20219683), x)
+    elif warm:
+        y = np.polyval((-0.9549476, -1.37418593, 2.09137015, -0.16748867), x)
+    else:
+        y = np.polyval((3.0817580, -5.87338670, 3.75112997, -0.37001483), x)
+    return np.array(RGB_OF_XYZ) @ np.array([x / y, 1.0, (1 - x - y) / y])
+
+
+def _with_gains(twin: Twin, gains: Array) -> Twin:
+    relit = twin.relit
+    if relit is not None:
+        # sRGB is close to the power 1 / 2.2 of linear light.
+        residuals = tuple(
+            replace(item, difference_srgb=item.difference_srgb * gains ** (1 / 2.2))
+            for item in relit.residuals
+        )
+        relit = replace(
+            relit, lights=tuple(light.scaled(gains) for light in relit.lights), residuals=residuals
+        )
+    everything = np.ones(len(twin.gaussians), bool)
+    return replace(twin, gaussians=_recolored(twin.gaussians, everything, np.diag(gains)), relit=relit)
+
+
+def _with_turned_light(twin: Twin, R: Array) -> Twin:
+    """All light turned by R (3, 3); a body that turns along looks as before."""
+    relit, lamp = twin.relit, twin.directional_light
+    if relit is not None:
+        relit = replace(
+            relit,
+            lights=tuple(replace(light, radiance_sh=light.seen_from(R.T)) for light in relit.lights),
+            residuals=tuple(replace(item, Rs_world_body=R @ item.Rs_world_body) for item in relit.residuals),
+        )
+    if lamp is not None:
+        lamp = replace(lamp, direction=R @ lamp.direction)
+    return replace(twin, relit=relit, directional_light=lamp)
+
+
+def _with_material(twin: Twin, matrix: Array) -> Twin:
+    bodies = [twin.body(OBJECT), twin.body(PART)]
+    gaussians = _recolored(twin.gaussians, np.isin(twin.bodies, bodies), matrix)
+    return replace(
+        twin, gaussians=gaussians, relit=_with_albedo(twin.relit, np.isin(twin.relit_bodies, bodies), matrix)
+    )
+
+
+def _with_albedo(relit: Relit | None, rows: NDArray[np.bool_], matrix: Array) -> Relit | None:
+    if relit is None:
+        return None
+    albedo = np.array(relit.albedo_linear)
+    albedo[rows] = np.clip(albedo[rows] @ matrix.T, 0, 1)
+    return replace(relit, albedo_linear=albedo)
+
+
+def _recolored(gaussians: Gaussians, which: NDArray[np.bool_], matrix: Array) -> Gaussians:
+    """Gaussians of which some (N,) have their linear colors mapped; what depends on the view goes along in proportion."""
+    sh = np.array(gaussians.sh)
+    before = 0.5 + SH_C0 * sh[which, 0].astype(np.float64)
+    after = srgb_from_linear(linear_from_srgb(np.maximum(before, 0)) @ matrix.T)
+    ratio = np.where(before > BLACK, after / np.maximum(before, BLACK), 1.0)
+    sh[which, 1:] *= ratio[:, None].astype(np.float32)
+    sh[which, 0] = (after - 0.5) / SH_C0
+    return gaussians.with_sh(sh)

@@ -1,0 +1,131 @@
+"""Shadows on a surface: against silhouettes seen from the light, and as laws."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aomgen.core.gaussians import Gaussians, gaussians_of
+from aomgen.core.light import Light
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
+from aomgen.twin.binding import with_object
+from aomgen.twin.plane_shadow import FILL, PlaneGrid, SoftShadow, cast_on_plane, cast_soft_shadow
+from aomgen.twin.shadow import silhouette
+from aomgen.twin.twin import Twin
+
+GRID = PlaneGrid(low=(-0.5, -0.4), cell=0.01, columns=100, rows=80)
+
+
+@pytest.fixture(scope="module")
+def twin(toy_scene) -> Twin:
+    static, moving = toy_scene.surfels
+    T = toy_scene.twin.T_world_object
+    return with_object(toy_scene.twin, static, moving, toy_scene.asset.joint, toy_scene.light, T)
+
+
+@pytest.fixture(scope="module")
+def soft(twin) -> SoftShadow:
+    found = cast_soft_shadow(twin, np.eye(4))
+    assert found is not None
+    return found
+
+
+def box() -> Gaussians:
+    points = np.random.default_rng(0).uniform((-0.1, -0.1, 0), (0.1, 0.1, 0.2), (20_000, 3))
+    return gaussians_of(
+        means=points,
+        quats=np.tile([1.0, 0, 0, 0], (len(points), 1)),
+        scales=np.full((len(points), 3), 0.005),
+        opacities=np.full(len(points), 0.9),
+        sh=np.zeros((len(points), 1, 3)),
+    )
+
+
+def cells(grid: PlaneGrid) -> np.ndarray:
+    x = grid.low[0] + (np.arange(grid.columns) + 0.5) * grid.cell
+    y = grid.low[1] + (np.arange(grid.rows) + 0.5) * grid.cell
+    return np.stack([*np.meshgrid(x, y), np.zeros((grid.rows, grid.columns))], -1)
+
+
+def test_a_cast_shadow_is_the_silhouette_that_the_light_sees():
+    directions = np.array([[0.2, -0.3, 1.0], [0.8, 0.1, 0.5], [0.0, 0.0, 1.0]])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    Ts = transform(
+        matrix_from_rotvec([[0, 0, 0.3], [0.2, 0, 0], [0, 0, 0.0]]), [[0, 0, 0], [0.1, 0, 0.1], [0, 0, 0]]
+    )
+    bodies, parts = box(), np.zeros(20_000, np.int32)
+    cast = cast_on_plane(bodies, parts, Ts[:, None], directions, GRID)
+    for image, T, direction in zip(cast, Ts, directions, strict=True):
+        want = silhouette(bodies.transformed(T), direction).at(cells(GRID))
+        assert np.abs(image - want).mean() < 0.01
+        assert ((image > 0.5) != (want > 0.5)).mean() < 0.02
+        assert (want > 0.5).any()
+    np.testing.assert_array_equal(
+        cast, cast_on_plane(bodies, parts, Ts[:, None], directions, GRID, threads=1)
+    )
+
+
+def test_a_lookup_gives_a_linear_map_back_and_nothing_outside():
+    x, y = cells(GRID)[..., 0], cells(GRID)[..., 1]
+    places = np.random.default_rng(1).uniform((-0.49, -0.39), (0.49, 0.39), (50, 2))
+    found = GRID.lookup(places) @ (2 * x - y).ravel()
+    np.testing.assert_allclose(found, 2 * places[:, 0] - places[:, 1], atol=1e-6)
+    assert (GRID.lookup(np.array([[9.0, 0.0], [0.0, -9.0]])) @ np.ones(GRID.rows * GRID.columns) == 0).all()
+
+
+def test_soft_shadow_lies_away_from_the_light_and_fades_out(soft, twin, toy_scene):
+    radiance = np.zeros((9, 3))
+    radiance[0], radiance[3], radiance[2] = 1.0, -0.6, 0.4  # bright from +x and above
+    mirrored = radiance * np.array([1, 1, 1, -1, 1, 1, 1, 1, 1])[:, None]
+    share, other = (soft.arriving(Light(radiance_sh=sh), twin.T_world_object) for sh in (radiance, mirrored))
+    assert share.shape == soft.passed.shape[1:]
+    assert (share >= FILL - 1e-6).all()
+    assert (share <= 1 + 1e-6).all()
+    assert (share[:, [0, -1]] == 1).all()
+    x = apply(twin.T_world_object @ soft.T_object_plane, cells(soft.grid))[..., 0]
+    behind = x < np.quantile(x, 0.3)
+    assert share[:, behind].mean() < other[:, behind].mean() - 0.01
+    assert share[:, x > np.quantile(x, 0.7)].mean() > other[:, x > np.quantile(x, 0.7)].mean() + 0.01
+
+
+def test_soft_shadow_is_what_silhouettes_from_everywhere_leave(soft, twin, toy_scene):
+    rows, grid = twin.relit.indices, soft.grid
+    T = twin.T_world_object
+    solid = twin.gaussians.select(rows[twin.relit_bodies == twin.body("object")]).transformed(T)
+    door = twin.gaussians.select(rows[twin.relit_bodies == twin.body("part")])
+    state = 3
+    door = door.transformed(T @ twin.joint.motion(soft.thetas[state]))
+    points = apply(T @ soft.T_object_plane, cells(grid))
+    R = (T @ soft.T_object_plane)[:3, :3]
+    for index in range(0, len(soft.directions), 16):
+        direction = R @ soft.directions[index]
+        want = (1 - silhouette(solid, direction).at(points)) * (1 - silhouette(door, direction).at(points))
+        assert np.abs(soft.passed[index, state] - want).mean() < 0.02
+
+
+def test_soft_shadow_turns_with_the_object_in_an_even_light(soft, twin):
+    even = Light(radiance_sh=np.eye(9, 3) * np.ones(3))
+    turned = transform(matrix_from_rotvec([0, 0, 0.7]), [0.3, -0.1, 0]) @ twin.T_world_object
+    even = Light(radiance_sh=np.vstack([np.ones((1, 3)), np.zeros((8, 3))]))
+    np.testing.assert_allclose(
+        soft.arriving(even, turned), soft.arriving(even, twin.T_world_object), atol=1e-6
+    )
+
+
+def test_a_scaled_object_has_a_scaled_shadow(soft):
+    double = soft.scaled(2.0, prismatic=True)
+    assert double.grid.cell == 2 * soft.grid.cell
+    np.testing.assert_array_equal(double.thetas, 2 * soft.thetas)
+    again = double.scaled(0.5, prismatic=True)
+    np.testing.assert_allclose(again.T_object_plane, soft.T_object_plane, atol=1e-12)
+    np.testing.assert_array_equal(soft.scaled(2.0, prismatic=False).thetas, soft.thetas)
+
+
+def test_states_interpolate_between_neighbours(soft):
+    thetas = np.linspace(soft.thetas[0] - 0.1, soft.thetas[-1] + 0.1, 37)
+    found = soft.states(thetas) @ soft.thetas
+    np.testing.assert_allclose(found, np.clip(thetas, soft.thetas[0], soft.thetas[-1]), atol=1e-6)
+
+
+def test_without_a_lit_object_there_is_no_soft_shadow(twin):
+    assert cast_soft_shadow(replace(twin, relit=None), np.eye(4)) is None
