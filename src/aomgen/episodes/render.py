@@ -177,10 +177,8 @@ class _StillView:
         world = posed_by(bodies, Ts_world_body)
         scene = twin.gaussians.select(~twin.moves)
         self.session = RenderSession(concatenate([scene, world]), layer.camera, threads=threads)
-        alone, both = (
-            layer.session.draw(world, shade=np.full_like(self.scene_share, shade)).rgb.sum(-1)
-            for shade in (0, 1)
-        )
+        alone = layer.session.draw(world, shade=np.zeros_like(self.scene_share)).rgb.sum(-1)
+        both = self.session.draw(world.select(slice(0, 0))).rgb.sum(-1)
         self.scene_share = 1 - np.where(both > DARK, alone / np.maximum(both, DARK), 0)
 
     def points(self) -> Array:

@@ -82,7 +82,7 @@ class GripperSection(_Section):
         return {name: (self.open[name], self.closed[name]) for name in self.open}
 
 
-class CameraSection(_Section):
+class MountSection(_Section):
     """A camera on a body: its pose there (x right, y down, z forward), vertical field of view, and size, [px]."""
 
     name: str = Field(pattern=r"^[a-z0-9_]+$")
@@ -103,7 +103,7 @@ class RobotDescription(_Section):
     joints: tuple[str, ...] = Field(min_length=1)
     end_effector: EndEffectorSection
     gripper: GripperSection | None = None
-    camera: tuple[CameraSection, ...] = ()
+    camera: tuple[MountSection, ...] = ()
 
 
 def read_description(path: Path) -> RobotDescription:

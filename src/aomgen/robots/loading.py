@@ -22,7 +22,7 @@ from aomgen.robots.actuation import add_actuation, drop_visual
 from aomgen.robots.description import (
     FILE_NAME,
     ActuatorSection,
-    CameraSection,
+    MountSection,
     EndEffectorSection,
     PadSection,
     RobotDescription,
@@ -224,7 +224,7 @@ def _finger_pad(model: mujoco.MjModel, side: str, pad: PadSection) -> FingerPad:
     )
 
 
-def _robot_camera(model: mujoco.MjModel, item: CameraSection) -> RobotCamera:
+def _robot_camera(model: mujoco.MjModel, item: MountSection) -> RobotCamera:
     focal = item.height / 2 / np.tan(np.radians(item.fov_deg) / 2)
     T_body_cam = transform(matrix_from_quat(item.quat_wxyz), item.position)
     view = Camera(

@@ -14,12 +14,8 @@ from aomgen.core.values import Array
 from aomgen.twin.relighting import Relit
 from aomgen.twin.twin import OBJECT, PART, Twin
 
-# What the recorded light counts as, [K].
-RECORDED_K: Final = 6500.0
 # Linear sRGB of XYZ. Source: IEC 61966-2-1.
 RGB_OF_XYZ: Final = ((3.2406, -1.5372, -0.4986), (-0.9689, 1.8758, 0.0415), (0.0557, -0.2040, 1.0570))
-# Luminance of linear sRGB. Source: IEC 61966-2-1.
-LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 # Below this an sRGB color has no ratio to speak of.
 BLACK: Final = 1e-3
 
@@ -58,8 +54,11 @@ def scaled(twin: Twin, factor: float) -> Twin:
 
 def light_gains(light: LightChange) -> Array:
     """Factors (3,) on linear colors; the temperature alone leaves the luminance of white as it is."""
-    tint = _blackbody_rgb(light.temperature_k) / _blackbody_rgb(RECORDED_K)
-    return light.intensity * tint / (tint @ np.array(LUMINANCE) if light.temperature_k != RECORDED_K else 1.0)
+    if light.temperature_k == LightChange().temperature_k:
+        return np.full(3, light.intensity)
+    tint = _blackbody_rgb(light.temperature_k) / _blackbody_rgb(LightChange().temperature_k)
+    luminance = np.linalg.inv(RGB_OF_XYZ)[1] @ tint
+    return light.intensity * tint / luminance
 
 
 def material_matrix(material: MaterialChange) -> Array:
