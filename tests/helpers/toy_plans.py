@@ -18,7 +18,9 @@ LEFT_RIGHT = np.stack([np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0]), np
 FRAMES = 46
 
 
-def facing_robot(asset: ArticulatedAsset, handle_world: tuple[float, float], height: float = 0.05) -> np.ndarray:
+def facing_robot(
+    asset: ArticulatedAsset, handle_world: tuple[float, float], height: float = 0.05
+) -> np.ndarray:
     """Pose (4, 4) of an asset that shows its front to the robot and has its handle above a point."""
     R = matrix_from_rotvec(np.array([0, 0, -np.pi / 2]))
     held = R @ asset.handle_point

@@ -111,9 +111,7 @@ def find_drive(scene: Scene) -> str:
     return f"constraint {model.equality(int(np.argmax(tied))).name}" if tied.any() else ""
 
 
-def _kinematic_checks(
-    metrics: Mapping[str, float], limits: Mapping[str, float] | None
-) -> tuple[Check, ...]:
+def _kinematic_checks(metrics: Mapping[str, float], limits: Mapping[str, float] | None) -> tuple[Check, ...]:
     """Tier A's figures that have a limit; its own reasons are those of planning."""
     if limits is None:
         ours = KinematicLimits()

@@ -6,7 +6,8 @@ import pytest
 
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.episode import no_contacts
-from aomgen.core.plan import EpisodePlan, FittedAsset, SettingOutcome, Variation, Verdict, VerifiedEpisode
+from aomgen.core.plan import EpisodePlan, FittedAsset, Variation, VerifiedEpisode
+from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome, Verdict
 from aomgen.episodes.render import Trajectory, render_frames, static_layers
 from aomgen.episodes.stage import run_episodes
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
@@ -67,17 +68,14 @@ def verified(toy_scene, turn: float) -> VerifiedEpisode:
         metrics={},
     )
     outcome = SettingOutcome(
-        name="nominal",
-        damping=0.1,
-        frictionloss=0.1,
+        setting=Setting(name="nominal", damping=0.1, frictionloss=0.1, moving_mass=1.0),
         final_theta=1.2,
-        target_share=1.0,
-        contact_share=1.0,
         peak_force_n=3.0,
         peak_reaction_n=3.0,
-        tracking_mm=1.0,
+        hold=Hold(first_s=0.1, last_s=0.3, first_theta=0.0, last_theta=1.2),
+        checks=(Check(reason="target", figure="target_share", value=1.0, limit=0.9, least=True),),
     )
-    verdict = Verdict(target_theta=1.2, outcomes=(outcome,), kinematic={}, bolted=False)
+    verdict = Verdict(target_theta=1.2, outcomes=(outcome,), kinematic=(), bolted=False, seed=1, index=4)
     return VerifiedEpisode(
         plan=plan,
         joints=joints,
@@ -118,7 +116,7 @@ def test_an_episode_comes_back_as_it_was(toy_scene, committed):
     np.testing.assert_array_equal(item.episode.action_joints[-1], verified(toy_scene, 0.4).plan.joints[-1])
     assert item.episode.asset_usd == "../asset.usda"
     assert item.episode.simulation["joint_zeros_rad"] == ZEROS_RAD.tolist()
-    assert [run["name"] for run in item.episode.simulation["settings"]] == ["nominal", "light", "heavy"]
+    assert [run["name"] for run in item.episode.simulation["settings"]] == ["nominal"]
     assert item.episode.joint_names == toy_scene.robot.joint_names
     assert item.episode.verdict["passed"]
     for path in item.videos.values():
