@@ -42,11 +42,11 @@ def corner_setting(
     asset: ArticulatedAsset, stiff: bool, heavy: bool, slippery: bool, latched: bool
 ) -> Setting:
     """One corner. A part that its hinge's friction holds, as a laptop's lid, has no latch."""
-    _, light, hard = RESISTANCES[asset.joint.type]
+    _, easy, hard = RESISTANCES[asset.joint.type]
     latched = latched and not holding_friction(asset)
     words = ["stiff" if stiff else "easy", "heavy" if heavy else "light", "slippery" if slippery else "rough"]
     name = " ".join([*words, "latched"] if latched else words)
-    setting = _setting(name, asset, hard if stiff else light, HEAVY if heavy else LIGHT)
+    setting = _setting(name, asset, hard if stiff else easy, HEAVY if heavy else LIGHT)
     joint, lever = asset.joint, 1.0
     if joint.type == "revolute":
         lever = float(np.linalg.norm(np.cross(joint.axis, asset.handle_point - joint.origin)))
