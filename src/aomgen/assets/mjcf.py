@@ -30,7 +30,7 @@ VISUAL_GROUP, COLLIDER_GROUP = 2, 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointResistance:
-    """Passive resistance of an object's joint in one simulated run, by its name in the verdict.
+    """Passive resistance of an object's joint.
 
     Damping in [N m s/rad] or [N s/m]; dry friction beyond `holding_friction` in [N m] or [N].
     """
@@ -40,17 +40,18 @@ class JointResistance:
     frictionloss: float
 
 
-# The first is nominal: its run gives an episode's states, and its values are written into the USD.
+# The first is nominal: its run gives an episode's states, and its values are written into the USD. Empty drawers and
+# new hinges are easy; a loaded drawer takes some 20 N, a stiff oven's or microwave's hinge 1 to 2 N m.
 RESISTANCES: Final[dict[JointType, tuple[JointResistance, ...]]] = {
     "revolute": (
         JointResistance(name="nominal", damping=0.3, frictionloss=0.15),
-        JointResistance(name="light", damping=0.02, frictionloss=0.02),
-        JointResistance(name="heavy", damping=2.0, frictionloss=1.5),
+        JointResistance(name="easy", damping=0.02, frictionloss=0.02),
+        JointResistance(name="stiff", damping=2.0, frictionloss=1.5),
     ),
     "prismatic": (
         JointResistance(name="nominal", damping=4.0, frictionloss=2.0),
-        JointResistance(name="light", damping=1.0, frictionloss=0.3),
-        JointResistance(name="heavy", damping=30.0, frictionloss=15.0),
+        JointResistance(name="easy", damping=1.0, frictionloss=0.3),
+        JointResistance(name="stiff", damping=30.0, frictionloss=15.0),
     ),
 }
 

@@ -2,9 +2,9 @@
 
 import copy
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import transform
-from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.core.verdict import Setting
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.settings import apply_setting
+from aomgen.simulation.touches import RawContacts, Touches, find_touches, read_contacts
 
 # Rate of a UR5e's controller, [1/s]; a frame lasts a whole number of control ticks, so the rate used is a little higher.
 CONTROL_HZ: Final = 125.0
@@ -48,45 +49,8 @@ class Commands:
         return Commands(self.joints[tick:], self.velocities[tick:], self.gripper[tick:])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Touches:
-    """Contacts of the robot with what is not the robot (C), ordered by tick.
-
-    Attributes:
-        ticks: When.
-        robot_geoms, other_geoms: Of the model.
-        distances: Between them, negative where they overlap, [m].
-        points_world: (C, 3), [m].
-        normals_world: (C, 3) unit, into the robot.
-        forces: Normal force, [N].
-        forces_world: Whole force on the robot (C, 3), [N].
-    """
-
-    ticks: Annotated[NDArray[np.int64], "C"]
-    robot_geoms: Annotated[NDArray[np.int64], "C"]
-    other_geoms: Annotated[NDArray[np.int64], "C"]
-    distances: Annotated[Array, "C"]
-    points_world: Annotated[Array, "C 3"]
-    normals_world: Annotated[Array, "C 3"]
-    forces: Annotated[Array, "C"]
-    forces_world: Annotated[Array, "C 3"]
-
-    __post_init__ = freeze_arrays
-
-
-class Contacts(NamedTuple):
-    """All contacts at one tick as MuJoCo has them: geoms (C, 2), frames (C, 9), wrenches in them (C, 6)."""
-
-    tick: int
-    geoms: NDArray[np.int32]
-    distances: Array
-    points_world: Array
-    frames: Array
-    wrenches: Array
-
-
 @dataclass(frozen=True, slots=True)
-class Checkpoint:
+class SimulationState:
     """Full state of the simulation at a tick."""
 
     tick: int
@@ -123,7 +87,7 @@ class SimulatedRun:
     bases_world: Array
     commands: Array
     touches: Touches
-    untouched: Checkpoint
+    untouched: SimulationState
 
 
 def simulate(
@@ -159,13 +123,13 @@ def simulate(
     if approach is None:
         start = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
         first, data = 0, stand(scene, model, start, commands, SETTLE_S)
-        untouched = _checkpoint(model, data, 0)
+        untouched = _state_of(model, data, 0)
     else:
         untouched = approach.untouched
         first, data = untouched.tick, mujoco.MjData(model)
         mujoco.mj_setState(model, data, untouched.state, STATE)
     rows: list[_Row] = []
-    contacts: list[Contacts] = []
+    contacts: list[RawContacts] = []
     last = len(commands.joints) - 1
     on_object, near = scene.roles.object, False
     for tick, _ in enumerate(track(scene, model, data, commands.after(first), steps_a_tick), start=first):
@@ -181,7 +145,7 @@ def simulate(
             contacts.append(read_contacts(model, data, tick))
             near = near or bool(on_object[contacts[-1].geoms].any())
         if approach is None and not near and sample and tick < last:
-            untouched = _checkpoint(model, data, tick)
+            untouched = _state_of(model, data, tick)
         rows.append(_read_row(scene, data))
     run = SimulatedRun(
         frame_ticks=ticks_a_frame * np.arange(len(joints)),
@@ -231,49 +195,6 @@ def track(
         mujoco.mj_step(model, data, steps_a_tick)
 
 
-def read_contacts(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> Contacts:
-    """Copy what the next step overwrites; sorting it out is left to `find_touches`, once for all ticks."""
-    contact = data.contact
-    wrenches = np.empty((data.ncon, 6))
-    for index in range(data.ncon):
-        mujoco.mj_contactForce(model, data, index, wrenches[index])
-    return Contacts(
-        tick,
-        contact.geom.copy(),
-        contact.dist.copy(),
-        contact.pos.copy(),
-        contact.frame.copy(),
-        wrenches,
-    )
-
-
-def find_touches(scene: Scene, contacts: list[Contacts]) -> Touches:
-    """The contacts of the robot with what is not the robot."""
-    ticks = np.repeat([item.tick for item in contacts], [len(item.geoms) for item in contacts])
-    geoms = np.concatenate([np.zeros((0, 2), np.int32), *(item.geoms for item in contacts)])
-    robot = scene.roles.robot[geoms]
-    kept = robot[:, 0] != robot[:, 1]
-
-    def column(values: Iterable[Array], width: int) -> Array:
-        return np.concatenate([np.zeros((0, width)), *values])[kept]
-
-    # The robot's geom first. MuJoCo's normal points from the first geom to the second; ours into the robot.
-    ours = robot[kept, :1]
-    pairs = np.where(ours, geoms[kept], geoms[kept, ::-1])
-    frames = column((item.frames for item in contacts), 9) * np.where(ours, -1.0, 1.0)
-    wrenches = column((item.wrenches for item in contacts), 6)
-    return Touches(
-        ticks=ticks[kept],
-        robot_geoms=pairs[:, 0],
-        other_geoms=pairs[:, 1],
-        distances=np.concatenate([np.zeros(0), *(item.distances for item in contacts)])[kept],
-        points_world=column((item.points_world for item in contacts), 3),
-        normals_world=frames[:, :3],
-        forces=wrenches[:, 0],
-        forces_world=np.einsum("cij,ci->cj", frames.reshape(-1, 3, 3), wrenches[:, :3]),
-    )
-
-
 def _linear_commands(joints: Array, gripper: Array, fps: float, ticks_a_frame: int) -> Commands:
     """Commands straight from each sample (T) to the next; at the last tick the arm is commanded to stand."""
     samples = np.column_stack([joints, gripper])
@@ -304,10 +225,10 @@ def _ignore_hand_on_hand(scene: Scene, model: mujoco.MjModel) -> None:
     model.geom_conaffinity[shell] = 0
 
 
-def _checkpoint(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> Checkpoint:
+def _state_of(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> SimulationState:
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
-    return Checkpoint(tick, state)
+    return SimulationState(tick, state)
 
 
 def _diverged(time_s: float) -> Rejection:

@@ -5,7 +5,7 @@ it meets both levels of every property, and in the nominal setting; eight episod
 """
 
 from dataclasses import replace
-from typing import Final
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -16,13 +16,11 @@ from aomgen.core.verdict import Setting
 from aomgen.simulation.scene import Scene
 
 # Factors on the moving part's mass: an empty drawer or thin door, and shelves full of jars.
-MASSES: Final = {"light": 0.5, "heavy": 2.0}
+LIGHT, HEAVY = 0.5, 2.0
 # Factors on the friction of gripper and part, 0.6 to 0.8: clean rubber on paint, and greasy metal.
-GRIPS: Final = {"rough": 1.25, "slippery": 0.6}
+ROUGH, SLIPPERY = 1.25, 0.6
 # Magnet and roller catches let go at 5 to 15 N at the handle, [N], within a few millimetres of its way, [m].
 LATCH_N, LATCH_WAY_M = 15.0, 0.004
-# Pairs of opposite corners.
-PAIRS: Final = 8
 
 
 def draw_settings(asset: ArticulatedAsset, seed: int, index: int) -> tuple[Setting, ...]:
@@ -31,8 +29,9 @@ def draw_settings(asset: ArticulatedAsset, seed: int, index: int) -> tuple[Setti
     A block of eight indices meets all pairs in a random order: with a fixed one, places of the object, which come
     from a sequence with periods of their own, would always meet the same corners.
     """
-    order = np.random.default_rng([seed, index // PAIRS]).permutation(PAIRS)
-    bits = tuple(bool(order[index % PAIRS] >> bit & 1) for bit in range(3))
+    pairs = list(product((False, True), repeat=3))
+    order = np.random.default_rng([seed, index // len(pairs)]).permutation(len(pairs))
+    bits = pairs[order[index % len(pairs)]]
     stiff = corner_setting(asset, True, *bits)
     easy = corner_setting(asset, False, *(not bit for bit in bits))
     nominal = _setting("nominal", asset, RESISTANCES[asset.joint.type][0])
@@ -43,17 +42,17 @@ def corner_setting(
     asset: ArticulatedAsset, stiff: bool, heavy: bool, slippery: bool, latched: bool
 ) -> Setting:
     """One corner. A part that its hinge's friction holds, as a laptop's lid, has no latch."""
-    _, light, hard = RESISTANCES[asset.joint.type]
-    mass, grip = "heavy" if heavy else "light", "slippery" if slippery else "rough"
+    _, easy, hard = RESISTANCES[asset.joint.type]
     latched = latched and not holding_friction(asset)
-    words = ("stiff" if stiff else "easy", mass, grip, *(["latched"] if latched else []))
-    setting = _setting(" ".join(words), asset, hard if stiff else light, MASSES[mass])
+    words = ["stiff" if stiff else "easy", "heavy" if heavy else "light", "slippery" if slippery else "rough"]
+    name = " ".join([*words, "latched"] if latched else words)
+    setting = _setting(name, asset, hard if stiff else easy, HEAVY if heavy else LIGHT)
     joint, lever = asset.joint, 1.0
     if joint.type == "revolute":
         lever = float(np.linalg.norm(np.cross(joint.axis, asset.handle_point - joint.origin)))
     return replace(
         setting,
-        grip_friction=GRIPS[grip],
+        grip_friction=SLIPPERY if slippery else ROUGH,
         latch=LATCH_N * lever * latched,
         latch_reach=LATCH_WAY_M / lever * latched,
     )

@@ -12,8 +12,9 @@ from aomgen.core.joint import Joint
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.replay import Commands, Touches, find_touches, read_contacts, stand, track
+from aomgen.simulation.replay import Commands, stand, track
 from aomgen.simulation.scene import Scene
+from aomgen.simulation.touches import Touches, find_touches, read_contacts
 from aomgen.synthetic.commanded_trajectory import CONTROL_STEP_S, CommandedTrajectory
 from aomgen.synthetic.demonstration_planning import plan
 from aomgen.synthetic.grasp_selection import list_grasp_types

@@ -1,5 +1,6 @@
 """The report's lists of episodes and rejects: short, linked, with what each figure is held against."""
 
+import inspect
 import json
 import re
 from pathlib import Path
@@ -16,12 +17,16 @@ from aomgen.report import episodes
 from aomgen.report.episodes import episodes_section, reasons, rejects_section
 from aomgen.report.page import provenance_table
 from aomgen.results import Results
+from aomgen.simulation.judge import judge
+from aomgen.simulation.replay import simulate
+from aomgen.simulation.verify import verify_plan
 from drawer_episode import corner_camera, drawer_episode
 
 FRAMES, SIZE = 6, (64, 48)
 OUTCOME = {
     "name": "nominal", "damping": 4.0, "frictionloss": 2.0, "final_theta": 0.2, "target_share": 0.99,
     "contact_share": 0.95, "peak_force_n": 101.6, "peak_reaction_n": 12.2, "tracking_mm": 1.25,
+    "torque_share": 0.41, "handle_penetration_mm": 0.34, "robot_force_n": 0.0,
 }  # fmt: skip
 VARIATION = {"seed": 0, "index": 1, "x": 0.021, "y": -0.001, "yaw": 0.35}
 
@@ -83,9 +88,9 @@ def test_the_verdicts_show_the_worst_setting_and_the_limits(results: Results, vi
     commit(results, 1, video)
     page = "".join(episodes_section(results))
     row = re.findall(r'<td class="n">([^<]+)</td>', page)
-    assert row == ["99.0", "95.0", "2.0", "102", "12"]
+    assert row == ["99.0", "95.0", "2.0", "41", "0.3", "0", "102", "12"]
     assert "at least 90% of the planned opening" in page
-    assert "No limit is set on the grip force" in page
+    assert "The grip force has no limit of its own" in page
     assert "because it is simulated as fixed to the table" in page
 
 
@@ -134,6 +139,13 @@ def test_every_reason_of_planning_is_explained() -> None:
     from aomgen.episodes.planning import REASONS
 
     assert set(REASONS) <= set(reasons())
+
+
+def test_every_reason_of_verification_is_explained() -> None:
+    source = [inspect.getsource(judge), inspect.getsource(verify_plan), inspect.getsource(simulate)]
+    named = re.findall(r'(?:check\(|reason=)"(\w+)"', "".join(source))
+    assert len(set(named)) >= 12
+    assert set(named) <= set(reasons())
 
 
 def test_the_head_says_what_made_the_run_or_that_nobody_knows(results: Results) -> None:

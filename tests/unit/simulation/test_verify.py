@@ -21,9 +21,10 @@ from aomgen.simulation.collision_check import (
     table_overlap_m,
 )
 from aomgen.simulation.judge import PassRule, judge
-from aomgen.simulation.replay import SimulatedRun, Touches, simulate
+from aomgen.simulation.replay import SimulatedRun, simulate
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.settings import apply_setting, corner_setting, draw_settings
+from aomgen.simulation.touches import Touches
 from aomgen.simulation.verify import verify_plan
 from toy_plans import LEFT_RIGHT, SUPPORT, drawer_plan, facing_robot, microwave_plan, pulled, toy_plan
 
