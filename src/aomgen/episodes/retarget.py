@@ -242,7 +242,8 @@ class RetargetedMotion:
         left = shown.way(close) - shown.way(times)
         moved = self._beside(old, T_close, shown.poses(np.array([close]))[0], left, self.approach)
         Ts = _blend(old, moved, blend)
-        Ts[:, 2, 3] += self.lift * 4 * blend * (1 - blend)
+        # Up in the first quarter, down in the last.
+        Ts[:, 2, 3] += self.lift * _smoothstep(4 * np.minimum(blend, 1 - blend))
         return Ts
 
     def _going(self, times: Array, T_free: Array) -> Array:

@@ -151,7 +151,8 @@ def _sweep(
         if mine[deepest] > 0:
             # The robot's geom first.
             a, b = sorted(touching[deepest], key=lambda geom: not scene.roles.robot[geom])
-            names = f"{model.body(model.geom_bodyid[a]).name} and {model.geom(int(b)).name}"
+            body_a, body_b = (model.body(model.geom_bodyid[geom]).name for geom in (a, b))
+            names = f"{body_a} and {model.geom(int(b)).name or body_b}"
             worst[name] = _Overlap(float(mine[deepest]), float(at[deepest]), names)
     return worst, places
 
