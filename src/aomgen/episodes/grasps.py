@@ -31,9 +31,9 @@ class Grasp:
     """One way to hold the handle.
 
     Attributes:
-        R_object_ee: Hand's orientation with the part closed.
+        R_object_ee: Hand's orientation when the part begins to move.
         held_ee: Held point in the end effector frame, [m].
-        turn_ratio: Turn of the hand over turn of the part while it opens.
+        turn_ratio: Turn of the hand over turn of the part while it moves.
     """
 
     name: str
@@ -92,7 +92,9 @@ def grasps(
     revolute = fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
-    for name, R in orientations(R_front_ee, fitted.asset.handle_axis, TILTS_DEG):
+    # A part that is closed begins open.
+    bar = fitted.asset.joint.motion(fitted.thetas[0])[:3, :3] @ fitted.asset.handle_axis
+    for name, R in orientations(R_front_ee, bar, TILTS_DEG):
         for share in ratios:
             yield Grasp(
                 name=f"{name}, turn {share:.2f}",

@@ -1,12 +1,13 @@
 """Plans follow the object, keep the arm's limits, and say no where they must."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
 
-from aomgen.core.asset import BoxCollider
+from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, SupportPlane, gripper_command, timing
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
@@ -192,6 +193,37 @@ def test_the_way_leads_around_what_stands_there(
         assert getattr(blocked, "reason", "") == "collision"
 
 
+def test_a_part_without_a_handle_is_held_where_it_was(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    """No collider is named as a handle: the whole part may be touched while it is held, not before."""
+    moving = fitted.asset.moving
+    plain = tuple(replace(box, name=box.name.replace("handle", "rim")) for box in moving.colliders)
+    bare = replace(fitted, asset=replace(fitted.asset, moving=replace(moving, colliders=plain)))
+    assert bare.asset.handle_bar is None
+    scene = build_scene(robot, bare.asset, bare.T_world_asset, SUPPORT)
+    plan = plan_episode(
+        bare, demo, Variation(seed=0, index=0, x=0.02, y=0.0, yaw=0.1), scene, solver, PlanParams()
+    )
+    assert isinstance(plan, EpisodePlan), plan
+    assert plan.metrics["grip_gap_mm"] < KinematicLimits().max_gap_mm
+
+
+def test_closing_goes_back_where_opening_came_from(
+    demo: Demonstration, fitted: FittedAsset, made: Callable[[str, int], ArticulatedAsset]
+) -> None:
+    door = replace(fitted, asset=made("microwave", 1), thetas=fitted.thetas / fitted.thetas[-1])
+    opened = motion_of(demo, door, door.T_world_asset)
+    opened = replace(opened, grasp=replace(opened.grasp, turn_ratio=0.8))
+    start, end = opened.shown.moments.start, opened.shown.moments.end
+    times = np.linspace(start, end, 20)
+    poses = opened.holding(times)
+    back = replace(door, thetas=door.thetas[::-1], shares=1 - door.shares[::-1])
+    R_end = door.T_world_asset[:3, :3].T @ poses[-1, :3, :3]
+    closing = replace(opened, fitted=back, grasp=replace(opened.grasp, R_object_ee=R_end))
+    np.testing.assert_allclose(closing.holding(start + end - times), poses, atol=1e-9)
+
+
 def test_the_papers_method_turns_the_contact_rigidly(demo: Demonstration, fitted: FittedAsset) -> None:
     T = Variation(seed=0, index=0, x=0.1, y=-0.05, yaw=0.4).placed(fitted)
     motion = motion_of(demo, fitted, T, rigid=True)
@@ -204,6 +236,21 @@ def test_the_papers_method_turns_the_contact_rigidly(demo: Demonstration, fitted
     shares = sampled.demo_times_s[sampled.phases == 0] / close
     straight = interpolate(demo.Ts_world_ee[0], motion.holding(close)[0], shares)
     np.testing.assert_allclose(sampled.Ts_world_ee[sampled.phases == 0], straight, atol=1e-9)
+
+
+def test_the_papers_method_repeats_the_demonstration_where_it_was_made(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
+    plan = plan_episode(fitted, demo, here, scene, solver, PlanParams(method="paper"))
+    assert isinstance(plan, EpisodePlan), plan
+    shown = DemonstratedMotion(demo)
+    held = plan.phases == CONTACT
+    assert 60 < len(plan) <= len(demo.times_s) + 3
+    moments = np.linspace(shown.moments.close, shown.moments.free, int(held.sum()))
+    off = plan.Ts_world_ee[held][:, :3, 3] - shown.poses(moments)[:, :3, 3]
+    assert 1000 * np.linalg.norm(off, axis=1).max() < 10
 
 
 def test_pose_out_of_reach_is_rejected_with_a_reason(
