@@ -10,9 +10,12 @@ from typing import Annotated
 
 import numpy as np
 
+from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation.collision_check import holding_gripper
 
 # Rotations of the gripper about the handle that are tried, the smallest first, [deg].
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
@@ -102,6 +105,13 @@ def grasps(
                 held_ee=np.array([0.0, 0.0, depth]),
                 turn_ratio=share,
             )
+
+
+def held_at(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> float:
+    """Gripper value 0..1 at which the fingers stall on what they hold."""
+    measured = float(np.median(demo.gripper[demo.contact_frames]))
+    bar = fitted.asset.handle_bar
+    return measured if bar is None else holding_gripper(robot, 2 * float(bar.half_extents.min()), measured)
 
 
 def _across(R: Array, bar: Array) -> Array:
