@@ -6,7 +6,8 @@ from aomgen.assets.choice import make_asset
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, interpolate, matrix_from_rotvec, transform
-from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, solve_path
+from aomgen.episodes.ik import IkSolver, solve_path
+from aomgen.episodes.joint_limits import IkLimits, IkPath
 
 SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
 NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
@@ -29,13 +30,15 @@ def fitted_drawer() -> FittedAsset:
     )
 
 
-def opening(solver: IkSolver, fitted: FittedAsset) -> Demonstration:
-    """A hand that opens that drawer: approach, close, pull, open, leave."""
+def opening(
+    solver: IkSolver, fitted: FittedAsset, before: tuple[float, float, float] = (0.15, 0.0, 0.0)
+) -> Demonstration:
+    """A hand that opens that drawer: approach from `before` the handle [m], close, pull, open, leave."""
     held = apply(fitted.T_world_asset, fitted.contact_asset)
     # Out of the palm along +x of the world, fingers close up and down.
     R = np.stack([np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])], 1)
     hold = transform(R, held)
-    back = transform(R, held - [0.15, 0, 0])
+    back = transform(R, held - before)
     pulled = transform(R, held - [0.15, 0, 0])
     gone = transform(R, held - [0.27, 0, 0])
     still = np.zeros(8)

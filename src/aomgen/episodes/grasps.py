@@ -10,9 +10,12 @@ from typing import Annotated
 
 import numpy as np
 
+from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation.collision_check import holding_gripper
 
 # Rotations of the gripper about the handle that are tried, the smallest first, [deg].
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
@@ -31,9 +34,9 @@ class Grasp:
     """One way to hold the handle.
 
     Attributes:
-        R_object_ee: Hand's orientation with the part closed.
+        R_object_ee: Hand's orientation when the part begins to move.
         held_ee: Held point in the end effector frame, [m].
-        turn_ratio: Turn of the hand over turn of the part while it opens.
+        turn_ratio: Turn of the hand over turn of the part while it moves.
     """
 
     name: str
@@ -92,7 +95,9 @@ def grasps(
     revolute = fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
-    for name, R in orientations(R_front_ee, fitted.asset.handle_axis, TILTS_DEG):
+    # A part that is closed begins open.
+    bar = fitted.asset.joint.motion(fitted.thetas[0])[:3, :3] @ fitted.asset.handle_axis
+    for name, R in orientations(R_front_ee, bar, TILTS_DEG):
         for share in ratios:
             yield Grasp(
                 name=f"{name}, turn {share:.2f}",
@@ -100,6 +105,13 @@ def grasps(
                 held_ee=np.array([0.0, 0.0, depth]),
                 turn_ratio=share,
             )
+
+
+def held_at(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> float:
+    """Gripper value 0..1 at which the fingers stall on what they hold."""
+    measured = float(np.median(demo.gripper[demo.contact_frames]))
+    bar = fitted.asset.handle_bar
+    return measured if bar is None else holding_gripper(robot, 2 * float(bar.half_extents.min()), measured)
 
 
 def _across(R: Array, bar: Array) -> Array:

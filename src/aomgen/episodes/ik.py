@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 
 from aomgen.core.plan import Rejection
-from aomgen.core.transforms import skew, transform
+from aomgen.core.transforms import interpolate, skew, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.episodes.joint_limits import IkLimits, IkPath
 from aomgen.robots.robot import RobotModel
@@ -34,6 +34,10 @@ SMOOTHNESS = 3e-8
 STIFFNESS = 1e-6
 # Steps of a smooth path are small enough, [rad]; the weights are set anew so often; share of a limit that is aimed at.
 SETTLED, ROUNDS, RESERVE = 1e-3, 5, 0.95
+# Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
+SEED_STEPS = 12
+# Of Gauss-Newton at each of them; what is left over is done at the next.
+SEED_ITERATIONS = 4
 # Good enough is better than exact: near a singular pose the last 0.2 mm cost a turn of the wrist. [m], [rad].
 CLOSE_M, CLOSE_RAD = 2e-4, 2e-3
 
@@ -236,6 +240,19 @@ def follow(
         reached[live[there]] += 1
         joints[k] = now
     return joints, reached
+
+
+def walk(solver: IkSolver, T_world_from: Array, Ts_world_to: Array, start: Array) -> Array:
+    """Joints (B, J) at poses (B, 4, 4), on the branch of joints (J,) at a pose (4, 4) nearby.
+
+    Part of the way between them may be out of reach although its end is not.
+    """
+    shares = np.linspace(0, 1, SEED_STEPS)
+    steps = np.stack([interpolate(T_world_from, T, shares) for T in Ts_world_to], 1)
+    joints = np.repeat(start[None], len(Ts_world_to), 0)
+    for poses in steps:
+        joints = converge(solver, poses, joints, SEED_ITERATIONS)
+    return joints
 
 
 def converge(solver: IkSolver, Ts_world_ee: Array, starts: Array, iterations: int) -> Array:

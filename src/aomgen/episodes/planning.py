@@ -14,10 +14,9 @@ import numpy as np
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
-from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
-from aomgen.episodes.grasps import grasps
-from aomgen.episodes.ik import IkSolver, converge, follow, solve_smoothly
+from aomgen.episodes.grasps import grasps, held_at
+from aomgen.episodes.ik import IkSolver, follow, solve_smoothly, walk
 from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
 from aomgen.episodes.retarget import (
     CONTACT,
@@ -30,16 +29,11 @@ from aomgen.episodes.retarget import (
     RetargetedMotion,
     free_joints,
 )
-from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
+from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene
 
 # The Cartesian way has to end where the demonstration began, on the same branch, [rad].
 START_TOLERANCE_RAD = 0.05
-# Poses between the demonstrated grasp and the new one: near enough to each other to stay on the branch.
-SEED_STEPS = 12
-# Of Gauss-Newton at each of them; what is left over is done at the next.
-SEED_ITERATIONS = 4
 # A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
 SLOWER = 1.05
 # Reasons of rejection, from early to late.
@@ -104,7 +98,7 @@ def plan_episode(
         solver=solver,
         params=params,
         start=demo.joints[0] + (np.array(variation.start_offset) if variation.start_offset else 0.0),
-        held_at=_held_at(fitted, demo, placed.robot),
+        held_at=held_at(fitted, demo, placed.robot),
     )
     motions = _grasped(task, T_world_object)
     contacts = _follow_contact(task, motions)
@@ -183,13 +177,7 @@ def _follow_contact(task: _Task, motions: list[RetargetedMotion]) -> list[Array 
     """Joints (K, J) at the knots of the contact, for all grasps at once, on the demonstration's branch."""
     shown, times = task.shown, task.shown.knots[2]
     targets = np.stack([motion.holding(times) for motion in motions], 1)
-    # Walk from the demonstrated grasp to the new one, so that the branch is the same; part of that walk may be
-    # out of reach although its end is not.
-    first = shown.poses(times[:1])[0]
-    steps = np.stack([interpolate(first, T, np.linspace(0, 1, SEED_STEPS)) for T in targets[0]], 1)
-    joints = np.repeat(shown.joints(times[:1]), len(motions), 0)
-    for poses in steps:
-        joints = converge(task.solver, poses, joints, SEED_ITERATIONS)
+    joints = walk(task.solver, shown.poses(times[:1])[0], targets[0], shown.joints(times[:1])[0])
     solved, reached = follow(task.solver, targets, joints, task.params.ik)
     return [
         solved[:, k] if count == KNOTS else _lost("with the handle", count) for k, count in enumerate(reached)
@@ -290,13 +278,6 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
             metrics={"start_error_rad": start_error},
         )
     return path
-
-
-def _held_at(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> float:
-    """Gripper value 0..1 at which the fingers stall on what they hold."""
-    measured = float(np.median(demo.gripper[demo.contact_frames]))
-    bar = fitted.asset.handle_bar
-    return measured if bar is None else holding_gripper(robot, 2 * float(bar.half_extents.min()), measured)
 
 
 def _check_grip(task: _Task, motion: RetargetedMotion, contact: Array) -> Rejection | None:

@@ -104,7 +104,7 @@ class DemonstratedMotion:
         ways = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._ways = np.concatenate([[0.0], np.cumsum(ways)])
         # Knots between the marks (5, K).
-        self.knots = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], KNOTS, axis=1)
+        self.knots: Array = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], KNOTS, axis=1)
         self.lengths = _lengths(self.poses(self.knots.ravel()).reshape(*self.knots.shape, 4, 4))
 
     def poses(self, times: Array) -> Array:
@@ -112,9 +112,9 @@ class DemonstratedMotion:
         poses = self._poses(np.clip(times, self.times[0], self.times[-1]))
         return transform(matrix_from_quat(poses[:, 3:]), poses[:, :3])
 
-    def way(self, times: ArrayLike) -> Array:
+    def way(self, times: Array | float) -> Array:
         """Way of the hand up to times (N,), [m]."""
-        return np.interp(times, self.times, self._ways)
+        return np.asarray(np.interp(times, self.times, self._ways))
 
     def joints(self, times: Array) -> Array:
         """Recorded arm joints (N, J)."""
@@ -161,7 +161,7 @@ class RetargetedMotion:
         new_marks = np.concatenate([[0.0], np.cumsum(np.diff(marks) * stretch)])
         samples = np.arange(int(new_marks[-1] * fps + 1e-6) + 1) / fps
         keep = np.concatenate([[True], np.diff(new_marks) > 1e-9])
-        times = np.interp(samples, new_marks[keep], marks[keep])
+        times: Array = np.interp(samples, new_marks[keep], marks[keep])
         phases = np.where(times < moments.close, APPROACH, np.where(times <= moments.free, CONTACT, RETREAT))
         return HandMotion(
             Ts_world_ee=self.at(times),
@@ -185,7 +185,8 @@ class RetargetedMotion:
         held = apply(asset.joint.motion(thetas), self.fitted.contact_asset[None])
         R = np.broadcast_to(grasp.R_object_ee, (len(thetas), 3, 3))
         if asset.joint.type == "revolute":
-            R = matrix_from_rotvec((grasp.turn_ratio * thetas)[:, None] * asset.joint.axis) @ R
+            turns = grasp.turn_ratio * (thetas - self.fitted.thetas[0])
+            R = matrix_from_rotvec(turns[:, None] * asset.joint.axis) @ R
         return self.T_world_object @ transform(R, held - np.einsum("nij,j->ni", R, grasp.held_ee))
 
     def at(self, times: Array) -> Array:
@@ -242,7 +243,8 @@ class RetargetedMotion:
         left = shown.way(close) - shown.way(times)
         moved = self._beside(old, T_close, shown.poses(np.array([close]))[0], left, self.approach)
         Ts = _blend(old, moved, blend)
-        Ts[:, 2, 3] += self.lift * 4 * blend * (1 - blend)
+        # Up in the first quarter, down in the last.
+        Ts[:, 2, 3] += self.lift * _smoothstep(4 * np.minimum(blend, 1 - blend))
         return Ts
 
     def _going(self, times: Array, T_free: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from aomgen.assets.mjcf import GRAVITY
 from aomgen.core.episode import Episode
 from aomgen.episodes.generate import LOST
-from aomgen.episodes.ik import IkLimits
+from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.ledger import DRAWS_FILE, read_draws
 from aomgen.io.episode_folder import CommittedEpisode, list_committed, read_episode
 from aomgen.io.video import read_frames
@@ -193,6 +193,7 @@ def reasons() -> dict[str, str]:
         "joint_limit": "a joint comes too near to its limit",
         "branch": "the arm's way back from the grasp ends in another joint configuration than the demonstrated one",
         "too_fast": f"a joint is faster than {ik.speed:g} rad/s, also when the motion is slowed down",
+        "too_jerky": f"a joint exceeds {ik.acceleration:g} rad/s^2 or {ik.jerk:g} rad/s^3, also when the motion is slowed down",
         "collision": f"robot and scene overlap by more than {contact.max_penetration_mm:g} mm",
         "self_collision": "two parts of the robot overlap",
         "grip_collision": f"fingers and handle overlap by more than {contact.max_handle_penetration_mm:g} mm",

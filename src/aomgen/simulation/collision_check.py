@@ -64,7 +64,7 @@ def check_kinematics(
     data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
     worst = {"scene": _Overlap(*_object_overlap(scene, data)), "self": _Overlap(), "handle": _Overlap()}
     rows = np.arange(len(joints), dtype=np.float64)
-    start = scene.qpos(joints[:1], gripper[0], 0.0)
+    start = scene.qpos(joints[:1], gripper[0], thetas[0])
     allowed_self = limits.self_margin_mm + _sweep(scene, data, kinds, start, rows[:1], holding)[0]["self"].mm
     qpos = scene.qpos(joints, gripper, thetas)
     # Samples first: most of what collides does so there already.
@@ -151,9 +151,15 @@ def _sweep(
         if mine[deepest] > 0:
             # The robot's geom first.
             a, b = sorted(touching[deepest], key=lambda geom: not scene.roles.robot[geom])
-            names = f"{model.body(model.geom_bodyid[a]).name} and {model.geom(int(b)).name}"
+            body_a, body_b = (model.body(model.geom_bodyid[geom]).name for geom in (a, b))
+            names = f"{body_a} and {model.geom(int(b)).name or body_b}"
             worst[name] = _Overlap(float(mine[deepest]), float(at[deepest]), names)
     return worst, places
+
+
+def _held(scene: Scene) -> NDArray[np.bool_]:
+    """Geoms (G,) that fingers hold: the handle; the whole part where it has none, for example a lid by its rim."""
+    return scene.roles.handle if scene.roles.handle.any() else scene.roles.moving
 
 
 def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
@@ -163,7 +169,7 @@ def _pair_kinds(scene: Scene) -> NDArray[np.int8]:
     kinds = np.zeros((len(robot), len(robot)), np.int8)
     kinds[robot[:, None] ^ robot] = SCENE
     kinds[robot[:, None] & robot & ~(hand[:, None] & hand)] = SELF
-    for a, b, kind in ((hand, roles.handle, HANDLE), (roles.moving, roles.obstacle, SCENE)):
+    for a, b, kind in ((hand, _held(scene), HANDLE), (roles.moving, roles.obstacle, SCENE)):
         pairs = a[:, None] & b
         kinds[pairs | pairs.T] = kind
     return kinds
@@ -238,7 +244,7 @@ def _grip_gap_mm(scene: Scene, data: mujoco.MjData, qpos: Array) -> float:
     """Distance between the handle and the farther finger's pads, [mm]; 0 for a robot without pads."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(scene.model, data)
-    handle = np.flatnonzero(scene.roles.handle if scene.roles.handle.any() else scene.roles.moving)
+    handle = np.flatnonzero(_held(scene))
     gap = 0.0
     for finger in (0, 1):
         pads = np.flatnonzero(scene.roles.finger == finger)

@@ -1,17 +1,22 @@
 """Plans follow the object, keep the arm's limits, and say no where they must."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from aomgen.core.demonstration import Demonstration
+from aomgen.core.asset import ArticulatedAsset, BoxCollider
+from aomgen.core.demonstration import Demonstration, gripper_command, timing
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
-from aomgen.core.transforms import apply, invert, matrix_from_rotvec
+from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
 from aomgen.episodes.grasps import Grasp, grasps, orientations
-from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, ik_solver, solve_path
+from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.planning import PlanParams, plan_episode
-from aomgen.episodes.retarget import CONTACT, gripper_command, retarget, timing
+from aomgen.episodes.retarget import CONTACT, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.scene import build_scene
+from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
+from aomgen.simulation.scene import Scene, build_scene
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
 
@@ -35,24 +40,12 @@ def grasp_of(demo: Demonstration, fitted: FittedAsset) -> Grasp:
     return next(iter(grasps(fitted, R, 0.0, demo.ee_turn_ratio)))
 
 
-def test_ik_meets_the_asked_poses(robot: RobotModel, solver: IkSolver, demo: Demonstration) -> None:
-    path = solve_path(solver, demo.Ts_world_ee, demo.joints[0], IkLimits())
-    assert isinstance(path, IkPath)
-    reached = robot.ee_poses(path.joints)
-    errors = invert(demo.Ts_world_ee) @ reached
-    assert 1000 * np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.3
-    assert isinstance(check_speed(path.joints, 10.0, IkLimits(), np.zeros(6, bool)), float)
-
-
-def test_ik_refuses_what_is_out_of_reach_and_jumps(solver: IkSolver, demo: Demonstration) -> None:
-    far = demo.Ts_world_ee.copy()
-    far[:, 0, 3] += np.linspace(0, 1.0, len(far))
-    result = solve_path(solver, far, demo.joints[0], IkLimits())
-    assert isinstance(result, Rejection)
-    assert result.reason == "unreachable"
-    jump = demo.joints.copy()
-    jump[20:] += 1.0
-    assert isinstance(check_speed(jump, 10.0, IkLimits(), np.zeros(6, bool)), Rejection)
+def motion_of(
+    demo: Demonstration, fitted: FittedAsset, T_world_object: np.ndarray, **more
+) -> RetargetedMotion:
+    shown = DemonstratedMotion(demo)
+    grasp = grasp_of(demo, fitted)
+    return RetargetedMotion(shown=shown, fitted=fitted, T_world_object=T_world_object, grasp=grasp, **more)
 
 
 def test_fingers_close_across_the_handle_and_the_nearest_way_comes_first() -> None:
@@ -78,7 +71,7 @@ def test_gripper_command_closes_fully_around_a_bar(demo: Demonstration) -> None:
 def test_same_object_at_the_same_place_gives_the_demonstrated_motion(
     demo: Demonstration, fitted: FittedAsset
 ) -> None:
-    motion = retarget(demo, fitted, fitted.T_world_asset, grasp_of(demo, fitted), 10.0)
+    motion = motion_of(demo, fitted, fitted.T_world_asset).sample(10.0)
     assert len(motion.thetas) == len(demo.times_s)
     assert 1000 * np.abs(motion.Ts_world_ee[:, :3, 3] - demo.Ts_world_ee[:, :3, 3]).max() < 12
     np.testing.assert_allclose(motion.Ts_world_ee[:, :3, :3], demo.Ts_world_ee[:, :3, :3], atol=1e-3)
@@ -88,8 +81,8 @@ def test_contact_segment_moves_rigidly_with_the_object(demo: Demonstration, fitt
     variation = Variation(seed=0, index=0, x=0.04, y=-0.03, yaw=0.3)
     T = variation.placed(fitted)
     grasp = grasp_of(demo, fitted)
-    there = retarget(demo, fitted, T, grasp, 10.0)
-    here = retarget(demo, fitted, fitted.T_world_asset, grasp, 10.0)
+    there = motion_of(demo, fitted, T).sample(10.0)
+    here = motion_of(demo, fitted, fitted.T_world_asset).sample(10.0)
     moved = T @ invert(fitted.T_world_asset) @ here.Ts_world_ee[here.phases == CONTACT]
     times = here.demo_times_s[here.phases == CONTACT]
     same = np.abs(there.demo_times_s[:, None] - times[None]).min(1) < 1e-9
@@ -117,6 +110,122 @@ def test_plan_starts_where_the_demonstration_did_and_is_smooth(
     assert plan.metrics["penetration_mm"] <= 1.0
     assert plan.metrics["joint_speed"] <= PlanParams().ik.speed
     assert plan.thetas[-1] == pytest.approx(fitted.target_theta)
+
+
+def test_a_plan_keeps_the_asked_speed_and_start(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    here = Variation(seed=0, index=0, x=0.03, y=0.02, yaw=0.2)
+    offset = (0.1, -0.1, 0.05, 0.1, -0.1, 0.2)
+
+    def planned(**changes: object) -> EpisodePlan:
+        plan = plan_episode(fitted, demo, replace(here, **changes), scene, solver, PlanParams())  # pyright: ignore[reportArgumentType]
+        assert isinstance(plan, EpisodePlan), plan
+        return plan
+
+    usual, slow, elsewhere = planned(), planned(speed=0.5), planned(start_offset=offset)
+    assert len(slow) == pytest.approx(2 * len(usual), abs=2)
+    np.testing.assert_allclose(elsewhere.joints[0], demo.joints[0] + offset, atol=1e-3)
+    # It has come back to the usual way before it moves with the object.
+    first = int(np.argmax(elsewhere.phases == CONTACT))
+    back = len(usual) - int(np.argmax(usual.phases == CONTACT))
+    assert len(elsewhere) - first == pytest.approx(back, abs=1)
+    np.testing.assert_allclose(elsewhere.joints[first:][:40], usual.joints[-back:][:40], atol=0.03)
+
+
+def test_the_way_leads_around_what_stands_there(
+    robot: RobotModel, solver: IkSolver, fitted: FittedAsset
+) -> None:
+    demo = opening(solver, fitted, before=(0.28, -0.4, 0.0))
+    here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
+
+    def planned(*boxes: BoxCollider) -> tuple[EpisodePlan | Rejection, Scene]:
+        scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT, obstacles=boxes)
+        return plan_episode(fitted, demo, here, scene, solver, PlanParams()), scene
+
+    def column(place: np.ndarray, top: float) -> BoxCollider:
+        half = (top - SUPPORT.height) / 2
+        T = transform(np.eye(3), [place[0], place[1], SUPPORT.height + half])
+        return BoxCollider(name="column", T_asset_box=T, half_extents=np.array([0.01, 0.01, half]))
+
+    plain, _ = planned()
+    assert isinstance(plain, EpisodePlan)
+    way = plain.Ts_world_ee[plain.phases == 0, :3, 3]
+    gone = np.linalg.norm(way - way[0], axis=1)
+    middle = way[np.argmin(np.abs(gone - 0.5 * gone[-1]))]
+    around, scene = planned(column(middle, middle[2] + 0.02))
+    assert isinstance(around, EpisodePlan), around
+    still = np.zeros(len(plain), bool)
+    struck = check_kinematics(scene, plain.joints, 0.0 * plain.thetas, plain.thetas, still, KinematicLimits())
+    assert getattr(struck, "reason", "") == "collision"
+    # Neither the object's base nor its part may meet it; and the drawer's way is not to be had otherwise.
+    for place in (
+        plain.T_world_object[:3, 3],
+        apply(plain.T_world_object, fitted.asset.handle_point) - [0.1, 0, 0],
+    ):
+        blocked, _ = planned(column(place, place[2] + 0.2))
+        assert getattr(blocked, "reason", "") == "collision"
+
+
+def test_a_part_without_a_handle_is_held_where_it_was(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    """No collider is named as a handle: the whole part may be touched while it is held, not before."""
+    moving = fitted.asset.moving
+    plain = tuple(replace(box, name=box.name.replace("handle", "rim")) for box in moving.colliders)
+    bare = replace(fitted, asset=replace(fitted.asset, moving=replace(moving, colliders=plain)))
+    assert bare.asset.handle_bar is None
+    scene = build_scene(robot, bare.asset, bare.T_world_asset, SUPPORT)
+    plan = plan_episode(
+        bare, demo, Variation(seed=0, index=0, x=0.02, y=0.0, yaw=0.1), scene, solver, PlanParams()
+    )
+    assert isinstance(plan, EpisodePlan), plan
+    assert plan.metrics["grip_gap_mm"] < KinematicLimits().max_gap_mm
+
+
+def test_closing_goes_back_where_opening_came_from(
+    demo: Demonstration, fitted: FittedAsset, made: Callable[[str, int], ArticulatedAsset]
+) -> None:
+    door = replace(fitted, asset=made("microwave", 1), thetas=fitted.thetas / fitted.thetas[-1])
+    opened = motion_of(demo, door, door.T_world_asset)
+    opened = replace(opened, grasp=replace(opened.grasp, turn_ratio=0.8))
+    start, end = opened.shown.moments.start, opened.shown.moments.end
+    times = np.linspace(start, end, 20)
+    poses = opened.holding(times)
+    back = replace(door, thetas=door.thetas[::-1], shares=1 - door.shares[::-1])
+    R_end = door.T_world_asset[:3, :3].T @ poses[-1, :3, :3]
+    closing = replace(opened, fitted=back, grasp=replace(opened.grasp, R_object_ee=R_end))
+    np.testing.assert_allclose(closing.holding(start + end - times), poses, atol=1e-9)
+
+
+def test_the_papers_method_turns_the_contact_rigidly(demo: Demonstration, fitted: FittedAsset) -> None:
+    T = Variation(seed=0, index=0, x=0.1, y=-0.05, yaw=0.4).placed(fitted)
+    motion = motion_of(demo, fitted, T, rigid=True)
+    sampled = motion.sample(10.0)
+    held = sampled.phases == CONTACT
+    turned = T @ invert(fitted.T_world_asset) @ motion.shown.poses(sampled.demo_times_s[held])
+    np.testing.assert_allclose(sampled.Ts_world_ee[held], turned, atol=1e-12)
+    np.testing.assert_allclose(sampled.Ts_world_ee[[0, -1]], demo.Ts_world_ee[[0, -1]], atol=1e-2)
+    close = np.array([motion.shown.moments.close])
+    shares = sampled.demo_times_s[sampled.phases == 0] / close
+    straight = interpolate(demo.Ts_world_ee[0], motion.holding(close)[0], shares)
+    np.testing.assert_allclose(sampled.Ts_world_ee[sampled.phases == 0], straight, atol=1e-9)
+
+
+def test_the_papers_method_repeats_the_demonstration_where_it_was_made(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
+    plan = plan_episode(fitted, demo, here, scene, solver, PlanParams(method="paper"))
+    assert isinstance(plan, EpisodePlan), plan
+    shown = DemonstratedMotion(demo)
+    held = plan.phases == CONTACT
+    assert 60 < len(plan) <= len(demo.times_s) + 3
+    moments = np.linspace(shown.moments.close, shown.moments.free, int(held.sum()))
+    off = plan.Ts_world_ee[held][:, :3, 3] - shown.poses(moments)[:, :3, 3]
+    assert 1000 * np.linalg.norm(off, axis=1).max() < 10
 
 
 def test_pose_out_of_reach_is_rejected_with_a_reason(

@@ -1,0 +1,102 @@
+"""Nothing slips through between the samples of a trajectory."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from aomgen.assets.choice import make_asset
+from aomgen.core.asset import BoxCollider
+from aomgen.core.plan import Rejection
+from aomgen.core.transforms import apply, transform
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation import collision_check
+from aomgen.simulation.collision_check import SWEEP_M, KinematicLimits, check_kinematics
+from aomgen.simulation.scene import Scene, build_scene
+from toy_drawer import NEAR, SUPPORT
+
+# Behind the robot, so that the arm moves freely.
+FAR = transform(np.eye(3), [-1.5, -1.5, SUPPORT.height])
+LIMITS = KinematicLimits()
+JOINTS_A_SAMPLE = 0.26
+
+
+def scene_with(robot: RobotModel, *obstacles: BoxCollider) -> Scene:
+    return build_scene(robot, make_asset("drawer", 1), FAR, SUPPORT, obstacles=obstacles)
+
+
+def check(scene: Scene, joints: np.ndarray, thetas: np.ndarray) -> dict[str, float] | Rejection:
+    count = len(joints)
+    return check_kinematics(scene, joints, np.zeros(count), thetas, np.zeros(count, bool), LIMITS)
+
+
+def test_no_point_moves_far_between_two_looks(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the largest speed of all joints, for points of every mesh of the robot and for the part's corners."""
+    scene, looks = scene_with(robot), []
+    place = collision_check._place
+
+    def recorded(scene: Scene, data, qpos: np.ndarray) -> None:
+        looks.append(qpos.copy())
+        place(scene, data, qpos)
+
+    monkeypatch.setattr(collision_check, "_place", recorded)
+    rng = np.random.default_rng(0)
+    corners = np.concatenate([box.corners for box in scene.asset.moving.colliders])
+    for _ in range(12):
+        joints = NEAR + np.cumsum(rng.uniform(-1, 1, (4, 6)) * JOINTS_A_SAMPLE, axis=0)
+        thetas = np.cumsum(rng.uniform(0, 0.06, 4))
+        looks.clear()
+        if isinstance(check(scene, joints, thetas), Rejection):
+            continue
+        shares = np.array(looks)[:, scene.arm.qpos]
+        # In order along the trajectory, which is straight between its samples.
+        states = np.unique(np.round(np.array(looks)[1:], 12), axis=0)
+        ordered = []
+        for a, b in pairwise(np.column_stack([joints, thetas])):
+            known = np.column_stack([states[:, scene.arm.qpos], states[:, scene.object_qpos]])
+            along = (known - a) @ (b - a) / ((b - a) @ (b - a))
+            on = np.abs(known - a - along[:, None] * (b - a)).max(1) < 1e-9
+            inside = on & (along > -1e-9) & (along < 1 + 1e-9)
+            ordered.append(known[inside][np.argsort(along[inside])])
+        for rows in ordered:
+            poses = robot.link_poses(rows[:, :6], 0.0)
+            for mesh in robot.meshes:
+                points = apply(poses[:, None, mesh.body], mesh.vertices_body[None, ::40])
+                assert np.linalg.norm(np.diff(points, axis=0), axis=-1).max(initial=0) <= SWEEP_M
+            moved = apply(scene.asset.joint.motion(rows[:, 6])[:, None], corners[None])
+            assert np.linalg.norm(np.diff(moved, axis=0), axis=-1).max(initial=0) <= SWEEP_M
+        assert len(shares) > 4
+
+
+def test_a_thin_wall_between_two_samples_is_met(robot: RobotModel) -> None:
+    joints = np.array([NEAR, NEAR + [0.26, 0, 0, 0, 0, 0]])
+    hand = robot.ee_poses(joints.mean(0)[None])[0, :3, 3]
+    beside = robot.ee_poses(joints)[:, :3, 3]
+    across = (beside[1] - beside[0]) / np.linalg.norm(beside[1] - beside[0])
+    R = np.stack([across, np.cross([0, 0, 1.0], across), [0, 0, 1.0]], 1)
+    wall = BoxCollider(
+        name="wall", T_asset_box=transform(R, hand), half_extents=np.array([0.001, 0.03, 0.06])
+    )
+    still = np.zeros(2)
+    free, met = scene_with(robot), scene_with(robot, wall)
+    assert isinstance(check(free, joints, still), dict)
+    for end in joints:
+        assert isinstance(check(met, np.array([end, end]), still), dict), "free at both samples"
+    result = check(met, joints, still)
+    assert isinstance(result, Rejection)
+    assert result.reason == "collision"
+    assert 0 < result.metrics["sample"] < 1
+    assert "obstacles" in result.detail
+
+
+def test_an_object_in_an_obstacle_collides(robot: RobotModel) -> None:
+    joints, still = np.array([NEAR, NEAR]), np.zeros(2)
+    box = BoxCollider(name="box", T_asset_box=FAR, half_extents=np.full(3, 0.05))
+    result = check(scene_with(robot, box), joints, still)
+    assert isinstance(result, Rejection)
+    assert result.reason == "collision"
+    opened = make_asset("drawer", 1)
+    ahead = apply(FAR @ opened.joint.motion(0.15), opened.handle_point)
+    box = BoxCollider(name="box", T_asset_box=transform(np.eye(3), ahead), half_extents=np.full(3, 0.01))
+    assert isinstance(check(scene_with(robot, box), joints, still), dict)
+    assert isinstance(check(scene_with(robot, box), joints, np.array([0.0, 0.15])), Rejection)
