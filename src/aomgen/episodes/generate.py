@@ -18,9 +18,9 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Ver
 from aomgen.core.progress import Progress
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array
-from aomgen.errors import NotEnoughEpisodesError
-from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.ik import IkSolver, ik_solver
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.errors import NotEnoughEpisodesError
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import table_overlap_m
 from aomgen.simulation.scene import Scene, build_scene
@@ -130,7 +130,7 @@ def generate_episodes(
     skipped = 0
     for number, fitted in enumerate(assets):
         # Compiled when the first attempt is made.
-        scene = cache(partial(_scene, robot, fitted, demo, support, params.bolted))
+        scene = cache(partial(episode_scene, robot, fitted, demo, support, params.bolted))
         attempt = partial(_attempt, scene, fitted, demo, solver, params.plan)
         tried, good, passed_over = 0, 0, 0
         for variation in variations(params.seed + number, params.ranges):
@@ -243,7 +243,7 @@ def _attempt(
     return verify_plan(plan, scene()) if isinstance(plan, EpisodePlan) else plan
 
 
-def _scene(
+def episode_scene(
     robot: RobotModel, fitted: FittedAsset, demo: Demonstration, support: SupportPlane, bolted: bool
 ) -> Scene:
     """Robot, table and asset; a table that the recorded arm would have hit is lowered out of its way.
