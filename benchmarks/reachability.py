@@ -17,7 +17,7 @@ from aomgen.simulation.collision_check import holding_gripper
 from aomgen.simulation.scene import Scene
 
 # Random arms and hands tried; a second one of sixty found nothing that the first had not, in 98 of 100 places.
-RESTARTS: Final = 60
+RESTARTS: Final = 400
 # The hand leans this far up or down from the front's normal, about the handle [rad], while it holds; a
 # person's does as well.
 LEAN_RAD: Final = np.deg2rad(50.0)

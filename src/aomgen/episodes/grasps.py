@@ -10,14 +10,19 @@ from typing import Annotated
 
 import numpy as np
 
+from aomgen.assets.asset_check import held_at_rim
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
-from aomgen.core.transforms import angle_between, matrix_from_rotvec
+from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
+from aomgen.robots.robot import RobotModel
 
 # Rotations of the gripper about the handle that are tried, the smallest first, [deg].
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
 # How far beyond the end effector point a bar may lie and still be between the pads, [m].
 DEPTHS_M = (-0.005, 0.012)
+# The finger tips reach this far beyond the held point of a rim, [m]: behind it the fingers meet the panel.
+RIM_REACH_M = 0.004
 # A bar may lie this much (cosine) along the approach before the hand is set square to it.
 MAX_ALONG_BAR = 0.6
 # The square hand is worth trying when it differs by more than this.
@@ -74,21 +79,40 @@ def orientations(
     yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
 
 
+def grasp_depth(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
+    """How far beyond the end effector point, along the approach, the hand holds the handle, [m].
+
+    A bar lies where the recorded one did, between the pads. A rim is held by the finger tips, whatever was held in
+    the recording.
+    """
+    if robot.pads and held_at_rim(asset):
+        return _tip_reach(robot) - RIM_REACH_M
+    return float(np.clip(demonstrated_depth, *DEPTHS_M))
+
+
+def _tip_reach(robot: RobotModel) -> float:
+    """How far the closed pads reach beyond the end effector point, along the approach, [m]."""
+    joints = np.zeros((1, len(robot.joint_names)))
+    Ts_ee_body = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
+    Ts_ee_pad = [Ts_ee_body[pad.body] @ pad.T_body_pad for pad in robot.pads]
+    # Half extents of a turned box along the approach.
+    halves = [np.abs(T[2, :3]) @ pad.half_extents for T, pad in zip(Ts_ee_pad, robot.pads, strict=True)]
+    return float(min(T[2, 3] + half for T, half in zip(Ts_ee_pad, halves, strict=True)))
+
+
 def grasps(
     fitted: FittedAsset,
     R_front_ee: Array,
-    demonstrated_depth: float,
+    depth: float,
     turn_ratio: float,
 ) -> Iterator[Grasp]:
     """Grasps to try, in order of likeness to the demonstrated one.
 
     Args:
         R_front_ee: As for `orientations`.
-        demonstrated_depth: How far beyond the end effector point the recorded handle lay, along
-            the approach, [m].
+        depth: See `grasp_depth`, [m].
         turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
     """
-    depth = float(np.clip(demonstrated_depth, *DEPTHS_M))
     revolute = fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)

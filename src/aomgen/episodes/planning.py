@@ -13,7 +13,7 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import interpolate
 from aomgen.core.values import Array
-from aomgen.episodes.grasps import Grasp, grasps
+from aomgen.episodes.grasps import Grasp, grasp_depth, grasps
 from aomgen.episodes.ik import IkLimits, IkPath, IkSolver, check_speed, solve_path
 from aomgen.episodes.retarget import CONTACT, HandMotion, Style, retarget, timing
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, holding_gripper
@@ -79,7 +79,7 @@ def plan_episode(
     placed = scene.placed(T_world_object)
     close = int(np.searchsorted(demo.times_s - demo.times_s[0], timing(demo).start))
     R_front_ee = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[min(close, len(demo.times_s) - 1), :3, :3]
-    depth = float(demo.grasp_ee[2])
+    depth = grasp_depth(fitted.asset, float(demo.grasp_ee[2]), scene.robot)
     best: Rejection | None = None
     tried = 0
     # The contact segment decides most grasps; its Rejection ends a grasp's other ways.
