@@ -49,6 +49,8 @@ def can_hold(scene: Scene, fitted: FittedAsset, start_joints: Array, rng: np.ran
     Not checked: the way to the handle and back, speed, forces, the fingers' grip.
     """
     checker = _Checker(scene, fitted, start_joints)
+    if checker.stands_in_robot():
+        return False
     return any(checker.attempt(rng) for _ in range(RESTARTS))
 
 
@@ -81,6 +83,18 @@ class _Checker:
         width = 0.0 if bar is None else 2 * float(bar.half_extents.min())
         self._gripper = holding_gripper(scene.robot, width, 0.5)
         self._allowed = OVERLAP_M + self._overlap(start_joints, 0.0, own=True)
+
+    def stands_in_robot(self) -> bool:
+        """Whether the object overlaps the robot's foot; MuJoCo sees no contact of two bodies that never move."""
+        model, roles = self._scene.model, self._scene.roles
+        welded = model.body_weldid[model.geom_bodyid] == 0
+        solid = model.geom_contype | model.geom_conaffinity > 0
+        feet, boxes = np.flatnonzero(roles.robot & welded & solid), np.flatnonzero(roles.static)
+        return any(
+            mujoco.mj_geomDistance(model, self._data, int(foot), int(box), 1.0, None) < -OVERLAP_M
+            for foot in feet
+            for box in boxes
+        )
 
     def attempt(self, rng: np.random.Generator) -> bool:
         """Whether a random hold, reached from a random arm, carries through."""

@@ -31,7 +31,8 @@ from benchmarks.motion_worlds import motion_world
 MAX_WORLDS: Final = 5
 # The made object's seed over that of the world, so that it is never the recorded object.
 OTHER_OBJECT: Final = 1000
-_RECOVERED: Final = "recovered"
+# Name of a kept demonstration in its folder.
+RECOVERED: Final = "recovered"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,8 +62,8 @@ def recover(category: str, seed: int, folder: Path) -> Recovered:
     Raises:
         ConfigError: None of MAX_WORLDS is.
     """
-    if (folder / f"{_RECOVERED}.json").is_file():
-        return load_artifact(folder, _RECOVERED, Recovered)
+    if (folder / f"{RECOVERED}.json").is_file():
+        return load_artifact(folder, RECOVERED, Recovered)
     refused: list[str] = []
     for number in range(seed, seed + MAX_WORLDS):
         try:
@@ -73,7 +74,7 @@ def recover(category: str, seed: int, folder: Path) -> Recovered:
             continue
         found = replace(found, refused=tuple(refused))
         write_usd(found.fitted.asset, folder / ASSET_USD)
-        save_artifact(folder, _RECOVERED, found)
+        save_artifact(folder, RECOVERED, found)
         return found
     raise ConfigError(f"category {category}", f"no world gives a demonstration ({'; '.join(refused)})")
 

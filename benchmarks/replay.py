@@ -139,8 +139,9 @@ def judge_exported(verified: VerifiedEpisode | Rejection, robot: RobotModel, usd
 def judge_opening(run: Opening, exported: Exported) -> str:
     """Why a replay does not count, by the same rule as verification; empty when it does."""
     rule, thetas, carried = PassRule(), run.thetas, run.carried
-    first = int(np.argmax(carried)) if carried.any() else len(carried) - 1
-    if not np.abs(thetas[: first + 1]).max() <= rule.max_start_share * exported.target:
+    # Frames are coarse: at the first one with force the part may have moved already.
+    first = int(np.argmax(carried)) if carried.any() else len(carried)
+    if not np.abs(thetas[:first]).max(initial=0.0) <= rule.max_start_share * exported.target:
         return "pre_opened"
     if not thetas[-1] >= rule.target_share * exported.target:
         return "target"

@@ -24,7 +24,12 @@ Tell = Callable[[str], None]
 
 
 def run_replay_bench(
-    folder: Path, attempts: int, seed: int, tell: Tell, categories: tuple[str, ...] = CATEGORIES
+    folder: Path,
+    attempts: int,
+    seed: int,
+    tell: Tell,
+    categories: tuple[str, ...] = CATEGORIES,
+    others: tuple[Sweep, ...] = BEYOND,
 ) -> dict[str, Any]:
     """Figures by category, then those of `ik` over all of them, of sweeps `beyond`, and of `closing`.
 
@@ -33,6 +38,8 @@ def run_replay_bench(
         attempts: Draws wanted that pass tier A, in each category.
         seed: Of the first motion world, and of all draws.
         tell: Hears about every draw.
+        categories: What is opened.
+        others: Sweeps beyond the paper's.
     """
     # Read by the processes as they start: a second thread of the linear algebra only waits.
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
@@ -48,7 +55,7 @@ def run_replay_bench(
         paper = {name: rows(name, PAPER, attempts) for name in categories}
         few = max(1, round(BEYOND_SHARE * attempts))
         beyond = {
-            sweep.name: {name: summary(rows(name, sweep, few)) for name in categories} for sweep in BEYOND
+            sweep.name: {name: summary(rows(name, sweep, few)) for name in categories} for sweep in others
         }
     figures: dict[str, Any] = {
         name: {
@@ -72,7 +79,7 @@ def _drawn(
     waiting: deque[Future[dict[str, Any]]] = deque()
     good = 0
     for index in count():
-        while len(waiting) < 2 * WORKERS:
+        while len(waiting) < WORKERS:
             waiting.append(pool.submit(job, index + len(waiting)))
         row = waiting.popleft().result()
         good += not row["reason"]
