@@ -8,6 +8,7 @@ from typing import Final
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from aomgen.core.episode import Episode
 from aomgen.core.transforms import matrix_from_quat, rotvec_from_matrix, transform
@@ -102,7 +103,7 @@ class Opening:
     whether a pad carried force there (T + 1,)."""
 
     thetas: Array
-    carried: Array
+    carried: NDArray[np.bool_]
 
 
 class Replay:

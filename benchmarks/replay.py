@@ -1,7 +1,7 @@
 """`aomgen bench replay`: how many generated demonstrations open the object again (the paper's Table 1)."""
 
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -72,10 +72,12 @@ def measure(folder: Path, category: str, sweep: Sweep, seed: int, index: int) ->
     if place.with_suffix(".json").is_file():
         return read_json(place.with_suffix(".json"))
     robot, solver, recovered, scene = _workplace(folder, category, seed)
-    variation = draw(sweep, category, seed, index)
+    drawn = draw(sweep, category, seed, index)
+    # The asset is scaled here, so that no planner scales it again.
+    variation = replace(drawn, scale=1.0)
     demo, fitted, usd = recovered.demo, recovered.fitted, folder / category / ASSET_USD
-    if variation.scale != 1.0:
-        fitted = scaled_fit(fitted, variation.scale)
+    if drawn.scale != 1.0:
+        fitted = scaled_fit(fitted, drawn.scale)
         scene = episode_scene(robot, fitted, demo, recovered.support, bolted=True)
         usd = place / ASSET_USD
         write_usd(fitted.asset, usd)
@@ -87,7 +89,7 @@ def measure(folder: Path, category: str, sweep: Sweep, seed: int, index: int) ->
         "x": variation.x,
         "y": variation.y,
         "yaw_deg": float(np.rad2deg(variation.yaw)),
-        "scale": variation.scale,
+        "scale": drawn.scale,
         "feasible": can_hold(placed, fitted, demo.joints[0], rng),
         "reason": "",
     }
@@ -176,7 +178,7 @@ def recheck(plan: EpisodePlan, robot: RobotModel, params: PlanParams) -> dict[st
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Figures of a sweep's draws; see `docs/engine.md` for their names."""
+    """Figures of a sweep's draws; `docs/dataset.md` says what they mean."""
     planned = [row for row in rows if not row["reason"]]
     passed = [row for row in planned if not row["failure"]]
     verified = [row for row in planned if "unit" in row]
@@ -205,9 +207,8 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def worst_ik(planned: list[dict[str, Any]]) -> dict[str, float]:
     """Number of plans, and the largest of each figure of `recheck`."""
-    return {"plans": len(planned)} | {
-        name: max(row["ik"][name] for row in planned) for name in ("mm", "deg", "step")
-    }
+    worst = {name: max(row["ik"][name] for row in planned) for name in ("mm", "deg", "step")}
+    return {"plans": float(len(planned)), **worst}
 
 
 def interval_95(successes: int, trials: int) -> list[float]:

@@ -127,7 +127,7 @@ def test_a_refused_plan_is_a_failure_with_its_reason(robot: RobotModel, tmp_path
 
 
 def test_an_opening_counts_when_the_fingers_did_it(robot: RobotModel, verified: VerifiedEpisode) -> None:
-    thetas = np.linspace(0.0, verified.plan.fitted.target_theta, 20)
+    thetas = np.asarray(np.linspace(0.0, verified.plan.fitted.target_theta, 20), np.float64)
     carried = np.arange(20) > 0
     usd = Path(ASSET_USD)
     exported = exported_of(episode_of(verified, 0, usd, robot, "", {}, np.zeros(6)), usd)

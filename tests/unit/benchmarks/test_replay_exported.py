@@ -17,10 +17,10 @@ from aomgen.core.recording import RobotChoice
 from aomgen.core.transforms import apply, invert
 from aomgen.datasets.features import ee_targets, feature_columns
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
+from aomgen.episodes.generate import GenerationParams, PoseRanges, generate_episodes
+from aomgen.episodes.planning import PlanParams
 from aomgen.episodes.stage import episode_of
 from aomgen.errors import MissingFileError
-from aomgen.episodes.planning import PlanParams
-from aomgen.episodes.generate import GenerationParams, PoseRanges, generate_episodes
 from aomgen.io.episode_folder import commit_episode, read_episode
 from aomgen.io.video import encode_video
 from aomgen.robots.loading import save_robot
