@@ -32,7 +32,7 @@ class ForeignScene:
         theta, theta_dof: Addresses of the object's joint in qpos and qvel.
         pads: Geoms with which the fingers hold.
         moving: Body of the object's moving link.
-        resistances: Damping and dry friction of its joint in each setting that the file names; the first is nominal.
+        resistances: Damping and dry friction of its joint: the file's own, then the other settings it was verified in.
         category: Of the object.
         revolute: Its joint turns.
     """
@@ -95,13 +95,7 @@ def foreign_scene(robot: RobotModel, usd: Path, T_world_object: Array) -> Foreig
         theta_dof=int(model.joint(JOINT).dofadr[0]),
         pads=[model.geom(name).id for names in robot.pad_geoms.values() for name in names],
         moving=model.body(MOVING).id,
-        resistances=list(
-            zip(
-                joint.GetAttribute("aomgen:verified_damping").Get(),
-                joint.GetAttribute("aomgen:verified_frictionloss").Get(),
-                strict=True,
-            )
-        ),
+        resistances=_resistances(joint),
         category=str(stage.GetDefaultPrim().GetAttribute("aomgen:category").Get()),
         revolute=joint.IsA(UsdPhysics.RevoluteJoint),
     )
@@ -159,6 +153,12 @@ def _add_joint(body: mujoco.MjsBody, prim: Any) -> None:
     )
     if prim.HasAttribute("mjc:solimpfriction"):
         item.solimp_friction = list(prim.GetAttribute("mjc:solimpfriction").Get())
+
+
+def _resistances(prim: Any) -> list[tuple[float, float]]:
+    tried = [prim.GetAttribute(f"aomgen:verified_{name}").Get() for name in ("damping", "frictionloss")]
+    own = (prim.GetAttribute("mjc:damping").Get(), prim.GetAttribute("mjc:frictionloss").Get())
+    return [own, *list(zip(*tried, strict=True))[1:]]
 
 
 def _actuator_of(model: mujoco.MjModel, joint: int) -> int:

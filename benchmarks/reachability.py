@@ -35,7 +35,13 @@ BRANCH_RAD: Final = 0.6
 OVERLAP_M: Final = 0.001
 
 
-def can_hold(scene: Scene, fitted: FittedAsset, start_joints: Array, rng: np.random.Generator) -> bool:
+def can_hold(
+    scene: Scene,
+    fitted: FittedAsset,
+    start_joints: Array,
+    rng: np.random.Generator,
+    restarts: int = RESTARTS,
+) -> bool:
     """Whether some arm motion holds the handle from the first to the last planned joint value.
 
     The hand may lean within LEAN_RAD about the handle, and change its lean steadily as the part moves; the
@@ -45,13 +51,14 @@ def can_hold(scene: Scene, fitted: FittedAsset, start_joints: Array, rng: np.ran
         scene: With the object at its pose.
         start_joints: Of the demonstration (J,), where the robot's colliders may touch one another.
         rng: Chooses arms and hands.
+        restarts: How many.
 
     Not checked: the way to the handle and back, speed, forces, the fingers' grip.
     """
     checker = _Checker(scene, fitted, start_joints)
     if checker.stands_in_robot():
         return False
-    return any(checker.attempt(rng) for _ in range(RESTARTS))
+    return any(checker.attempt(rng) for _ in range(restarts))
 
 
 @dataclass(frozen=True, slots=True)

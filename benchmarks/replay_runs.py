@@ -3,7 +3,7 @@
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from functools import partial
 from itertools import count
 from multiprocessing import get_context
@@ -41,9 +41,7 @@ def run_replay_bench(
         categories: What is opened.
         others: Sweeps beyond the paper's.
     """
-    # Read by the processes as they start: a second thread of the linear algebra only waits.
-    os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
+    with start_workers() as pool:
         jobs = {name: pool.submit(recover, name, seed, folder / name) for name in categories}
         found = {name: job.result() for name, job in jobs.items()}
         for name, item in found.items():
@@ -72,8 +70,15 @@ def run_replay_bench(
     return figures | {"beyond": beyond, "closing": _closing()}
 
 
+def start_workers() -> Executor:
+    """Processes that share nothing, as OpenGL wants it."""
+    # Read by the processes as they start: a second thread of the linear algebra only waits.
+    os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    return ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn"))
+
+
 def _drawn(
-    pool: ProcessPoolExecutor, job: Callable[[int], dict[str, Any]], attempts: int, tell: Tell
+    pool: Executor, job: Callable[[int], dict[str, Any]], attempts: int, tell: Tell
 ) -> Iterator[dict[str, Any]]:
     """Draws in order, so many that `attempts` of them pass tier A; those that were begun beyond are dropped."""
     waiting: deque[Future[dict[str, Any]]] = deque()

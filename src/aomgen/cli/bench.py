@@ -190,31 +190,21 @@ def bench_replay_exported(
 
 @bench_app.command("replay")
 def bench_replay(
-    attempts: Annotated[
-        int, typer.Option(help="Plans wanted in each category; a tenth for each sweep beyond.")
-    ] = 200,
+    attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,
     seed: Annotated[int, typer.Option(help="Of the first motion world and of all draws.")] = 7000,
-    category: Annotated[list[str] | None, typer.Option(help="Only such; may be repeated.")] = None,
     json_file: JsonFile = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Keeps demonstrations and draws; continued when it exists.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Keeps what was done; continued when it exists.")] = None,
 ) -> None:
-    """Generate demonstrations from one recovered demonstration of each category, and replay what is exported.
+    """Plan for made objects from recovered demonstrations, and replay what is exported (the paper's Table 1).
 
-    Poses are drawn from the paper's range; a made object, not the recorded one, stands in its place. An
-    attempt is a plan that passed tier A; it succeeds when its exported actions open the exported object
+    An attempt is a plan that passed tier A; it succeeds when its exported actions open the exported object
     in every setting of tier B. `feasible` poses are those at which some arm motion holds the handle.
     """
-    from benchmarks.replay_runs import CATEGORIES, run_replay_bench
-    from benchmarks.table import as_table
+    from benchmarks.replay_runs import run_replay_bench
 
     with tempfile.TemporaryDirectory() as scratch:
         folder = (out or Path(scratch)).resolve()
-        wanted = tuple(category or CATEGORIES)
-        figures = run_replay_bench(folder, attempts, seed, partial(print, flush=True), wanted)
-    print(as_table([{"category": name} | figures[name] for name in wanted]))
-    _show(figures, json_file)
+        _show(run_replay_bench(folder, attempts, seed, partial(print, flush=True)), json_file)
 
 
 def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:

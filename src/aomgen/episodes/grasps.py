@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from aomgen.assets.asset_check import held_at_rim
+from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
@@ -21,8 +21,6 @@ from aomgen.robots.robot import RobotModel
 TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
 # How far beyond the end effector point a bar may lie and still be between the pads, [m].
 DEPTHS_M = (-0.005, 0.012)
-# The finger tips reach this far beyond the held point of a rim, [m]: behind it the fingers meet the panel.
-RIM_REACH_M = 0.004
 # A bar may lie this much (cosine) along the approach before the hand is set square to it.
 MAX_ALONG_BAR = 0.6
 # The square hand is worth trying when it differs by more than this.
@@ -82,22 +80,15 @@ def orientations(
 def grasp_depth(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
     """How far beyond the end effector point, along the approach, the hand holds the handle, [m].
 
-    A bar lies where the recorded one did, between the pads. A rim is held by the finger tips, whatever was held in
-    the recording.
+    A bar lies where the recorded one did; a rim is held by the finger tips, whatever was held in the recording.
     """
-    if robot.pads and held_at_rim(asset):
-        return _tip_reach(robot) - RIM_REACH_M
-    return float(np.clip(demonstrated_depth, *DEPTHS_M))
-
-
-def _tip_reach(robot: RobotModel) -> float:
-    """How far the closed pads reach beyond the end effector point, along the approach, [m]."""
+    if not (robot.pads and held_at_rim(asset)):
+        return float(np.clip(demonstrated_depth, *DEPTHS_M))
     joints = np.zeros((1, len(robot.joint_names)))
     Ts_ee_body = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
     Ts_ee_pad = [Ts_ee_body[pad.body] @ pad.T_body_pad for pad in robot.pads]
-    # Half extents of a turned box along the approach.
     halves = [np.abs(T[2, :3]) @ pad.half_extents for T, pad in zip(Ts_ee_pad, robot.pads, strict=True)]
-    return float(min(T[2, 3] + half for T, half in zip(Ts_ee_pad, halves, strict=True)))
+    return float(min(T[2, 3] + half for T, half in zip(Ts_ee_pad, halves, strict=True))) - RIM_ROOM_M
 
 
 def grasps(

@@ -1,5 +1,6 @@
 """The bench of replayed demonstrations: what is feasible, what counts, and that it can be continued."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from aomgen.results import ASSET_USD
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.verify import verify_plan
+from benchmarks import replay_runs
 from benchmarks.exported import Opening, exported_of
 from benchmarks.reachability import can_hold
 from benchmarks.recovered import RECOVERED, Recovered, recover, scaled_fit
@@ -30,7 +32,6 @@ from benchmarks.replay import (
     recheck,
     summary,
 )
-from benchmarks.replay_runs import run_replay_bench
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
@@ -70,7 +71,7 @@ def test_the_demonstrated_place_is_feasible_and_one_out_of_reach_is_not(
 ) -> None:
     for x, feasible in ((0.0, True), (2.0, False), (-0.85, False)):
         placed = scene.placed(replace(HERE, x=x).placed(fitted))
-        assert can_hold(placed, fitted, demo.joints[0], np.random.default_rng(0)) == feasible, x
+        assert can_hold(placed, fitted, demo.joints[0], np.random.default_rng(0), 60) == feasible, x
 
 
 def test_a_wall_before_the_handle_makes_it_infeasible(
@@ -78,7 +79,7 @@ def test_a_wall_before_the_handle_makes_it_infeasible(
 ) -> None:
     high = replace(SUPPORT, height=float(apply(fitted.T_world_asset, fitted.contact_asset)[2]))
     sunk = build_scene(robot, fitted.asset, fitted.T_world_asset, high)
-    assert not can_hold(sunk, fitted, demo.joints[0], np.random.default_rng(0))
+    assert not can_hold(sunk, fitted, demo.joints[0], np.random.default_rng(0), 60)
 
 
 def test_draws_are_independent_uniform_and_repeatable() -> None:
@@ -167,7 +168,11 @@ def test_a_scaled_object_stands_where_it_stood(fitted: FittedAsset) -> None:
     assert small.target_theta == pytest.approx(0.6 * fitted.target_theta)
 
 
-def test_a_killed_bench_goes_on(fitted: FittedAsset, demo: Demonstration, tmp_path: Path) -> None:
+def test_a_killed_bench_goes_on(
+    fitted: FittedAsset, demo: Demonstration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One thread of this process: others would compile everything again.
+    monkeypatch.setattr(replay_runs, "start_workers", lambda: ThreadPoolExecutor(1))
     found = Recovered(demo=demo, fitted=fitted, support=SUPPORT, fps=10.0, world=7001, refused=("7000",))
     home = tmp_path / "drawer"
     home.mkdir()
@@ -175,7 +180,7 @@ def test_a_killed_bench_goes_on(fitted: FittedAsset, demo: Demonstration, tmp_pa
     save_artifact(home, RECOVERED, found)
     assert recover("drawer", 7000, home).fitted.target_theta == fitted.target_theta
     told: list[str] = []
-    figures = run_replay_bench(tmp_path, 2, 7000, told.append, ("drawer",), ())
+    figures = replay_runs.run_replay_bench(tmp_path, 2, 7000, told.append, ("drawer",), ())
     row = figures["drawer"]
     assert (row["attempts"], row["success_rate"], row["opened_when_moved"]) == (2, 1.0, 0)
     assert row["demonstrations_refused"] == ["7000"]
@@ -188,5 +193,5 @@ def test_a_killed_bench_goes_on(fitted: FittedAsset, demo: Demonstration, tmp_pa
     rows = [read_json(path) for path in kept][: row["drawn"]]
     assert summary(rows)["attempts"] == 2
     stamps = [path.stat().st_mtime_ns for path in kept]
-    assert run_replay_bench(tmp_path, 2, 7000, told.append, ("drawer",), ()) == figures
+    assert replay_runs.run_replay_bench(tmp_path, 2, 7000, told.append, ("drawer",), ()) == figures
     assert [path.stat().st_mtime_ns for path in kept] == stamps
