@@ -31,8 +31,9 @@ IK_STEPS: Final = 6
 AWAY_M: Final = 0.08
 # How long the arm stands still before the first and after the last action, [s]; a lid would fall meanwhile.
 BEFORE_S, AFTER_S = 0.2, 1.0
-# What counts as carrying force, [N], as in `simulation.verify.PassRule`.
-CARRIED_N: Final = 0.5
+# When an opening counts, as in `simulation.verify.PassRule`: share of the planned joint value reached, share of the
+# progress made while pads carry force, what counts as force [N], and share of the plan moved before it.
+OPENED_SHARE, CONTACT_SHARE, CARRIED_N, EARLY_SHARE = 0.9, 0.8, 0.5, 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

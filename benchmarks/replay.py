@@ -23,9 +23,17 @@ from aomgen.results import ASSET_USD
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import Scene
-from aomgen.simulation.verify import PassRule, verify_plan
+from aomgen.simulation.verify import verify_plan
 from aomgen.synthetic.world import DEFAULT_ROBOT
-from benchmarks.exported import Exported, Opening, Replay, exported_of
+from benchmarks.exported import (
+    CONTACT_SHARE,
+    EARLY_SHARE,
+    OPENED_SHARE,
+    Exported,
+    Opening,
+    Replay,
+    exported_of,
+)
 from benchmarks.foreign_scene import foreign_scene
 from benchmarks.reachability import can_hold
 from benchmarks.recovered import Recovered, recover, scaled_fit
@@ -134,21 +142,21 @@ def judge_exported(verified: VerifiedEpisode | Rejection, robot: RobotModel, usd
         "unit": unit,
         "theta_worst": float(errors.max()),
         "near": bool(errors.max() <= NEAR[unit]),
-        "opened_when_moved": bool(missed.thetas[-1] >= PassRule().target_share * exported.target),
+        "opened_when_moved": bool(missed.thetas[-1] >= OPENED_SHARE * exported.target),
     }
 
 
 def judge_opening(run: Opening, exported: Exported) -> str:
     """Why a replay does not count, by the same rule as verification; empty when it does."""
-    rule, thetas, carried = PassRule(), run.thetas, run.carried
+    thetas, carried = run.thetas, run.carried
     # Frames are coarse: at the first one with force the part may have moved already.
     first = int(np.argmax(carried)) if carried.any() else len(carried)
-    if not np.abs(thetas[:first]).max(initial=0.0) <= rule.max_start_share * exported.target:
+    if not np.abs(thetas[:first]).max(initial=0.0) <= EARLY_SHARE * exported.target:
         return "pre_opened"
-    if not thetas[-1] >= rule.target_share * exported.target:
+    if not thetas[-1] >= OPENED_SHARE * exported.target:
         return "target"
     steps = np.maximum(np.diff(thetas), 0.0)
-    if not steps[carried[:-1] | carried[1:]].sum() >= rule.contact_share * steps.sum():
+    if not steps[carried[:-1] | carried[1:]].sum() >= CONTACT_SHARE * steps.sum():
         return "contact"
     return ""
 

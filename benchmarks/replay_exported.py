@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,6 +16,7 @@ from benchmarks.exported import (
     COLUMNS,
     EE_POSE,
     FORCE,
+    OPENED_SHARE,
     STATE,
     THETA,
     Exported,
@@ -26,8 +27,6 @@ from benchmarks.exported import (
 from benchmarks.foreign_scene import foreign_scene
 
 TWIN_FOLDER, EPISODES_FOLDER = "06_twin", "09_episodes"
-# Share of the planned opening that counts as opened, as in `simulation.verify.PassRule`.
-OPENED_SHARE: Final = 0.9
 
 
 def run_replay(outs: Sequence[Path]) -> dict[str, dict[str, Any]]:
