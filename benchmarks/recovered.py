@@ -31,6 +31,8 @@ from benchmarks.motion_worlds import motion_world
 MAX_WORLDS: Final = 5
 # The made object's seed over that of the world, so that it is never the recorded object.
 OTHER_OBJECT: Final = 1000
+# A film in which the hand goes a shorter way before it holds shows no approach that could be generalized, [m].
+MIN_APPROACH_M: Final = 0.05
 # Name of a kept demonstration in its folder.
 RECOVERED: Final = "recovered"
 
@@ -85,6 +87,12 @@ def _fitted(given: MotionInput, category: str, number: int) -> Recovered:
     require_opening(motion.direction)
     fps = float(round(given.video.fps))
     demo = resample_demonstration(motion, given.log, given.robot, fps)
+    way = _approach_m(demo)
+    if not way >= MIN_APPROACH_M:
+        problem = (
+            f"begins {1000 * way:.0f} mm before the grasp, at least {1000 * MIN_APPROACH_M:.0f} mm wanted"
+        )
+        raise EstimationError("demonstration video", problem, "try another world")
     support = _support(given, demo)
     moving, static = (surface_points(given.scene, given.labels, label) for label in (MOVING, STATIC))
     recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
@@ -99,6 +107,12 @@ def _fitted(given: MotionInput, category: str, number: int) -> Recovered:
         problem = f"opens by {fitted.target_theta:.3f}, limit {least:.3f}"
         raise EstimationError(f"asset {asset.name}", problem, "try another world")
     return Recovered(demo=demo, fitted=fitted, support=support, fps=fps, world=number, refused=())
+
+
+def _approach_m(demo: Demonstration) -> float:
+    """Way of the end effector until the part moves, [m]."""
+    hand = demo.Ts_world_ee[: demo.contact_frames[0] + 1, :3, 3]
+    return float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum())
 
 
 def _support(given: MotionInput, demo: Demonstration) -> SupportPlane:
