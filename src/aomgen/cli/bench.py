@@ -197,8 +197,7 @@ def bench_replay(
 ) -> None:
     """Plan for made objects from recovered demonstrations, and replay what is exported (the paper's Table 1).
 
-    An attempt is a plan that passed tier A; it succeeds when its exported actions open the exported object
-    in every setting of tier B. `feasible` poses are those at which some arm motion holds the handle.
+    Figures are told by `docs/dataset.md`.
     """
     from benchmarks.replay_runs import run_replay_bench
 
