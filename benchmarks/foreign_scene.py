@@ -29,7 +29,10 @@ class ForeignScene:
         gripper: Actuator of the gripper.
         control_range: Its control at gripper 0 and 1.
         ee_site: Id of the end effector.
-        theta: Address of the object's joint in qpos.
+        theta, theta_dof: Addresses of the object's joint in qpos and qvel.
+        pads: Geoms with which the fingers hold.
+        moving: Body of the object's moving link.
+        resistances: Damping and dry friction of its joint: the file's own, then the other settings it was verified in.
         category: Of the object.
         revolute: Its joint turns.
     """
@@ -42,6 +45,10 @@ class ForeignScene:
     control_range: tuple[float, float]
     ee_site: int
     theta: int
+    theta_dof: int
+    pads: list[int]
+    moving: int
+    resistances: list[tuple[float, float]]
     category: str
     revolute: bool
 
@@ -85,6 +92,10 @@ def foreign_scene(robot: RobotModel, usd: Path, T_world_object: Array) -> Foreig
         control_range=robot.drive.control_range,
         ee_site=model.site(robot.ee_site).id,
         theta=int(model.joint(JOINT).qposadr[0]),
+        theta_dof=int(model.joint(JOINT).dofadr[0]),
+        pads=[model.geom(name).id for names in robot.pad_geoms.values() for name in names],
+        moving=model.body(MOVING).id,
+        resistances=_resistances(joint),
         category=str(stage.GetDefaultPrim().GetAttribute("aomgen:category").Get()),
         revolute=joint.IsA(UsdPhysics.RevoluteJoint),
     )
@@ -142,6 +153,12 @@ def _add_joint(body: mujoco.MjsBody, prim: Any) -> None:
     )
     if prim.HasAttribute("mjc:solimpfriction"):
         item.solimp_friction = list(prim.GetAttribute("mjc:solimpfriction").Get())
+
+
+def _resistances(prim: Any) -> list[tuple[float, float]]:
+    tried = [prim.GetAttribute(f"aomgen:verified_{name}").Get() for name in ("damping", "frictionloss")]
+    own = (prim.GetAttribute("mjc:damping").Get(), prim.GetAttribute("mjc:frictionloss").Get())
+    return [own, *list(zip(*tried, strict=True))[1:]]
 
 
 def _actuator_of(model: mujoco.MjModel, joint: int) -> int:

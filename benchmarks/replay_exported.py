@@ -1,67 +1,32 @@
 """`aomgen bench replay-exported`: do exported actions open the exported object in somebody else's scene?"""
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 
-from aomgen.core.transforms import matrix_from_quat, rotvec_from_matrix, transform
-from aomgen.core.values import Array
 from aomgen.datasets.features import ee_targets
 from aomgen.errors import MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
-from benchmarks.foreign_scene import ForeignScene, foreign_scene
+from benchmarks.exported import (
+    COLUMNS,
+    EE_POSE,
+    FORCE,
+    OPENED_SHARE,
+    STATE,
+    THETA,
+    Exported,
+    Replay,
+    exported_from,
+    poses_of,
+)
+from benchmarks.foreign_scene import foreign_scene
 
-STATE, EE_POSE = "observation.state", "annotation.ee_pose"
-FORCE, THETA = "annotation.finger_force", "annotation.object_joint"
-COLUMNS: Final[dict[str, str]] = {
-    "joint": "action",
-    "ee_absolute": "annotation.action.ee_absolute",
-    "ee_delta": "annotation.action.ee_delta",
-}
-# Newton steps a pose; the next one is a few centimetres away.
-IK_STEPS: Final = 6
 TWIN_FOLDER, EPISODES_FOLDER = "06_twin", "08_episodes"
-# An object that stands this much farther along the gripper's approach cannot be opened by the same actions, [m].
-AWAY_M: Final = 0.08
-# Share of the planned opening that counts as opened, as in `physics.verify.PassRule`.
-OPENED_SHARE: Final = 0.9
-# How long the arm stands still before the first and after the last action, [s]; a lid would fall meanwhile.
-BEFORE_S, AFTER_S = 0.2, 1.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exported:
-    """What a user gets of one episode.
-
-    Attributes:
-        usd: The object's file.
-        T_world_object: Its pose (4, 4).
-        states: (T, J + 1), arm joints [rad] and gripper 0..1.
-        actions: By space: "joint" (T, J + 1), "ee_absolute" (T, 8), "ee_delta" (T, 7).
-        ee_poses: Observed end effector (T, 7), position [m] and quaternion wxyz.
-        forces: Of the fingers on the part (T,), [N].
-        thetas: Stored joint value of the object (T,), [rad] or [m].
-        target: Planned final joint value.
-        fps: Frames a second.
-    """
-
-    usd: Path
-    T_world_object: Array
-    states: Array
-    actions: dict[str, Array]
-    ee_poses: Array
-    forces: Array
-    thetas: Array
-    target: float
-    fps: int
 
 
 def run_replay(outs: Sequence[Path]) -> dict[str, dict[str, Any]]:
@@ -108,16 +73,12 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
         folder = out / EPISODES_FOLDER / f"{row['aomgen/source_index']:06d}"
         described = read_json(folder / "episode.json")
         mine = owner == row["episode_index"]
-        yield Exported(
-            usd=folder / described["asset_usd"],
-            T_world_object=np.array(described["T_world_object"]),
-            states=columns[STATE][mine],
-            actions={space: columns[name][mine] for space, name in COLUMNS.items()},
-            ee_poses=columns[EE_POSE][mine],
-            forces=columns[FORCE][mine].sum(1),
-            thetas=columns[THETA][mine],
-            target=described["verdict"]["target_theta"],
-            fps=fps,
+        yield exported_from(
+            {name: values[mine] for name, values in columns.items()},
+            folder / described["asset_usd"],
+            np.array(described["T_world_object"]),
+            described["verdict"]["target_theta"],
+            fps,
         )
 
 
@@ -126,89 +87,10 @@ def summed_error_m(episode: Exported) -> float:
 
     Each delta counts from an observed pose, so every frame's tracking error is added as well.
     """
-    T = _poses(episode.ee_poses[:1])
+    T = poses_of(episode.ee_poses[:1])
     for delta in episode.actions["ee_delta"]:
         T = ee_targets(T, delta[None, :6])
     return float(np.linalg.norm(T[0, :3, 3] - episode.actions["ee_absolute"][-1, :3]))
-
-
-class Replay:
-    """One episode in one foreign scene; a builder that holds what all its steps share."""
-
-    def __init__(self, scene: ForeignScene, robot: RobotModel, episode: Exported, space: str) -> None:
-        self._scene, self._robot, self._episode, self._space = scene, robot, episode, space
-        self._data, self._scratch = mujoco.MjData(scene.model), mujoco.MjData(scene.model)
-        self._steps = math.ceil(1 / (episode.fps * scene.model.opt.timestep))
-        scene.model.opt.timestep = 1 / (episode.fps * self._steps)
-        biases = scene.model.actuator_biasprm[scene.actuators]
-        self._lead = biases[:, 2] / biases[:, 1]
-
-    def run(self) -> Array:
-        """Replay without looking ahead.
-
-        At frame t nothing but `actions[: t + 1]` is known: the command moves straight from the last
-        target to the new one, which it reaches at frame t + 1.
-
-        Returns:
-            Joint value of the object at every frame and after the last action (T + 1,), [rad] or [m].
-        """
-        episode, data = self._episode, self._data
-        last = episode.states[0]
-        start = self._robot.qpos(last[:-1], last[-1])[0]
-        data.qpos[: len(start)] = start
-        self._stand(last, BEFORE_S)
-        thetas = []
-        for frame, action in enumerate(episode.actions[self._space]):
-            thetas.append(float(data.qpos[self._scene.theta]))
-            target = self._joint_target(frame, action, last)
-            for step in range(self._steps):
-                share = step / self._steps
-                self._command(last + share * (target - last), (target - last) * episode.fps)
-                mujoco.mj_step(self._scene.model, data)
-            last = target
-        self._stand(last, AFTER_S)
-        return np.array([*thetas, float(data.qpos[self._scene.theta])])
-
-    def _joint_target(self, frame: int, action: Array, last: Array) -> Array:
-        """Arm joints and gripper (J + 1,) that an action asks for; a delta counts from the recorded pose."""
-        if self._space == "joint":
-            return action
-        if self._space == "ee_absolute":
-            T = _poses(action[None])
-        else:
-            T = ee_targets(_poses(self._episode.ee_poses[frame][None]), action[None, :6])
-        return np.append(self._solved(T[0], last[:-1]), action[-1])
-
-    def _solved(self, T_world_target: Array, near: Array) -> Array:
-        """Arm joints (J,) that reach a pose, by Newton steps from joints nearby."""
-        model, data = self._scene.model, self._scratch
-        data.qpos[:] = self._data.qpos
-        data.qpos[self._scene.arm] = near
-        for _ in range(IK_STEPS):
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            T = self._ee_pose(data)
-            turn = rotvec_from_matrix(T_world_target[:3, :3] @ T[:3, :3].T)
-            error = np.concatenate([T_world_target[:3, 3] - T[:3, 3], turn])
-            jacobian = np.zeros((6, model.nv))
-            mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], self._scene.ee_site)
-            data.qpos[self._scene.arm] += np.linalg.lstsq(jacobian[:, self._scene.dofs], error, rcond=1e-6)[0]
-        return data.qpos[self._scene.arm].copy()
-
-    def _ee_pose(self, data: mujoco.MjData) -> Array:
-        site = self._scene.ee_site
-        return transform(data.site_xmat[site].reshape(3, 3), data.site_xpos[site])
-
-    def _stand(self, target: Array, seconds: float) -> None:
-        self._command(target, np.zeros_like(target))
-        model = self._scene.model
-        mujoco.mj_step(model, self._data, round(seconds / model.opt.timestep))
-
-    def _command(self, target: Array, speed: Array) -> None:
-        scene = self._scene
-        opened, closed = scene.control_range
-        self._data.ctrl[scene.actuators] = target[:-1] + self._lead * speed[:-1]
-        self._data.ctrl[scene.gripper] = opened + target[-1] * (closed - opened)
 
 
 def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]]:
@@ -220,16 +102,14 @@ def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]
         "summed_mm": 1000 * summed_error_m(episode),
     }
     for space in COLUMNS:
-        thetas = Replay(scene, robot, episode, space).run()
+        thetas = Replay(scene, robot, episode, space).run().thetas
         row[space] = {
             "opened": bool(thetas[-1] >= enough),
             "errors": scale * (thetas[:-1] - episode.thetas),
             "final_error": scale * abs(float(thetas[-1] - episode.thetas[-1])),
         }
-    away = episode.T_world_object.copy()
-    touching = _poses(episode.ee_poses[[np.argmax(episode.forces > 0)]])[0]
-    away[:3, 3] += AWAY_M * touching[:3, :3] @ robot.approach_ee
-    missed = Replay(foreign_scene(robot, episode.usd, away), robot, episode, "joint").run()
+    away = episode.moved_away(robot)
+    missed = Replay(foreign_scene(robot, away.usd, away.T_world_object), robot, away).run().thetas
     return scene.category, row | {"opened_when_moved": bool(missed[-1] >= enough)}
 
 
@@ -248,8 +128,3 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "unit": rows[0]["unit"],
         "ee_delta_summed_error_mm": max(row["summed_mm"] for row in rows),
     }
-
-
-def _poses(vectors: Array) -> Array:
-    """Transforms (T, 4, 4) of positions and quaternions wxyz in the first seven columns of (T, D)."""
-    return transform(matrix_from_quat(vectors[:, 3:7]), vectors[:, :3])

@@ -18,7 +18,8 @@ from aomgen.core.project import Project
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.episodes.factory import Made
 from aomgen.episodes.generate import generate
-from aomgen.episodes.ik import IkLimits, ik_solver
+from aomgen.episodes.ik import ik_solver
+from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.ledger import Request, Unit, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of

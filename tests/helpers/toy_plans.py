@@ -7,7 +7,8 @@ from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.episodes.ik import IkLimits, IkPath, ik_solver, solve_path
+from aomgen.episodes.ik import ik_solver, solve_path
+from aomgen.episodes.joint_limits import IkLimits, IkPath
 from aomgen.robots.robot import RobotModel
 
 SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)

@@ -19,6 +19,8 @@ MIN_OPENING = {"revolute": np.deg2rad(30.0), "prismatic": 0.10}
 SIZE_RANGE = (0.05, 3.0)
 # Colliders that touch by less than this do not block a joint, [m].
 TOUCH = 2e-4
+# How far finger tips reach beyond the held point of a rim, and free way of each before it closes, [m].
+RIM_ROOM_M = 0.004
 # Joint values at which overlaps are looked for: a step is about 4 degrees of a door that opens by 100.
 RANGE_SAMPLES = 25
 

@@ -3,6 +3,8 @@
 import json
 import os
 import sys
+import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -208,6 +210,24 @@ def bench_generate(
 
     processors = len(os.sched_getaffinity(0))
     _show(run_generate(out, sample_capture(), episodes, workers or processors, run_project, tell), json_file)
+
+
+@bench_app.command("replay")
+def bench_replay(
+    attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,
+    seed: Annotated[int, typer.Option(help="Of the first motion world and of all draws.")] = 7000,
+    json_file: JsonFile = None,
+    out: Annotated[Path | None, typer.Option(help="Keeps what was done; continued when it exists.")] = None,
+) -> None:
+    """Plan for made objects from recovered demonstrations, and replay what is exported (the paper's Table 1).
+
+    Figures are told by `docs/dataset.md`.
+    """
+    from benchmarks.replay_runs import run_replay_bench
+
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = (out or Path(scratch)).resolve()
+        _show(run_replay_bench(folder, attempts, seed, partial(print, flush=True)), json_file)
 
 
 def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:

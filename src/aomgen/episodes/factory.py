@@ -20,7 +20,7 @@ from aomgen.episodes.ledger import Unit, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
-from aomgen.episodes.screening import TABLE_CLEARANCE_M, Place, longest_reach
+from aomgen.episodes.screening import Place, longest_reach
 from aomgen.episodes.variations import Ranges, draw, scaled_fit
 from aomgen.errors import ConfigError
 from aomgen.executors import Work
@@ -29,8 +29,8 @@ from aomgen.io.atomic import staged_folder
 from aomgen.io.episode_folder import episode_folder
 from aomgen.io.schema import suggest
 from aomgen.results import ASSET_USD, Results
-from aomgen.simulation.collision_check import table_overlap_m
-from aomgen.simulation.scene import Scene, build_scene
+from aomgen.simulation.collision_check import episode_scene
+from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
 from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow
 from aomgen.twin.twin import StaticLayer, Twin
@@ -241,18 +241,11 @@ class OpenAsset:
         return self._build(self.fitted)
 
     def _build(self, fitted: FittedAsset) -> Scene:
-        """Robot, table and asset; a table that the recorded arm would have hit is lowered out of its way.
-
-        An object that is not bolted needs its table where it is.
-        """
-        factory, bolted = self.factory, self.factory.params.bolted
-        robot, support = factory.results.robot, factory.place.support
-        scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=bolted)
-        overlap = table_overlap_m(scene, factory.results.demonstration.joints)
-        if overlap <= 0.0 or not bolted:
-            return scene
-        lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
-        return build_scene(robot, fitted.asset, fitted.T_world_asset, lower, bolted=bolted)
+        factory = self.factory
+        results, support = factory.results, factory.place.support
+        return episode_scene(
+            results.robot, fitted, results.demonstration, support, bolted=factory.params.bolted
+        )
 
     def seen(
         self, variation: Variation, cameras: Mapping[str, Camera]

@@ -10,19 +10,22 @@ from typing import Annotated
 
 import numpy as np
 
+from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset
-from aomgen.core.transforms import angle_between, matrix_from_rotvec
+from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import holding_gripper
 
-# Rotations of the gripper about the handle that are tried, the smallest first, [deg].
-TILTS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0)
+# Rotations of the gripper that are tried, the smallest first, [deg]: about the handle, and along it.
+TILTS_DEG, SWINGS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0), (20.0, -20.0, 40.0, -40.0)
 # How far beyond the end effector point a bar may lie and still be between the pads, [m].
 DEPTHS_M = (-0.005, 0.012)
-# A bar may lie this much (cosine) along the approach before the hand is set square to it.
-MAX_ALONG_BAR = 0.6
+# Cosines: a bar that lies more along the approach is held squarely; fingers that close less across the plate of a rim
+# slip off when it is slippery.
+MAX_ALONG_BAR, MIN_ACROSS_RIM = 0.6, 0.7
 # The square hand is worth trying when it differs by more than this.
 MIN_LEVELLED_RAD = np.deg2rad(5.0)
 # A hand that cannot turn as far as the door lets the bar turn between its fingers this much.
@@ -59,8 +62,8 @@ def orientations(
 
     Yields:
         Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the hand
-        square to the bar, each with every tilt; last the hand turned half round, which swaps
-        the fingers.
+        square to the bar, each with every tilt; then leaning along the bar, with the smaller tilts; last the hand
+        turned half round, which swaps the fingers.
     """
     bar = R_front_ee[:, 0]
     near = handle_axis if bar @ handle_axis >= 0 else -handle_axis
@@ -74,37 +77,48 @@ def orientations(
         for tilt in tilts_deg:
             yield f"{label}tilt {tilt:+.0f}", matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ base
     first = bases[0][1]
+    for swing in SWINGS_DEG:
+        swung = first @ matrix_from_rotvec(np.deg2rad(swing) * np.array([0.0, 1.0, 0.0]))
+        for tilt in tilts_deg[:3]:
+            R = matrix_from_rotvec(np.deg2rad(tilt) * handle_axis) @ swung
+            yield f"swing {swing:+.0f}, tilt {tilt:+.0f}", R
     yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
 
 
-def grasps(
-    fitted: FittedAsset,
-    R_front_ee: Array,
-    demonstrated_depth: float,
-    turn_ratio: float,
-) -> Iterator[Grasp]:
+def grasp_depth(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
+    """How far beyond the end effector point, along the approach, the hand holds the handle, [m].
+
+    A bar lies where the recorded one did; a rim is held by the finger tips, whatever was held in the recording.
+    """
+    if not (robot.pads and held_at_rim(asset)):
+        return float(np.clip(demonstrated_depth, *DEPTHS_M))
+    joints = np.zeros((1, len(robot.joint_names)))
+    Ts_ee_body = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
+    Ts_ee_pad = [Ts_ee_body[pad.body] @ pad.T_body_pad for pad in robot.pads]
+    halves = [np.abs(T[2, :3]) @ pad.half_extents for T, pad in zip(Ts_ee_pad, robot.pads, strict=True)]
+    return float(min(T[2, 3] + half for T, half in zip(Ts_ee_pad, halves, strict=True))) - RIM_ROOM_M
+
+
+def grasps(fitted: FittedAsset, R_front_ee: Array, depth: float, turn_ratio: float) -> Iterator[Grasp]:
     """Grasps to try, in order of likeness to the demonstrated one.
 
     Args:
         R_front_ee: As for `orientations`.
-        demonstrated_depth: How far beyond the end effector point the recorded handle lay, along
-            the approach, [m].
+        depth: See `grasp_depth`, [m].
         turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
     """
-    depth = float(np.clip(demonstrated_depth, *DEPTHS_M))
-    revolute = fitted.asset.joint.type == "revolute"
+    asset, revolute = fitted.asset, fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
     # A part that is closed begins open.
-    bar = fitted.asset.joint.motion(fitted.thetas[0])[:3, :3] @ fitted.asset.handle_axis
-    for name, R in orientations(R_front_ee, bar, TILTS_DEG):
+    turned = asset.joint.motion(fitted.thetas[0])[:3, :3]
+    plate = turned @ np.cross(asset.handle_axis, outward_normal(asset)) if held_at_rim(asset) else None
+    for name, R in orientations(R_front_ee, turned @ asset.handle_axis, TILTS_DEG):
+        if plate is not None and not abs(plate @ R[:, 1]) >= MIN_ACROSS_RIM:
+            continue
         for share in ratios:
-            yield Grasp(
-                name=f"{name}, turn {share:.2f}",
-                R_object_ee=R,
-                held_ee=np.array([0.0, 0.0, depth]),
-                turn_ratio=share,
-            )
+            held, turn = np.array([0.0, 0.0, depth]), f"turn {share:.2f}"
+            yield Grasp(name=f"{name}, {turn}", R_object_ee=R, held_ee=held, turn_ratio=share)
 
 
 def held_at(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> float:

@@ -15,7 +15,7 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.values import Array
-from aomgen.episodes.grasps import grasps, held_at
+from aomgen.episodes.grasps import grasp_depth, grasps, held_at
 from aomgen.episodes.ik import IkSolver, follow, solve_smoothly, walk
 from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
 from aomgen.episodes.retarget import (
@@ -157,7 +157,8 @@ def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
     """The motions with all grasps that the method tries, the nearest to the demonstrated one first."""
     fitted, demo, shown = task.fitted, task.shown.demo, task.shown
     R_front_ee = fitted.T_world_asset[:3, :3].T @ shown.poses(np.array([shown.moments.start]))[0, :3, :3]
-    found = grasps(fitted, R_front_ee, float(demo.grasp_ee[2]), demo.ee_turn_ratio)
+    depth = grasp_depth(fitted.asset, float(demo.grasp_ee[2]), task.placed.robot)
+    found = grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio)
     moved = bool(task.variation.start_offset)
     rigid = task.params.method == "paper"
     return [

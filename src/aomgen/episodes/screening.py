@@ -14,8 +14,6 @@ from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.episodes.variations import Ranges, inside
 from aomgen.robots.robot import RobotModel
 
-# Kept between the recorded arm and a table that it would have hit, [m].
-TABLE_CLEARANCE_M: Final = 0.005
 # An object may stand this far beyond the table's estimated edge, [m].
 OVERHANG_M: Final = 0.02
 # Share of the object that each camera must show, 0..1: a corner may be cut off.

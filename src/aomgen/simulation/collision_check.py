@@ -1,6 +1,6 @@
 """Tier A: does a commanded trajectory avoid collisions and reach the handle, before anything is simulated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -8,12 +8,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.plan import Rejection
+from aomgen.core.demonstration import Demonstration, SupportPlane
+from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.transforms import apply, matrix_from_quat
 from aomgen.core.values import Array
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.scene import Scene
+from aomgen.simulation.scene import Scene, build_scene
 
+# Kept between the recorded arm and a table that it would have hit, [m].
+TABLE_CLEARANCE_M = 0.005
 # No point moves farther between two configurations that are looked at, [m].
 SWEEP_M = 0.005
 # How much longer the way of a point may be than the chord between its samples, as a factor.
@@ -203,6 +206,21 @@ def _moves(scene: Scene, places: Array) -> Array:
     steps = np.diff(poses, axis=0)
     shifts = corners @ steps[..., :9].reshape(*steps.shape[:2], 3, 3).swapaxes(2, 3) + steps[..., None, 9:]
     return np.sqrt((shifts**2).sum(-1).max((1, 2)))
+
+
+def episode_scene(
+    robot: RobotModel, fitted: FittedAsset, demo: Demonstration, support: SupportPlane, *, bolted: bool = True
+) -> Scene:
+    """Robot, table and asset; a table that the recorded arm would have hit is lowered out of its way.
+
+    An object that is not bolted needs its table where it is.
+    """
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=bolted)
+    overlap = table_overlap_m(scene, demo.joints)
+    if overlap <= 0.0 or not bolted:
+        return scene
+    lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
+    return build_scene(robot, fitted.asset, fitted.T_world_asset, lower, bolted=bolted)
 
 
 def table_overlap_m(scene: Scene, joints: Array) -> float:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aomgen.assets.asset_check import held_at_rim, outward_normal
+from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.motion import Direction
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec, transform
@@ -34,8 +34,6 @@ PUSH_LIMIT: Final = 0.5
 NOD_SHARE: Final = 0.25
 # A lid that is held at its rim is found closed in this share of the cases, else ajar by so much, [rad].
 CLOSED_SHARE, AJAR_RAD = 0.4, (np.deg2rad(3.0), np.deg2rad(12.0))
-# How far the finger tips reach beyond the held point of a rim, and free way of each before it closes, [m].
-RIM_ROOM_M: Final = 0.004
 # Downward tilt of the hand at a rim, [rad]: its knuckles stay above the table; and the style's share in it.
 RIM_TILT_RAD, RIM_TILT_SHARE = np.deg2rad(30.0), 0.5
 

@@ -1,0 +1,126 @@
+"""A demonstration recovered in a motion world, and a made object fitted to it: what episodes are made from."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aomgen.assets.choice import make_asset
+from aomgen.assets.usd_write import write_usd
+from aomgen.conventions import BACKGROUND, MOVING, STATIC
+from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
+from aomgen.core.parts import surface_points
+from aomgen.core.plan import FittedAsset, Rejection
+from aomgen.core.values import Array
+from aomgen.errors import ConfigError, EstimationError, ReconstructionError
+from aomgen.io.artifact import load_artifact, save_artifact
+from aomgen.motion.estimate import estimate_motion
+from aomgen.motion.inputs import MotionInput
+from aomgen.replacement.correspondence import recorded_contact
+from aomgen.replacement.fitting import FitParams, fit_asset
+from aomgen.replacement.stage import require_opening
+from aomgen.results import ASSET_USD, resample_demonstration
+from aomgen.simulation.verify import PassRule
+from aomgen.twin.binding import object_frame
+from aomgen.twin.support import find_support
+from benchmarks.motion_worlds import motion_world
+
+# Worlds tried before a category is given up: nine of ten are recovered.
+MAX_WORLDS: Final = 5
+# The made object's seed over that of the world, so that it is never the recorded object.
+OTHER_OBJECT: Final = 1000
+# A film in which the hand goes a shorter way before it holds shows no approach that could be generalized, [m].
+MIN_APPROACH_M: Final = 0.05
+# Name of a kept demonstration in its folder.
+RECOVERED: Final = "recovered"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovered:
+    """What planning needs, found from a film without its truth.
+
+    Attributes:
+        demo: The demonstration.
+        fitted: A made asset, not the recorded one, in the recorded object's stead.
+        support: The table's plane; its outline counts as unknown.
+        fps: Rate of the film, [1/s].
+        world: Seed of the motion world.
+        refused: Why worlds of the seeds before it gave no demonstration.
+    """
+
+    demo: Demonstration
+    fitted: FittedAsset
+    support: SupportPlane
+    fps: float
+    world: int
+    refused: tuple[str, ...]
+
+
+def recover(category: str, seed: int, folder: Path) -> Recovered:
+    """The first world from a seed on whose motion is recovered; with its fit and USD kept in a folder.
+
+    Raises:
+        ConfigError: None of MAX_WORLDS is.
+    """
+    if (folder / f"{RECOVERED}.json").is_file():
+        return load_artifact(folder, RECOVERED, Recovered)
+    refused: list[str] = []
+    for number in range(seed, seed + MAX_WORLDS):
+        try:
+            world = motion_world(category, number, folder / "worlds")
+            found = _fitted(world.demonstration, category, number)
+        except (ConfigError, EstimationError, ReconstructionError) as error:
+            refused.append(f"{category}-{number}: {error}")
+            continue
+        found = replace(found, refused=tuple(refused))
+        write_usd(found.fitted.asset, folder / ASSET_USD)
+        save_artifact(folder, RECOVERED, found)
+        return found
+    raise ConfigError(f"category {category}", f"no world gives a demonstration ({'; '.join(refused)})")
+
+
+def _fitted(given: MotionInput, category: str, number: int) -> Recovered:
+    """Motion, support and fit as the stages of a run find them."""
+    motion = estimate_motion(given)
+    require_opening(motion.direction)
+    fps = float(round(given.video.fps))
+    demo = resample_demonstration(motion, given.log, given.robot, fps)
+    way = _approach_m(demo)
+    if not way >= MIN_APPROACH_M:
+        problem = (
+            f"begins {1000 * way:.0f} mm before the grasp, at least {1000 * MIN_APPROACH_M:.0f} mm wanted"
+        )
+        raise EstimationError("demonstration video", problem, "try another world")
+    support = _support(given, demo)
+    moving, static = (surface_points(given.scene, given.labels, label) for label in (MOVING, STATIC))
+    recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
+    contact = recorded_contact(demo, recorded)
+    asset = make_asset(category, number + OTHER_OBJECT)
+    fitted = fit_asset(asset, contact, demo.joint.type, "trajectory", FitParams())
+    if isinstance(fitted, Rejection):
+        raise EstimationError(f"asset {asset.name}", fitted.detail, "try another world")
+    rule = PassRule()
+    least = rule.min_revolute_rad if asset.joint.type == "revolute" else rule.min_prismatic_m
+    if not fitted.target_theta >= least:
+        problem = f"opens by {fitted.target_theta:.3f}, limit {least:.3f}"
+        raise EstimationError(f"asset {asset.name}", problem, "try another world")
+    return Recovered(demo=demo, fitted=fitted, support=support, fps=fps, world=number, refused=())
+
+
+def _approach_m(demo: Demonstration) -> float:
+    """Way of the end effector until the part moves, [m]."""
+    hand = demo.Ts_world_ee[: demo.contact_frames[0] + 1, :3, 3]
+    return float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum())
+
+
+def _support(given: MotionInput, demo: Demonstration) -> SupportPlane:
+    scene, labels = given.scene, given.labels
+    of_object = np.isin(labels, (STATIC, MOVING))
+    points: list[Array] = [surface_points(scene, labels, label) for label in (STATIC, MOVING)]
+    frame = object_frame(points[0], demo.joint, points[1])
+    found = find_support(
+        scene.means[of_object], scene.opacities[of_object], scene.select(labels == BACKGROUND), frame
+    )
+    unknown = np.full(2, np.inf)
+    return SupportPlane(height=float(found.T_world_plane[2, 3]), low_xy=-unknown, high_xy=unknown)
