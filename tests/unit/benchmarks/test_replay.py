@@ -155,20 +155,6 @@ def test_a_plan_is_rechecked_by_forward_kinematics(robot: RobotModel, plan: Epis
     assert recheck(replace(plan, joints=fast), robot, PlanParams())["step"] > 1.0
 
 
-def test_a_scaled_object_stands_where_it_stood(fitted: FittedAsset) -> None:
-    small = scaled_fit(fitted, 0.6)
-    corners, before = (
-        apply(item.T_world_asset, np.concatenate([box.corners for box in item.asset.static.colliders]))
-        for item in (small, fitted)
-    )
-    middle = (before.min(0) + before.max(0)) / 2
-    np.testing.assert_allclose(corners.min(0)[2], before.min(0)[2], atol=1e-9)
-    np.testing.assert_allclose(((corners.min(0) + corners.max(0)) / 2)[:2], middle[:2], atol=1e-9)
-    np.testing.assert_allclose(np.ptp(corners, axis=0), 0.6 * np.ptp(before, axis=0), atol=1e-9)
-    np.testing.assert_allclose(small.contact_asset, small.asset.handle_point, atol=1e-12)
-    assert small.target_theta == pytest.approx(0.6 * fitted.target_theta)
-
-
 def test_a_killed_bench_goes_on(
     fitted: FittedAsset, demo: Demonstration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

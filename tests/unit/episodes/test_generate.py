@@ -24,9 +24,11 @@ from aomgen.episodes.stage import run
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
+from aomgen.io.video import encode_video
 from drawer_episode import corner_camera, drawer_episode
 from toy_run import toy_run
 
+VIDEO = encode_video(np.zeros((3, 48, 64, 3), np.uint8), 10)
 REQUEST = Request(assets=("a", "b"), episodes=5, attempts=12)
 
 
@@ -74,7 +76,7 @@ def work_in(folder: Path) -> Callable[[Unit], Made]:
         if good:
             cameras = {"front": corner_camera(64, 48)}
             episode = drawer_episode(unit.number, np.zeros((3, 6)), np.zeros(3), cameras, {}, {})
-            commit_episode(folder, episode, {"front": b"video"})
+            commit_episode(folder, episode, {"front": VIDEO})
         else:
             write_rejection(folder, unit, variation(unit), Rejection(reason="collision", detail="the hand"))
         return Made(committed=good, seconds={})
