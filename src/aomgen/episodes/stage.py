@@ -142,10 +142,11 @@ def episode_of(
     instruction: str,
     cameras: Mapping[str, Camera],
     joint_zeros_rad: Array,
-    paths: Mapping[str, CameraPath],
+    paths: Mapping[str, CameraPath] | None = None,
 ) -> Episode:
     """The episode that a verified plan becomes; its actions are the plan one frame ahead."""
     plan = verified.plan
+    paths = paths or {}
     moving = {name: path.at(0) for name, path in paths.items()}
     asset = plan.fitted.asset
     return Episode(

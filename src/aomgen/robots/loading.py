@@ -22,8 +22,8 @@ from aomgen.robots.actuation import add_actuation, drop_visual
 from aomgen.robots.description import (
     FILE_NAME,
     ActuatorSection,
-    MountSection,
     EndEffectorSection,
+    MountSection,
     PadSection,
     RobotDescription,
     RobotFiles,
