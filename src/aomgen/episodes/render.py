@@ -178,7 +178,7 @@ class _StillView:
         scene = twin.gaussians.select(~twin.moves)
         self.session = RenderSession(concatenate([scene, world]), layer.camera, threads=threads)
         alone = layer.session.draw(world, shade=np.zeros_like(self.scene_share)).rgb.sum(-1)
-        both = self.session.draw(world.select(slice(0, 0))).rgb.sum(-1)
+        both = self.session.draw(world.select(np.zeros(0, np.int64))).rgb.sum(-1)
         self.scene_share = 1 - np.where(both > DARK, alone / np.maximum(both, DARK), 0)
 
     def points(self) -> Array:
@@ -256,7 +256,9 @@ def _draw_moving(
     """Frames of a camera for which nothing stands still: everything moves before it."""
     everything = moving_layer(twin)
     scene = everything.bodies == 0
-    session = RenderSession(twin.gaussians.select(slice(0, 0)), path.camera.moved(np.eye(4)), threads=threads)
+    session = RenderSession(
+        twin.gaussians.select(np.zeros(0, np.int64)), path.camera.moved(np.eye(4)), threads=threads
+    )
     batches = []
     for start in range(0, len(Ts_world_body), BATCH):
         chosen = slice(start, start + BATCH)

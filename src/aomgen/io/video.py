@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, cast
 
 import av
 import av.error
@@ -204,7 +204,7 @@ def encode_video(
         stream = None
         for index, frame in enumerate(frames):
             if stream is None:
-                stream = container.add_stream(encoder, rate=fps)
+                stream = cast(VideoStream, container.add_stream(encoder, rate=fps))
                 stream.height, stream.width = frame.shape[:2]
                 stream.pix_fmt = "yuv420p"
                 stream.thread_count = 1

@@ -27,6 +27,7 @@ from aomgen.splatting.rasterizer import (
 
 # Side of the engine's tiles, [px].
 TILE = 16
+# Channels of an output beyond one, and element types.
 _CHANNELS = {"rgb8": (3,)}
 _TYPES = {"rgb8": np.uint8, "alpha": np.float32, "median_depth": np.float32, "max_id": np.int32}
 

@@ -94,7 +94,7 @@ def cast_on_plane(
     Ts_flat[:, :2, 2] = -directions_plane[:, :2] / directions_plane[:, 2:]
     Ts_flat[:, :2, 3] = -grid.low
     Ts_flat[:, 2] = (0, 0, 0, 1)
-    session = RenderSession(bodies.select(slice(0, 0)), camera, antialiased=True, threads=threads)
+    session = RenderSession(bodies.select(np.zeros(0, np.int64)), camera, antialiased=True, threads=threads)
     motion = Motion(parts=parts, Ts_world_part=Ts_flat[:, None] @ Ts_plane_part)
     (images,) = draw_outputs([session], bodies.with_sh_degree(0), motion, ("alpha",), threads=threads)
     return images["alpha"]
@@ -164,7 +164,9 @@ def cast_soft_shadow(twin: Twin, T_world_plane: ArrayLike, threads: int | None =
         return None
     T_object_plane = invert(twin.T_world_object) @ np.asarray(T_world_plane, np.float64)
     T_plane_object = invert(T_object_plane)
-    thetas = np.linspace(twin.joint.lower, max(twin.joint.upper, twin.joint.lower + 1e-6), STATES)
+    thetas: Array = np.linspace(
+        twin.joint.lower, max(twin.joint.upper, twin.joint.lower + 1e-6), STATES, dtype=np.float64
+    )
     Ts_part = T_plane_object @ twin.joint.motion(thetas)
     points = np.concatenate(
         [apply(T, body.means)[:, :2] for T, body in [(T_plane_object, still), *((T, part) for T in Ts_part)]]
