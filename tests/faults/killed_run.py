@@ -16,7 +16,7 @@ from aomgen.core.plan import Rejection, Variation
 from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
-from aomgen.episodes.factory import Made
+from aomgen.episodes.factory import Outcome
 from aomgen.episodes.generate import generate
 from aomgen.episodes.ik import ik_solver
 from aomgen.episodes.joint_limits import IkLimits
@@ -101,7 +101,7 @@ def screen(unit: Unit) -> tuple[Variation, None]:
     return draw(5, unit.asset, unit.index, RANGES), None
 
 
-def make(folder: Path, unit: Unit) -> Made:
+def make(folder: Path, unit: Unit) -> Outcome:
     """A real plan and a real verification; the pictures are noise."""
     fitted, demo, solver, scene = drawer()
     variation, _ = screen(unit)
@@ -110,7 +110,7 @@ def make(folder: Path, unit: Unit) -> Made:
         made = verify_plan(made, scene)
     if isinstance(made, Rejection):
         write_rejection(folder, unit, variation, made)
-        return Made(committed=False, seconds={})
+        return Outcome(committed=False, seconds={})
     cameras = {"front": corner_camera(*SIZE)}
     robot = scene.robot
     episode = episode_of(made, unit.number, Path("asset.usda"), robot, "open", cameras, np.zeros(6))
@@ -118,7 +118,7 @@ def make(folder: Path, unit: Unit) -> Made:
         0, 255, (len(episode), SIZE[1], SIZE[0], 3), np.uint8
     )
     commit_episode(folder, episode, {"front": encode_video(frames, episode.fps)})
-    return Made(committed=True, seconds={})
+    return Outcome(committed=True, seconds={})
 
 
 def episodes(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:

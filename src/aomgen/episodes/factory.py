@@ -68,7 +68,7 @@ class GenerationParams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Made:
+class Outcome:
     """What a worker tells of a unit: whether an episode was committed, and seconds of work by part."""
 
     committed: bool
@@ -136,7 +136,7 @@ class EpisodeFactory:
             free=self.place.free,
         )
 
-    def make(self, unit: Unit) -> Made:
+    def make(self, unit: Unit) -> Outcome:
         """Plan, verify, draw and commit the episode of a unit, or write why there is none."""
         self._seconds = {}
         variation = self.variation(unit)
@@ -153,13 +153,24 @@ class EpisodeFactory:
             write_rejection(self.folder, unit, variation, verified)
         else:
             self._commit(unit, verified, opened)
-        return Made(committed=isinstance(verified, VerifiedEpisode), seconds=self._seconds)
+        return Outcome(committed=isinstance(verified, VerifiedEpisode), seconds=self._seconds)
 
     def _verified(
         self, plan: EpisodePlan, scene: Scene, digests: Mapping[str, str]
     ) -> VerifiedEpisode | Rejection:
         with self._timed("verify"):
-            return verify_plan(plan, scene, digests=digests)
+            return verify_plan(plan, scene, limits=self._tier_a_limits(), digests=digests)
+
+    def _tier_a_limits(self) -> dict[str, float]:
+        """Largest values of a plan's figures, by name, for the certificate."""
+        ik, contact = self.plan_params.ik, self.plan_params.kinematic
+        return {
+            "residual_mm": ik.residual_mm,
+            "residual_deg": ik.residual_deg,
+            "penetration_mm": contact.max_penetration_mm,
+            "handle_penetration_mm": contact.max_handle_penetration_mm,
+            "grip_gap_mm": contact.max_gap_mm,
+        }
 
     def _commit(self, unit: Unit, verified: VerifiedEpisode, opened: "OpenAsset") -> None:
         results, plan, images = self.results, verified.plan, self.params.images

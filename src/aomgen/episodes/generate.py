@@ -94,7 +94,7 @@ def generate(
     Args:
         folder: See `ledger`. It belongs to the same assets, demonstration and parameters.
         request: What is wanted.
-        executor: Its work commits the episode of a `Unit` or writes its rejection, and tells it as `factory.Made`.
+        executor: Its work commits the episode of a `Unit` or writes its rejection, and tells it as `factory.Outcome`.
         screen: Draws of the assets.
         progress: Called after every unit.
         on_done: Hears what the executor has done.

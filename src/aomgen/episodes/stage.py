@@ -41,7 +41,9 @@ def run(
     accounts = read_accounts(folder)
     if accounts and not any(account.committed for account in accounts):
         raise NotEnoughEpisodesError(
-            "episodes", " ".join(map(told, accounts)), "ask for other poses, or choose another asset"
+            "episodes",
+            " ".join(map(account_sentence, accounts)),
+            "ask for other poses, or choose another asset",
         )
     draws = read_draws(folder)
     write_json(
@@ -56,7 +58,7 @@ def run(
         "skipped": sum(draw["outcome"] == "skipped" for draw in draws),
         "smallest_margin": float(min(margins, default=0.0)),
         "cameras": ", ".join([*factory.place.cameras, *["free"] * factory.place.free]),
-        "warnings": [told(account) for account in accounts if account.rejected],
+        "warnings": [account_sentence(account) for account in accounts if account.rejected],
     }
 
 
@@ -73,7 +75,7 @@ def open_executor(results: Results, folder: Path, timeout_s: float) -> Executor:
     return Processes(opener, results.workers, timeout_s)
 
 
-def told(account: Account) -> str:
+def account_sentence(account: Account) -> str:
     """What came of an asset's request, in one sentence."""
     reasons = ", ".join(f"{count} {reason}" for reason, count in account.reasons.items()) or "none tried"
     return (

@@ -13,8 +13,7 @@ from aomgen.report.html import paragraph, text
 from aomgen.results import Results
 
 # Of one histogram, [px].
-WIDTH: Final = 230
-HEIGHT: Final = 92
+WIDTH, HEIGHT = 230, 92
 # Of the map: length of an arrow, [m], and room around the outermost object, [m].
 ARROW_M, ROOM_M = 0.06, 0.08
 # Of the map, [px].

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aomgen.core.plan import Rejection, Variation
-from aomgen.episodes.factory import EpisodeFactory, Made
+from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
 from aomgen.episodes.generate import generate
 from aomgen.episodes.ledger import (
     DRAWS_FILE,
@@ -21,6 +21,7 @@ from aomgen.episodes.ledger import (
     write_rejection,
 )
 from aomgen.episodes.stage import run
+from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
@@ -68,10 +69,10 @@ def screen(unit: Unit) -> tuple[Variation, Rejection | None]:
     return variation(unit), rejection
 
 
-def work_in(folder: Path) -> Callable[[Unit], Made]:
+def work_in(folder: Path) -> Callable[[Unit], Outcome]:
     """Every fourth draw is rejected, of asset b all but one in four."""
 
-    def work(unit: Unit) -> Made:
+    def work(unit: Unit) -> Outcome:
         good = unit.index % 4 == 3 if unit.asset else unit.index % 4 != 1
         if good:
             cameras = {"front": corner_camera(64, 48)}
@@ -79,7 +80,7 @@ def work_in(folder: Path) -> Callable[[Unit], Made]:
             commit_episode(folder, episode, {"front": VIDEO})
         else:
             write_rejection(folder, unit, variation(unit), Rejection(reason="collision", detail="the hand"))
-        return Made(committed=good, seconds={})
+        return Outcome(committed=good, seconds={})
 
     return work
 
@@ -161,8 +162,8 @@ def test_a_unit_whose_worker_was_lost_is_a_rejection(tmp_path):
             done = super().next_done()
             return replace(done, value=None, lost="worker_died") if done.unit.index == 0 else done
 
-    def good(unit: Unit) -> Made:
-        return Made(committed=True, seconds={})
+    def good(unit: Unit) -> Outcome:
+        return Outcome(committed=True, seconds={})
 
     generate(
         tmp_path,
@@ -213,3 +214,9 @@ def test_unknown_cameras_are_refused(tmp_path):
     results = toy_run(tmp_path, params={"cameras": ["font"]})
     with pytest.raises(ConfigError, match="'font' is no camera; did you mean 'front'"):
         run(results, results.folders["episodes"], lambda share, text: None)
+
+
+def test_what_a_user_sets_by_name_arrives(tmp_path):
+    named = {"attempts_per_episode": 2, "free_cameras": 1, "ranges": {"x_m": [0, 0.1], "polygon": []}}
+    wanted = GenerationParams(attempts_per_episode=2, free_cameras=1, ranges=Ranges(x_m=(0.0, 0.1)))
+    assert toy_run(tmp_path, params=named).params("episodes", GenerationParams()) == wanted
