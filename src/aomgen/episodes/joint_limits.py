@@ -15,6 +15,9 @@ from aomgen.core.values import Array, freeze_arrays
 class IkLimits:
     """What a solved path must keep.
 
+    Arms state their largest speeds, few their accelerations: planners of such arms use 5 to 10 rad/s^2, and makers that
+    state a limit 7.5 to 20 rad/s^2. Jerk is limited to what reaches that acceleration in a tenth of a second.
+
     Attributes:
         residual_mm, residual_deg: Largest distance to the asked pose.
         speed, slide_speed: Largest speed of a turning and of a sliding joint, [rad/s] and [m/s].
