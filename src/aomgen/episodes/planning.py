@@ -29,6 +29,7 @@ from aomgen.episodes.retarget import (
     RetargetedMotion,
     free_joints,
 )
+from aomgen.episodes.start import choose_start
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene
 
@@ -97,7 +98,8 @@ def plan_episode(
         placed=placed,
         solver=solver,
         params=params,
-        start=demo.joints[0] + (np.array(variation.start_offset) if variation.start_offset else 0.0),
+        start=choose_start(demo, fitted, placed, T_world_object, solver, params.ik, params.kinematic)
+        + (np.array(variation.start_offset) if variation.start_offset else 0.0),
         held_at=held_at(fitted, demo, placed.robot),
     )
     motions = _grasped(task, T_world_object)
@@ -159,7 +161,7 @@ def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
     R_front_ee = fitted.T_world_asset[:3, :3].T @ shown.poses(np.array([shown.moments.start]))[0, :3, :3]
     depth = grasp_depth(fitted.asset, float(demo.grasp_ee[2]), task.placed.robot)
     found = grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio)
-    moved = bool(task.variation.start_offset)
+    moved = not np.array_equal(task.start, demo.joints[0])
     rigid = task.params.method == "paper"
     return [
         RetargetedMotion(

@@ -1,0 +1,40 @@
+"""An arm begins where it did in the demonstration, or nearby when the object stands there."""
+
+import numpy as np
+import pytest
+
+from aomgen.core.demonstration import Demonstration
+from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
+from aomgen.episodes.ik import IkSolver, ik_solver
+from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.robots.robot import RobotModel
+from aomgen.simulation.scene import build_scene
+from toy_drawer import SUPPORT, fitted_drawer, opening
+
+
+@pytest.fixture(scope="module")
+def solver(robot: RobotModel) -> IkSolver:
+    return ik_solver(robot)
+
+
+@pytest.fixture(scope="module")
+def fitted() -> FittedAsset:
+    return fitted_drawer()
+
+
+@pytest.fixture(scope="module")
+def demo(solver: IkSolver, fitted: FittedAsset) -> Demonstration:
+    return opening(solver, fitted)
+
+
+@pytest.mark.parametrize(("x", "moved"), [(0.0, False), (-0.2, True)])
+def test_a_blocked_start_is_moved(
+    robot: RobotModel, solver: IkSolver, fitted: FittedAsset, demo: Demonstration, x: float, moved: bool
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    variation = Variation(seed=0, index=0, x=x, y=0.0, yaw=0.0)
+    plan = plan_episode(fitted, demo, variation, scene, solver, PlanParams())
+    assert isinstance(plan, EpisodePlan)
+    away = np.linalg.norm(robot.ee_poses(plan.joints[:1])[0, :3, 3] - demo.Ts_world_ee[0, :3, 3])
+    assert (away > 0.05) == moved
+    assert plan.metrics["penetration_mm"] <= 1.0
