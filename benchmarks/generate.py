@@ -3,7 +3,7 @@
 import os
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -83,11 +83,13 @@ def run_generate(
         if folder.exists():
             remove_folder(folder)
     results = Results(project=project, out=out, folders={**folders, **scratch}, workers=workers)
-    load, watch, core, early = os.getloadavg()[0], MemoryWatch(), Counter[str](), []
+    load, watch, early = os.getloadavg()[0], MemoryWatch(), list[float]()
+    core: defaultdict[str, float] = defaultdict(float)
 
     def heard(done: Done) -> None:
         if not done.lost:
-            core.update(done.value.seconds)
+            for part, spent in done.value.seconds.items():
+                core[part] += spent
         if not early and len(list_committed(scratch["episodes"])) >= EARLY_EPISODES:
             early.append(watch.peak_mb)
 
@@ -109,8 +111,8 @@ def run_generate(
         "demonstrations_per_minute": 60 * len(committed) / seconds,
         "frames_per_second": decoded / seconds,
         "frames_an_episode": sum(len(item.episode) for item in committed) / len(committed),
-        "core_seconds": {part: spent / len(committed) for part, spent in core.most_common()},
-        "share": {part: spent / total for part, spent in core.most_common()},
+        "core_seconds": {part: spent / len(committed) for part, spent in sorted(core.items())},
+        "share": {part: spent / total for part, spent in sorted(core.items())},
         "attempts": made["episodes"] + made["rejected"],
         "rejected": made["rejected"],
         "skipped": made["skipped"],

@@ -41,7 +41,7 @@ def distributions(draws: Sequence[Mapping[str, Any]], ranges: Ranges) -> list[Di
         if low == high or not draws:
             continue
         outcomes = np.array([draw["outcome"] for draw in draws])
-        edges = np.linspace(low, high, BINS + 1)
+        edges = np.linspace(low, high, BINS + 1, dtype=np.float64)
         drawn, tried, delivered = (
             np.histogram(np.asarray(values)[chosen], edges)[0]
             for chosen in (outcomes != "", outcomes != "skipped", outcomes == "committed")
