@@ -58,9 +58,9 @@ def run_generate(
     out: Path,
     capture: Path,
     episodes: int,
-    workers: int,
     run_project: Callable[..., None],
     progress: Progress,
+    **machine: Any,
 ) -> dict[str, Any]:
     """Make episodes of both assets and their dataset from a twin on disk, rejects included.
 
@@ -68,9 +68,9 @@ def run_generate(
         out: Run folder; the run up to its fitted assets is kept and not timed.
         capture: The recording.
         episodes: Committed in the end, over both assets.
-        workers: Processes.
         run_project: Runs a project until a stage.
         progress: Of the episodes.
+        machine: See `results_of`.
     """
     project = Project(
         capture=capture, out=out, assets=ASSETS, poses=-(-episodes // len(ASSETS)), image_size=IMAGE_SIZE
@@ -82,7 +82,7 @@ def run_generate(
     for folder in scratch.values():
         if folder.exists():
             remove_folder(folder)
-    results = Results(project=project, out=out, folders={**folders, **scratch}, workers=workers)
+    results = Results(project=project, out=out, folders={**folders, **scratch}, **machine)
     load, watch, early = os.getloadavg()[0], MemoryWatch(), list[float]()
     core: defaultdict[str, float] = defaultdict(float)
 
@@ -106,7 +106,7 @@ def run_generate(
     total = sum(core.values())
     return {
         "episodes": len(committed),
-        "workers": workers,
+        "workers": results.workers,
         "seconds": seconds,
         "demonstrations_per_minute": 60 * len(committed) / seconds,
         "frames_per_second": decoded / seconds,

@@ -1,7 +1,6 @@
 """`aomgen bench`: every number in README and docs comes from here."""
 
 import json
-import os
 import sys
 import tempfile
 from functools import partial
@@ -208,8 +207,8 @@ def bench_generate(
     def tell(share: float, text: str) -> None:
         print(f"{share:4.0%} {text}", flush=True)
 
-    processors = len(os.sched_getaffinity(0))
-    _show(run_generate(out, sample_capture(), episodes, workers or processors, run_project, tell), json_file)
+    machine = {"workers": workers} if workers else {}
+    _show(run_generate(out, sample_capture(), episodes, run_project, tell, **machine), json_file)
 
 
 @bench_app.command("replay")

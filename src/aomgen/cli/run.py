@@ -85,11 +85,10 @@ def status_lines(project) -> tuple[list[str], bool]:
         manifest = read_manifest(folder)
         lines += [f"         warning: {sentence}" for sentence in (manifest.warnings if manifest else ())]
         for account in read_accounts(folder) if stage.name == "episodes" else ():
-            reasons = ", ".join(f"{count} {reason}" for reason, count in account.reasons.items())
             lines.append(
                 f"         {account.asset}: {account.requested} requested = {account.committed} committed + "
                 f"{account.rejected} rejected + {account.left} left, after {account.attempts} attempts"
-                + (f" ({reasons})" if reasons else "")
+                + (f" ({account.why})" if account.why else "")
             )
     return lines, left
 

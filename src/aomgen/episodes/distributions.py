@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.core.values import Array, freeze_arrays
-from aomgen.episodes.variations import OrbitRanges, Ranges
+from aomgen.episodes.variations import Ranges
 
 # Bars of a histogram: each still holds some of a few dozen episodes.
 BINS: Final = 8
@@ -34,10 +34,10 @@ class Distribution:
     __post_init__ = freeze_arrays
 
 
-def distributions(draws: Sequence[Mapping[str, Any]], ranges: Ranges) -> list[Distribution]:
-    """Of every quantity that has a range, from a ledger's draws."""
+def distributions(draws: Sequence[Mapping[str, Any]], ranges: Ranges, free: int) -> list[Distribution]:
+    """Of every quantity that has a range, from a ledger's draws; the last `free` cameras were added."""
     found = []
-    for name, unit, (low, high), values in _quantities([draw["variation"] for draw in draws], ranges):
+    for name, unit, (low, high), values in _quantities([draw["variation"] for draw in draws], ranges, free):
         if low == high or not draws:
             continue
         outcomes = np.array([draw["outcome"] for draw in draws])
@@ -53,7 +53,7 @@ def distributions(draws: Sequence[Mapping[str, Any]], ranges: Ranges) -> list[Di
 
 
 def _quantities(
-    variations: list[Mapping[str, Any]], ranges: Ranges
+    variations: list[Mapping[str, Any]], ranges: Ranges, free: int
 ) -> Iterator[tuple[str, str, tuple[float, float], list[float]]]:
     """Name, unit, range and values of everything that may differ."""
     x, y = ranges.x_m, ranges.y_m
@@ -78,7 +78,7 @@ def _quantities(
     cameras = len(variations[0]["orbits"]) if variations else 0
     for number in range(cameras):
         orbits = [v["orbits"][number] for v in variations]
-        orbit = ranges.around if ranges.around != OrbitRanges() else ranges.free
+        orbit = ranges.around if number < cameras - free else ranges.free
         yield f"camera {number} turn", "deg", orbit.turn_deg, [degrees * item["turn"] for item in orbits]
         yield f"camera {number} tilt", "deg", orbit.tilt_deg, [degrees * item["tilt"] for item in orbits]
         yield f"camera {number} distance", "", orbit.distance, [item["distance"] for item in orbits]

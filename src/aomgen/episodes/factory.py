@@ -15,7 +15,7 @@ import numpy as np
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
-from aomgen.episodes.ik import ik_solver
+from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
@@ -24,7 +24,7 @@ from aomgen.episodes.screening import Place, longest_reach
 from aomgen.episodes.variations import Ranges, draw, scaled_fit
 from aomgen.errors import ConfigError
 from aomgen.executors import Work
-from aomgen.io.artifact import load_artifact
+from aomgen.io.artifact import file_digest, load_artifact
 from aomgen.io.atomic import staged_folder
 from aomgen.io.episode_folder import episode_folder
 from aomgen.io.schema import suggest
@@ -87,10 +87,14 @@ class EpisodeFactory:
         self.results, self.folder = results, folder
         self.params = results.params("episodes", GenerationParams())
         self.plan_params = replace(self.params.plan, fps=results.fps)
-        self.solver = ik_solver(results.robot)
         # Methods cannot be cached per instance otherwise without keeping the instance alive.
         self.asset = lru_cache(OPEN_ASSETS)(self._open_asset)
         self._seconds: dict[str, float] = {}
+
+    @cached_property
+    def solver(self) -> IkSolver:
+        """Of the robot's arm; who only screens draws needs none."""
+        return ik_solver(self.results.robot)
 
     @cached_property
     def place(self) -> Place:
@@ -164,18 +168,12 @@ class EpisodeFactory:
     def _tier_a_limits(self) -> dict[str, float]:
         """Largest values of a plan's figures, by name, for the certificate."""
         ik, contact = self.plan_params.ik, self.plan_params.kinematic
-        return {
-            "residual_mm": ik.residual_mm,
-            "residual_deg": ik.residual_deg,
-            "penetration_mm": contact.max_penetration_mm,
-            "handle_penetration_mm": contact.max_handle_penetration_mm,
-            "grip_gap_mm": contact.max_gap_mm,
-        }
+        return {"residual_mm": ik.residual_mm, "residual_deg": ik.residual_deg, **contact.by_figure}
 
     def _commit(self, unit: Unit, verified: VerifiedEpisode, opened: "OpenAsset") -> None:
         results, plan, images = self.results, verified.plan, self.params.images
         home = episode_folder(self.folder, unit.number)
-        cameras = self.place.views(plan.variation, opened.fitted)
+        cameras = self.place.views(plan.variation, plan.fitted)
         paths = results.robot.camera_paths(verified.joints, verified.gripper) if images.robot_cameras else {}
         episode = episode_of(
             verified,
@@ -219,7 +217,8 @@ class EpisodeFactory:
             fitted=self.results.fitted_assets[number],
             twin=load_artifact(home, "twin", Twin),
             usd=home / ASSET_USD,
-            digests=self.digests | {"asset": _digest(home / ASSET_USD), "twin": _digest(home / "twin.npz")},
+            digests=self.digests
+            | {"asset": file_digest(home / ASSET_USD), "twin": file_digest(home / "twin.npz")},
         )
 
     @contextmanager
@@ -280,11 +279,6 @@ class OpenAsset:
     @cached_property
     def _soft_shadow(self) -> SoftShadow | None:
         return cast_soft_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def open_factory(results: Results, folder: Path) -> Work:

@@ -13,11 +13,11 @@ from aomgen.core.progress import Progress
 from aomgen.episodes.ledger import (
     DRAWS_FILE,
     MAX_DRAWS,
-    REJECTED_FOLDER,
     Request,
     Unit,
     ended_units,
     read_rejection,
+    rejection_file,
     write_draws,
     write_rejection,
     write_request,
@@ -142,17 +142,11 @@ def generate(
 def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
     """Delete episodes and rejections beyond what is requested now."""
     asked = {Unit(asset=quota.asset, index=index) for quota in quotas for index in range(len(quota.draws))}
-    for units, delete in zip(ended_units(folder), (_delete_episode, _delete_rejection), strict=True):
-        for unit in units - asked:
-            delete(folder, unit)
-
-
-def _delete_episode(folder: Path, unit: Unit) -> None:
-    remove_folder(episode_folder(folder, unit.number))
-
-
-def _delete_rejection(folder: Path, unit: Unit) -> None:
-    (folder / REJECTED_FOLDER / f"{unit.number:06d}.json").unlink()
+    committed, rejected = ended_units(folder)
+    for unit in committed - asked:
+        remove_folder(episode_folder(folder, unit.number))
+    for unit in rejected - asked:
+        rejection_file(folder, unit).unlink()
 
 
 def _outcomes(

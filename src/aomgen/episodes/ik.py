@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 
 from aomgen.core.plan import Rejection
-from aomgen.core.transforms import interpolate, skew, transform
+from aomgen.core.transforms import interpolate, path_steps, skew, transform
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.episodes.joint_limits import IkLimits, IkPath
 from aomgen.robots.robot import RobotModel
@@ -130,7 +130,7 @@ def solve_path(
     Not checked: collisions.
     """
     Ts = np.asarray(Ts_world_ee, np.float64)
-    way = _way(Ts)
+    way = np.append(0.0, np.cumsum(path_steps(Ts, TURN_WEIGHT_M)))
     marks = np.linspace(0, way[-1], 2 + int(way[-1] / KNOT_WAY_M))
     rows = np.unique(np.searchsorted(way, marks).clip(0, len(way) - 1))
     knots, _ = follow(solver, Ts[rows, None], np.asarray(start_joints)[None], limits)
@@ -284,14 +284,6 @@ def _residuals(solver: IkSolver, Ts_world_ee: Array, joints: Array) -> tuple[Arr
     """Distances of joints (N, J) to poses (N, 4, 4): (N,), [mm] and [deg]."""
     errors, _ = solver.errors(Ts_world_ee, joints)
     return 1000 * np.linalg.norm(errors[:, :3], axis=1), np.rad2deg(np.linalg.norm(errors[:, 3:], axis=1))
-
-
-def _way(Ts: Array) -> Array:
-    """Way and turn along a path (T, 4, 4) up to each pose (T,), [m]."""
-    steps = np.linalg.norm(np.diff(Ts[:, :3, 3], axis=0), axis=1)
-    # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
-    chords = np.linalg.norm(np.diff(Ts[:, :3, :3], axis=0), axis=(1, 2)) / np.sqrt(2)
-    return np.concatenate([[0.0], np.cumsum(steps + TURN_WEIGHT_M * chords)])
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -71,6 +71,11 @@ class Account:
         """Episodes that are still to be made."""
         return self.requested - self.committed - self.rejected
 
+    @property
+    def why(self) -> str:
+        """The reasons in words, the commonest first."""
+        return ", ".join(f"{count} {reason}" for reason, count in self.reasons.items())
+
 
 def write_request(folder: Path, request: Request) -> None:
     """Say what is wanted before any of it is made.
@@ -88,7 +93,12 @@ def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: R
         StorageError: The disk refuses.
     """
     content = {"variation": asdict(variation), **asdict(rejection)}
-    write_json(folder / REJECTED_FOLDER / f"{unit.number:06d}.json", content)
+    write_json(rejection_file(folder, unit), content)
+
+
+def rejection_file(folder: Path, unit: Unit) -> Path:
+    """Where it lies why an attempt gave no episode."""
+    return folder / REJECTED_FOLDER / f"{unit.number:06d}.json"
 
 
 def read_rejection(folder: Path, unit: Unit) -> Rejection:
@@ -97,7 +107,7 @@ def read_rejection(folder: Path, unit: Unit) -> Rejection:
     Raises:
         MissingFileError, MalformedFileError: As their names say.
     """
-    path = folder / REJECTED_FOLDER / f"{unit.number:06d}.json"
+    path = rejection_file(folder, unit)
     content = read_json(path)
     try:
         return Rejection(**{name: content[name] for name in ("reason", "detail", "metrics")})

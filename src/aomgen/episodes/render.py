@@ -84,21 +84,6 @@ class CameraFrames:
     labels: Annotated[NDArray[np.uint8], "T H W"] | None = None
 
 
-def render_frames(
-    twin: Twin,
-    robot: RobotModel,
-    trajectory: Trajectory,
-    layers: Mapping[str, StaticLayer],
-    T_world_plane: Array | None = None,
-    threads: int | None = None,
-    *,
-    soft: SoftShadow | None = None,
-) -> dict[str, NDArray[np.uint8]]:
-    """Draw an episode: frames (T, H, W, 3) uint8 of each camera; arguments as `render_episode`."""
-    drawn = render_episode(twin, robot, trajectory, layers, T_world_plane, threads, soft=soft)
-    return {name: frames.images_srgb for name, frames in drawn.items()}
-
-
 def render_episode(
     twin: Twin,
     robot: RobotModel,

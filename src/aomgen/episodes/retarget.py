@@ -24,6 +24,7 @@ from aomgen.core.transforms import (
     invert,
     matrix_from_quat,
     matrix_from_rotvec,
+    path_steps,
     quat_from_matrix,
     rotvec_from_matrix,
     transform,
@@ -105,7 +106,8 @@ class DemonstratedMotion:
         self._ways = np.concatenate([[0.0], np.cumsum(ways)])
         # Knots between the marks (5, K).
         self.knots: Array = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], KNOTS, axis=1)
-        self.lengths = _lengths(self.poses(self.knots.ravel()).reshape(*self.knots.shape, 4, 4))
+        poses = self.poses(self.knots.ravel()).reshape(*self.knots.shape, 4, 4)
+        self.lengths = path_steps(poses, TURN_WEIGHT_M).sum(1)
 
     def poses(self, times: Array) -> Array:
         """Recorded hand poses (N, 4, 4)."""
@@ -210,7 +212,7 @@ class RetargetedMotion:
     def stretches(self) -> Array:
         """Length of the new way over the demonstrated one, at least 1, between the marks (5,)."""
         shown = self.shown
-        new = _lengths(self.knots)
+        new = path_steps(self.knots, TURN_WEIGHT_M).sum(1)
         moved = (shown.lengths > 0.03) & (np.diff(shown.moments.marks) > 1e-6)
         return np.clip(np.where(moved, new / np.maximum(shown.lengths, 1e-9), 1.0), 1.0, 4.0)
 
@@ -242,7 +244,7 @@ class RetargetedMotion:
             old[:, :3, 3] += (1 - blend)[:, None] * (T_start - shown.demo.Ts_world_ee[0])[:3, 3]
         left = shown.way(close) - shown.way(times)
         moved = self._beside(old, T_close, shown.poses(np.array([close]))[0], left, self.approach)
-        Ts = _blend(old, moved, blend)
+        Ts = interpolate(old, moved, blend)
         # Up in the first quarter, down in the last.
         Ts[:, 2, 3] += self.lift * _smoothstep(4 * np.minimum(blend, 1 - blend))
         return Ts
@@ -280,18 +282,3 @@ def _smoothstep(shares: Array) -> Array:
     """Shares, cut to 0..1, that begin and end level."""
     shares = np.clip(shares, 0.0, 1.0)
     return shares * shares * (3 - 2 * shares)
-
-
-def _blend(Ts_a: Array, Ts_b: Array, shares: Array) -> Array:
-    """Pairwise between two stacks (N, 4, 4): lerp of positions, slerp of rotations."""
-    turns = rotvec_from_matrix(Ts_b[:, :3, :3] @ np.swapaxes(Ts_a[:, :3, :3], 1, 2))
-    R = matrix_from_rotvec(shares[:, None] * turns) @ Ts_a[:, :3, :3]
-    return transform(R, (1 - shares)[:, None] * Ts_a[:, :3, 3] + shares[:, None] * Ts_b[:, :3, 3])
-
-
-def _lengths(Ts: Array) -> Array:
-    """Way and turn (W,), [m], of several ways (W, K, 4, 4)."""
-    steps = np.linalg.norm(np.diff(Ts[..., :3, 3], axis=1), axis=2)
-    # The chord between two rotations, sqrt(8) sin(angle / 2), is sqrt(2) times a small angle.
-    chords = np.linalg.norm(np.diff(Ts[..., :3, :3], axis=1), axis=(2, 3)) / np.sqrt(2)
-    return (steps + TURN_WEIGHT_M * chords).sum(1)

@@ -48,7 +48,7 @@ def run(
     draws = read_draws(folder)
     write_json(
         folder / DISTRIBUTIONS_FILE,
-        {item.name: asdict(item) for item in distributions(draws, factory.params.ranges)},
+        {item.name: asdict(item) for item in distributions(draws, factory.params.ranges, factory.place.free)},
     )
     margins = [read_json(path / EPISODE_FILE)["verdict"]["margin"] for path in list_committed(folder)]
     return {
@@ -77,8 +77,7 @@ def open_executor(results: Results, folder: Path, timeout_s: float) -> Executor:
 
 def account_sentence(account: Account) -> str:
     """What came of an asset's request, in one sentence."""
-    reasons = ", ".join(f"{count} {reason}" for reason, count in account.reasons.items()) or "none tried"
     return (
         f"asset {account.asset}: {account.committed} of {account.requested} episodes after {account.attempts} attempts "
-        f"({reasons})"
+        f"({account.why or 'none tried'})"
     )

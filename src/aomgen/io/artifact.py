@@ -3,6 +3,7 @@
 Equal values give equal bytes. What is read is bounded, holds no code, and has to fit the annotations.
 """
 
+import hashlib
 import io
 import json
 import types
@@ -180,6 +181,12 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """
     _check_size(path, MAX_NPZ_BYTES, "run the stage again")
     return arrays_from_bytes(path.read_bytes(), path)
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_json(path: Path) -> Any:

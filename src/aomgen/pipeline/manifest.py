@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from aomgen.errors import CorruptArtifactError
-from aomgen.io.artifact import read_json
+from aomgen.io.artifact import file_digest, read_json
 from aomgen.io.atomic import STAGING_PREFIX, write_json
 
 MANIFEST = "manifest.json"
@@ -108,12 +108,6 @@ def verify(folder: Path, manifest: Manifest) -> None:
             raise CorruptArtifactError(
                 path, "does not match its digest", f"delete the folder {folder} and run again"
             )
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file's content."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def files_digest(paths: list[Path]) -> str:

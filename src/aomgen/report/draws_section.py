@@ -26,8 +26,9 @@ def draws_section(results: Results) -> list[str]:
     draws = read_draws(results.folders["episodes"])
     if not draws:
         return []
-    ranges = results.params("episodes", GenerationParams()).ranges
-    charts = "".join(draw_histogram(item) for item in distributions(draws, ranges))
+    params = results.params("episodes", GenerationParams())
+    found = distributions(draws, params.ranges, params.free_cameras)
+    charts = "".join(draw_histogram(item) for item in found)
     return [
         paragraph(
             "Grey: all draws, spread evenly over the range asked for. Blue: those that were planned. Green: those that "

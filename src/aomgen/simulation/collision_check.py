@@ -41,6 +41,15 @@ class KinematicLimits:
     max_gap_mm: float = 10.0
     self_margin_mm: float = 1.0
 
+    @property
+    def by_figure(self) -> dict[str, float]:
+        """Largest values of the figures of `check_kinematics`; that of self penetration depends on the start pose."""
+        return {
+            "penetration_mm": self.max_penetration_mm,
+            "handle_penetration_mm": self.max_handle_penetration_mm,
+            "grip_gap_mm": self.max_gap_mm,
+        }
+
 
 def check_kinematics(
     scene: Scene,

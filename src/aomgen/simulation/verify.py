@@ -113,13 +113,7 @@ def find_drive(scene: Scene) -> str:
 
 def _kinematic_checks(metrics: Mapping[str, float], limits: Mapping[str, float] | None) -> tuple[Check, ...]:
     """Tier A's figures that have a limit; its own reasons are those of planning."""
-    if limits is None:
-        ours = KinematicLimits()
-        limits = {
-            "penetration_mm": ours.max_penetration_mm,
-            "handle_penetration_mm": ours.max_handle_penetration_mm,
-            "grip_gap_mm": ours.max_gap_mm,
-        }
+    limits = KinematicLimits().by_figure if limits is None else limits
     return tuple(
         Check(reason="", figure=name, value=value, limit=limits[name])
         for name, value in sorted(metrics.items())

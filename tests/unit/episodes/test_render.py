@@ -16,7 +16,7 @@ from aomgen.core.plan import (
 )
 from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome, Verdict
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
-from aomgen.episodes.render import ImageParams, Trajectory, render_episode, render_frames, static_layers
+from aomgen.episodes.render import ImageParams, Trajectory, render_episode, static_layers
 from aomgen.errors import CorruptArtifactError, MalformedFileError, StorageError
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode, read_images
 from aomgen.io.video import encode_video, read_video
@@ -115,6 +115,10 @@ def commit(
         )
         folders.append(store_episode(folder, episode, drawn, images))
     return folders
+
+
+def render_frames(*arguments, **options) -> dict[str, np.ndarray]:
+    return {name: shown.images_srgb for name, shown in render_episode(*arguments, **options).items()}
 
 
 def usual(toy_scene) -> list[VerifiedEpisode]:

@@ -1,6 +1,6 @@
 """Draws are pure, even, and held against table, reach and view before anything is planned."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import FittedAsset, OrbitChange, Variation
 from aomgen.core.transforms import apply
+from aomgen.episodes.distributions import distributions
 from aomgen.episodes.screening import Place, Reach, longest_reach, orbited
 from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, scaled_fit
 from aomgen.errors import ConfigError
@@ -169,3 +170,13 @@ def test_reach_of_the_arm(robot: RobotModel) -> None:
     reach = longest_reach(robot)
     np.testing.assert_allclose(reach.shoulder_world[:2], 0, atol=0.05)
     assert 0.9 < reach.reach_m < 1.3
+
+
+def test_moved_and_added_cameras_are_counted_over_their_own_ranges() -> None:
+    ranges = Ranges(around=OrbitRanges(turn_deg=(-5, 5)), free=OrbitRanges(turn_deg=(-60, 60)))
+    drawn = [asdict(draw(0, 0, index, ranges, cameras=1, free=1)) for index in range(16)]
+    found = distributions([{"variation": item, "outcome": "committed"} for item in drawn], ranges, free=1)
+    ends = {item.name: (item.edges[0], item.edges[-1]) for item in found}
+    assert ends["camera 0 turn"] == (-5, 5)
+    assert ends["camera 1 turn"] == (-60, 60)
+    assert all(item.delivered.sum() == 16 for item in found)
