@@ -81,14 +81,18 @@ class Timing:
         return np.array([0.0, self.close, self.start, self.end, self.free, self.last])
 
 
-def gripper_command(demo: Demonstration) -> Array:
+def gripper_command(demo: Demonstration, opened_most: float = 1.0) -> Array:
     """The command of the gripper (T,), 0..1, from what was measured.
 
     A gripper that holds a bar stalls before it is closed, so the level it stalls at counts as
-    1; the level it comes with stays. A demonstration that closes nothing keeps what was measured.
+    1; the level it comes with stays, or is `opened_most` where that is more open. A demonstration that closes nothing
+    keeps what was measured.
     """
     opened, share = _closing(demo)
-    return share if opened is None else opened + (1.0 - opened) * share
+    if opened is None:
+        return share
+    opened = min(opened, opened_most)
+    return opened + (1.0 - opened) * share
 
 
 def _closing(demo: Demonstration) -> tuple[float | None, Array]:

@@ -12,12 +12,10 @@ import numpy as np
 
 from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset
-from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import holding_gripper
 
 # Rotations of the gripper that are tried, the smallest first, [deg]: about the handle, and along it.
 TILTS_DEG, SWINGS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0), (20.0, -20.0, 40.0, -40.0)
@@ -119,13 +117,6 @@ def grasps(fitted: FittedAsset, R_front_ee: Array, depth: float, turn_ratio: flo
         for share in ratios:
             held, turn = np.array([0.0, 0.0, depth]), f"turn {share:.2f}"
             yield Grasp(name=f"{name}, {turn}", R_object_ee=R, held_ee=held, turn_ratio=share)
-
-
-def held_at(fitted: FittedAsset, demo: Demonstration, robot: RobotModel) -> float:
-    """Gripper value 0..1 at which the fingers stall on what they hold."""
-    measured = float(np.median(demo.gripper[demo.contact_frames]))
-    bar = fitted.asset.handle_bar
-    return measured if bar is None else holding_gripper(robot, 2 * float(bar.half_extents.min()), measured)
 
 
 def _across(R: Array, bar: Array) -> Array:

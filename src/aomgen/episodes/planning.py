@@ -15,7 +15,7 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.values import Array
-from aomgen.episodes.grasps import grasp_depth, grasps, held_at
+from aomgen.episodes.grasps import grasp_depth, grasps
 from aomgen.episodes.ik import IkSolver, follow, solve_smoothly, walk
 from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
 from aomgen.episodes.retarget import (
@@ -30,11 +30,13 @@ from aomgen.episodes.retarget import (
     free_joints,
 )
 from aomgen.episodes.start import choose_start
-from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
+from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, stalling_gripper
 from aomgen.simulation.scene import Scene
 
 # The Cartesian way has to end where the demonstration began, on the same branch, [rad].
 START_TOLERANCE_RAD = 0.05
+# Kept free between the object and the arm before its hand, [m]: a lid that resists lags behind its plan.
+CLEARANCE_M = 0.003
 # A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
 SLOWER = 1.05
 # Reasons of rejection, from early to late.
@@ -90,7 +92,7 @@ def plan_episode(
         `grasps_tried`.
     """
     T_world_object = variation.placed(fitted)
-    placed = scene.placed(T_world_object)
+    placed = scene.placed(T_world_object, CLEARANCE_M)
     task = _Task(
         shown=DemonstratedMotion(demo),
         variation=variation,
@@ -100,7 +102,6 @@ def plan_episode(
         params=params,
         start=choose_start(demo, fitted, placed, T_world_object, solver, params.ik, params.kinematic)
         + (np.array(variation.start_offset) if variation.start_offset else 0.0),
-        held_at=held_at(fitted, demo, placed.robot),
     )
     motions = _grasped(task, T_world_object)
     contacts = _follow_contact(task, motions)
@@ -110,6 +111,7 @@ def plan_episode(
             best = max(best, contact, key=_rank)
         else:
             held[k] = contact
+            motions[k] = replace(motions[k], held_at=_stall(task, contact[0]))
     # Grasps that hold, and among them those that something blocks beside the handle.
     checked, blocked = set[int](), set[int]()
     for ways in WAYS + DETOURS if params.method == "aomgen" else WAYS[:1]:
@@ -136,7 +138,7 @@ def plan_episode(
 
 
 class _Task(NamedTuple):
-    """What all grasps of one variation share; `start` are the arm's first joints (J,), `held_at` where fingers stall."""
+    """What all grasps of one variation share; `start` are the arm's first joints (J,)."""
 
     shown: DemonstratedMotion
     variation: Variation
@@ -145,7 +147,6 @@ class _Task(NamedTuple):
     solver: IkSolver
     params: PlanParams
     start: Array
-    held_at: float
 
 
 class _Arm(NamedTuple):
@@ -235,7 +236,7 @@ def _plan_with(task: _Task, motion: RetargetedMotion, arm: _Arm, free: FreeWay) 
         if not slow_down.max() <= params.max_slow_down:
             in_contact = float(slow_down[CONTACT] > params.max_slow_down)
             return replace(rates, metrics={**rates.metrics, "in_contact": in_contact})
-    figures = _check_motion(task, sampled, path.joints)
+    figures = _check_motion(task, sampled, path.joints, motion.held_at)
     if isinstance(figures, Rejection):
         return _located(figures, sampled)
     lifted = f", raised {motion.lift:.2f} m" if motion.lift else ""
@@ -283,24 +284,33 @@ def _solve(task: _Task, motion: HandMotion, arm: _Arm, free_way: FreeWay) -> IkP
     return path
 
 
+def _stall(task: _Task, joints: Array) -> float:
+    """Gripper value 0..1 at which the fingers stall on the handle, the arm at joints (J,) as they close."""
+    demo = task.shown.demo
+    measured = float(np.median(demo.gripper[demo.contact_frames]))
+    return stalling_gripper(task.placed, joints, float(task.fitted.thetas[0]), measured)
+
+
 def _check_grip(task: _Task, motion: RetargetedMotion, contact: Array) -> Rejection | None:
     """What keeps the hand from holding in this grasp, whatever the ways there and back: tier A at the knots (K, J)."""
     thetas, still = motion.thetas(task.shown.knots[2]), np.ones(KNOTS)
     result = check_kinematics(
-        task.placed, contact, task.held_at * still, thetas, still > 0, task.params.kinematic
+        task.placed, contact, motion.held_at * still, thetas, still > 0, task.params.kinematic
     )
     if not isinstance(result, Rejection):
         return None
     return replace(result, metrics={**result.metrics, "in_contact": 1.0})
 
 
-def _check_motion(task: _Task, motion: HandMotion, joints: Array) -> dict[str, float] | Rejection:
+def _check_motion(
+    task: _Task, motion: HandMotion, joints: Array, held_at: float
+) -> dict[str, float] | Rejection:
     """Tier A of a whole motion, the fingers as wide open as the handle will hold them."""
     holding = (motion.phases == CONTACT) & (motion.gripper > 0.95)
     # While the fingers close or open about the handle, how far they are is left to the simulation.
     between = (motion.phases == CONTACT) & ~holding
-    gripper = np.minimum(motion.gripper, task.held_at)
-    widest = max(0.5 * task.held_at, float(gripper.min()))
+    gripper = np.minimum(motion.gripper, held_at)
+    widest = max(0.5 * held_at, float(gripper.min()))
     gripper = np.where(between, np.minimum(gripper, widest), gripper)
     return check_kinematics(task.placed, joints, gripper, motion.thetas, holding, task.params.kinematic)
 

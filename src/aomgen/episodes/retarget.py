@@ -42,6 +42,9 @@ FreeWay = Literal["cartesian", "joints", "direct"]
 RIGID_STRETCH_M = 0.10
 # A turn of one radian counts as this much way, [m].
 TURN_WEIGHT_M = 0.15
+# Fingers come this much wider than they will hold, as a share of their stroke: what is held lies some millimetres off
+# the middle.
+ROOM = 0.09
 # Poses of each interval between two marks from which the others are solved: some 5 cm apart.
 KNOTS = 16
 
@@ -97,7 +100,6 @@ class DemonstratedMotion:
     def __init__(self, demo: Demonstration) -> None:
         self.demo, self.moments = demo, timing(demo)
         self.times = demo.times_s - demo.times_s[0]
-        self.command = gripper_command(demo)
         positions, quats = demo.Ts_world_ee[:, :3, 3], quat_from_matrix(demo.Ts_world_ee[:, :3, :3])
         flips = np.cumprod(np.sign(np.sum(quats[1:] * quats[:-1], 1)) + 1e-12)
         quats[1:] *= np.sign(flips)[:, None]
@@ -108,6 +110,10 @@ class DemonstratedMotion:
         self.knots: Array = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], KNOTS, axis=1)
         poses = self.poses(self.knots.ravel()).reshape(*self.knots.shape, 4, 4)
         self.lengths = path_steps(poses, TURN_WEIGHT_M).sum(1)
+
+    def gripper(self, times: Array, held_at: float) -> Array:
+        """Command of the gripper (N,) for a handle on which the fingers stall at `held_at`; they come wider than that."""
+        return np.interp(times, self.times, gripper_command(self.demo, max(held_at - ROOM, 0.0)))
 
     def poses(self, times: Array) -> Array:
         """Recorded hand poses (N, 4, 4)."""
@@ -131,6 +137,7 @@ class RetargetedMotion:
         shown: The demonstration.
         fitted, T_world_object: The object and where it stands (4, 4).
         grasp: How the hand holds.
+        held_at: Gripper value 0..1 at which the fingers stall on the handle.
         approach, retreat: How the hand moves beside the handle.
         T_world_start: Where the hand begins (4, 4); where it was demonstrated if None.
         stretch: How far from the handle the hand moves with the object, [m].
@@ -142,6 +149,7 @@ class RetargetedMotion:
     fitted: FittedAsset
     T_world_object: Array
     grasp: Grasp
+    held_at: float = 1.0
     approach: Style = "demonstrated"
     retreat: Style = "demonstrated"
     T_world_start: Array | None = None
@@ -167,7 +175,7 @@ class RetargetedMotion:
         phases = np.where(times < moments.close, APPROACH, np.where(times <= moments.free, CONTACT, RETREAT))
         return HandMotion(
             Ts_world_ee=self.at(times),
-            gripper=np.interp(times, self.shown.times, self.shown.command),
+            gripper=self.shown.gripper(times, self.held_at),
             thetas=self.thetas(times),
             phases=phases,
             demo_times_s=times,

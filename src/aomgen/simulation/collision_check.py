@@ -21,6 +21,8 @@ TABLE_CLEARANCE_M = 0.005
 SWEEP_M = 0.005
 # How much longer the way of a point may be than the chord between its samples, as a factor.
 SWEEP_RESERVE = 1.25
+# Halvings of the gripper's stroke until it stalls on what it holds: to half a millimetre.
+STALL_STEPS = 8
 # What overlaps: nothing that counts, robot and scene, two parts of the robot, hand and handle.
 NOTHING, SCENE, SELF, HANDLE = range(4)
 
@@ -65,7 +67,7 @@ def check_kinematics(
     so often that no point of robot or part goes farther than `SWEEP_M` in between.
 
     Args:
-        scene: With the object at its pose.
+        scene: With the object at its pose; nearer to it than `scene.clearance` counts as an overlap.
         gripper: Finger opening, 0 open .. 1 closed, as it will settle on the handle.
         holding: Frames in which fingers and handle are meant to touch.
 
@@ -157,6 +159,9 @@ def _sweep(
     held = holding[np.floor(at).astype(int)] | holding[np.ceil(at).astype(int)]
     kind = kinds[touching[:, 0], touching[:, 1]]
     kind = np.where((kind == HANDLE) & ~held, SCENE, kind)
+    # For the arm, not for its hand, the object counts as grown.
+    arm = scene.roles.robot & ~scene.roles.gripper
+    mm += 1000.0 * scene.clearance * (scene.roles.object[touching].any(1) & arm[touching].any(1))
     for name, number in (("scene", SCENE), ("self", SELF), ("handle", HANDLE)):
         mine = np.where(kind == number, mm, 0.0)
         deepest = int(mine.argmax())
@@ -260,6 +265,24 @@ def holding_gripper(robot: RobotModel, width_m: float, fallback: float) -> float
     return float(np.interp(-width_m, -widths, values))
 
 
+def stalling_gripper(scene: Scene, joints: Array, theta: float, fallback: float) -> float:
+    """Gripper value 0..1 at which the pads, on average, touch what is held; `fallback` for a robot without pads.
+
+    Args:
+        joints: Of the arm (J,), about the handle.
+        theta: Of the object.
+    """
+    if not scene.robot.pads:
+        return fallback
+    data = mujoco.MjData(scene.model)
+    opened, closed = 0.0, 1.0
+    for _ in range(STALL_STEPS):
+        middle = 0.5 * (opened + closed)
+        gaps = _finger_gaps_m(scene, data, scene.qpos(joints[None], middle, theta)[0])
+        opened, closed = (middle, closed) if sum(gaps) > 0 else (opened, middle)
+    return opened
+
+
 def _place(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
     data.qpos[:] = qpos
     mujoco.mj_kinematics(scene.model, data)
@@ -269,15 +292,20 @@ def _place(scene: Scene, data: mujoco.MjData, qpos: Array) -> None:
 
 def _grip_gap_mm(scene: Scene, data: mujoco.MjData, qpos: Array) -> float:
     """Distance between the handle and the farther finger's pads, [mm]; 0 for a robot without pads."""
+    return 1000.0 * max(0.0, *_finger_gaps_m(scene, data, qpos))
+
+
+def _finger_gaps_m(scene: Scene, data: mujoco.MjData, qpos: Array) -> list[float]:
+    """Distance between what is held and each finger's pads, below 0 where they overlap, [m]; 0 without pads."""
     data.qpos[:] = qpos
     mujoco.mj_kinematics(scene.model, data)
-    handle = np.flatnonzero(_held(scene))
-    gap = 0.0
+    held = np.flatnonzero(_held(scene))
+    gaps = []
     for finger in (0, 1):
         pads = np.flatnonzero(scene.roles.finger == finger)
         distances = [
             mujoco.mj_geomDistance(scene.model, data, int(pad), int(part), 0.2, None)
-            for pad, part in product(pads, handle)
+            for pad, part in product(pads, held)
         ]
-        gap = max(gap, min(distances, default=0.0))
-    return 1000.0 * gap
+        gaps.append(min(distances, default=0.0))
+    return gaps

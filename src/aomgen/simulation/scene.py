@@ -104,6 +104,7 @@ class Scene:
         object_body: Id of its static link.
         ee_site: Id of the end effector.
         bolted: The object's base cannot move.
+        clearance: So near to the object contacts are told of, without a force, [m].
     """
 
     model: mujoco.MjModel
@@ -118,6 +119,7 @@ class Scene:
     object_body: int
     ee_site: int
     bolted: bool
+    clearance: float = 0.0
 
     @property
     def joint_world(self) -> Joint:
@@ -126,8 +128,8 @@ class Scene:
         R = matrix_from_quat(self.model.body_quat[body])
         return self.asset.joint.moved(transform(R, self.model.body_pos[body]))
 
-    def placed(self, T_world_object: ArrayLike) -> "Scene":
-        """The same scene with the object at a pose (4, 4)."""
+    def placed(self, T_world_object: ArrayLike, clearance: float = 0.0) -> "Scene":
+        """The same scene with the object at a pose (4, 4), and another `clearance`."""
         model = copy.copy(self.model)
         T = np.asarray(T_world_object, np.float64)
         body = self.object_body
@@ -136,7 +138,8 @@ class Scene:
         if self.names.free_joint:
             address = model.joint(self.names.free_joint).qposadr[0]
             model.qpos0[address : address + 7] = np.append(T[:3, 3], quat_from_matrix(T[:3, :3]))
-        return replace(self, model=model)
+        model.geom_gap[self.roles.object] = clearance
+        return replace(self, model=model, clearance=clearance)
 
     def qpos(self, joints: ArrayLike, gripper: ArrayLike, thetas: ArrayLike) -> Array:
         """Generalised positions (T, nq) of arm joints (T, J), gripper (T,) and object joint (T,)."""

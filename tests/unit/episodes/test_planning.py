@@ -13,7 +13,7 @@ from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotve
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.planning import PlanParams, plan_episode
-from aomgen.episodes.retarget import CONTACT, DemonstratedMotion, RetargetedMotion
+from aomgen.episodes.retarget import CONTACT, ROOM, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
@@ -67,6 +67,19 @@ def test_gripper_command_closes_fully_around_a_bar(demo: Demonstration) -> None:
     moments = timing(demo)
     assert moments.close == pytest.approx(2.6, abs=0.11)
     assert moments.free == pytest.approx(6.5, abs=0.16)
+
+
+def test_fingers_come_wider_than_a_thick_handle(demo: Demonstration) -> None:
+    """Whoever came to a thin rim with fingers half closed opens them for a thick one, and closes fully on both."""
+    half = replace(demo, gripper=0.5 + 0.3 * demo.gripper / demo.gripper.max())
+    shown = DemonstratedMotion(half)
+    times = shown.times
+    came, wider = shown.gripper(times, 0.8), shown.gripper(times, 0.4)
+    assert came.min() == pytest.approx(0.5)
+    assert wider.min() == pytest.approx(0.4 - ROOM)
+    for command in (came, wider):
+        assert np.all(command[demo.contact_frames] == 1)
+    assert np.all(np.diff(came) * np.diff(wider) >= 0)
 
 
 def test_same_object_at_the_same_place_gives_the_demonstrated_motion(

@@ -1,7 +1,8 @@
 """Nothing slips through between the samples of a trajectory."""
 
-from itertools import pairwise
+from itertools import pairwise, product
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -87,6 +88,24 @@ def test_a_thin_wall_between_two_samples_is_met(robot: RobotModel) -> None:
     assert result.reason == "collision"
     assert 0 < result.metrics["sample"] < 1
     assert "obstacles" in result.detail
+
+
+def test_the_arm_keeps_clear_of_the_object_by_as_much_as_is_asked(robot: RobotModel) -> None:
+    """An object is let down on the arm until it is met: MuJoCo's own distance is then what was asked."""
+    clearance = 0.02
+    scene, joints, still = scene_with(robot), np.array([NEAR, NEAR]), np.zeros(2)
+    elbow = robot.link_poses(NEAR[None], 0.0)[0, robot.body_names.index("forearm_link"), :3, 3]
+    met, free = elbow[2], elbow[2] + 0.5
+    while free - met > 1e-4:
+        middle = 0.5 * (met + free)
+        near = scene.placed(transform(np.eye(3), [elbow[0], elbow[1], middle]), clearance)
+        met, free = (middle, free) if isinstance(check(near, joints, still), Rejection) else (met, middle)
+    data, roles = mujoco.MjData(near.model), near.roles
+    data.qpos[:] = near.qpos(NEAR[None], 0.0, 0.0)[0]
+    mujoco.mj_kinematics(near.model, data)
+    pairs = product(np.flatnonzero(roles.robot & ~roles.gripper), np.flatnonzero(roles.object))
+    distance = min(mujoco.mj_geomDistance(near.model, data, int(a), int(b), 0.1, None) for a, b in pairs)
+    assert distance == pytest.approx(clearance - LIMITS.max_penetration_mm / 1000, abs=3e-4)
 
 
 def test_an_object_in_an_obstacle_collides(robot: RobotModel) -> None:

@@ -18,6 +18,7 @@ from aomgen.simulation.collision_check import (
     KinematicLimits,
     check_kinematics,
     holding_gripper,
+    stalling_gripper,
     table_overlap_m,
 )
 from aomgen.simulation.judge import PassRule, judge
@@ -292,6 +293,11 @@ def test_kinematic_check_sees_grip_and_collision(scene: Scene, plan: EpisodePlan
     thickness = 2 * plan.fitted.asset.handle_bar.half_extents.min()  # type: ignore[union-attr]
     held = holding_gripper(scene.robot, thickness, 0.7)
     assert 0.5 < held < 0.95
+    middle = int(plan.thetas.searchsorted(0.5 * TRAVEL))
+    stalled = stalling_gripper(scene, plan.joints[middle], plan.thetas[middle], 0.7)
+    assert stalled == pytest.approx(held, abs=0.03)
+    wide = stalling_gripper(scene, plan.joints[middle], 0.0, 0.7)
+    assert wide > 0.99, "nothing between the fingers"
     gripper, holding = np.full(46, held), np.ones(46, bool)
     limits = KinematicLimits()
     figures = check_kinematics(scene, plan.joints, gripper, plan.thetas, holding, limits)
