@@ -4,6 +4,7 @@
 request.json          how many episodes of which assets
 000005/               a committed episode: asset 0, draw 5
 rejected/100002.json  an attempt that gave none, and why: asset 1, draw 2
+objects/000005/       the object of an episode that has another size than its asset
 draws.json            when all is done: every draw with its outcome, also those that were not tried
 ```
 At any moment, requested = committed + rejected + left.
@@ -21,7 +22,8 @@ from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import list_committed
 
-REQUEST_FILE, DRAWS_FILE, REJECTED_FOLDER = "request.json", "draws.json", "rejected"
+REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
+REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
 # Draws of an asset at most: the number of an episode has five digits for them.
 MAX_DRAWS: Final = 100_000
 
@@ -99,6 +101,11 @@ def write_rejection(folder: Path, unit: Unit, variation: Variation, rejection: R
 def rejection_file(folder: Path, unit: Unit) -> Path:
     """Where it lies why an attempt gave no episode."""
     return folder / REJECTED_FOLDER / f"{unit.number:06d}.json"
+
+
+def object_folder(folder: Path, unit: Unit) -> Path:
+    """Where the USD of an episode's object lies that has another size than its asset."""
+    return folder / OBJECTS_FOLDER / f"{unit.number:06d}"
 
 
 def read_rejection(folder: Path, unit: Unit) -> Rejection:

@@ -93,9 +93,16 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
 
 
 def remove_folder(path: Path) -> None:
-    """Delete a folder; whoever looks finds all of it or nothing."""
-    with scratch_folder(path.parent) as discarded:
-        path.replace(discarded / path.name)
+    """Delete a folder; whoever looks finds all of it or nothing.
+
+    Raises:
+        StorageError: The disk refuses.
+    """
+    try:
+        with scratch_folder(path.parent) as discarded:
+            path.replace(discarded / path.name)
+    except OSError as error:
+        raise _cannot_be_deleted(path, error) from error
 
 
 def remove_staging(folder: Path) -> None:
@@ -110,7 +117,7 @@ def remove_staging(folder: Path) -> None:
         try:
             _remove_if_dead(path)
         except OSError as error:
-            raise StorageError(path, f"cannot be deleted ({error.strerror})", "delete it by hand") from error
+            raise _cannot_be_deleted(path, error) from error
 
 
 def _remove_if_dead(path: Path) -> None:
@@ -230,6 +237,10 @@ def _sync_folder(folder: Path) -> None:
 
 def _cannot_be_written(path: Path, error: OSError) -> StorageError:
     return StorageError(path, f"cannot be written ({error.strerror})", "free space or choose another folder")
+
+
+def _cannot_be_deleted(path: Path, error: OSError) -> StorageError:
+    return StorageError(path, f"cannot be deleted ({error.strerror})", "delete it by hand")
 
 
 def _plain(value: Any) -> Any:

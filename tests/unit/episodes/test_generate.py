@@ -26,8 +26,8 @@ from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
+from benchmarks.toy_run import toy_run
 from drawer_episode import corner_camera, drawer_episode
-from toy_run import toy_run
 
 VIDEO = encode_video(np.zeros((3, 48, 64, 3), np.uint8), 10)
 REQUEST = Request(assets=("a", "b"), episodes=5, attempts=12)

@@ -17,7 +17,7 @@ from aomgen.episodes.retarget import CONTACT, DemonstratedMotion, RetargetedMoti
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
-from toy_drawer import SUPPORT, fitted_drawer, opening
+from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
 
 
 @pytest.fixture(scope="module")
