@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from aomgen.errors import StorageError, WorkerError
+from aomgen.executors import require_cluster
 from benchmarks.fault_run import INPUTS, PARAMS, RUN_S, at_operation, in_child, make_here, open_here
 from benchmarks.fault_trees import AFTER, BEFORE, Left, begin_over, look, summary
 from benchmarks.fault_workers import ray_deaths, worker_deaths
@@ -43,7 +44,12 @@ def run_faults(scratch: Path, points: int, tell: Callable[[str], None]) -> dict[
         scratch: An empty folder.
         points: Kills.
         tell: Hears the figures of each part.
+
+    Raises:
+        BackendError: Ray is not installed.
+        WorkerError: A run ends otherwise than it should, or hangs.
     """
+    require_cluster("local")
     figures: dict[str, Any] = {}
     with start_workers() as pool:
         prepare(pool, scratch)

@@ -142,28 +142,40 @@ def read_accounts(folder: Path) -> list[Account]:
     """
     if not (folder / REQUEST_FILE).is_file():
         return []
-    request = read_json(folder / REQUEST_FILE)
+    request = _read_request(folder / REQUEST_FILE)
     committed, rejected = ended_units(folder)
     finished = (folder / DRAWS_FILE).is_file()
     skipped = [draw for draw in read_draws(folder) if draw["outcome"] == "skipped"] if finished else []
     accounts = []
-    for asset, name in enumerate(request["assets"]):
+    for asset, name in enumerate(request.assets):
         made = sum(unit.asset == asset for unit in committed)
         failed = [unit for unit in rejected if unit.asset == asset]
-        over = finished or made + len(failed) >= request["attempts"]
+        over = finished or made + len(failed) >= request.attempts
         reasons = Counter(read_rejection(folder, unit).reason for unit in failed)
         reasons.update(draw["reason"] for draw in skipped if draw["asset"] == asset)
         accounts.append(
             Account(
                 asset=name,
-                requested=request["episodes"],
+                requested=request.episodes,
                 committed=made,
-                rejected=request["episodes"] - made if over else 0,
+                rejected=request.episodes - made if over else 0,
                 attempts=made + len(failed),
                 reasons=dict(reasons.most_common()),
             )
         )
     return accounts
+
+
+def _read_request(path: Path) -> Request:
+    content = read_json(path)
+    try:
+        return Request(
+            assets=tuple(map(str, content["assets"])),
+            episodes=int(content["episodes"]),
+            attempts=int(content["attempts"]),
+        )
+    except (TypeError, KeyError, ValueError) as error:
+        raise MalformedFileError(path, f"is no request ({error!r})", "delete it and run again") from error
 
 
 def write_draws(folder: Path, draws: Iterator[dict[str, Any]]) -> None:

@@ -43,7 +43,7 @@ def write_bytes(path: Path, data: bytes) -> None:
                 file.write(data)
             os.fsync(handle)
             staging.replace(path)
-            _sync_folder(path.parent)
+            _sync(path.parent)
     except OSError as error:
         raise _cannot_be_written(path, error) from error
 
@@ -74,11 +74,8 @@ def staged_folder(path: Path) -> Iterator[Path]:
     try:
         with scratch_folder(path.parent) as staging:
             yield staging
-            for file in sorted(staging.rglob("*")):
-                if file.is_file():
-                    with file.open("rb") as handle:
-                        os.fsync(handle.fileno())
-            _sync_folder(staging)
+            for item in [*sorted(staging.rglob("*")), staging]:
+                _sync(item)
             _put_in_place(staging, path)
     except OSError as error:
         raise _cannot_be_written(path, error) from error
@@ -197,7 +194,7 @@ def _put_in_place(staging: Path, path: Path) -> None:
             except OSError:
                 old.replace(path)
                 raise
-    _sync_folder(path.parent)
+    _sync(path.parent)
 
 
 def _exchange(first: Path, second: Path) -> bool:
@@ -227,8 +224,9 @@ def _delete(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
+def _sync(path: Path) -> None:
+    """Bring a file's content, or a folder's list of what is in it, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
