@@ -147,6 +147,8 @@ def in_child(work: Callable[[], object], limit_s: float = RUN_S) -> int:
 
 def _in_own_group(work: Callable[[], object]) -> None:
     os.setpgid(0, 0)
+    # What the command blocks for itself is inherited, and Ray ends its processes by a signal.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         work()
     except AomgenError as error:

@@ -20,7 +20,7 @@ from aomgen.episodes.stage import run as generate
 from aomgen.errors import WorkerError
 from aomgen.executors import Done
 from aomgen.io.artifact import read_json
-from aomgen.io.atomic import write_json
+from aomgen.io.atomic import STAGING_PREFIX, write_json
 from aomgen.io.episode_folder import list_committed, read_episode
 from benchmarks.fault_run import INPUTS, PARAMS, in_child
 from benchmarks.fault_trees import read_tree
@@ -47,7 +47,7 @@ def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict
 
     Returns:
         `accounted` are those of the requested episodes that are committed and readable, or of which the ledger says that
-        all attempts have failed; `given_up` are attempts whose worker died every time.
+        all attempts have failed; `partial` are files that are half-written; `given_up` are attempts whose worker died every time.
     """
     results = toy_run(scratch / INPUTS, params=PARAMS, poses=requested // ASSETS, assets=ASSETS)
     out, file = scratch / "run", scratch / "deaths.json"
@@ -67,6 +67,7 @@ def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict
         "rejected": rejected,
         "left": sum(account.left for account in accounts),
         "accounted": readable + rejected,
+        "partial": sum(STAGING_PREFIX in name for name in read_tree(folder, staging=True)),
         "given_up": sum(account.reasons.get("worker_died", 0) for account in accounts),
     }
 

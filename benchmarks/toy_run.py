@@ -42,7 +42,7 @@ class ToyResults(Results):
     def demonstration(self) -> Demonstration:
         return _demonstration()
 
-    fps = 10.0
+    fps: Any = 10.0
     recorded: Any = SimpleNamespace(instruction="open the drawer")
     alignment: Any = SimpleNamespace(joint_zeros_rad=np.zeros(6))
 

@@ -34,9 +34,9 @@ def test_killed_runs_end_in_the_same_bytes(runs):
 
 
 def test_a_full_disk_is_named_and_costs_nothing(runs):
-    figures = disk_full(*runs, every=17)
+    figures = disk_full(*runs, every=31)
     writes = figures["writes"]
-    assert writes > 10
+    assert writes > 5
     assert figures == {"writes": writes, "typed": writes, "lost": 0, "partial": 0, "trees_equal": writes}
 
 
@@ -56,7 +56,7 @@ def test_neither_folder_locale_nor_time_zone_change_a_byte_and_none_is_told(runs
 
 def test_every_requested_episode_is_accounted_for_when_workers_die(tmp_path):
     figures = worker_deaths(tmp_path, deaths=2, requested=8)
-    assert (figures["deaths"], figures["accounted"], figures["left"]) == (2, 8, 0)
+    assert [figures[name] for name in ("deaths", "accounted", "left", "partial")] == [2, 8, 0, 0]
 
 
 def test_a_killed_ray_worker_and_node_change_nothing(tmp_path):

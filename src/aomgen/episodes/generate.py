@@ -106,8 +106,7 @@ def generate(
         StorageError: The disk refuses.
         AomgenError: Whatever the work raises.
     """
-    for place in (folder, folder / REJECTED_FOLDER, folder / OBJECTS_FOLDER):
-        remove_staging(place)
+    _remove_staging(folder)
     (folder / DRAWS_FILE).unlink(missing_ok=True)
     write_request(folder, request)
     committed, rejected = ended_units(folder)
@@ -139,8 +138,14 @@ def generate(
         total = request.episodes * len(quotas)
         name = request.assets[done.unit.asset]
         progress(made / total, f"{made} of {total} committed, {tried - made} tried besides ({name})")
+    _remove_staging(folder)  # of workers that have died meanwhile
     _forget_others(folder, quotas)
     write_draws(folder, _outcomes(folder, request, quotas, committed))
+
+
+def _remove_staging(folder: Path) -> None:
+    for place in (folder, folder / REJECTED_FOLDER, folder / OBJECTS_FOLDER):
+        remove_staging(place)
 
 
 def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
