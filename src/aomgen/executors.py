@@ -9,6 +9,8 @@ import multiprocessing
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 import traceback
@@ -28,6 +30,9 @@ Opener = Callable[[], Work]
 RETRIES: Final = 2
 # A cluster's head answers at once, [s].
 CONNECT_S: Final = 5.0
+RAY_PROBE: Final = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, configure_logging=False)"
+# Ray is imported and has joined the cluster in a few seconds, also on a busy machine, [s].
+RAY_PROBE_S: Final = 60.0
 # Every worker computes on one thread: results do not depend on how many there are, nor do they get into each other's way.
 ONE_THREAD: Final = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
@@ -165,16 +170,9 @@ class RayCluster:
     """
 
     def __init__(self, opener: Opener, address: str, timeout_s: float) -> None:
-        if importlib.util.find_spec("ray") is None:
-            raise BackendError("ray", "is not installed", "pip install 'aomgen[ray]'")
+        require_cluster(address)
         self._ray = ray = importlib.import_module("ray")
-        try:
-            _require_answer(address)
-            ray.init(address=address, log_to_driver=False, configure_logging=False)
-        except (OSError, ValueError, RuntimeError) as error:
-            raise BackendError(
-                f"--ray {address}", f"no Ray cluster answers ({error})", "start one with `ray start --head`"
-            ) from error
+        ray.init(address=address, log_to_driver=False, configure_logging=False)
         there = ray.cluster_resources()
         gpus = int(there.get("GPU", 0))
         self.slots = gpus or max(int(there.get("CPU", 1)), 1)
@@ -203,7 +201,7 @@ class RayCluster:
             for task in ready:
                 unit, _ = self._began.pop(task)
                 try:
-                    return Done(unit=unit, value=self._ray.get(task))
+                    return Done(unit=unit, value=self._ray.get(task, timeout=self._timeout_s))
                 except errors.RayTaskError as error:
                     raise error.cause or error from error
                 except errors.RayError:
@@ -215,11 +213,35 @@ class RayCluster:
                     return Done(unit=unit, lost="timeout")
 
 
-def _require_answer(address: str) -> None:
-    """Knock at an address HOST:PORT: Ray waits for minutes where nobody is."""
+def require_cluster(address: str) -> None:
+    """Refuse the address of a Ray cluster that does not answer; see `RayCluster`.
+
+    Raises:
+        BackendError: Ray is not installed, or no cluster answers.
+    """
+    if importlib.util.find_spec("ray") is None:
+        raise BackendError("ray", "is not installed", "pip install 'aomgen[ray]'")
+    problem = "" if address == "local" else _cluster_problem(address)
+    if problem:
+        raise BackendError(
+            f"--ray {address}", f"no Ray cluster answers ({problem})", "start one with `ray start --head`"
+        )
+
+
+def _cluster_problem(address: str) -> str:
+    """Why a cluster cannot be used; empty when it can. A child asks: Ray waits for ever for what is no cluster."""
     host, colon, port = address.rpartition(":")
-    if colon and port.isdigit():
-        socket.create_connection((host.removeprefix("ray://"), int(port)), CONNECT_S).close()
+    try:
+        if colon and port.isdigit():
+            socket.create_connection((host.removeprefix("ray://"), int(port)), CONNECT_S).close()
+        done = subprocess.run(
+            [sys.executable, "-c", RAY_PROBE, address], capture_output=True, text=True, timeout=RAY_PROBE_S
+        )
+    except (OSError, OverflowError) as error:
+        return str(error)
+    except subprocess.TimeoutExpired:
+        return f"nothing said within {RAY_PROBE_S:g} s"
+    return (done.stderr.strip().splitlines() or ["no reason"])[-1] if done.returncode else ""
 
 
 # What this process of a Ray cluster holds, by its opener; one at a time.

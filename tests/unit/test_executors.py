@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from aomgen import executors
 from aomgen.errors import BackendError, StorageError
-from aomgen.executors import Done, Executor, Processes, RayCluster
+from aomgen.executors import Done, Executor, Processes, RayCluster, require_cluster
 from executor_work import open_work
 
 HELPERS = Path(__file__).parents[1] / "helpers"
@@ -116,8 +118,28 @@ def test_ray_does_the_same(tmp_path, ray_here):
             results(executor, ["fail"])
 
 
-def test_a_cluster_that_is_not_there_is_named(tmp_path):
+def test_a_unit_that_hangs_on_ray_is_given_up(tmp_path, ray_here):
+    # Workers of the cluster take seconds to start, more on a busy machine.
+    with RayCluster(partial(open_work, tmp_path), ray_here, 20.0) as executor:
+        start = time.monotonic()
+        executor.submit("hang")
+        assert executor.next_done().lost == "timeout"
+        assert time.monotonic() - start < 25
+
+
+def test_a_cluster_that_is_not_there_is_named():
     if importlib.util.find_spec("ray") is None:
         pytest.skip("ray is not installed")
-    with pytest.raises(BackendError, match=r"--ray 127\.0\.0\.1:1: no Ray cluster answers"):
-        RayCluster(partial(open_work, tmp_path), "127.0.0.1:1", 60)
+    for address in ("127.0.0.1:1", "127.0.0.1:99999"):
+        with pytest.raises(BackendError, match=f"--ray {address}: no Ray cluster answers"):
+            require_cluster(address)
+
+
+def test_an_address_where_something_else_listens_is_named(monkeypatch):
+    if importlib.util.find_spec("ray") is None:
+        pytest.skip("ray is not installed")
+    monkeypatch.setattr(executors, "RAY_PROBE_S", 2.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(BackendError, match=r"no Ray cluster answers \(nothing said within 2 s\)"):
+            require_cluster(address)

@@ -229,6 +229,22 @@ def bench_replay(
         _show(run_replay_bench(folder, attempts, seed, partial(print, flush=True)), json_file)
 
 
+@bench_app.command("faults")
+def bench_faults(
+    kills: Annotated[int, typer.Option(min=1, help="Points at which a run is killed.")] = 200,
+    json_file: JsonFile = None,
+) -> None:
+    """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; then let them continue.
+
+    Episodes are real but small; ten minutes on two cores. Figures are told by `docs/dataset.md`.
+    """
+    from benchmarks.faults import run_faults
+
+    with tempfile.TemporaryDirectory() as scratch:
+        figures = run_faults(Path(scratch), kills, partial(print, file=sys.stderr, flush=True))
+    _show(figures, json_file)
+
+
 def _bench_motion(count: int, seed: int | None, out: Path | None, json_file: Path | None) -> None:
     from benchmarks.motion_accuracy import FIRST_SEED, cases, run_motion
     from benchmarks.motion_table import fractions_of, motion_table, summaries_of, told, unsolvable_of

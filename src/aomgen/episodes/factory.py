@@ -16,7 +16,7 @@ from aomgen.assets.usd_write import write_usd
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.episodes.ik import IkSolver, ik_solver
-from aomgen.episodes.ledger import Unit, write_rejection
+from aomgen.episodes.ledger import Unit, object_folder, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
@@ -38,8 +38,6 @@ from aomgen.twin.variation import changed, light_gains, scaled
 
 # Assets that a worker keeps open: the one it works on, and the next.
 OPEN_ASSETS: Final = 2
-# USD files of objects that have another size than their asset.
-OBJECTS_FOLDER: Final = "objects"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,7 +203,7 @@ class EpisodeFactory:
         """The file in which others can simulate the object; one of another size is written for this episode."""
         if plan.variation.scale == 1.0:
             return opened.usd
-        home = self.folder / OBJECTS_FOLDER / f"{unit.number:06d}"
+        home = object_folder(self.folder, unit)
         with staged_folder(home) as staging:
             write_usd(plan.fitted.asset, staging / ASSET_USD)
         return home / ASSET_USD

@@ -13,11 +13,14 @@ from aomgen.core.progress import Progress
 from aomgen.episodes.ledger import (
     DRAWS_FILE,
     MAX_DRAWS,
+    OBJECTS_FOLDER,
+    REJECTED_FOLDER,
     Request,
     Unit,
     ended_units,
     read_rejection,
     rejection_file,
+    unit_of,
     write_draws,
     write_rejection,
     write_request,
@@ -103,7 +106,7 @@ def generate(
         StorageError: The disk refuses.
         AomgenError: Whatever the work raises.
     """
-    remove_staging(folder)
+    _remove_staging(folder)
     (folder / DRAWS_FILE).unlink(missing_ok=True)
     write_request(folder, request)
     committed, rejected = ended_units(folder)
@@ -135,18 +138,27 @@ def generate(
         total = request.episodes * len(quotas)
         name = request.assets[done.unit.asset]
         progress(made / total, f"{made} of {total} committed, {tried - made} tried besides ({name})")
+    _remove_staging(folder)  # of workers that have died meanwhile
     _forget_others(folder, quotas)
     write_draws(folder, _outcomes(folder, request, quotas, committed))
 
 
+def _remove_staging(folder: Path) -> None:
+    for place in (folder, folder / REJECTED_FOLDER, folder / OBJECTS_FOLDER):
+        remove_staging(place)
+
+
 def _forget_others(folder: Path, quotas: list[_Quota]) -> None:
-    """Delete episodes and rejections beyond what is requested now."""
+    """Delete episodes, their objects and rejections beyond what is requested now."""
     asked = {Unit(asset=quota.asset, index=index) for quota in quotas for index in range(len(quota.draws))}
     committed, rejected = ended_units(folder)
     for unit in committed - asked:
         remove_folder(episode_folder(folder, unit.number))
     for unit in rejected - asked:
         rejection_file(folder, unit).unlink()
+    for path in (folder / OBJECTS_FOLDER).glob("[0-9]*"):
+        if unit_of(path.name) not in committed & asked:
+            remove_folder(path)
 
 
 def _outcomes(

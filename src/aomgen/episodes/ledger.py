@@ -4,6 +4,7 @@
 request.json          how many episodes of which assets
 000005/               a committed episode: asset 0, draw 5
 rejected/100002.json  an attempt that gave none, and why: asset 1, draw 2
+objects/000005/       the object of an episode that has another size than its asset
 draws.json            when all is done: every draw with its outcome, also those that were not tried
 ```
 At any moment, requested = committed + rejected + left.
@@ -21,7 +22,8 @@ from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import list_committed
 
-REQUEST_FILE, DRAWS_FILE, REJECTED_FOLDER = "request.json", "draws.json", "rejected"
+REQUEST_FILE, DRAWS_FILE = "request.json", "draws.json"
+REJECTED_FOLDER, OBJECTS_FOLDER = "rejected", "objects"
 # Draws of an asset at most: the number of an episode has five digits for them.
 MAX_DRAWS: Final = 100_000
 
@@ -101,6 +103,11 @@ def rejection_file(folder: Path, unit: Unit) -> Path:
     return folder / REJECTED_FOLDER / f"{unit.number:06d}.json"
 
 
+def object_folder(folder: Path, unit: Unit) -> Path:
+    """Where the USD of an episode's object lies that has another size than its asset."""
+    return folder / OBJECTS_FOLDER / f"{unit.number:06d}"
+
+
 def read_rejection(folder: Path, unit: Unit) -> Rejection:
     """Why an attempt gave no episode.
 
@@ -135,28 +142,40 @@ def read_accounts(folder: Path) -> list[Account]:
     """
     if not (folder / REQUEST_FILE).is_file():
         return []
-    request = read_json(folder / REQUEST_FILE)
+    request = _read_request(folder / REQUEST_FILE)
     committed, rejected = ended_units(folder)
     finished = (folder / DRAWS_FILE).is_file()
     skipped = [draw for draw in read_draws(folder) if draw["outcome"] == "skipped"] if finished else []
     accounts = []
-    for asset, name in enumerate(request["assets"]):
+    for asset, name in enumerate(request.assets):
         made = sum(unit.asset == asset for unit in committed)
         failed = [unit for unit in rejected if unit.asset == asset]
-        over = finished or made + len(failed) >= request["attempts"]
+        over = finished or made + len(failed) >= request.attempts
         reasons = Counter(read_rejection(folder, unit).reason for unit in failed)
         reasons.update(draw["reason"] for draw in skipped if draw["asset"] == asset)
         accounts.append(
             Account(
                 asset=name,
-                requested=request["episodes"],
+                requested=request.episodes,
                 committed=made,
-                rejected=request["episodes"] - made if over else 0,
+                rejected=request.episodes - made if over else 0,
                 attempts=made + len(failed),
                 reasons=dict(reasons.most_common()),
             )
         )
     return accounts
+
+
+def _read_request(path: Path) -> Request:
+    content = read_json(path)
+    try:
+        return Request(
+            assets=tuple(map(str, content["assets"])),
+            episodes=int(content["episodes"]),
+            attempts=int(content["attempts"]),
+        )
+    except (TypeError, KeyError, ValueError) as error:
+        raise MalformedFileError(path, f"is no request ({error!r})", "delete it and run again") from error
 
 
 def write_draws(folder: Path, draws: Iterator[dict[str, Any]]) -> None:

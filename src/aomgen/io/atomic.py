@@ -43,7 +43,7 @@ def write_bytes(path: Path, data: bytes) -> None:
                 file.write(data)
             os.fsync(handle)
             staging.replace(path)
-            _sync_folder(path.parent)
+            _sync(path.parent)
     except OSError as error:
         raise _cannot_be_written(path, error) from error
 
@@ -74,11 +74,8 @@ def staged_folder(path: Path) -> Iterator[Path]:
     try:
         with scratch_folder(path.parent) as staging:
             yield staging
-            for file in sorted(staging.rglob("*")):
-                if file.is_file():
-                    with file.open("rb") as handle:
-                        os.fsync(handle.fileno())
-            _sync_folder(staging)
+            for item in [*sorted(staging.rglob("*")), staging]:
+                _sync(item)
             _put_in_place(staging, path)
     except OSError as error:
         raise _cannot_be_written(path, error) from error
@@ -93,9 +90,16 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
 
 
 def remove_folder(path: Path) -> None:
-    """Delete a folder; whoever looks finds all of it or nothing."""
-    with scratch_folder(path.parent) as discarded:
-        path.replace(discarded / path.name)
+    """Delete a folder; whoever looks finds all of it or nothing.
+
+    Raises:
+        StorageError: The disk refuses.
+    """
+    try:
+        with scratch_folder(path.parent) as discarded:
+            path.replace(discarded / path.name)
+    except OSError as error:
+        raise _cannot_be_deleted(path, error) from error
 
 
 def remove_staging(folder: Path) -> None:
@@ -110,7 +114,7 @@ def remove_staging(folder: Path) -> None:
         try:
             _remove_if_dead(path)
         except OSError as error:
-            raise StorageError(path, f"cannot be deleted ({error.strerror})", "delete it by hand") from error
+            raise _cannot_be_deleted(path, error) from error
 
 
 def _remove_if_dead(path: Path) -> None:
@@ -190,7 +194,7 @@ def _put_in_place(staging: Path, path: Path) -> None:
             except OSError:
                 old.replace(path)
                 raise
-    _sync_folder(path.parent)
+    _sync(path.parent)
 
 
 def _exchange(first: Path, second: Path) -> bool:
@@ -220,8 +224,9 @@ def _delete(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
+def _sync(path: Path) -> None:
+    """Bring a file's content, or a folder's list of what is in it, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
@@ -230,6 +235,10 @@ def _sync_folder(folder: Path) -> None:
 
 def _cannot_be_written(path: Path, error: OSError) -> StorageError:
     return StorageError(path, f"cannot be written ({error.strerror})", "free space or choose another folder")
+
+
+def _cannot_be_deleted(path: Path, error: OSError) -> StorageError:
+    return StorageError(path, f"cannot be deleted ({error.strerror})", "delete it by hand")
 
 
 def _plain(value: Any) -> Any:

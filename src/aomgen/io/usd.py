@@ -56,8 +56,10 @@ def export_stage(stage: Any, path: Path) -> None:
             stage.GetRootLayer().Export(str(folder / path.name))
             content = (folder / path.name).read_bytes()
     except (OSError, Tf.ErrorException) as error:
+        # What USD says is many lines long, with places in its sources.
+        why = error.strerror if isinstance(error, OSError) else "USD was refused by the disk"
         raise StorageError(
-            path, f"cannot be written ({error})", "free space or choose another folder"
+            path, f"cannot be written ({why})", "free space or choose another folder"
         ) from error
     write_bytes(path, content)
 

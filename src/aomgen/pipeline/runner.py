@@ -111,8 +111,7 @@ def run_stages(
         AomgenError: Whatever a stage refuses; nothing half-written stays.
     """
     results = results_of(project, stages, **machine)
-    _make_folder(project.out)
-    with _locked(project.out):
+    with locked(project.out):
         remove_staging(project.out)
         digests = dict(inputs)
         made: list[str] = []
@@ -208,8 +207,14 @@ def _make_folder(folder: Path) -> None:
 
 
 @contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """Hold the folder's lock, which the system releases when the process dies."""
+def locked(out: Path) -> Iterator[None]:
+    """Hold the lock of a run's folder, which is made; the system releases it when the process dies.
+
+    Raises:
+        LockedError: Another run holds it.
+        StorageError: The disk refuses.
+    """
+    _make_folder(out)
     path = out / ".lock"
     if not path.exists():
         write_text(path, "")

@@ -13,11 +13,12 @@ from aomgen.core.progress import Progress
 from aomgen.core.project import Project
 from aomgen.core.recording import Capture
 from aomgen.errors import ConfigError
+from aomgen.executors import require_cluster
 from aomgen.io.schema import override, suggest
 from aomgen.pipeline.manifest import files_digest
 from aomgen.pipeline.preflight import preflight
 from aomgen.pipeline.project_file import write_project
-from aomgen.pipeline.runner import Display, Stage, StageFunction, run_stages
+from aomgen.pipeline.runner import Display, Stage, StageFunction, locked, run_stages
 from aomgen.results import Results
 
 PROJECT_FILE = "project.toml"
@@ -194,13 +195,16 @@ def run_pipeline(project: Project, display: Display, *, until: str = "", **machi
         raise ConfigError("--until", f"'{until}' is no stage", suggest(until, names))
     check_params(project)
     wanted = STAGES[: names.index(until) + 1] if until else STAGES
+    if machine.get("ray") and "episodes" in [stage.name for stage in wanted]:
+        require_cluster(machine["ray"])
     capture = read_capture(project.capture)
     inputs = {"capture": capture_digest(capture), "assets": assets_digest(project.assets)}
     for sentence in preflight(project, capture, inputs, wanted):
         # Warnings about the input appear where it is read first.
         display.warn(STAGES[0], sentence)
     # The choices lie beside the results, so that reports can be made again and questions answered.
-    write_project(project.out / PROJECT_FILE, project)
+    with locked(project.out):
+        write_project(project.out / PROJECT_FILE, project)
     return run_stages(project, STAGES, display, inputs=inputs, until=until, **machine)
 
 

@@ -10,9 +10,10 @@ import pytest
 
 from aomgen.cli.app import main
 from aomgen.core.project import Project
-from aomgen.errors import BackendError, ConfigError, MalformedFileError, StorageError
+from aomgen.errors import BackendError, ConfigError, LockedError, MalformedFileError, StorageError
 from aomgen.pipeline import preflight
-from aomgen.pipeline.stages import run_pipeline
+from aomgen.pipeline.runner import locked
+from aomgen.pipeline.stages import PROJECT_FILE, run_pipeline
 from broken_captures import CAPTURES, write_tight_usd
 
 
@@ -96,6 +97,27 @@ def test_the_machine_is_asked_about_stages_that_are_not_done(small_capture, tmp_
     assert asked == [["structure", "gaussians"]]
     with pytest.raises(ConfigError, match="did you mean 'gaussians'"):
         run_pipeline(project, Heard(), until="gaussian")
+
+
+def test_a_cluster_that_does_not_answer_starts_nothing(small_capture, tmp_path, no_work):
+    project = project_of(small_capture, tmp_path / "out")
+    with pytest.raises(
+        BackendError, match=r"--ray 127\.0\.0\.1:1: no Ray cluster answers|ray: is not installed"
+    ):
+        run_pipeline(project, Heard(), ray="127.0.0.1:1")
+    assert not project.out.exists()
+    run_pipeline(project, Heard(), until="twin", ray="127.0.0.1:1")
+    assert no_work == ["stages"]
+
+
+def test_a_second_run_leaves_the_choices_of_the_first(small_capture, tmp_path, no_work):
+    project = project_of(small_capture, tmp_path / "out")
+    run_pipeline(project, Heard())
+    choices = (project.out / PROJECT_FILE).read_text()
+    with locked(project.out), pytest.raises(LockedError, match="is in use by another run; wait for it"):
+        run_pipeline(project.model_copy(update={"poses": 9}), Heard())
+    assert (project.out / PROJECT_FILE).read_text() == choices
+    assert no_work == ["stages"]
 
 
 def aomgen(*arguments: object) -> tuple[str, str]:

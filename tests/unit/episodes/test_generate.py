@@ -1,5 +1,6 @@
 """Many workers, one tree: nothing that was made is lost, made twice, or depends on who made it."""
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +23,13 @@ from aomgen.episodes.ledger import (
 )
 from aomgen.episodes.stage import run
 from aomgen.episodes.variations import Ranges
-from aomgen.errors import ConfigError, NotEnoughEpisodesError
+from aomgen.errors import ConfigError, MalformedFileError, NotEnoughEpisodesError
 from aomgen.executors import Done
+from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
+from benchmarks.toy_run import toy_run
 from drawer_episode import corner_camera, drawer_episode
-from toy_run import toy_run
 
 VIDEO = encode_video(np.zeros((3, 48, 64, 3), np.uint8), 10)
 REQUEST = Request(assets=("a", "b"), episodes=5, attempts=12)
@@ -146,6 +148,21 @@ def test_more_episodes_are_added_to_what_is_there_and_fewer_taken_from_it(whole,
     assert [account.committed for account in read_accounts(folder)] == [7, 7]
     fill(folder, Scrambled(lambda unit: pytest.fail("made again"), 2))
     assert tree(folder) == tree(whole)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("request.json", {"assets": ["a"]}),
+        ("draws.json", []),
+        ("rejected/000001.json", {"reason": "collision"}),
+    ],
+)
+def test_a_ledger_of_somebody_else_is_named(whole, tmp_path, name, content):
+    folder = shutil.copytree(whole, tmp_path / "run")
+    write_json(folder / name, content)
+    with pytest.raises(MalformedFileError, match=f"{name}: .*; delete it and run again"):
+        read_accounts(folder)
 
 
 def test_what_nothing_comes_of_is_given_up(tmp_path):

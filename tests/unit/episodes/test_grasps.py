@@ -12,7 +12,7 @@ from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
 from aomgen.episodes.grasps import grasp_depth, grasps
 from aomgen.robots.robot import RobotModel
-from toy_drawer import fitted_drawer
+from benchmarks.toy_drawer import fitted_drawer
 
 CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 

@@ -12,12 +12,13 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkSolver, ik_solver
+from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.retarget import CONTACT, ROOM, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
-from toy_drawer import SUPPORT, fitted_drawer, opening
+from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
 
 
 @pytest.fixture(scope="module")
@@ -251,3 +252,18 @@ def test_pose_out_of_reach_is_rejected_with_a_reason(
     assert isinstance(result, Rejection)
     assert result.reason == "unreachable"
     assert result.metrics["grasps_tried"] >= 7
+
+
+def test_a_motion_too_fast_for_the_arm_is_slowed_down_as_far_as_allowed(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    near, slow_arm = Variation(seed=0, index=0, x=0.03, y=0.02, yaw=0.2), IkLimits(speed=0.3)
+    plan, refused = (
+        plan_episode(fitted, demo, near, scene, solver, PlanParams(ik=slow_arm, max_slow_down=slower))
+        for slower in (3.0, 1.0)
+    )
+    assert isinstance(plan, EpisodePlan)
+    assert plan.metrics["joint_speed"] <= 0.3
+    assert len(plan) > 1.2 * len(demo.times_s)
+    assert isinstance(refused, Rejection)

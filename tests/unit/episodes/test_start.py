@@ -9,7 +9,7 @@ from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
-from toy_drawer import SUPPORT, fitted_drawer, opening
+from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
 
 
 @pytest.fixture(scope="module")

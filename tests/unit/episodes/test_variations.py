@@ -14,7 +14,7 @@ from aomgen.episodes.screening import Place, Reach, longest_reach, orbited
 from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, scaled_fit
 from aomgen.errors import ConfigError
 from aomgen.robots.robot import RobotModel
-from toy_drawer import SUPPORT, fitted_drawer
+from benchmarks.toy_drawer import SUPPORT, fitted_drawer
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 SQUARE = ((0.5, -0.5), (1.2, -0.5), (1.2, 0.3), (0.5, 0.3))

@@ -78,6 +78,12 @@ def test_damaged_images_are_noticed(episode, frames, tmp_path):
         read_episode(folder)
 
 
+def test_a_video_that_lacks_a_frame_is_not_committed(episode, frames, tmp_path):
+    with pytest.raises(CorruptArtifactError, match="has 44 frames, the episode 45"):
+        commit(tmp_path, episode, frames[:-1])
+    assert not list(tmp_path.iterdir())
+
+
 def test_poses_need_a_camera_and_every_frame(episode):
     for poses in ({"top": episode.camera_poses["wrist"]}, {"wrist": np.eye(4)[None]}):
         with pytest.raises(ValueError, match="camera_poses"):

@@ -126,6 +126,31 @@ def test_the_old_folder_comes_back_when_the_new_one_cannot_take_its_place(tmp_pa
     assert [p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*")] == ["x", "x/old"]
 
 
+def test_what_appears_has_been_synced(tmp_path, monkeypatch):
+    """After a power loss there is what was synced: files and lists of folders before the rename, their place after it."""
+    synced: list[Path] = []
+    sync, move = os.fsync, os.replace
+
+    def note(handle: int) -> None:
+        synced.append(Path(os.readlink(f"/proc/self/fd/{handle}")))
+        sync(handle)
+
+    def check(source: Path, target: Path) -> None:
+        assert {source, *source.rglob("*")} <= set(synced)
+        synced.clear()
+        move(source, target)
+
+    monkeypatch.setattr(os, "fsync", note)
+    monkeypatch.setattr(os, "replace", check)
+    with staged_folder(tmp_path / "x") as folder:
+        (folder / "deep" / "deeper").mkdir(parents=True)
+        (folder / "deep" / "deeper" / "a").write_text("")
+        (folder / "b").write_text("")
+    assert synced == [tmp_path]
+    write_bytes(tmp_path / "y", b"")
+    assert synced == [tmp_path]
+
+
 def test_a_folder_replaces_a_file_in_one_step(tmp_path):
     write_bytes(tmp_path / "x", b"old")
     fill(tmp_path / "x", "new")

@@ -1,5 +1,6 @@
 """Gaussians to OpenUSD: read back with the real library, equal, and valid by its own checks."""
 
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,19 @@ def test_no_gaussians(tmp_path: Path) -> None:
 def test_refused(tmp_path: Path, name: str, up_axis: str) -> None:
     with pytest.raises(ConfigError):
         write_gaussians(tmp_path / name, make_gaussians(), up_axis=up_axis)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_a_full_disk_is_one_sentence(tmp_path: Path, suffix: str) -> None:
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, usual[1]))
+    try:
+        with pytest.raises(StorageError) as caught:
+            write_gaussians(tmp_path / f"a{suffix}", make_gaussians())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert str(caught.value).endswith("(USD was refused by the disk); free space or choose another folder")
     assert not list(tmp_path.iterdir())
 
 

@@ -1,7 +1,7 @@
 """The folders of a run that is ready to make episodes: a robot, a table, a drawer, and nothing that was trained."""
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from aomgen.assets.usd_write import write_usd
+from aomgen.core.asset import AssetLink
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import Demonstration, EpisodeScene
 from aomgen.core.gaussians import gaussians_of
@@ -23,34 +24,43 @@ from aomgen.robots.robot import RobotModel
 from aomgen.splatting.surfels import surfels_of
 from aomgen.twin.binding import with_object
 from aomgen.twin.twin import Twin, TwinState, body_list
-from toy_drawer import SUPPORT, fitted_drawer, opening
+from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
 
 SURFELS = 300
 SIZE = (64, 48)
+FOLDERS = {"replacement": "07_replacement", "episodes": "08_episodes", "dataset": "dataset"}
 
 
 class ToyResults(Results):
-    """What `EpisodeFactory` reads; the recording is made up."""
+    """What the stages `episodes` and `dataset` read; the recording is made up."""
 
-    @cached_property
+    @property
     def robot(self) -> RobotModel:
-        return load_robot("ur5e_2f85")
+        return _robot()
 
-    @cached_property
+    @property
     def demonstration(self) -> Demonstration:
-        return opening(ik_solver(self.robot), fitted_drawer())
+        return _demonstration()
 
-    fps = 10.0
+    fps: Any = 10.0
     recorded: Any = SimpleNamespace(instruction="open the drawer")
     alignment: Any = SimpleNamespace(joint_zeros_rad=np.zeros(6))
 
 
-def toy_run(
+@cache
+def _robot() -> RobotModel:
+    return load_robot("ur5e_2f85")
+
+
+@cache
+def _demonstration() -> Demonstration:
+    return opening(ik_solver(_robot()), fitted_drawer())
+
+
+def toy_results(
     out: Path, *, poses: int = 2, assets: int = 1, params: dict[str, Any] | None = None
 ) -> ToyResults:
-    """Write what the replacement stage leaves, for some equal drawers of different names."""
-    robot, fitted = load_robot("ur5e_2f85"), fitted_drawer()
-    folders = {"replacement": out / "07_replacement", "episodes": out / "08_episodes"}
+    """Where a toy run's results lie, or shall lie."""
     project = Project(
         capture=out,
         out=out,
@@ -59,7 +69,15 @@ def toy_run(
         poses=poses,
         params={"episodes": params or {}},
     )
-    results = ToyResults(project=project, out=out, folders=folders, workers=1)
+    folders = {stage: out / name for stage, name in FOLDERS.items()}
+    return ToyResults(project=project, out=out, folders=folders, workers=1)
+
+
+def toy_run(out: Path, **choices: Any) -> ToyResults:
+    """Write what the replacement stage leaves, for some equal drawers of different names; `choices` of `toy_results`."""
+    robot, fitted, results = _robot(), fitted_drawer(), toy_results(out, **choices)
+    plain = replace(fitted.asset, static=_plain(fitted.asset.static), moving=_plain(fitted.asset.moving))
+    folders = results.folders
     camera = Camera(
         fx=60, fy=60, cx=32, cy=24, width=SIZE[0], height=SIZE[1],
         T_world_cam=look_at((0.6, -1.4, 1.0), (0.75, -0.2, 0.2)),
@@ -83,15 +101,30 @@ def toy_run(
         surfels_of(link.meshes, SURFELS, np.random.default_rng(0))
         for link in (fitted.asset.static, fitted.asset.moving)
     )
-    for number in range(assets):
+    for number in range(len(results.project.assets)):
         home = results.asset_folder(number)
-        named = replace(fitted, asset=replace(fitted.asset, name=f"drawer-{number}"))
+        named = replace(fitted, asset=replace(plain, name=f"drawer-{number}"))
         save_artifact(home, FITTED, named)
         write_usd(fitted.asset, home / ASSET_USD)
         background = _table(robot, fitted.T_world_asset)
         twin = with_object(background, static, moving, fitted.asset.joint, light, fitted.T_world_asset)
         save_artifact(home, "twin", twin)
     return results
+
+
+def _plain(link: AssetLink) -> AssetLink:
+    """Only the first mesh keeps its texture: they are most of the time that a USD file takes."""
+    first, *others = link.meshes
+    return replace(
+        link, meshes=(first, *(replace(mesh, texture_srgb=mesh.texture_srgb[:0, :0]) for mesh in others))
+    )
+
+
+def elsewhere(results: ToyResults, out: Path, **machine: Any) -> ToyResults:
+    """The same run with its episodes and its dataset in another folder; `machine` as in `Results`."""
+    made = {stage: out / FOLDERS[stage] for stage in ("episodes", "dataset")}
+    project = results.project.model_copy(update={"out": out})
+    return replace(results, project=project, out=out, folders={**results.folders, **made}, **machine)
 
 
 def _table(robot: RobotModel, T_world_object: np.ndarray) -> Twin:

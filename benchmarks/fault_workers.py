@@ -1,0 +1,177 @@
+"""Workers of a run die, here and on a Ray cluster; the run goes on."""
+
+import multiprocessing
+import os
+import re
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.progress import silent
+from aomgen.episodes.ledger import read_accounts
+from aomgen.episodes.stage import run as generate
+from aomgen.errors import WorkerError
+from aomgen.executors import Done
+from aomgen.io.artifact import read_json
+from aomgen.io.atomic import STAGING_PREFIX, write_json
+from aomgen.io.episode_folder import list_committed, read_episode
+from benchmarks.fault_run import INPUTS, PARAMS, in_child
+from benchmarks.fault_trees import read_tree
+from benchmarks.toy_run import FOLDERS, ToyResults, elsewhere, toy_run
+
+ASSETS, WORKERS = 2, 2
+# A unit takes about a second: a worker dies at any moment of it, [s].
+UNIT_S: Final = 1.0
+# A run of 200 episodes takes two minutes; one that takes longer hangs, [s].
+HANGS_S: Final = 1200.0
+# A Ray cluster of two nodes, each with one processor, and as much shared memory as Ray takes at least, [bytes].
+NODE: Final = {"num_cpus": 1, "object_store_memory": 80 << 20}
+# Episodes of an asset in a run on Ray; the fault comes after so many units.
+RAY_POSES, RAY_FAULT_AFTER = 3, 2
+
+
+def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict[str, int]:
+    """Kill the older one of two workers again and again during a run.
+
+    Args:
+        scratch: A folder.
+        deaths: How many.
+        requested: Episodes, over two assets; at least as many units are made.
+
+    Returns:
+        `accounted` are those of the requested episodes that are committed and readable, or of which the ledger says that
+        all attempts have failed; `partial` are files that are half-written; `given_up` are attempts whose worker died every time.
+    """
+    results = toy_run(scratch / INPUTS, params=PARAMS, poses=requested // ASSETS, assets=ASSETS)
+    out, file = scratch / "run", scratch / "deaths.json"
+    code = in_child(
+        partial(_die_often, elsewhere(results, out, workers=WORKERS), deaths, requested, file), HANGS_S
+    )
+    if code:
+        raise WorkerError(out, f"ended with code {code}", "see its traceback")
+    folder = out / FOLDERS["episodes"]
+    accounts = read_accounts(folder)
+    readable = sum(len(read_episode(path).episode) > 0 for path in list_committed(folder))
+    rejected = sum(account.rejected for account in accounts)
+    return {
+        "deaths": read_json(file)["deaths"],
+        "requested": requested,
+        "committed": readable,
+        "rejected": rejected,
+        "left": sum(account.left for account in accounts),
+        "accounted": readable + rejected,
+        "partial": sum(STAGING_PREFIX in name for name in read_tree(folder, staging=True)),
+        "given_up": sum(account.reasons.get("worker_died", 0) for account in accounts),
+    }
+
+
+def _die_often(results: ToyResults, deaths: int, requested: int, file: Path) -> None:
+    """Make the episodes; after every few units, and a moment, the worker that was started first is killed."""
+    rng, units, killed = np.random.default_rng(0), 0, list[threading.Timer]()
+
+    def heard(done: Done) -> None:
+        nonlocal units
+        units += 1
+        waiting = killed and killed[-1].is_alive()
+        if units % (requested // deaths) == 0 and len(killed) < deaths and not waiting:
+            oldest = min(multiprocessing.active_children(), key=_number)
+            killed.append(threading.Timer(float(rng.uniform(0, UNIT_S)), oldest.kill))
+            killed[-1].start()
+
+    _generate(results, heard)
+    write_json(file, {"deaths": len(killed)})
+
+
+def _number(process: BaseProcess) -> int:
+    """Of a process among those that its parent has started, by its name."""
+    return int(re.split("[-:]", process.name)[-1])
+
+
+def ray_deaths(scratch: Path) -> dict[str, Any]:
+    """Kill a worker process, and then a node, of a Ray cluster in the middle of a run; compare with an undisturbed run."""
+    results = toy_run(scratch / INPUTS, params=PARAMS, poses=RAY_POSES, assets=ASSETS)
+    code = in_child(partial(_on_ray, results, scratch), HANGS_S)
+    if code:
+        raise WorkerError(scratch, f"ended with code {code}", "see its traceback")
+    whole = read_tree(scratch / "undisturbed")
+    return {
+        name: {
+            "episodes": len(list_committed(scratch / name / FOLDERS["episodes"])),
+            "tree_equal": tree == whole,
+        }
+        for name in ("worker_killed", "node_killed")
+        if (tree := read_tree(scratch / name, staging=True))
+    }
+
+
+def _on_ray(results: ToyResults, scratch: Path) -> None:
+    """An undisturbed run in processes, then two on a cluster."""
+    _generate(elsewhere(results, scratch / "undisturbed", workers=WORKERS), lambda done: None)
+    with _cluster() as cluster:
+        other = cluster.add_node(**NODE)
+        for name, fault in (
+            ("worker_killed", partial(_kill_ray_worker, cluster)),
+            ("node_killed", partial(cluster.remove_node, other, allow_graceful=False)),
+        ):
+            here = elsewhere(results, scratch / name, ray=cluster.address)
+            _generate(here, _after(RAY_FAULT_AFTER, fault))
+
+
+@contextmanager
+def _cluster() -> Iterator[Any]:
+    """A cluster with its first node, whose workers find this repository."""
+    from ray.cluster_utils import Cluster
+
+    os.environ["PYTHONPATH"] = str(Path(__file__).parents[1])
+    cluster = Cluster(initialize_head=True, head_node_args={**NODE, "include_dashboard": False})
+    try:
+        yield cluster
+    finally:
+        cluster.shutdown()
+
+
+def _after(units: int, fault: Callable[[], object]) -> Callable[[Done], None]:
+    """Let a fault happen once, when so many units are done."""
+    done = 0
+
+    def heard(_: Done) -> None:
+        nonlocal done
+        done += 1
+        if done == units:
+            fault()
+
+    return heard
+
+
+def _kill_ray_worker(cluster: Any) -> None:
+    """Kill a process that is at work.
+
+    Raises:
+        WorkerError: None is.
+    """
+    for node in cluster.list_all_nodes():
+        (raylet,) = node.all_processes["raylet"]
+        for child in _children(raylet.process.pid):
+            with suppress(FileNotFoundError):  # it has ended
+                if b"_do_on_ray" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    os.kill(child, signal.SIGKILL)
+                    return
+    raise WorkerError("ray", "has no worker at work")
+
+
+def _children(process: int) -> list[int]:
+    tasks = Path(f"/proc/{process}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
+def _generate(results: ToyResults, heard: Callable[[Done], None]) -> None:
+    folder = results.folders["episodes"]
+    folder.mkdir(parents=True)
+    generate(results, folder, silent, heard)
