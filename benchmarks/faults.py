@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,15 +25,6 @@ WAYS: Final = ("time", "operation") * 4 + ("time", "workers")
 WORKERS: Final = 2
 # A run that came to its end before it was killed is killed so much earlier.
 EARLIER: Final = 0.8
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Life:
-    """An undisturbed run: its seconds in one process and with workers, and its file operations."""
-
-    seconds: float
-    seconds_with_workers: float
-    operations: int
 
 
 def run_faults(scratch: Path, points: int, tell: Callable[[str], None]) -> dict[str, Any]:
@@ -86,7 +76,7 @@ def disk_full(pool: Executor, scratch: Path, every: int = 1) -> dict[str, int]:
         scratch: See `prepare`.
         every: Leave out the writes between each so many.
     """
-    operations = pool.submit(_life, scratch).result().operations
+    operations = pool.submit(_operations, scratch).result()
     left = list(pool.map(partial(_fill_disk, scratch), range(1, operations + 1, every)))
     typed = sum(item.code == StorageError.exit_code for item in left)
     return {"writes": len(left), "typed": typed, **summary(left)}
@@ -100,20 +90,25 @@ def _undisturbed(scratch: Path, name: str) -> None:
 
 
 @cache
-def _life(scratch: Path) -> Life:
-    """Measured in this process, which is as busy as it will be."""
-    out = scratch / f"life-{os.getpid()}"
+def _seconds(scratch: Path, workers: int) -> float:
+    """Of an undisturbed run, while this machine is as busy as it will be."""
+    out = scratch / f"timed-{os.getpid()}"
     open_here(scratch)
-    seconds = []
-    for workers in (0, WORKERS):
-        begin_over(scratch, out)
-        start = time.monotonic()
-        in_child(partial(make_here, out, AFTER, workers))
-        seconds.append(time.monotonic() - start)
     begin_over(scratch, out)
+    start = time.monotonic()
+    in_child(partial(make_here, out, AFTER, workers))
+    return time.monotonic() - start
+
+
+@cache
+def _operations(scratch: Path) -> int:
+    """File operations of an undisturbed run."""
+    out = scratch / f"counted-{os.getpid()}"
     counted = out.with_suffix(".operations")
+    open_here(scratch)
+    begin_over(scratch, out)
     in_child(partial(_count, out, counted))
-    return Life(seconds=seconds[0], seconds_with_workers=seconds[1], operations=int(counted.read_text()))
+    return int(counted.read_text())
 
 
 def _count(out: Path, counted: Path) -> None:
@@ -124,12 +119,13 @@ def _count(out: Path, counted: Path) -> None:
 
 def _kill(scratch: Path, number: int, way: str, share: float) -> Left:
     """Kill a run at a share of its life, and look at it."""
-    out, life = scratch / f"kill-{number}", _life(scratch)
-    work: Callable[[], None] = partial(make_here, out, AFTER, WORKERS if way == "workers" else 0)
-    limit_s = share * (life.seconds_with_workers if way == "workers" else life.seconds)
+    out, workers, code = scratch / f"kill-{number}", WORKERS if way == "workers" else 0, 0
+    work: Callable[[], None] = partial(make_here, out, AFTER, workers)
     if way == "operation":
-        limit_s, work = RUN_S, partial(_at, 1 + int(share * life.operations), _die, work)
-    code = 0
+        limit_s, work = RUN_S, partial(_at, 1 + int(share * _operations(scratch)), _die, work)
+    else:
+        limit_s = share * _seconds(scratch, workers)
+    open_here(scratch)
     while not code:
         begin_over(scratch, out)
         code = in_child(work, limit_s)

@@ -236,7 +236,7 @@ def bench_faults(
 ) -> None:
     """Kill runs that make episodes, fill their disk, kill workers, here and on a Ray cluster; then let them continue.
 
-    Episodes are real but small; ten minutes on two cores. Figures are told by `docs/dataset.md`.
+    Episodes are real but small. Figures are told by `docs/dataset.md`.
     """
     from benchmarks.faults import run_faults
 
