@@ -135,7 +135,7 @@ def test_an_opening_counts_when_the_fingers_did_it(robot: RobotModel, verified: 
     exported = exported_of(episode_of(verified, 0, usd, robot, "", {}, np.zeros(6)), usd)
     assert judge_opening(Opening(thetas=thetas, carried=carried), exported) == ""
     assert judge_opening(Opening(thetas=0.85 * thetas, carried=carried), exported) == "target"
-    assert judge_opening(Opening(thetas=thetas, carried=np.zeros(20, bool)), exported) == "pre_opened"
+    assert judge_opening(Opening(thetas=thetas, carried=np.zeros(20, bool)), exported) == "moved_early"
     assert judge_opening(Opening(thetas=thetas, carried=np.arange(20) == 0), exported) == "contact"
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.demonstration import Demonstration, gripper_command, timing
-from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkSolver, ik_solver
@@ -17,6 +17,8 @@ from aomgen.episodes.retarget import CONTACT, DemonstratedMotion, RetargetedMoti
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
+from aomgen.simulation.verify import verify_plan
+from backwards import closing_of
 from toy_drawer import SUPPORT, fitted_drawer, opening
 
 
@@ -111,6 +113,23 @@ def test_plan_starts_where_the_demonstration_did_and_is_smooth(
     assert plan.metrics["penetration_mm"] <= 1.0
     assert plan.metrics["joint_speed"] <= PlanParams().ik.speed
     assert plan.thetas[-1] == pytest.approx(fitted.target_theta)
+
+
+def test_an_open_drawer_is_closed(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    variation = Variation(seed=0, index=0, x=0.03, y=0.02, yaw=0.2)
+    plan = plan_episode(fitted.backwards(), closing_of(demo), variation, scene, solver, PlanParams())
+    assert isinstance(plan, EpisodePlan), plan
+    assert plan.thetas[0] == pytest.approx(fitted.target_theta)
+    assert plan.thetas[-1] == 0.0
+    made = verify_plan(plan, scene)
+    assert isinstance(made, VerifiedEpisode), made
+    assert made.thetas[0] == pytest.approx(fitted.target_theta, abs=1e-3)
+    assert abs(made.thetas[-1]) < 0.01
+    certificate = made.verdict.as_json()
+    assert (certificate["start_theta"], certificate["target_theta"]) == (fitted.target_theta, 0.0)
 
 
 def test_a_plan_keeps_the_asked_speed_and_start(
