@@ -60,10 +60,20 @@ def read_recording(folder: Path) -> Recording:
     )
 
 
-def split_frames(commands: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Commands (T * count + 1, D) that go straight from each of (T + 1, D) to the next, in `count` equal steps."""
-    steps = np.arange((len(commands) - 1) * count + 1) / count
-    return np.stack([np.interp(steps, np.arange(len(commands)), column) for column in commands.T], 1)
+def plan_control(
+    recording: Recording, gripper: tuple[float, float], rate: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Joint targets and their velocities (N, J + 1) at `rate` steps a second, which frames divide.
+
+    The robot stands for SETTLE_S, then goes straight from command to command. The last column is the joint that
+    closes the gripper, which has the values `gripper` when open and closed.
+    """
+    frames = np.arange(len(recording.commands))
+    steps = np.arange(frames[-1] * rate // recording.fps + 1) * recording.fps / rate
+    moving = np.stack([np.interp(steps, frames, column) for column in recording.commands.T], 1)
+    targets = np.concatenate([np.repeat(moving[:1], round(SETTLE_S * rate), 0), moving])
+    targets[:, -1] = gripper[0] + targets[:, -1] * (gripper[1] - gripper[0])
+    return targets, np.diff(targets, axis=0, append=targets[-1:]) * rate
 
 
 def quaternion_wxyz(R: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -112,17 +122,16 @@ def replay(recording: Recording, robot_usd: Path, gripper_joint: str, gripper: t
     thing = world.scene.add(SingleArticulation(OBJECT_PRIM, name="object"))
     world.reset()
     indices = np.array([robot.get_dof_index(name) for name in [*recording.joint_names, gripper_joint]])
-    commands = split_frames(recording.commands, count)
-    commands[:, -1] = gripper[0] + commands[:, -1] * (gripper[1] - gripper[0])
-    robot.set_joint_positions(commands[0], joint_indices=indices)
+    targets, velocities = plan_control(recording, gripper, rate)
+    robot.set_joint_positions(targets[0], joint_indices=indices)
     thing.set_joint_positions(recording.thetas[:1])
-    still = np.repeat(commands[:1], round(SETTLE_S * rate), 0)
-    way = np.concatenate([still, commands])
-    velocities = np.diff(way, axis=0, append=way[-1:]) * rate
-    for step, (target, velocity) in enumerate(zip(way, velocities, strict=True)):
+    for step, (target, velocity) in enumerate(zip(targets, velocities, strict=True)):
         action = ArticulationAction(joint_positions=target, joint_velocities=velocity, joint_indices=indices)
         robot.apply_action(action)
-        world.step(render=step % count == 0)
+        # A step that renders would advance physics by a whole frame.
+        world.step(render=False)
+        if step % count == 0:
+            world.render()
     print(f"object joint: {thing.get_joint_positions()[0]:.4f}, recorded {recording.thetas[-1]:.4f}")
     app.close()
 

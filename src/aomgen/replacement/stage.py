@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_closing
 
 from aomgen.assets.choice import open_asset
-from aomgen.assets.usd_write import write_usd
+from aomgen.assets.usd_write import write_for_replay
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
@@ -88,7 +88,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         target = folder / ASSETS_FOLDER / f"{index:02d}"
         target.mkdir(parents=True)
         save_artifact(target, FITTED, fitted)
-        write_usd(fitted.asset, target / ASSET_USD)
+        write_for_replay(fitted.asset, target / ASSET_USD)
         save_artifact(target, "twin", asset_twin(cleared.twin, fitted, light.light, project.seed + index))
         names.append(fitted.asset.name)
         residuals.append(fitted.residual_mm)

@@ -8,6 +8,8 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
+from aomgen.assets.replay_in_isaac_sim import read_recording
+from aomgen.assets.usd_write import REPLAY_SCRIPT
 from aomgen.core.plan import Rejection, Variation
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
 from aomgen.episodes.generate import generate
@@ -192,7 +194,12 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
         item = read_episode(path)
         assert sorted(item.videos) == ["free0", "front", "side"]
         assert item.episode.thetas[-1] > 0.09
-        assert (path / item.episode.asset_usd).resolve().is_file()
+        usd = (path / item.episode.asset_usd).resolve()
+        assert usd.is_file()
+        assert usd.with_name(REPLAY_SCRIPT.name).is_file()
+        replayed = read_recording(path)
+        assert replayed.usd == usd
+        np.testing.assert_array_equal(replayed.commands[1:, :-1], item.episode.action_joints)
         assert 0.9 <= item.episode.verdict["variation"]["scale"] <= 1.0
     # The same unit made once more, in this process, is the same to the byte.
     unit = min(committed, key=lambda unit: unit.number)
