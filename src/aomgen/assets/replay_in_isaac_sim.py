@@ -27,7 +27,7 @@ EPISODE_FILE, FRAMES_FILE = "episode.json", "frames.npz"
 ROBOT_PRIM, OBJECT_PRIM = "/World/Robot", "/World/Object"
 
 
-class Recording(NamedTuple):
+class Replayed(NamedTuple):
     """What is replayed; metres, radians, seconds; T frames, J arm joints.
 
     `commands` (T + 1, J + 1) are joints and gripper, 0 open .. 1 closed, at the begin of each frame and the end of
@@ -42,14 +42,14 @@ class Recording(NamedTuple):
     thetas: NDArray[np.float64]
 
 
-def read_recording(folder: Path) -> Recording:
+def read_recording(folder: Path) -> Replayed:
     """Read an episode's folder."""
     described = json.loads((folder / EPISODE_FILE).read_text(encoding="utf-8"))
     with np.load(folder / FRAMES_FILE, allow_pickle=False) as frames:
         states = np.column_stack([frames["joints"], frames["gripper"]])
         actions = np.column_stack([frames["action_joints"], frames["action_gripper"]])
         thetas = frames["thetas"]
-    return Recording(
+    return Replayed(
         usd=(folder / described["asset_usd"]).resolve(),
         fps=described["fps"],
         joint_names=described["joint_names"],
@@ -61,7 +61,7 @@ def read_recording(folder: Path) -> Recording:
 
 
 def plan_control(
-    recording: Recording, gripper: tuple[float, float], rate: int
+    recording: Replayed, gripper: tuple[float, float], rate: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Joint targets and their velocities (N, J + 1) at `rate` steps a second, which frames divide.
 
@@ -102,7 +102,7 @@ def main() -> None:
     replay(recording, args.robot, args.gripper[0], (float(args.gripper[1]), float(args.gripper[2])))
 
 
-def replay(recording: Recording, robot_usd: Path, gripper_joint: str, gripper: tuple[float, float]) -> None:
+def replay(recording: Replayed, robot_usd: Path, gripper_joint: str, gripper: tuple[float, float]) -> None:
     """Drive the robot through a recording; the gripper's joint values are those of open and closed."""
     from isaacsim import SimulationApp
 

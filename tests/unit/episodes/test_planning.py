@@ -132,6 +132,17 @@ def test_an_open_drawer_is_closed(
     assert (certificate["start_theta"], certificate["target_theta"]) == (fitted.target_theta, 0.0)
 
 
+def test_grasps_begin_with_the_hand_at_the_closed_part(demo: Demonstration, fitted: FittedAsset) -> None:
+    """The hinge of a new object may be on the other side: only there do hands compare."""
+    turns = matrix_from_rotvec(np.linspace(0.0, 1.0, len(demo.times_s))[:, None] * np.array([0.0, 0.0, 1.0]))
+    turning = replace(demo, Ts_world_ee=transform(turns @ demo.Ts_world_ee[:, :3, :3], np.zeros(3)))
+    opened = DemonstratedMotion(turning).hand_at_closed(fitted)
+    wanted = turning.Ts_world_ee[demo.contact_frames[0], :3, :3]
+    np.testing.assert_allclose(fitted.T_world_asset[:3, :3] @ opened, wanted, atol=1e-6)
+    closed = DemonstratedMotion(closing_of(turning)).hand_at_closed(fitted.backwards())
+    np.testing.assert_allclose(closed, opened, atol=1e-6)
+
+
 def test_a_plan_keeps_the_asked_speed_and_start(
     robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
 ) -> None:
@@ -213,9 +224,7 @@ def test_closing_goes_back_where_opening_came_from(
     start, end = opened.shown.moments.start, opened.shown.moments.end
     times = np.linspace(start, end, 20)
     poses = opened.holding(times)
-    back = replace(door, thetas=door.thetas[::-1], shares=1 - door.shares[::-1])
-    R_end = door.T_world_asset[:3, :3].T @ poses[-1, :3, :3]
-    closing = replace(opened, fitted=back, grasp=replace(opened.grasp, R_object_ee=R_end))
+    closing = replace(opened, fitted=door.backwards())
     np.testing.assert_allclose(closing.holding(start + end - times), poses, atol=1e-9)
 
 
