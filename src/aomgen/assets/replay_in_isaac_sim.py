@@ -11,6 +11,9 @@ the episode, and whose drives are stiff enough to follow. `--gripper` names the 
 values when open and closed, [rad] or [m].
 """
 
+# Isaac Sim comes with its own Python.
+# pyright: reportMissingImports=false
+
 import argparse
 import json
 from pathlib import Path
