@@ -28,6 +28,7 @@ from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
+from backwards import closing_of
 from drawer_episode import corner_camera, drawer_episode
 from toy_run import toy_run
 
@@ -208,6 +209,20 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
     name = f"{unit.number:06d}"
     assert tree(other / name).keys() == tree(folder / name).keys()
     assert {k: v for k, v in tree(other / name).items()} == tree(folder / name)
+
+
+def test_an_episode_that_closes_its_object_begins_open_and_ends_closed(tmp_path):
+    results = toy_run(tmp_path, params={"ranges": {"x_m": [0.0, 0.05], "yaw_deg": [-15, 15]}})
+    vars(results)["demonstration"] = closing_of(results.demonstration)
+    vars(results)["fitted_assets"] = [fitted.backwards() for fitted in results.fitted_assets]
+    factory, unit = EpisodeFactory(results, results.folders["episodes"]), Unit(asset=0, index=0)
+    assert factory.screen(unit)[1] is None
+    assert factory.make(unit).committed
+    (path,) = list_committed(factory.folder)
+    episode = read_episode(path).episode
+    assert episode.thetas[0] == pytest.approx(0.15, abs=1e-3)
+    assert abs(episode.thetas[-1]) < 0.005
+    assert (episode.verdict["start_theta"], episode.verdict["target_theta"]) == (0.15, 0.0)
 
 
 def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path):
