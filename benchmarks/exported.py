@@ -2,9 +2,10 @@
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -27,12 +28,12 @@ COLUMNS: Final[dict[str, str]] = {
 }
 # Newton steps a pose; the next one is a few centimetres away.
 IK_STEPS: Final = 6
-# An object that stands this much farther along the gripper's approach cannot be opened by the same actions, [m].
+# An object that stands this much farther along the gripper's approach cannot be opened or closed by the same actions, [m].
 AWAY_M: Final = 0.08
 # How long the arm stands still before the first and after the last action, [s]; a lid would fall meanwhile.
 BEFORE_S, AFTER_S = 0.2, 1.0
-# When an opening counts, as in `simulation.verify.PassRule`: share of the planned joint value reached, share of the
-# progress made while pads carry force, what counts as force [N], and share of the plan moved before it.
+# When a replay counts, as in `simulation.judge.PassRule`: share of the planned way made, share of the
+# progress made while pads carry force, what counts as force [N], and share of the way made before it.
 OPENED_SHARE, CONTACT_SHARE, CARRIED_N, EARLY_SHARE = 0.9, 0.8, 0.5, 0.02
 
 
@@ -48,7 +49,7 @@ class Exported:
         ee_poses: Observed end effector (T, 7), position [m] and quaternion wxyz.
         forces: Of the fingers on the part (T,), [N].
         thetas: Stored joint value of the object (T,), [rad] or [m].
-        target: Planned final joint value.
+        planned: First and final joint value of the plan.
         fps: Frames a second.
     """
 
@@ -59,8 +60,13 @@ class Exported:
     ee_poses: Array
     forces: Array
     thetas: Array
-    target: float
+    planned: tuple[float, float]
     fps: int
+
+    def shares(self, thetas: Array) -> Array:
+        """Share of the planned way at joint values (N,)."""
+        first, last = self.planned
+        return (thetas - first) / (last - first)
 
     def moved_away(self, robot: RobotModel) -> "Exported":
         """The same actions with the object AWAY_M farther along the approach of the hand that first touches it."""
@@ -76,15 +82,13 @@ def exported_of(episode: Episode, usd: Path) -> Exported:
         name: values.astype(np.float32).astype(np.float64)
         for name, values in feature_columns(episode).items()
     }
-    return exported_from(
-        columns, usd, episode.T_world_object, episode.verdict["target_theta"], round(episode.fps)
-    )
+    return exported_from(columns, usd, episode.T_world_object, episode.verdict, round(episode.fps))
 
 
 def exported_from(
-    columns: dict[str, Array], usd: Path, T_world_object: Array, target: float, fps: int
+    columns: dict[str, Array], usd: Path, T_world_object: Array, verdict: Mapping[str, Any], fps: int
 ) -> Exported:
-    """An episode of its columns in the dataset (T, D) by name."""
+    """An episode of its columns in the dataset (T, D) by name, and its certificate."""
     return Exported(
         usd=usd,
         T_world_object=T_world_object,
@@ -93,7 +97,7 @@ def exported_from(
         ee_poses=columns[EE_POSE],
         forces=columns[FORCE].sum(1),
         thetas=columns[THETA].ravel(),
-        target=target,
+        planned=(verdict["start_theta"], verdict["target_theta"]),
         fps=fps,
     )
 
@@ -141,6 +145,7 @@ class Replay:
         last = episode.states[0]
         start = self._robot.qpos(last[:-1], last[-1])[0]
         data.qpos[: len(start)] = start
+        data.qpos[self._scene.theta] = episode.planned[0]
         self._stand(last, BEFORE_S)
         thetas, carried = [], []
         for frame, action in enumerate(episode.actions[self._space]):

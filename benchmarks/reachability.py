@@ -77,7 +77,7 @@ class _Checker:
         asset = fitted.asset
         self._scene, self._data = scene, mujoco.MjData(scene.model)
         self._limits = scene.robot.joint_limits
-        self._thetas = np.linspace(0.0, fitted.target_theta, SAMPLES)
+        self._thetas = np.linspace(fitted.start_theta, fitted.target_theta, SAMPLES)
         static = scene.model.body(scene.names.static_body).id
         T_world_object = transform(np.zeros((3, 3)), scene.model.body_pos[static])
         R = np.zeros(9)

@@ -10,6 +10,7 @@ from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
 from aomgen.conventions import BACKGROUND, MOVING, STATIC
 from aomgen.core.demonstration import Demonstration, RecordedObject, SupportPlane
+from aomgen.core.motion import Direction
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.values import Array
@@ -19,7 +20,6 @@ from aomgen.motion.estimate import estimate_motion
 from aomgen.motion.inputs import MotionInput
 from aomgen.replacement.correspondence import recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
-from aomgen.replacement.stage import require_opening
 from aomgen.results import ASSET_USD, resample_demonstration
 from aomgen.simulation.verify import PassRule
 from aomgen.twin.binding import object_frame
@@ -57,8 +57,14 @@ class Recovered:
     refused: tuple[str, ...]
 
 
-def recover(category: str, seed: int, folder: Path) -> Recovered:
+def recover(category: str, seed: int, folder: Path, direction: Direction = "opening") -> Recovered:
     """The first world from a seed on whose motion is recovered; with its fit and USD kept in a folder.
+
+    Args:
+        category: What is moved.
+        seed: Of the first world.
+        folder: Of this category and direction.
+        direction: Of the demonstrated motion.
 
     Raises:
         ConfigError: None of MAX_WORLDS is.
@@ -68,8 +74,9 @@ def recover(category: str, seed: int, folder: Path) -> Recovered:
     refused: list[str] = []
     for number in range(seed, seed + MAX_WORLDS):
         try:
-            world = motion_world(category, number, folder / "worlds")
-            found = _fitted(world.demonstration, category, number)
+            kind = "open" if direction == "opening" else "closing"
+            world = motion_world(category, number, folder / "worlds", kind)
+            found = _fitted(world.demonstration, category, number, direction)
         except (ConfigError, EstimationError, ReconstructionError) as error:
             refused.append(f"{category}-{number}: {error}")
             continue
@@ -80,10 +87,12 @@ def recover(category: str, seed: int, folder: Path) -> Recovered:
     raise ConfigError(f"category {category}", f"no world gives a demonstration ({'; '.join(refused)})")
 
 
-def _fitted(given: MotionInput, category: str, number: int) -> Recovered:
+def _fitted(given: MotionInput, category: str, number: int, direction: Direction) -> Recovered:
     """Motion, support and fit as the stages of a run find them."""
     motion = estimate_motion(given)
-    require_opening(motion.direction)
+    if motion.direction != direction:
+        problem = f"is taken for {motion.direction} and shows {direction}"
+        raise EstimationError("demonstration video", problem, "try another world")
     fps = float(round(given.video.fps))
     demo = resample_demonstration(motion, given.log, given.robot, fps)
     way = _approach_m(demo)
@@ -95,15 +104,14 @@ def _fitted(given: MotionInput, category: str, number: int) -> Recovered:
     support = _support(given, demo)
     moving, static = (surface_points(given.scene, given.labels, label) for label in (MOVING, STATIC))
     recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
-    contact = recorded_contact(demo, recorded)
+    contact = recorded_contact(demo, recorded, motion.direction)
     asset = make_asset(category, number + OTHER_OBJECT)
     fitted = fit_asset(asset, contact, demo.joint.type, "trajectory", FitParams())
     if isinstance(fitted, Rejection):
         raise EstimationError(f"asset {asset.name}", fitted.detail, "try another world")
-    rule = PassRule()
-    least = rule.min_revolute_rad if asset.joint.type == "revolute" else rule.min_prismatic_m
-    if not fitted.target_theta >= least:
-        problem = f"opens by {fitted.target_theta:.3f}, limit {least:.3f}"
+    travel, least = abs(fitted.travel), PassRule().least_travel(asset.joint.type)
+    if not travel >= least:
+        problem = f"moves by {travel:.3f}, limit {least:.3f}"
         raise EstimationError(f"asset {asset.name}", problem, "try another world")
     return Recovered(demo=demo, fitted=fitted, support=support, fps=fps, world=number, refused=())
 

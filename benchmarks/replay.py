@@ -143,20 +143,20 @@ def judge_exported(verified: VerifiedEpisode | Rejection, robot: RobotModel, usd
         "unit": unit,
         "theta_worst": float(errors.max()),
         "near": bool(errors.max() <= NEAR[unit]),
-        "opened_when_moved": bool(missed.thetas[-1] >= OPENED_SHARE * exported.target),
+        "opened_when_moved": bool(exported.shares(missed.thetas)[-1] >= OPENED_SHARE),
     }
 
 
 def judge_opening(run: Opening, exported: Exported) -> str:
     """Why a replay does not count, by the same rule as verification; empty when it does."""
-    thetas, carried = run.thetas, run.carried
+    shares, carried = exported.shares(run.thetas), run.carried
     # Frames are coarse: at the first one with force the part may have moved already.
     first = int(np.argmax(carried)) if carried.any() else len(carried)
-    if not np.abs(thetas[:first]).max(initial=0.0) <= EARLY_SHARE * exported.target:
-        return "pre_opened"
-    if not thetas[-1] >= OPENED_SHARE * exported.target:
+    if not np.abs(shares[:first]).max(initial=0.0) <= EARLY_SHARE:
+        return "moved_early"
+    if not shares[-1] >= OPENED_SHARE:
         return "target"
-    steps = np.maximum(np.diff(thetas), 0.0)
+    steps = np.maximum(np.diff(shares), 0.0)
     if not steps[carried[:-1] | carried[1:]].sum() >= CONTACT_SHARE * steps.sum():
         return "contact"
     return ""

@@ -77,7 +77,7 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
             {name: values[mine] for name, values in columns.items()},
             folder / described["asset_usd"],
             np.array(described["T_world_object"]),
-            described["verdict"]["target_theta"],
+            described["verdict"],
             fps,
         )
 
@@ -96,7 +96,6 @@ def summed_error_m(episode: Exported) -> float:
 def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]]:
     scene = foreign_scene(robot, episode.usd, episode.T_world_object)
     scale = np.rad2deg(1.0) if scene.revolute else 1000.0
-    enough = OPENED_SHARE * episode.target
     row: dict[str, Any] = {
         "unit": "deg" if scene.revolute else "mm",
         "summed_mm": 1000 * summed_error_m(episode),
@@ -104,13 +103,13 @@ def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]
     for space in COLUMNS:
         thetas = Replay(scene, robot, episode, space).run().thetas
         row[space] = {
-            "opened": bool(thetas[-1] >= enough),
+            "opened": bool(episode.shares(thetas)[-1] >= OPENED_SHARE),
             "errors": scale * (thetas[:-1] - episode.thetas),
             "final_error": scale * abs(float(thetas[-1] - episode.thetas[-1])),
         }
     away = episode.moved_away(robot)
     missed = Replay(foreign_scene(robot, away.usd, away.T_world_object), robot, away).run().thetas
-    return scene.category, row | {"opened_when_moved": bool(missed[-1] >= enough)}
+    return scene.category, row | {"opened_when_moved": bool(episode.shares(missed)[-1] >= OPENED_SHARE)}
 
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -10,16 +10,17 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
-from aomgen.errors import EstimationError
-from aomgen.replacement.stage import require_opening
-from benchmarks.recovered import recover
+from aomgen.core.motion import Direction
+from benchmarks.recovered import Recovered, recover
 from benchmarks.replay import BEYOND, PAPER, Sweep, measure, summary, worst_ik
 
 CATEGORIES: Final = ("microwave", "toolbox", "laptop", "drawer", "cabinet")
 # Processes, each on one thread: the reference machine has two cores.
 WORKERS: Final = 2
-# Draws for each attempt before a sweep is given up; and attempts of the sweeps beyond the paper's for each of its own.
+# Draws for each attempt before a sweep is given up; and attempts beyond the paper's for each of its own.
 MAX_DRAWS, BEYOND_SHARE = 20, 0.1
+# Key of the figures of demonstrations that close their object, and the folder in which they are kept.
+CLOSING: Final = "closing"
 Tell = Callable[[str], None]
 
 
@@ -31,43 +32,56 @@ def run_replay_bench(
     categories: tuple[str, ...] = CATEGORIES,
     others: tuple[Sweep, ...] = BEYOND,
 ) -> dict[str, Any]:
-    """Figures by category, then those of `ik` over all of them, of sweeps `beyond`, and of `closing`.
+    """Figures by category, then those of `ik` over all of them, of sweeps `beyond`, and by category of `closing`.
 
     Args:
         folder: Keeps demonstrations and draws; a bench that was killed goes on.
         attempts: Draws wanted that pass tier A, in each category.
         seed: Of the first motion world, and of all draws.
         tell: Hears about every draw.
-        categories: What is opened.
+        categories: What is opened, and closed.
         others: Sweeps beyond the paper's.
     """
+    few = max(1, round(BEYOND_SHARE * attempts))
     with start_workers() as pool:
-        jobs = {name: pool.submit(recover, name, seed, folder / name) for name in categories}
-        found = {name: job.result() for name, job in jobs.items()}
-        for name, item in found.items():
-            tell(f"{name}: world {item.world}, {item.fitted.asset.name}; refused {list(item.refused)}")
 
-        def rows(category: str, sweep: Sweep, wanted: int) -> list[dict[str, Any]]:
-            return list(_drawn(pool, partial(measure, folder, category, sweep, seed), wanted, tell))
+        def recovered(place: Path, direction: Direction) -> dict[str, Recovered]:
+            jobs = {name: pool.submit(recover, name, seed, place / name, direction) for name in categories}
+            found = {name: job.result() for name, job in jobs.items()}
+            for name, item in found.items():
+                tell(
+                    f"{direction} {name}: {item.world}, {item.fitted.asset.name}; refused {list(item.refused)}"
+                )
+            return found
 
-        paper = {name: rows(name, PAPER, attempts) for name in categories}
-        few = max(1, round(BEYOND_SHARE * attempts))
+        def rows(place: Path, category: str, sweep: Sweep, wanted: int) -> list[dict[str, Any]]:
+            return list(_drawn(pool, partial(measure, place, category, sweep, seed), wanted, tell))
+
+        found = recovered(folder, "opening")
+        paper = {name: rows(folder, name, PAPER, attempts) for name in categories}
         beyond = {
-            sweep.name: {name: summary(rows(name, sweep, few)) for name in categories} for sweep in others
+            sweep.name: {name: summary(rows(folder, name, sweep, few)) for name in categories}
+            for sweep in others
         }
-    figures: dict[str, Any] = {
-        name: {
-            "world": found[name].world,
-            "asset": found[name].fitted.asset.name,
-            "demonstrations_refused": list(found[name].refused),
+        closed = recovered(folder / CLOSING, "closing")
+        closing = {
+            name: _described(item, rows(folder / CLOSING, name, PAPER, few)) for name, item in closed.items()
         }
-        | summary(drawn)
-        for name, drawn in paper.items()
-    }
+    figures: dict[str, Any] = {name: _described(found[name], drawn) for name, drawn in paper.items()}
     planned = [row for drawn in paper.values() for row in drawn if not row["reason"]]
     if planned:
         figures["ik"] = worst_ik(planned)
-    return figures | {"beyond": beyond, "closing": _closing()}
+    return figures | {"beyond": beyond, CLOSING: closing}
+
+
+def _described(found: Recovered, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """From what episodes were planned, and the figures of their draws."""
+    origin = {
+        "world": found.world,
+        "asset": found.fitted.asset.name,
+        "demonstrations_refused": list(found.refused),
+    }
+    return origin | summary(rows)
 
 
 def start_workers() -> Executor:
@@ -94,12 +108,3 @@ def _drawn(
             break
     for future in waiting:
         future.cancel()
-
-
-def _closing() -> dict[str, Any]:
-    """Whether demonstrations that close their object can be generalized, and why not."""
-    try:
-        require_opening("closing")
-    except EstimationError as error:
-        return {"supported": False, "reason": str(error)}
-    return {"supported": True}

@@ -1,4 +1,4 @@
-"""Plans that open a drawer, a microwave and a sliding cabinet, made from nothing: the hand is at the handle already."""
+"""Plans that open or close a drawer, a microwave, a sliding cabinet, made from nothing: the hand is at the handle already."""
 
 import numpy as np
 
@@ -86,15 +86,16 @@ def toy_plan(
     )
 
 
-def drawer_plan(robot: RobotModel) -> EpisodePlan:
-    """Close about the bar of a drawer, pull 0.15 m, let go."""
+def drawer_plan(robot: RobotModel, *, closing: bool = False) -> EpisodePlan:
+    """Close about the bar of a drawer, pull 0.15 m, or push an open one shut, let go."""
     asset = make_asset("drawer", 1)
     T = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
-    return toy_plan(robot, asset, T, UP_DOWN, pulled(0.15))
+    return toy_plan(robot, asset, T, UP_DOWN, pulled(0.15)[:: -1 if closing else 1])
 
 
-def microwave_plan(robot: RobotModel) -> EpisodePlan:
-    """Close about the bar of a microwave's door, turn it by 40 degrees, let go."""
+def microwave_plan(robot: RobotModel, *, closing: bool = False) -> EpisodePlan:
+    """Close about the bar of a microwave's door, turn it by 40 degrees, open or shut, let go."""
     asset = make_asset("microwave", 1)
     T = facing_robot(asset, (0.62, -0.15))
-    return toy_plan(robot, asset, T, LEFT_RIGHT, pulled(np.deg2rad(40.0)), turn=0.7)
+    thetas = pulled(np.deg2rad(40.0))[:: -1 if closing else 1]
+    return toy_plan(robot, asset, T, LEFT_RIGHT, thetas, turn=0.7)

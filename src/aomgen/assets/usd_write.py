@@ -30,6 +30,8 @@ from aomgen.io.usd import export_stage, new_stage
 
 # Our own attributes, for what UsdPhysics has no words for.
 NAMESPACE = "aomgen"
+# Replays episodes with an asset of ours in another simulator; it needs no package of ours.
+REPLAY_SCRIPT = Path(__file__).with_name("replay_in_isaac_sim.py")
 CONTACT_MATERIAL = "contact"
 
 
@@ -67,6 +69,12 @@ def write_usd(asset: ArticulatedAsset, path: Path) -> None:
     ):
         root.GetPrim().CreateAttribute(f"{NAMESPACE}:{name}", kind).Set(value)
     export_stage(stage, path)
+
+
+def write_for_replay(asset: ArticulatedAsset, path: Path) -> None:
+    """Write an asset as `write_usd` does, and beside it the script that replays its episodes in Isaac Sim."""
+    write_usd(asset, path)
+    write_bytes(path.with_name(REPLAY_SCRIPT.name), REPLAY_SCRIPT.read_bytes())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,7 @@
 """Values on the way from a fitted asset to a verified episode."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -41,7 +41,7 @@ class FittedAsset:
         T_world_asset: Rigid pose (4, 4) that takes the recorded object's place.
         contact_asset: Where the hand holds, part closed (3,), asset frame, [m].
         shares: (K,), 0..1: time since the part began to move over the time it moved.
-        thetas: Joint value (K,) at each share, never falling, first 0, [rad] or [m].
+        thetas: Joint value (K,) at each share, [rad] or [m]: rising from 0, or falling to 0 where the part is closed.
         scale: Applied to the asset.
         mirrored: The asset was mirrored to bring its hinge to the recorded side.
         mode: "object" (scaled to the recorded motion) or "trajectory" (true size).
@@ -61,9 +61,23 @@ class FittedAsset:
     __post_init__ = freeze_arrays
 
     @property
+    def start_theta(self) -> float:
+        """Planned first joint value, [rad] or [m]."""
+        return float(self.thetas[0])
+
+    @property
     def target_theta(self) -> float:
         """Planned final joint value, [rad] or [m]."""
         return float(self.thetas[-1])
+
+    @property
+    def travel(self) -> float:
+        """How far the part is moved, signed, positive where it is opened, [rad] or [m]."""
+        return self.target_theta - self.start_theta
+
+    def backwards(self) -> "FittedAsset":
+        """The same motion the other way round in time."""
+        return replace(self, shares=1 - self.shares[::-1], thetas=self.thetas[::-1])
 
     def theta_at(self, shares: ArrayLike) -> Array:
         """Joint values at shares (N,) of the motion, ends held."""

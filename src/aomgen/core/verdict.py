@@ -27,6 +27,10 @@ class Setting:
     latch: float = 0.0
     latch_reach: float = 0.0
 
+    def friction_at(self, theta: float) -> float:
+        """Dry friction of the joint, and of a latch where it catches, [N m] or [N]."""
+        return self.frictionloss + self.latch * (theta < self.latch_reach)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
@@ -97,7 +101,7 @@ class Verdict:
     """A passed verification.
 
     Attributes:
-        target_theta: Planned final joint value, fixed before simulation, [rad] or [m].
+        start_theta, target_theta: Planned first and final joint value, fixed before simulation, [rad] or [m].
         outcomes: One for each setting, the nominal one last.
         kinematic: Tier A's figures against their limits.
         bolted: The object's base was held by the world; then its reaction is only reported.
@@ -106,6 +110,7 @@ class Verdict:
         digests: SHA-256 of what it was computed from, by name.
     """
 
+    start_theta: float
     target_theta: float
     outcomes: tuple[SettingOutcome, ...]
     kinematic: tuple[Check, ...]
@@ -117,7 +122,7 @@ class Verdict:
 
     @property
     def margin(self) -> float:
-        """Smallest distance of the runs to the pass line of the planned opening, as a share of it."""
+        """Smallest distance of the runs to the pass line of the planned motion, as a share of it."""
         return self.margins["target_share"]
 
     @property
@@ -133,6 +138,7 @@ class Verdict:
         limits = {check.figure: check.limit for check in self.outcomes[0].checks}
         return {
             "passed": True,
+            "start_theta": self.start_theta,
             "target_theta": self.target_theta,
             "margin": self.margin,
             "bolted": self.bolted,

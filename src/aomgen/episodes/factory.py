@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from aomgen.assets.usd_write import write_usd
+from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.episodes.ik import IkSolver, ik_solver
@@ -205,7 +205,7 @@ class EpisodeFactory:
             return opened.usd
         home = object_folder(self.folder, unit)
         with staged_folder(home) as staging:
-            write_usd(plan.fitted.asset, staging / ASSET_USD)
+            write_for_replay(plan.fitted.asset, staging / ASSET_USD)
         return home / ASSET_USD
 
     def _open_asset(self, number: int) -> "OpenAsset":

@@ -11,7 +11,6 @@ from typing import Annotated
 import numpy as np
 
 from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
-from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
@@ -19,8 +18,9 @@ from aomgen.robots.robot import RobotModel
 
 # Rotations of the gripper that are tried, the smallest first, [deg]: about the handle, and along it.
 TILTS_DEG, SWINGS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0), (20.0, -20.0, 40.0, -40.0)
-# How far beyond the end effector point a bar may lie and still be between the pads, [m].
-DEPTHS_M = (-0.005, 0.012)
+# How far beyond the end effector point a bar may lie and still be between the pads, [m]: one that is pulled, and one that
+# is pushed, which adaptive fingers let slip towards the palm unless they hold it with the outer half of their pads.
+PULLED_DEPTHS_M, PUSHED_DEPTHS_M = (-0.005, 0.012), (0.006, 0.012)
 # Cosines: a bar that lies more along the approach is held squarely; fingers that close less across the plate of a rim
 # slip off when it is slippery.
 MAX_ALONG_BAR, MIN_ACROSS_RIM = 0.6, 0.7
@@ -35,9 +35,9 @@ class Grasp:
     """One way to hold the handle.
 
     Attributes:
-        R_object_ee: Hand's orientation when the part begins to move.
+        R_object_ee: Hand's orientation at the closed part.
         held_ee: Held point in the end effector frame, [m].
-        turn_ratio: Turn of the hand over turn of the part while it moves.
+        turn_ratio: Turn of the hand over turn of the part.
     """
 
     name: str
@@ -54,9 +54,9 @@ def orientations(
     """Hand orientations whose fingers close across the handle, nearest to the demonstrated first.
 
     Args:
-        R_front_ee: Demonstrated hand in the recorded object's upright front frame (3, 3); the
+        R_front_ee: Demonstrated hand at the closed part, in the recorded object's upright front frame (3, 3); the
             asset's own frame is of the same kind.
-        handle_axis: Along the new handle's bar (3,), asset frame.
+        handle_axis: Along the new handle's bar (3,), asset frame, part closed.
 
     Yields:
         Name and R_asset_ee (3, 3): with the demonstrated approach direction, then with the hand
@@ -83,13 +83,14 @@ def orientations(
     yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
 
 
-def grasp_depth(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
+def grasp_depth(fitted: FittedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
     """How far beyond the end effector point, along the approach, the hand holds the handle, [m].
 
     A bar lies where the recorded one did; a rim is held by the finger tips, whatever was held in the recording.
     """
-    if not (robot.pads and held_at_rim(asset)):
-        return float(np.clip(demonstrated_depth, *DEPTHS_M))
+    if not (robot.pads and held_at_rim(fitted.asset)):
+        bounds = PULLED_DEPTHS_M if fitted.travel > 0 else PUSHED_DEPTHS_M
+        return float(np.clip(demonstrated_depth, *bounds))
     joints = np.zeros((1, len(robot.joint_names)))
     Ts_ee_body = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
     Ts_ee_pad = [Ts_ee_body[pad.body] @ pad.T_body_pad for pad in robot.pads]
@@ -108,10 +109,8 @@ def grasps(fitted: FittedAsset, R_front_ee: Array, depth: float, turn_ratio: flo
     asset, revolute = fitted.asset, fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
-    # A part that is closed begins open.
-    turned = asset.joint.motion(fitted.thetas[0])[:3, :3]
-    plate = turned @ np.cross(asset.handle_axis, outward_normal(asset)) if held_at_rim(asset) else None
-    for name, R in orientations(R_front_ee, turned @ asset.handle_axis, TILTS_DEG):
+    plate = np.cross(asset.handle_axis, outward_normal(asset)) if held_at_rim(asset) else None
+    for name, R in orientations(R_front_ee, asset.handle_axis, TILTS_DEG):
         if plate is not None and not abs(plate @ R[:, 1]) >= MIN_ACROSS_RIM:
             continue
         for share in ratios:

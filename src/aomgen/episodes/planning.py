@@ -1,7 +1,7 @@
 """Plan one episode: place the object, choose a grasp, retarget, solve the arm, check for collisions.
 
-The arm is solved at the grasp first, then backwards to the start and on to the end: that keeps the demonstration's
-branch of the arm where it matters.
+The arm is solved first where it holds the closed part, then from there to the start and to the end: that keeps the
+demonstration's branch of the arm where it matters.
 """
 
 from collections.abc import Mapping
@@ -159,9 +159,8 @@ class _Arm(NamedTuple):
 def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
     """The motions with all grasps that the method tries, the nearest to the demonstrated one first."""
     fitted, demo, shown = task.fitted, task.shown.demo, task.shown
-    R_front_ee = fitted.T_world_asset[:3, :3].T @ shown.poses(np.array([shown.moments.start]))[0, :3, :3]
-    depth = grasp_depth(fitted.asset, float(demo.grasp_ee[2]), task.placed.robot)
-    found = grasps(fitted, R_front_ee, depth, demo.ee_turn_ratio)
+    depth = grasp_depth(fitted, float(demo.grasp_ee[2]), task.placed.robot)
+    found = grasps(fitted, shown.hand_at_closed(fitted), depth, demo.ee_turn_ratio)
     moved = not np.array_equal(task.start, demo.joints[0])
     rigid = task.params.method == "paper"
     return [
@@ -179,12 +178,15 @@ def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
 
 def _follow_contact(task: _Task, motions: list[RetargetedMotion]) -> list[Array | Rejection]:
     """Joints (K, J) at the knots of the contact, for all grasps at once, on the demonstration's branch."""
-    shown, times = task.shown, task.shown.knots[2]
+    # From the closed part on, which is where demonstrated and new hand are most alike.
+    shown, order = task.shown, int(np.sign(task.fitted.travel))
+    times = shown.knots[2][::order]
     targets = np.stack([motion.holding(times) for motion in motions], 1)
     joints = walk(task.solver, shown.poses(times[:1])[0], targets[0], shown.joints(times[:1])[0])
     solved, reached = follow(task.solver, targets, joints, task.params.ik)
     return [
-        solved[:, k] if count == KNOTS else _lost("with the handle", count) for k, count in enumerate(reached)
+        solved[::order, k] if count == KNOTS else _lost("with the handle", count)
+        for k, count in enumerate(reached)
     ]
 
 
@@ -288,7 +290,7 @@ def _stall(task: _Task, joints: Array) -> float:
     """Gripper value 0..1 at which the fingers stall on the handle, the arm at joints (J,) as they close."""
     demo = task.shown.demo
     measured = float(np.median(demo.gripper[demo.contact_frames]))
-    return stalling_gripper(task.placed, joints, float(task.fitted.thetas[0]), measured)
+    return stalling_gripper(task.placed, joints, task.fitted.start_theta, measured)
 
 
 def _check_grip(task: _Task, motion: RetargetedMotion, contact: Array) -> Rejection | None:

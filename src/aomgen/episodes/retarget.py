@@ -120,6 +120,14 @@ class DemonstratedMotion:
         poses = self._poses(np.clip(times, self.times[0], self.times[-1]))
         return transform(matrix_from_quat(poses[:, 3:]), poses[:, :3])
 
+    def hand_at_closed(self, fitted: FittedAsset) -> Array:
+        """Demonstrated hand (3, 3) at the closed part, in the frame of the fitted asset.
+
+        An object whose hinge is on the other side is held alike only there.
+        """
+        closed = self.moments.start if fitted.travel > 0 else self.moments.end
+        return fitted.T_world_asset[:3, :3].T @ self.poses(np.array([closed]))[0, :3, :3]
+
     def way(self, times: Array | float) -> Array:
         """Way of the hand up to times (N,), [m]."""
         return np.asarray(np.interp(times, self.times, self._ways))
@@ -195,7 +203,7 @@ class RetargetedMotion:
         held = apply(asset.joint.motion(thetas), self.fitted.contact_asset[None])
         R = np.broadcast_to(grasp.R_object_ee, (len(thetas), 3, 3))
         if asset.joint.type == "revolute":
-            turns = grasp.turn_ratio * (thetas - self.fitted.thetas[0])
+            turns = grasp.turn_ratio * thetas
             R = matrix_from_rotvec(turns[:, None] * asset.joint.axis) @ R
         return self.T_world_object @ transform(R, held - np.einsum("nij,j->ni", R, grasp.held_ee))
 

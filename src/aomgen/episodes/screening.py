@@ -20,7 +20,7 @@ OVERHANG_M: Final = 0.02
 LEAST_IN_VIEW: Final = 0.85
 # Part of the longest reach at which an arm can still turn its hand, 0..1.
 USEFUL_REACH: Final = 0.9
-# Joint values at which the held point is looked at, between closed and the planned opening.
+# Joint values at which the held point is looked at, from the first to the last planned one.
 SAMPLED_VALUES: Final = 5
 # Name of added cameras, with their number.
 FREE_CAMERA: Final = "free{}"
@@ -64,7 +64,8 @@ class Place:
     def screened(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
         """Why a draw is not worth planning: "outside_area", "off_table", "out_of_reach" or "out_of_view"."""
         T = variation.placed(fitted)
-        moved = T @ fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, SAMPLED_VALUES))
+        thetas = np.linspace(fitted.start_theta, fitted.target_theta, SAMPLED_VALUES)
+        moved = T @ fitted.asset.joint.motion(thetas)
         held = apply(moved, fitted.contact_asset[None])
         if self.ranges.polygon and not inside(self.ranges.polygon, np.array([variation.x, variation.y])):
             return Rejection(reason="outside_area", detail="the place lies beside the area given")

@@ -33,8 +33,14 @@ def choose_start(
     The hand begins where it was demonstrated, or where it was as seen from the object, and is raised until it is
     free. The demonstrated ones when nothing is.
     """
-    start, gripper, there = demo.joints[0], float(demo.gripper[0]), demo.Ts_world_ee[0]
-    if _is_free(scene, start, gripper, kinematic):
+    start, gripper, there = demo.joints[0], demo.gripper[:1], demo.Ts_world_ee[0]
+
+    def is_free(joints: Array) -> bool:
+        theta, held = np.array([fitted.start_theta]), np.zeros(1, bool)
+        result = check_kinematics(scene, joints[None], gripper, theta, held, kinematic)
+        return not isinstance(result, Rejection)
+
+    if is_free(start):
         return start
     carried = T_world_object @ invert(fitted.T_world_asset) @ there
     for raised in RAISED_M:
@@ -43,12 +49,6 @@ def choose_start(
             goal[2, 3] += raised
             way = interpolate(there, goal, np.linspace(0, 1, STEPS))[:, None]
             joints, reached = follow(solver, way, start[None], limits)
-            if reached[0] == STEPS and _is_free(scene, joints[-1, 0], gripper, kinematic):
+            if reached[0] == STEPS and is_free(joints[-1, 0]):
                 return joints[-1, 0]
     return start
-
-
-def _is_free(scene: Scene, joints: Array, gripper: float, limits: KinematicLimits) -> bool:
-    held = np.zeros(1, bool)
-    result = check_kinematics(scene, joints[None], np.array([gripper]), np.zeros(1), held, limits)
-    return not isinstance(result, Rejection)

@@ -131,18 +131,16 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "short": Figure(name="missing"),
         "rejected": Figure(name="attempts rejected"),
         "skipped": Figure(name="draws not tried"),
-        # The pass rule: 90 % of the planned opening in every setting.
+        # The pass rule: 90 % of the planned way in every setting.
         "smallest_margin": Figure(
-            name="least opening", unit="% of the plan", digits=1, factor=100.0, offset=90.0, above=90.0
+            name="least travel", unit="% of the plan", digits=1, factor=100.0, offset=90.0, above=90.0
         ),
         "cameras": Figure(name="cameras"),
     },
     "dataset": {"episodes": Figure(name="episodes"), "frames": Figure(name="frames")},
     # Not of stages: verdicts of episodes over their settings, sides in the coverage, fixed cameras.
     "verdict": {
-        "target_share": Figure(
-            name="least opening", unit="% of the plan", digits=1, factor=100.0, above=90.0
-        ),
+        "target_share": Figure(name="least travel", unit="% of the plan", digits=1, factor=100.0, above=90.0),
         "contact_share": Figure(name="moved in contact", unit="%", digits=1, factor=100.0, above=80.0),
         "tracking_mm": Figure(name="arm off its command", unit="mm", digits=1, below=20.0),
         "torque_share": Figure(name="torque of the drives", unit="%", factor=100.0, below=90.0),

@@ -17,7 +17,8 @@ from aomgen.core.boxes import QUANTILES, find_upright_axes
 from aomgen.core.demonstration import Demonstration, RecordedObject
 from aomgen.core.joint import Joint
 from aomgen.core.mesh import Mesh
-from aomgen.core.transforms import angle_between, transform
+from aomgen.core.motion import Direction
+from aomgen.core.transforms import angle_between, apply, transform
 from aomgen.core.values import Array, Vector3, freeze_arrays
 from aomgen.errors import EstimationError
 
@@ -55,9 +56,10 @@ class Frontal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedContact:
-    """The recorded motion as the fit needs it.
+    """The recorded motion as the fit needs it: from closed to open, a closing one backwards in time.
 
     Attributes:
+        direction: Of the recorded motion.
         path_world: Held point while the part moves, [m].
         shares: Time share 0..1 of each point.
         thetas: Recovered joint value, first 0, never falling, [rad] or [m].
@@ -67,6 +69,7 @@ class RecordedContact:
         support_z: Height of the support, [m].
     """
 
+    direction: Direction
     path_world: Annotated[Array, "K 3"]
     shares: Annotated[Array, "K"]
     thetas: Annotated[Array, "K"]
@@ -78,24 +81,31 @@ class RecordedContact:
     __post_init__ = freeze_arrays
 
 
-def recorded_contact(demo: Demonstration, recorded: RecordedObject) -> RecordedContact:
+def recorded_contact(demo: Demonstration, recorded: RecordedObject, direction: Direction) -> RecordedContact:
     """Cut the contact out of the demonstration and describe the recorded object's front.
+
+    An opening begins at the closed object, a closing ends there.
 
     Raises:
         EstimationError: The part's front is ambiguous (see `frontal`).
     """
     frames = demo.contact_frames
+    joint, moving, thetas, times = demo.joint, recorded.moving_points_world, demo.thetas, demo.times_s
+    if direction == "closing":
+        frames = frames[::-1]
+        closed = float(thetas[frames[0]])
+        moving = apply(joint.motion(closed), moving)
+        joint, thetas, times = replace(joint, axis=-joint.axis), closed - thetas, -times
     path = demo.grasp_path_world[frames]
     # Both parts together are a box more often than a door with its handle is.
-    whole = np.concatenate([recorded.moving_points_world, recorded.static_points_world])
-    front = frontal(demo.joint, path[0], whole)
-    times = demo.times_s[frames]
-    low, high = np.quantile(recorded.moving_points_world @ front.R_world_front, QUANTILES, axis=0)
-    size = high - low
+    front = frontal(joint, path[0], np.concatenate([moving, recorded.static_points_world]))
+    low, high = np.quantile(moving @ front.R_world_front, QUANTILES, axis=0)
+    size, since = high - low, times[frames] - times[frames[0]]
     return RecordedContact(
+        direction=direction,
         path_world=path,
-        shares=(times - times[0]) / max(times[-1] - times[0], 1e-9),
-        thetas=smooth_rise(demo.thetas[frames]),
+        shares=since / max(since[-1], 1e-9),
+        thetas=smooth_rise(thetas[frames]),
         front=front,
         held_share=(path[0] @ front.R_world_front - low) / np.maximum(size, 1e-6),
         size=size,

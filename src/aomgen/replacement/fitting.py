@@ -58,7 +58,8 @@ def fit_asset(
     """Place an asset (closed at joint value 0, front along -y, support at z = 0) in the recorded object's stead.
 
     Returns:
-        The fitted asset; or a Rejection "joint_type" (another kind of joint), "hinge_side"
+        The fitted asset, with the motion in the recorded direction; or a Rejection "joint_type" (another kind of
+        joint), "hinge_side"
         (mode "object" without mirroring), "size" or "path" (mode "object": no scale in bounds
         follows the recorded path).
 
@@ -67,13 +68,17 @@ def fit_asset(
     if asset.joint.type != recorded_type:
         return Rejection(reason="joint_type", detail=f"asset is {asset.joint.type}, recorded {recorded_type}")
     if mode == "trajectory":
-        return _keep_size(asset, contact, params)
-    turned = (
-        opens_left(asset.joint, asset.handle_point, np.array([1.0, 0.0, 0.0])) != contact.front.opens_left
-    )
-    if turned and not params.allow_mirror:
-        return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
-    return _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
+        fitted = _keep_size(asset, contact, params)
+    else:
+        turned = (
+            opens_left(asset.joint, asset.handle_point, np.array([1.0, 0.0, 0.0])) != contact.front.opens_left
+        )
+        if turned and not params.allow_mirror:
+            return Rejection(reason="hinge_side", detail="it opens to the other side and mirroring is off")
+        fitted = _fit_scale(mirror_asset(asset) if turned else asset, contact, turned, params)
+    if isinstance(fitted, Rejection) or contact.direction == "opening":
+        return fitted
+    return fitted.backwards()
 
 
 def _keep_size(asset: ArticulatedAsset, contact: RecordedContact, params: FitParams) -> FittedAsset:

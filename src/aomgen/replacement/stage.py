@@ -10,14 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_closing
 
 from aomgen.assets.choice import open_asset
-from aomgen.assets.usd_write import write_usd
+from aomgen.assets.usd_write import write_for_replay
 from aomgen.conventions import MOVING, STATIC
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import EpisodeScene, RecordedObject, SupportPlane
 from aomgen.core.episode import NEW_CAMERA
 from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light
-from aomgen.core.motion import Direction
 from aomgen.core.parts import surface_points
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.progress import Progress
@@ -65,8 +64,6 @@ BACKGROUND_FOLDER = "background"
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Take the object away, fit the project's assets, and choose the cameras of the episodes."""
     project, demo = results.project, results.demonstration
-    if project.assets:
-        require_opening(results.motion.direction)
     progress(0.0, "removing the object")
     cleared = clear_object(results.twin, results.robot, np.random.default_rng(project.seed))
     (folder / BACKGROUND_FOLDER).mkdir()
@@ -78,7 +75,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
     )
     recorded = RecordedObject(moving_points_world=moving, static_points_world=static, support=support)
-    contact = recorded_contact(demo, recorded)
+    contact = recorded_contact(demo, recorded, results.motion.direction)
     names, residuals = [], []
     params = results.params("replacement", FitParams())
     for index, spec in enumerate(project.assets):
@@ -86,12 +83,12 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         fitted = fit_asset(open_asset(spec), contact, demo.joint.type, project.adapt, params)
         if isinstance(fitted, Rejection):
             raise EstimationError(
-                f"asset {spec}", fitted.detail, "choose an asset that opens like the recorded object"
+                f"asset {spec}", fitted.detail, "choose an asset that moves like the recorded object"
             )
         target = folder / ASSETS_FOLDER / f"{index:02d}"
         target.mkdir(parents=True)
         save_artifact(target, FITTED, fitted)
-        write_usd(fitted.asset, target / ASSET_USD)
+        write_for_replay(fitted.asset, target / ASSET_USD)
         save_artifact(target, "twin", asset_twin(cleared.twin, fitted, light.light, project.seed + index))
         names.append(fitted.asset.name)
         residuals.append(fitted.residual_mm)
@@ -111,20 +108,6 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         "filled": cleared.filled,
         "fit_residual_mm": float(np.max(residuals)) if residuals else 0.0,
     }
-
-
-def require_opening(direction: Direction) -> None:
-    """Refuse to make episodes from a demonstration that closes its object.
-
-    Raises:
-        EstimationError: It does; assets are put in place closed, and are opened.
-    """
-    if direction != "opening":
-        raise EstimationError(
-            "demonstration video",
-            "closes the object; episodes are made from demonstrations that open it",
-            "record one that opens it, or leave `assets` empty: twin and motion of this one are complete",
-        )
 
 
 def episode_cameras(results: Results) -> dict[str, Camera]:

@@ -72,7 +72,7 @@ def episodes_section(results: Results) -> list[str]:
     return [
         paragraph(
             f"{len(made)} episodes, each verified in physics before it was drawn: contact alone moves the passive "
-            f"joint, to at least {rule.target_share:.0%} of the planned opening and for {rule.contact_share:.0%} "
+            f"joint, to at least {rule.target_share:.0%} of the planned way and for {rule.contact_share:.0%} "
             f"of the way in contact. Each was simulated in the nominal setting and two opposite ones, which differ in "
             f"the joint's resistance, mass, grip and latch; {count} settings in all.{more}"
         ),
@@ -199,18 +199,18 @@ def reasons() -> dict[str, str]:
         "grip_collision": f"fingers and handle overlap by more than {contact.max_handle_penetration_mm:g} mm",
         "no_grip": f"a finger pad stays more than {contact.max_gap_mm:g} mm away from the handle",
         "no_grasp": "the asset offers no grasp",
-        "target_too_small": "the planned opening is too small to count",
+        "target_too_small": "the planned way is too short to count",
         "not_finite": "an action is no number",
         "diverged": "the simulation became unstable",
         "imposed": "something else than contact moves the part, or its joint value was written",
-        "pre_opened": "the part had moved before the robot touched it",
+        "moved_early": "the part had moved before the robot touched it",
         "door_pushed": f"more than {rule.pushed_share:.0%} of the way was made by other contacts than pads on the handle",
         "robot_contact": f"the robot pressed on other things than the handle with more than {rule.robot_force_n:g} N",
         "torque": f"a drive needed more than {rule.torque_share:.0%} of its torque for {rule.torque_s:g} s",
         "tracking": f"the arm was more than {rule.tracking_mm:g} mm off its command",
         "penetration": f"gripper and handle overlapped by more than {rule.handle_penetration_mm:g} mm, or the robot and "
         f"anything else by {rule.penetration_mm:g} mm",
-        "target": f"the part reached less than {rule.target_share:.0%} of the planned opening",
+        "target": f"the part reached less than {rule.target_share:.0%} of the planned way",
         "contact": f"less than {rule.contact_share:.0%} of the way was made in contact",
         "slides": f"the object's base slid by more than {rule.drift_mm:g} mm",
     }

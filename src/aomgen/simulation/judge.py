@@ -1,11 +1,12 @@
-"""When a simulated run counts as opening the object by hand: figures, their limits, and why they fail."""
+"""When a simulated run counts as opening or closing the object by hand: figures, their limits, and why they fail."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.core.plan import Rejection
+from aomgen.core.joint import JointType
+from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.values import Array
 from aomgen.core.verdict import Check, Hold, Setting, SettingOutcome
 from aomgen.simulation.replay import SimulatedRun
@@ -17,12 +18,13 @@ class PassRule:
     """When a run counts. Honest runs of five categories stay within a third to two thirds of most limits.
 
     Attributes:
-        target_share: Final joint value over the planned one, at least.
+        target_share: Travel of the joint over the planned one, at least.
         contact_share: Share of the progress made while a pad at the handle carries force, at least.
         contact_force_n: What counts as carrying force, [N].
-        min_revolute_rad, min_prismatic_m: Smallest planned final value.
-        written_share: Part of the final value, over the target, that the joint's velocity does not account for.
-        start_share: Joint value before the robot touches the part, over the target, at most.
+        min_revolute_rad, min_prismatic_m: Smallest planned travel.
+        written_share: Part of the travel, over the planned one, that the joint's velocity does not account for.
+        start_share: Distance from the planned first joint value before the robot touches the part, over the planned
+            travel, at most.
         pushed_share: Share of the progress made by anything else of the robot than pads at the handle, at most.
         robot_force_n: Normal forces of the robot on all but handle and pads, [N]: a grazing touch; arms that work
             beside people stop at 100 N.
@@ -53,21 +55,28 @@ class PassRule:
     base_friction: float = 0.5
     drift_mm: float = 5.0
 
+    def least_travel(self, joint_type: JointType) -> float:
+        """Smallest planned travel of a joint, [rad] or [m]."""
+        return self.min_revolute_rad if joint_type == "revolute" else self.min_prismatic_m
+
 
 def judge(
-    run: SimulatedRun, target: float, scene: Scene, setting: Setting, rule: PassRule
+    run: SimulatedRun, fitted: FittedAsset, scene: Scene, setting: Setting, rule: PassRule
 ) -> SettingOutcome | Rejection:
-    """Hold one run against the pass rule; the target is the planned final joint value, [rad] or [m].
+    """Hold one run against the pass rule, and against the motion that is planned for the object.
 
     Returns:
         The figures; or a Rejection with the reason of the first check that fails. Causes come before what
-        follows from them: "imposed", "pre_opened", "door_pushed", "robot_contact", "torque", "tracking", "target",
+        follows from them: "imposed", "moved_early", "door_pushed", "robot_contact", "torque", "tracking", "target",
         "contact", "penetration", "slides".
     """
-    forces = _forces(run, scene, rule)
+    travel = fitted.travel
+    forces = _forces(run, scene, float(np.sign(travel)))
     touched = np.flatnonzero(forces.part)
     first = int(touched[0]) if len(touched) else len(run.thetas)
-    steps = np.maximum(np.diff(run.thetas), 0.0)
+    # Share of the planned travel made at each tick.
+    shares = (run.thetas - fitted.start_theta) / travel
+    steps = np.maximum(np.diff(shares), 0.0)
 
     def progress(ticks: NDArray[np.bool_]) -> float:
         """Share made in steps that have one of these ticks at their beginning or end."""
@@ -76,7 +85,7 @@ def judge(
     holding = forces.pads >= rule.contact_force_n
     pushing = ~holding & (forces.pushing >= rule.contact_force_n)
     explained = float(((run.rates[:-1] + run.rates[1:]) / 2).sum() * run.tick_s)
-    written = abs(float(run.thetas[-1] - run.thetas[0]) - explained) / target
+    written = abs(float(run.thetas[-1] - run.thetas[0]) - explained) / abs(travel)
 
     def check(reason: str, figure: str, value: float, *, least: bool = False) -> Check:
         return Check(
@@ -85,12 +94,12 @@ def judge(
 
     checks = [
         check("imposed", "written_share", written),
-        check("pre_opened", "start_share", np.abs(run.thetas[: max(first, 1)]).max() / target),
+        check("moved_early", "start_share", np.abs(shares[: max(first, 1)]).max()),
         check("door_pushed", "pushed_share", progress(pushing)),
         check("robot_contact", "robot_force_n", forces.strange.max()),
         check("torque", "torque_share", _torque_share(run, scene, rule.torque_s)),
         check("tracking", "tracking_mm", _tracking_mm(run, scene)),
-        check("target", "target_share", run.thetas[-1] / target, least=True),
+        check("target", "target_share", shares[-1], least=True),
         check("contact", "contact_share", progress(holding), least=True),
         check("penetration", "handle_penetration_mm", forces.handle_depth_mm),
         check("penetration", "penetration_mm", forces.depth_mm),
@@ -127,7 +136,7 @@ class _Forces:
     Attributes:
         pads: Normal forces of pads on the handle, or on the part where it has none.
         part: Normal forces on the moving part.
-        pushing: Normal forces on it of all but these pads, where they turn or push it open.
+        pushing: Normal forces on it of all but these pads, where they turn or push it the way it shall go.
         strange: Normal forces of all but these pads, the gripper at the handle, and pads on the part.
         reactions: Level force on the object.
         handle_depth_mm: Of the gripper in the handle.
@@ -143,7 +152,8 @@ class _Forces:
     depth_mm: float
 
 
-def _forces(run: SimulatedRun, scene: Scene, rule: PassRule) -> _Forces:
+def _forces(run: SimulatedRun, scene: Scene, way: float) -> _Forces:
+    """Of a run in which the joint shall be moved this way, 1 or -1."""
     touches, roles, joint = run.touches, scene.roles, scene.joint_world
     part = roles.moving[touches.other_geoms]
     handle = roles.handle[touches.other_geoms] if roles.handle.any() else part
@@ -153,7 +163,7 @@ def _forces(run: SimulatedRun, scene: Scene, rule: PassRule) -> _Forces:
     moments = on_object
     if joint.type == "revolute":
         moments = np.cross(touches.points_world - joint.origin, on_object)
-    opening = moments @ joint.axis > 0
+    onward = way * (moments @ joint.axis) > 0
 
     def sums(values: Array) -> Array:
         return np.bincount(touches.ticks, values, len(run.thetas)).astype(np.float64)
@@ -163,7 +173,7 @@ def _forces(run: SimulatedRun, scene: Scene, rule: PassRule) -> _Forces:
     return _Forces(
         pads=sums(touches.forces * holding),
         part=sums(touches.forces * part),
-        pushing=sums(touches.forces * (part & ~holding & opening)),
+        pushing=sums(touches.forces * (part & ~holding & onward)),
         strange=sums(touches.forces * ~(grip | pads & part)),
         reactions=np.hypot(sums(level[:, 0]), sums(level[:, 1])),
         handle_depth_mm=float(depths_mm[grip].max(initial=0.0)),

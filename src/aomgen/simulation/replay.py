@@ -110,7 +110,7 @@ def simulate(
         setting: How the object resists; None leaves it as it is in the scene.
         approach: A run of the same commands whose object resists otherwise; until the robot touches the object the
             two are the same, so this one starts where that one was still `untouched`.
-        initial_theta: The object's joint at reset; anything but 0 is for tests.
+        initial_theta: The object's joint at reset, [rad] or [m].
     """
     ticks_a_frame = math.ceil(CONTROL_HZ / fps)
     steps_a_tick = math.ceil(1 / (fps * ticks_a_frame * scene.model.opt.timestep))
@@ -118,7 +118,7 @@ def simulate(
     model.opt.timestep = 1 / (fps * ticks_a_frame * steps_a_tick)
     _ignore_hand_on_hand(scene, model)
     if setting is not None:
-        apply_setting(scene, model, setting)
+        apply_setting(scene, model, setting, initial_theta)
     commands = _linear_commands(joints, gripper, fps, ticks_a_frame)
     if approach is None:
         start = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
@@ -137,8 +137,7 @@ def simulate(
         if sample and data.warning.number[DIVERGENCE].any():
             return _diverged(tick / (fps * ticks_a_frame))
         if setting is not None and setting.latch:
-            caught = data.qpos[scene.object_qpos] < setting.latch_reach
-            model.dof_frictionloss[scene.object_dof] = setting.frictionloss + caught * setting.latch
+            model.dof_frictionloss[scene.object_dof] = setting.friction_at(data.qpos[scene.object_qpos])
         if approach is not None and tick == first:
             continue
         if data.ncon:

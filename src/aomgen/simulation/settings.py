@@ -58,10 +58,10 @@ def corner_setting(
     )
 
 
-def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting) -> None:
-    """Let the object of a model, a copy of the scene's, resist in this way; it is closed and its latch holds."""
+def apply_setting(scene: Scene, model: mujoco.MjModel, setting: Setting, theta: float) -> None:
+    """Let the object of a model, a copy of the scene's, resist in this way; its joint has this value."""
     model.dof_damping[scene.object_dof] = setting.damping
-    model.dof_frictionloss[scene.object_dof] = setting.frictionloss + setting.latch
+    model.dof_frictionloss[scene.object_dof] = setting.friction_at(theta)
     if setting.latch:
         model.dof_solimp[scene.object_dof] = HOLDING_SOLIMP
     model.geom_friction[scene.roles.gripper | scene.roles.moving, 0] *= setting.grip_friction

@@ -1,4 +1,4 @@
-"""Tier B: an episode counts only when contact opens the object in every simulated setting; the certificate of that."""
+"""Tier B: an episode counts only when contact moves the object in every simulated setting; the certificate of that."""
 
 import hashlib
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ def verify_plan(
 ) -> VerifiedEpisode | Rejection:
     """Simulate a plan in the settings drawn for it and keep what the nominal one, the last, reached.
 
-    The plan's target, its final joint value, is fixed before any simulation; the scene's asset is moved to its pose.
+    The plan's first and final joint values are fixed before any simulation; the scene's asset is moved to its pose.
     Until the robot touches the object all settings are one: only the first is simulated from the start. (A lid, which
     its hinge's friction holds, rests within 1e-4 rad of where it would in the others.)
 
@@ -51,14 +51,13 @@ def verify_plan(
 
     Not checked: whether the real object's resistance lies within the settings; contacts of the robot with itself.
     """
-    rule, asset = PassRule(), plan.fitted.asset
-    minimum = rule.min_revolute_rad if asset.joint.type == "revolute" else rule.min_prismatic_m
-    target = plan.fitted.target_theta
-    if not target >= minimum:
+    rule, fitted, asset = PassRule(), plan.fitted, plan.fitted.asset
+    minimum, travel = rule.least_travel(asset.joint.type), abs(fitted.travel)
+    if not travel >= minimum:
         return Rejection(
             reason="target_too_small",
-            detail=f"planned final joint value is {target:.3f}, limit {minimum:.3f}",
-            metrics={"target_theta": target},
+            detail=f"planned travel of the joint is {travel:.3f}, limit {minimum:.3f}",
+            metrics={"travel": travel},
         )
     if not (np.isfinite(plan.joints).all() and np.isfinite(plan.gripper).all()):
         return Rejection(reason="not_finite", detail="an action is no number")
@@ -71,16 +70,25 @@ def verify_plan(
     for setting in draw_settings(asset, variation.seed, variation.index):
         # An object that stands by friction has come to rest by its own mass.
         approach = runs[0] if runs and scene.bolted else None
-        run = simulate(placed, plan.joints, plan.gripper, plan.fps, setting=setting, approach=approach)
+        run = simulate(
+            placed,
+            plan.joints,
+            plan.gripper,
+            plan.fps,
+            setting=setting,
+            approach=approach,
+            initial_theta=fitted.start_theta,
+        )
         if isinstance(run, Rejection):
             return run
-        outcome = judge(run, target, placed, setting, rule)
+        outcome = judge(run, fitted, placed, setting, rule)
         if isinstance(outcome, Rejection):
             return outcome
         outcomes.append(outcome)
         runs.append(run)
     verdict = Verdict(
-        target_theta=target,
+        start_theta=fitted.start_theta,
+        target_theta=fitted.target_theta,
         outcomes=tuple(outcomes),
         kinematic=_kinematic_checks(plan.metrics, limits),
         bolted=scene.bolted,

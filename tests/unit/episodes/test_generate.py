@@ -9,6 +9,8 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
+from aomgen.assets.replay_in_isaac_sim import read_recording
+from aomgen.assets.usd_write import REPLAY_SCRIPT
 from aomgen.core.plan import Rejection, Variation
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
 from aomgen.episodes.generate import generate
@@ -28,6 +30,7 @@ from aomgen.executors import Done
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
+from backwards import closing_of
 from benchmarks.toy_run import toy_run
 from drawer_episode import corner_camera, drawer_episode
 
@@ -209,7 +212,12 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
         item = read_episode(path)
         assert sorted(item.videos) == ["free0", "front", "side"]
         assert item.episode.thetas[-1] > 0.09
-        assert (path / item.episode.asset_usd).resolve().is_file()
+        usd = (path / item.episode.asset_usd).resolve()
+        assert usd.is_file()
+        assert usd.with_name(REPLAY_SCRIPT.name).is_file()
+        replayed = read_recording(path)
+        assert replayed.usd == usd
+        np.testing.assert_array_equal(replayed.commands[1:, :-1], item.episode.action_joints)
         assert 0.9 <= item.episode.verdict["variation"]["scale"] <= 1.0
     # The same unit made once more, in this process, is the same to the byte.
     unit = min(committed, key=lambda unit: unit.number)
@@ -218,6 +226,20 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
     name = f"{unit.number:06d}"
     assert tree(other / name).keys() == tree(folder / name).keys()
     assert {k: v for k, v in tree(other / name).items()} == tree(folder / name)
+
+
+def test_an_episode_that_closes_its_object_begins_open_and_ends_closed(tmp_path):
+    results = toy_run(tmp_path, params={"ranges": {"x_m": [0.0, 0.05], "yaw_deg": [-15, 15]}})
+    vars(results)["demonstration"] = closing_of(results.demonstration)
+    vars(results)["fitted_assets"] = [fitted.backwards() for fitted in results.fitted_assets]
+    factory, unit = EpisodeFactory(results, results.folders["episodes"]), Unit(asset=0, index=0)
+    assert factory.screen(unit)[1] is None
+    assert factory.make(unit).committed
+    (path,) = list_committed(factory.folder)
+    episode = read_episode(path).episode
+    assert episode.thetas[0] == pytest.approx(0.15, abs=1e-3)
+    assert abs(episode.thetas[-1]) < 0.005
+    assert (episode.verdict["start_theta"], episode.verdict["target_theta"]) == (0.15, 0.0)
 
 
 def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path):

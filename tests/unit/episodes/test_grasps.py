@@ -35,7 +35,7 @@ def from_above(asset: ArticulatedAsset, degrees: float) -> np.ndarray:
 
 def test_a_rim_is_held_by_the_tips_whatever_was_held(laptop: FittedAsset, robot: RobotModel) -> None:
     asset = laptop.asset
-    depths = [grasp_depth(asset, shown, robot) for shown in (-0.02, 0.002, 0.03)]
+    depths = [grasp_depth(laptop, shown, robot) for shown in (-0.02, 0.002, 0.03)]
     assert len(set(depths)) == 1
     joints = np.zeros((1, 6))
     Ts = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
@@ -64,8 +64,15 @@ def test_fingers_close_across_the_plate_of_a_rim(laptop: FittedAsset) -> None:
 def test_a_bar_is_held_where_the_recorded_one_was(robot: RobotModel) -> None:
     fitted = fitted_drawer()
     assert not held_at_rim(fitted.asset)
-    assert grasp_depth(fitted.asset, 0.003, robot) == 0.003
-    assert grasp_depth(fitted.asset, 0.5, robot) < 0.02
+    assert grasp_depth(fitted, 0.003, robot) == 0.003
+    assert grasp_depth(fitted, 0.5, robot) < 0.02
+
+
+def test_a_bar_is_pushed_by_the_outer_half_of_the_pads(robot: RobotModel) -> None:
+    closing = fitted_drawer().backwards()
+    depths = [grasp_depth(closing, shown, robot) for shown in (-0.01, 0.003, 0.008, 0.5)]
+    assert depths[0] == depths[1] > 0.004
+    assert depths[2:] == [0.008, grasp_depth(fitted_drawer(), 0.5, robot)]
 
 
 def test_a_hand_may_lean_along_the_bar_and_closes_across_it(robot: RobotModel) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from aomgen.core.asset import ArticulatedAsset, BoxCollider
 from aomgen.core.demonstration import Demonstration, gripper_command, timing
-from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
+from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkSolver, ik_solver
@@ -18,6 +18,8 @@ from aomgen.episodes.retarget import CONTACT, ROOM, DemonstratedMotion, Retarget
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
+from aomgen.simulation.verify import verify_plan
+from backwards import closing_of
 from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
 
 
@@ -127,6 +129,34 @@ def test_plan_starts_where_the_demonstration_did_and_is_smooth(
     assert plan.thetas[-1] == pytest.approx(fitted.target_theta)
 
 
+def test_an_open_drawer_is_closed(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
+) -> None:
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    variation = Variation(seed=0, index=0, x=0.03, y=0.02, yaw=0.2)
+    plan = plan_episode(fitted.backwards(), closing_of(demo), variation, scene, solver, PlanParams())
+    assert isinstance(plan, EpisodePlan), plan
+    assert plan.thetas[0] == pytest.approx(fitted.target_theta)
+    assert plan.thetas[-1] == 0.0
+    made = verify_plan(plan, scene)
+    assert isinstance(made, VerifiedEpisode), made
+    assert made.thetas[0] == pytest.approx(fitted.target_theta, abs=1e-3)
+    assert abs(made.thetas[-1]) < 0.01
+    certificate = made.verdict.as_json()
+    assert (certificate["start_theta"], certificate["target_theta"]) == (fitted.target_theta, 0.0)
+
+
+def test_grasps_begin_with_the_hand_at_the_closed_part(demo: Demonstration, fitted: FittedAsset) -> None:
+    """The hinge of a new object may be on the other side: only there do hands compare."""
+    turns = matrix_from_rotvec(np.linspace(0.0, 1.0, len(demo.times_s))[:, None] * np.array([0.0, 0.0, 1.0]))
+    turning = replace(demo, Ts_world_ee=transform(turns @ demo.Ts_world_ee[:, :3, :3], np.zeros(3)))
+    opened = DemonstratedMotion(turning).hand_at_closed(fitted)
+    wanted = turning.Ts_world_ee[demo.contact_frames[0], :3, :3]
+    np.testing.assert_allclose(fitted.T_world_asset[:3, :3] @ opened, wanted, atol=1e-6)
+    closed = DemonstratedMotion(closing_of(turning)).hand_at_closed(fitted.backwards())
+    np.testing.assert_allclose(closed, opened, atol=1e-6)
+
+
 def test_a_plan_keeps_the_asked_speed_and_start(
     robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
 ) -> None:
@@ -208,9 +238,7 @@ def test_closing_goes_back_where_opening_came_from(
     start, end = opened.shown.moments.start, opened.shown.moments.end
     times = np.linspace(start, end, 20)
     poses = opened.holding(times)
-    back = replace(door, thetas=door.thetas[::-1], shares=1 - door.shares[::-1])
-    R_end = door.T_world_asset[:3, :3].T @ poses[-1, :3, :3]
-    closing = replace(opened, fitted=back, grasp=replace(opened.grasp, R_object_ee=R_end))
+    closing = replace(opened, fitted=door.backwards())
     np.testing.assert_allclose(closing.holding(start + end - times), poses, atol=1e-9)
 
 

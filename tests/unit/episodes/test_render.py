@@ -83,7 +83,9 @@ def verified(toy_scene, turn: float) -> VerifiedEpisode:
         hold=Hold(first_s=0.1, last_s=0.3, first_theta=0.0, last_theta=1.2),
         checks=(Check(reason="target", figure="target_share", value=1.0, limit=0.9, least=True),),
     )
-    verdict = Verdict(target_theta=1.2, outcomes=(outcome,), kinematic=(), bolted=False, seed=1, index=4)
+    verdict = Verdict(
+        start_theta=0.0, target_theta=1.2, outcomes=(outcome,), kinematic=(), bolted=False, seed=1, index=4
+    )
     return VerifiedEpisode(
         plan=plan,
         joints=joints,

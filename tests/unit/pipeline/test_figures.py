@@ -89,7 +89,7 @@ def test_what_is_poor_says_so_in_words() -> None:
 def test_the_margin_is_told_as_the_opening_it_means() -> None:
     (item,) = read_figures("episodes", {"smallest_margin": 0.09178})
     assert item == Reading(
-        name="least opening", number="99.2", unit="% of the plan", verdict="good", limit="good above 90"
+        name="least travel", number="99.2", unit="% of the plan", verdict="good", limit="good above 90"
     )
 
 

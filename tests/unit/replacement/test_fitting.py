@@ -21,6 +21,7 @@ from aomgen.replacement.correspondence import (
     smooth_rise,
 )
 from aomgen.replacement.fitting import FitParams, face_thetas, fit_asset
+from backwards import closing_of, scanned_open
 from benchmarks.other_objects import make_object
 
 YAW = np.deg2rad(-70.0)
@@ -63,13 +64,13 @@ def recording(
 
 def fitted(asset: ArticulatedAsset, mode: str, **changes: float) -> FittedAsset | Rejection:
     demo, recorded = recording(make_asset("microwave", 1), **changes)
-    return fit_asset(asset, recorded_contact(demo, recorded), demo.joint.type, mode, FitParams())
+    return fit_asset(asset, recorded_contact(demo, recorded, "opening"), demo.joint.type, mode, FitParams())
 
 
 @pytest.mark.parametrize("category", ["microwave", "drawer"])
 def test_front_of_a_turned_asset_is_found(category: str) -> None:
     demo, recorded = recording(make_asset(category, 1))
-    yaw = recorded_contact(demo, recorded).front.yaw
+    yaw = recorded_contact(demo, recorded, "opening").front.yaw
     assert np.rad2deg(abs(yaw - YAW)) < 2.0
 
 
@@ -89,7 +90,7 @@ ODD = [
 def test_every_kind_of_object_is_found_again(category: str, seed: int) -> None:
     asset = make_object(category, seed)
     demo, recorded = recording(asset, noise_m=0.001)
-    contact = recorded_contact(demo, recorded)
+    contact = recorded_contact(demo, recorded, "opening")
     assert np.rad2deg(abs(contact.front.yaw - YAW)) < 2.0
     result = fit_asset(asset, contact, demo.joint.type, "object", FitParams())
     assert isinstance(result, FittedAsset)
@@ -99,10 +100,34 @@ def test_every_kind_of_object_is_found_again(category: str, seed: int) -> None:
     assert result.residual_mm < 6.0
 
 
+@pytest.mark.parametrize("mode", ["object", "trajectory"])
+@pytest.mark.parametrize(
+    ("category", "seed"), [("microwave", 1), ("drawer", 1), ("toolbox", 1), ("cabinet", 1)]
+)
+def test_an_object_that_is_closed_is_fitted_as_one_that_is_opened(
+    category: str, seed: int, mode: str
+) -> None:
+    asset = make_asset(category, seed)
+    demo, recorded = recording(asset, noise_m=0.001)
+    closing = recorded_contact(closing_of(demo), scanned_open(demo, recorded), "closing")
+    opened, closed = (
+        fit_asset(asset, contact, demo.joint.type, mode, FitParams())
+        for contact in (recorded_contact(demo, recorded, "opening"), closing)
+    )
+    assert isinstance(opened, FittedAsset)
+    assert isinstance(closed, FittedAsset)
+    assert closed.start_theta == pytest.approx(opened.target_theta, abs=1e-6)
+    assert (closed.target_theta, closed.travel) == (0.0, -closed.start_theta)
+    np.testing.assert_allclose(closed.T_world_asset, opened.T_world_asset, atol=1e-6)
+    np.testing.assert_allclose(closed.contact_asset, opened.contact_asset, atol=1e-6)
+    shares = np.linspace(0, 1, 50)
+    np.testing.assert_allclose(closed.theta_at(shares), opened.theta_at(1 - shares), atol=1e-6)
+
+
 def test_a_panel_that_slides_the_other_way_is_mirrored() -> None:
     right = make_asset("cabinet", 2)
     demo, recorded = recording(right)
-    contact = recorded_contact(demo, recorded)
+    contact = recorded_contact(demo, recorded, "opening")
     assert not contact.front.opens_left
     result = fit_asset(mirror_asset(right), contact, "prismatic", "object", FitParams())
     assert isinstance(result, FittedAsset)
@@ -119,7 +144,11 @@ def test_what_a_mirror_leaves_as_it_is_is_never_mirrored(category: str, seed: in
     asset = make_object(category, seed)
     demo, recorded = recording(asset)
     result = fit_asset(
-        mirror_asset(asset), recorded_contact(demo, recorded), demo.joint.type, "object", FitParams()
+        mirror_asset(asset),
+        recorded_contact(demo, recorded, "opening"),
+        demo.joint.type,
+        "object",
+        FitParams(),
     )
     assert isinstance(result, FittedAsset)
     assert not result.mirrored
@@ -139,7 +168,7 @@ def test_object_mode_recovers_a_known_scale_place_and_motion() -> None:
 def test_object_mode_recovers_a_drawer() -> None:
     asset = make_asset("drawer", 1)
     demo, recorded = recording(asset)
-    result = fit_asset(asset, recorded_contact(demo, recorded), "prismatic", "object", FitParams())
+    result = fit_asset(asset, recorded_contact(demo, recorded, "opening"), "prismatic", "object", FitParams())
     assert isinstance(result, FittedAsset)
     assert abs(result.scale - SCALE) < 0.03
     assert abs(result.target_theta - 0.16) < 0.003
@@ -170,7 +199,7 @@ def test_hinge_on_the_other_side_is_mirrored_or_refused() -> None:
     assert result.mirrored
     demo, recorded = recording(make_asset("microwave", 1))
     strict = FitParams(allow_mirror=False)
-    refused = fit_asset(other, recorded_contact(demo, recorded), "revolute", "object", strict)
+    refused = fit_asset(other, recorded_contact(demo, recorded, "opening"), "revolute", "object", strict)
     assert isinstance(refused, Rejection)
     assert refused.reason == "hinge_side"
 

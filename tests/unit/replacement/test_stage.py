@@ -1,23 +1,14 @@
-"""Episodes are made from demonstrations that open their object, on the free part of a table.
+"""Objects stand on the free part of a table, which ends at its edges and at what stands on it.
 
-That ends at the table's edges and at what stands on it. A second camera looks on from another side.
+A second camera looks on from another side.
 """
 
 import numpy as np
 import pytest
 
 from aomgen.core.camera import Camera, look_at
-from aomgen.errors import EstimationError, ReconstructionError
-from aomgen.replacement.stage import choose_viewpoint, free_rectangle, require_opening
-
-
-def test_an_opening_passes():
-    require_opening("opening")
-
-
-def test_a_closing_is_refused_with_what_to_do():
-    with pytest.raises(EstimationError, match=r"closes the object.*leave `assets` empty"):
-        require_opening("closing")
+from aomgen.errors import ReconstructionError
+from aomgen.replacement.stage import choose_viewpoint, free_rectangle
 
 
 def table(spacing=0.01):
