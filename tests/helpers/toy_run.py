@@ -73,6 +73,7 @@ def toy_run(
         "scene",
         EpisodeScene(
             support=SUPPORT,
+            obstacles=(),
             T_world_plane=plane,
             light=light,
             light_source="made up",

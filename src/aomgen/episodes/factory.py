@@ -20,15 +20,14 @@ from aomgen.episodes.ledger import Unit, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
-from aomgen.episodes.screening import Place, longest_reach
+from aomgen.episodes.screening import Place
 from aomgen.episodes.variations import Ranges, draw, scaled_fit
-from aomgen.errors import ConfigError
 from aomgen.executors import Work
 from aomgen.io.artifact import file_digest, load_artifact
 from aomgen.io.atomic import staged_folder
 from aomgen.io.episode_folder import episode_folder
-from aomgen.io.schema import suggest
 from aomgen.results import ASSET_USD, Results
+from aomgen.robots.reach import longest_reach
 from aomgen.simulation.collision_check import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
@@ -98,18 +97,12 @@ class EpisodeFactory:
 
     @cached_property
     def place(self) -> Place:
-        """What draws are held against.
-
-        Raises:
-            ConfigError: A camera is unknown.
-        """
+        """What draws are held against."""
         scene, known = self.results.episode_scene, self.results.episode_scene.cameras
-        for name in self.params.cameras:
-            if name not in known:
-                raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(name, known))
         return Place(
             ranges=self.params.ranges,
             support=scene.support,
+            obstacles=scene.obstacles,
             reach=longest_reach(self.results.robot),
             cameras={name: known[name] for name in self.params.cameras or known},
             free=self.params.free_cameras,
@@ -252,9 +245,14 @@ class OpenAsset:
 
     def _build(self, fitted: FittedAsset) -> Scene:
         factory = self.factory
-        results, support = factory.results, factory.place.support
+        results, place = factory.results, factory.place
         return episode_scene(
-            results.robot, fitted, results.demonstration, support, bolted=factory.params.bolted
+            results.robot,
+            fitted,
+            results.demonstration,
+            place.support,
+            place.obstacles,
+            bolted=factory.params.bolted,
         )
 
     def seen(
