@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from aomgen.assets.usd_write import write_usd
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.demonstration import Demonstration, EpisodeScene
+from aomgen.core.demonstration import Demonstration, EpisodeScene, SupportPlane
 from aomgen.core.gaussians import gaussians_of
 from aomgen.core.light import hemisphere_light
 from aomgen.core.project import Project
@@ -46,7 +47,13 @@ class ToyResults(Results):
 
 
 def toy_run(
-    out: Path, *, poses: int = 2, assets: int = 1, params: dict[str, Any] | None = None
+    out: Path,
+    *,
+    poses: int = 2,
+    assets: int = 1,
+    params: dict[str, Any] | None = None,
+    support: SupportPlane = SUPPORT,
+    obstacles: tuple[OrientedBox, ...] = (),
 ) -> ToyResults:
     """Write what the replacement stage leaves, for some equal drawers of different names."""
     robot, fitted = load_robot("ur5e_2f85"), fitted_drawer()
@@ -72,8 +79,8 @@ def toy_run(
         folders["replacement"],
         "scene",
         EpisodeScene(
-            support=SUPPORT,
-            obstacles=(),
+            support=support,
+            obstacles=obstacles,
             T_world_plane=plane,
             light=light,
             light_source="made up",

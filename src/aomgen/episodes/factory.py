@@ -18,6 +18,7 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Ver
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
 from aomgen.episodes.screening import Place
@@ -106,6 +107,14 @@ class EpisodeFactory:
             reach=longest_reach(self.results.robot),
             cameras={name: known[name] for name in self.params.cameras or known},
             free=self.params.free_cameras,
+        )
+
+    @cached_property
+    def reach_maps(self) -> tuple[ReachMap, ...]:
+        """Of every asset."""
+        return tuple(
+            map_reach(fitted, self.results.demonstration, self.params.ranges, self.solver, self.plan_params)
+            for fitted in self.results.fitted_assets
         )
 
     @cached_property

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset, Variation
+from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
 from aomgen.episodes.ik import IkSolver, follow, walk
 from aomgen.episodes.planning import PlanParams, retarget
@@ -16,6 +17,8 @@ from aomgen.episodes.variations import Range, Ranges, scaled_fit
 
 # Nodes are so far apart, [m] and [deg], or as far as so many nodes along each axis need.
 PITCH_M, PITCH_DEG, MAX_NODES = 0.05, 15.0, 7
+# Name of an asset's map in the stage's folder, with the asset's number.
+REACH_MAP: Final = "reach_{:02d}"
 # Poses of the contact that are looked at: some 10 cm of a handle's way apart.
 POSES: Final = 5
 
@@ -28,12 +31,14 @@ class ReachMap:
         x, y: As in `Variation`, [m].
         yaw: [rad].
         reached: (X, Y, W).
+        places_world: Where the middle of the object's footprint is at each node, [m].
     """
 
     x: Annotated[Array, "X"]
     y: Annotated[Array, "Y"]
     yaw: Annotated[Array, "W"]
     reached: Annotated[NDArray[np.bool_], "X Y W"]
+    places_world: Annotated[Array, "X Y 2"]
 
     __post_init__ = freeze_arrays
 
@@ -49,7 +54,13 @@ class ReachMap:
 
 
 def map_reach(
-    fitted: FittedAsset, demo: Demonstration, ranges: Ranges, solver: IkSolver, params: PlanParams
+    fitted: FittedAsset,
+    demo: Demonstration,
+    ranges: Ranges,
+    solver: IkSolver,
+    params: PlanParams,
+    *,
+    max_nodes: int = MAX_NODES,
 ) -> ReachMap:
     """Follow the contact with every grasp that planning tries, at every node, on the demonstration's branch.
 
@@ -64,7 +75,8 @@ def map_reach(
     knots = shown.knots[2]
     times = knots[np.linspace(0, len(knots) - 1, POSES).round().astype(int)]
     Ts_object_ee = np.stack([motion.holding(times) for motion in motions])
-    (x, y), yaw = (_nodes(bounds, PITCH_M) for bounds in ranges.place_bounds), _nodes(ranges.yaw_deg, PITCH_DEG)
+    x, y = (_nodes(bounds, PITCH_M, max_nodes) for bounds in ranges.place_bounds)
+    yaw = _nodes(ranges.yaw_deg, PITCH_DEG, max_nodes)
     grid = np.stack(np.meshgrid(x, y, np.deg2rad(yaw), indexing="ij"), -1)
     Ts_world_object = np.stack(
         [
@@ -77,13 +89,18 @@ def map_reach(
     for Ts in Ts_object_ee:
         # Nodes that no grasp before has reached.
         left = np.flatnonzero(~reached)
+        if not len(left):
+            break
         targets = Ts_world_object[left] @ Ts[:, None]
         joints = walk(solver, T_world_from, targets[0], start)
         _, counts = follow(solver, targets, joints, params.ik)
         reached[left] = counts == POSES
-    return ReachMap(x=x, y=y, yaw=np.deg2rad(yaw), reached=reached.reshape(grid.shape[:3]))
+    places = apply(Ts_world_object, fitted.middle_asset[None])[:, :2].reshape(*grid.shape[:3], 2)
+    return ReachMap(
+        x=x, y=y, yaw=np.deg2rad(yaw), reached=reached.reshape(grid.shape[:3]), places_world=places[:, :, 0]
+    )
 
 
-def _nodes(bounds: Range, pitch: float) -> Array:
+def _nodes(bounds: Range, pitch: float, most: int) -> Array:
     low, high = bounds
-    return np.linspace(low, high, min(1 + int(np.ceil((high - low) / pitch)), MAX_NODES))
+    return np.linspace(low, high, min(1 + int(np.ceil((high - low) / pitch)), most))

@@ -54,10 +54,25 @@ class Place:
         return views
 
     def screened(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
-        """Why a draw is not worth planning: "outside_area", "off_table", "blocked", "out_of_reach" or "out_of_view"."""
+        """Why a draw is not worth planning: what `barred` says, or "out_of_view"."""
+        barred = self.barred(variation, fitted)
+        if barred is not None:
+            return barred
         T = variation.placed(fitted)
-        moved = T @ fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, SAMPLED_VALUES))
-        held = apply(moved, fitted.contact_asset[None])
+        held = _held(fitted, T)
+        for name, camera in self.views(variation, fitted).items():
+            share = seen_share(camera, held, _corners(fitted, T))
+            if not share >= LEAST_IN_VIEW:
+                return Rejection(
+                    reason="out_of_view",
+                    detail=f"camera {name} shows {share:.0%} of the action, limit {LEAST_IN_VIEW:.0%}",
+                    metrics={"in_view": share},
+                )
+        return None
+
+    def barred(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
+        """Why an object cannot be used where it would stand: "outside_area", "off_table", "blocked" or "out_of_reach"."""
+        T = variation.placed(fitted)
         if self.ranges.polygon and not inside(self.ranges.polygon, np.array([variation.x, variation.y])):
             return Rejection(reason="outside_area", detail="the place lies beside the area given")
         over_m = self._overhang_m(fitted, T)
@@ -74,21 +89,13 @@ class Place:
                 reason="blocked",
                 detail=f"something of the scene stands there, about x = {x:.2f} m, y = {y:.2f} m",
             )
-        far_m = float(np.linalg.norm(held - self.reach.shoulder_world, axis=1).max())
+        far_m = float(np.linalg.norm(_held(fitted, T) - self.reach.shoulder_world, axis=1).max())
         if not far_m <= USEFUL_REACH * self.reach.reach_m:
             return Rejection(
                 reason="out_of_reach",
                 detail=f"the handle is {far_m:.2f} m from the shoulder, limit {USEFUL_REACH * self.reach.reach_m:.2f} m",
                 metrics={"distance_m": far_m},
             )
-        for name, camera in self.views(variation, fitted).items():
-            share = seen_share(camera, held, _corners(fitted, T))
-            if not share >= LEAST_IN_VIEW:
-                return Rejection(
-                    reason="out_of_view",
-                    detail=f"camera {name} shows {share:.0%} of the action, limit {LEAST_IN_VIEW:.0%}",
-                    metrics={"in_view": share},
-                )
         return None
 
     def _overhang_m(self, fitted: FittedAsset, T_world_object: Array) -> float:
@@ -133,6 +140,12 @@ def _aimed(camera: Camera, target_world: Array) -> Array:
     )
     depth = (target_world - camera.center) @ R[:, 2]
     return transform(R, target_world - depth * ray)
+
+
+def _held(fitted: FittedAsset, T_world_object: Array) -> Array:
+    """Where the handle is (N, 3) while the part opens, world frame."""
+    opened = fitted.asset.joint.motion(fitted.target_theta * np.linspace(0, 1, SAMPLED_VALUES))
+    return apply(T_world_object @ opened, fitted.contact_asset[None])
 
 
 def _stands_in(fitted: FittedAsset, T_world_object: Array, box: OrientedBox) -> bool:

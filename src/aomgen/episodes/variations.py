@@ -117,7 +117,6 @@ class Ranges:
                 "want three corners or more around the part of the table that objects may stand on",
             )
 
-
     @property
     def frame(self) -> VariationFrame:
         """What x and y of draws mean."""

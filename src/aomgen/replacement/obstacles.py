@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from aomgen.core.boxes import OrientedBox, find_upright_axes
 from aomgen.core.gaussians import Gaussians
-from aomgen.core.transforms import apply, matrix_from_quat, transform
+from aomgen.core.transforms import matrix_from_quat, transform
 from aomgen.core.values import Array
 from aomgen.robots.reach import Reach
 from aomgen.robots.robot import RobotConfiguration
@@ -25,8 +25,12 @@ LOWEST_M: Final = 0.015
 CELL_M: Final = 0.02
 # Each sample stands for this much opaque surface, [m^2]; a cell that a surface crosses has about sixteen.
 SAMPLE_M2: Final = 2.5e-5
+# An object that the arm reaches in front may stand so much farther back, [m].
+BEHIND_M: Final = 0.3
+# A Gaussian's disc counts no farther than this, [m]: larger ones are sky.
+LARGEST_M: Final = 0.1
 # Samples of a solid cell.
-SOLID_SAMPLES: Final = 5
+SOLID_SAMPLES: Final = 8
 # A thing begins at most this high above the table, [m]; what is hidden at its foot is seldom higher.
 FOOT_M: Final = 0.06
 # Fewer cells, seen from above, are a speck.
@@ -54,11 +58,11 @@ def find_obstacles(
         support: The table, and where the object stood.
         configuration: The scanned robot.
     """
-    points = _samples(surroundings, np.random.default_rng(0))
+    far_m = reach.reach_m + BEHIND_M
+    away = np.linalg.norm(surroundings.means - reach.shoulder_world, axis=1)
+    points = _samples(surroundings.select(away < far_m + LARGEST_M), np.random.default_rng(0))
     plane = support.coordinates(points)
-    top_m = support.coordinates(reach.shoulder_world)[2] + reach.reach_m
-    kept = (plane[:, 2] > LOWEST_M) & (plane[:, 2] < top_m)
-    kept &= np.linalg.norm((points - reach.shoulder_world)[:, :2], axis=1) < reach.reach_m
+    kept = (plane[:, 2] > LOWEST_M) & (np.linalg.norm(points - reach.shoulder_world, axis=1) < far_m)
     kept &= ~((support.beyond_reach(plane[:, :2]) < OBJECT_M) & (plane[:, 2] < support.top + OBJECT_M))
     points, plane = points[kept], plane[kept]
     own, _ = cKDTree(configuration.points_world()).query(points, distance_upper_bound=ROBOT_M)
@@ -74,7 +78,7 @@ def _samples(gaussians: Gaussians, rng: np.random.Generator) -> Array:
     """Points (N, 3) spread over the discs that Gaussians cover, as many as they are large and opaque."""
     order = np.argsort(-gaussians.scales, axis=1)[:, :2]
     rows = np.arange(len(gaussians))
-    sizes = np.take_along_axis(gaussians.scales, order, 1).astype(np.float64)
+    sizes = np.minimum(np.take_along_axis(gaussians.scales, order, 1).astype(np.float64), LARGEST_M)
     expected = np.pi * sizes.prod(1) * gaussians.opacities / SAMPLE_M2
     owners = np.repeat(rows, np.floor(expected + rng.uniform(size=len(rows))).astype(int))
     axes = matrix_from_quat(gaussians.quats.astype(np.float64))[rows[:, None], :, order] * sizes[..., None]
@@ -106,8 +110,12 @@ def _parts(thing: Array) -> list[Array]:
     R = find_upright_axes(thing)
     turned = thing @ R
     cells = np.floor((turned[:, :2] - turned[:, :2].min(0)) / CELL_M).astype(int)
-    heights = np.zeros(cells.max(0) + 1)
+    heights, counts = np.zeros(cells.max(0) + 1), np.zeros(cells.max(0) + 1, int)
     np.maximum.at(heights, tuple(cells.T), thing[:, 2])
+    np.add.at(counts, tuple(cells.T), 1)
+    heights[counts < SOLID_SAMPLES] = 0.0
+    if np.count_nonzero(heights) < LEAST_CELLS:
+        return []
     best, where = (1 - SAVED_SHARE) * _volume(heights), None
     for axis in (0, 1):
         for cut in range(1, heights.shape[axis]):
@@ -123,7 +131,11 @@ def _parts(thing: Array) -> list[Array]:
 def _volume(heights: Array) -> float:
     """Volume of the box around columns (X, Y), in cells of the table times [m]."""
     rows, columns = heights.any(1), heights.any(0)
-    return float(np.ptp(np.flatnonzero(rows)) + 1) * float(np.ptp(np.flatnonzero(columns)) + 1) * heights.max()
+    if not rows.any():
+        return 0.0
+    return (
+        float(np.ptp(np.flatnonzero(rows)) + 1) * float(np.ptp(np.flatnonzero(columns)) + 1) * heights.max()
+    )
 
 
 def _box(part: Array, T_world_plane: Array) -> OrientedBox:

@@ -4,10 +4,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import Rejection, Variation
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
 from aomgen.episodes.generate import generate
@@ -27,6 +29,7 @@ from aomgen.executors import Done
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
 from drawer_episode import corner_camera, drawer_episode
+from toy_drawer import SUPPORT, fitted_drawer
 from toy_run import toy_run
 
 VIDEO = encode_video(np.zeros((3, 48, 64, 3), np.uint8), 10)
@@ -210,10 +213,36 @@ def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path)
     assert all(account.left == 0 for account in read_accounts(results.folders["episodes"]))
 
 
-def test_unknown_cameras_are_refused(tmp_path):
-    results = toy_run(tmp_path, params={"cameras": ["font"]})
-    with pytest.raises(ConfigError, match="'font' is no camera; did you mean 'front'"):
-        run(results, results.folders["episodes"], lambda share, text: None)
+HOPELESS = {
+    "beyond reach": (
+        {"x_m": [0.9, 1.2]},
+        r"no place for drawer-0: of 200 draws, at x 1\.\d\d to .*, 200 out of the arm's reach; the arm holds its handle at",
+    ),
+    "beside the table": (
+        {"polygon": [[5.0, 5.0], [5.5, 5.0], [5.0, 5.5]]},
+        r"of 200 draws, at x 5.00 to 5\.\d\d m, y 5.00 to 5\.\d\d m, \d+ off the table, \d+ beside the area; .* the free table is x",
+    ),
+    "where something stands": ({"x_m": [-0.01, 0.01], "yaw_deg": [0, 0]}, "200 where something stands"),
+}
+
+
+@pytest.mark.parametrize("name", HOPELESS)
+def test_ranges_that_hold_no_place_are_refused_before_work(tmp_path, name):
+    ranges, words = HOPELESS[name]
+    around = fitted_drawer().T_world_asset[:2, 3]
+    table = replace(SUPPORT, low_xy=around - 2, high_xy=around + 2)
+    inside = OrientedBox(T_world_box=fitted_drawer().T_world_asset, half_extents=np.full(3, 0.05))
+    obstacles = (inside,) if "something" in name else ()
+    results = toy_run(tmp_path, params={"ranges": ranges}, support=table, obstacles=obstacles)
+    folder = results.folders["episodes"]
+    folder.mkdir()
+    with pytest.raises(ConfigError, match=words) as caught:
+        run(results, folder, lambda share, text: None)
+    assert caught.value.exit_code == 2
+    (picture,) = folder.iterdir()
+    assert str(picture) in str(caught.value)
+    assert picture.read_text().startswith("<svg")
+    ElementTree.parse(picture)
 
 
 def test_what_a_user_sets_by_name_arrives(tmp_path):

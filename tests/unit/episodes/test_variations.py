@@ -43,7 +43,12 @@ def place(
 ) -> Place:
     reach = Reach(shoulder_world=np.array([0.0, 0.0, 0.16]), reach_m=1.1)
     return Place(
-        ranges=ranges or Ranges(), support=support, obstacles=obstacles, reach=reach, cameras={"front": camera}, free=free
+        ranges=ranges or Ranges(),
+        support=support,
+        obstacles=obstacles,
+        reach=reach,
+        cameras={"front": camera},
+        free=free,
     )
 
 

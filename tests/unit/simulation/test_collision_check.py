@@ -74,9 +74,7 @@ def test_a_thin_wall_between_two_samples_is_met(robot: RobotModel) -> None:
     beside = robot.ee_poses(joints)[:, :3, 3]
     across = (beside[1] - beside[0]) / np.linalg.norm(beside[1] - beside[0])
     R = np.stack([across, np.cross([0, 0, 1.0], across), [0, 0, 1.0]], 1)
-    wall = OrientedBox(
-        T_world_box=transform(R, hand), half_extents=np.array([0.001, 0.03, 0.06])
-    )
+    wall = OrientedBox(T_world_box=transform(R, hand), half_extents=np.array([0.001, 0.03, 0.06]))
     still = np.zeros(2)
     free, met = scene_with(robot), scene_with(robot, wall)
     assert isinstance(check(free, joints, still), dict)
