@@ -37,10 +37,14 @@ def check_ranges(factory: EpisodeFactory, folder: Path) -> None:
     for number, (fitted, found) in enumerate(
         zip(factory.results.fitted_assets, factory.reach_maps, strict=True)
     ):
-        drawn = [factory.variation(Unit(asset=number, index=index)) for index in range(LOOKED_AT)]
-        reasons = [_reason(factory, variation, fitted, found) for variation in drawn]
-        if all(reasons):
-            raise _refusal(factory, fitted, drawn, Counter(reasons), folder / PICTURE)
+        reasons = dict[Variation, str]()
+        for index in range(LOOKED_AT):
+            variation = factory.variation(Unit(asset=number, index=index))
+            reasons[variation] = _reason(factory, variation, fitted, found)
+            if not reasons[variation]:
+                break
+        else:
+            raise _refusal(factory, fitted, reasons, folder / PICTURE)
 
 
 def _reason(factory: EpisodeFactory, variation: Variation, fitted: FittedAsset, found: ReachMap) -> str:
@@ -51,7 +55,7 @@ def _reason(factory: EpisodeFactory, variation: Variation, fitted: FittedAsset, 
 
 
 def _refusal(
-    factory: EpisodeFactory, fitted: FittedAsset, drawn: list[Variation], reasons: Counter[str], picture: Path
+    factory: EpisodeFactory, fitted: FittedAsset, reasons: dict[Variation, str], picture: Path
 ) -> ConfigError:
     """What is wrong with the ranges for an asset; the picture shows it."""
     scene, place, ranges = factory.results.episode_scene, factory.place, factory.params.ranges
@@ -65,11 +69,11 @@ def _refusal(
         factory.plan_params,
         max_nodes=WIDE_NODES,
     )
-    lines = [front_line(fitted, variation) for variation in drawn]
+    lines = [front_line(fitted, variation) for variation in reasons]
     shapes = [Shape(points_world=line, color="#d1495b", dot=True) for line in lines]
     write_text(picture, draw_map([*scene_shapes(scene, [wide]), *shapes]))
     places = np.stack([line[0] for line in lines])
-    counted = ", ".join(f"{count} {WORDS[reason]}" for reason, count in reasons.most_common())
+    counted = ", ".join(f"{count} {WORDS[reason]}" for reason, count in Counter(reasons.values()).most_common())
     reached = wide.places_world[wide.reached.any(2)]
     reach = (
         f"the arm holds its handle at {_extent(reached)}"
@@ -79,7 +83,7 @@ def _refusal(
     table = np.stack([scene.support.low_xy, scene.support.high_xy])
     return ConfigError(
         "episodes.ranges",
-        f"no place for {fitted.asset.name}: of {len(drawn)} draws, at {_extent(places)}, {counted}",
+        f"no place for {fitted.asset.name}: of {len(reasons)} draws, at {_extent(places)}, {counted}",
         f"{reach}, the free table is {_extent(table)}: {picture} shows both",
     )
 

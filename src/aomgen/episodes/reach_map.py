@@ -14,6 +14,7 @@ from aomgen.episodes.ik import IkSolver, follow, walk
 from aomgen.episodes.planning import PlanParams, retarget
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.episodes.variations import Range, Ranges, scaled_fit
+from aomgen.robots.reach import longest_reach
 
 # Nodes are so far apart, [m] and [deg], or as far as so many nodes along each axis need.
 PITCH_M, PITCH_DEG, MAX_NODES = 0.05, 15.0, 7
@@ -85,10 +86,12 @@ def map_reach(
         ]
     )
     T_world_from, start = shown.poses(times[:1])[0], shown.joints(times[:1])[0]
+    reach, handles = longest_reach(solver.robot), apply(Ts_world_object, fitted.contact_asset[None])
+    near = np.linalg.norm(handles - reach.shoulder_world, axis=1) <= reach.reach_m
     reached = np.zeros(len(Ts_world_object), bool)
     for Ts in Ts_object_ee:
         # Nodes that no grasp before has reached.
-        left = np.flatnonzero(~reached)
+        left = np.flatnonzero(near & ~reached)
         if not len(left):
             break
         targets = Ts_world_object[left] @ Ts[:, None]

@@ -37,6 +37,8 @@ FOOT_M: Final = 0.06
 LEAST_CELLS: Final = 4
 # Gaussians so near to the scanned robot are its own, or its shadow's, [m].
 ROBOT_M: Final = 0.04
+# Points on its surface: one every 1.5 cm.
+ROBOT_SAMPLES: Final = 5000
 # And so near to where the object stood, its own, [m].
 OBJECT_M: Final = 0.03
 # A box is cut in two where that saves this share of its volume.
@@ -58,14 +60,14 @@ def find_obstacles(
         support: The table, and where the object stood.
         configuration: The scanned robot.
     """
-    far_m = reach.reach_m + BEHIND_M
+    far_m, rng = reach.reach_m + BEHIND_M, np.random.default_rng(0)
     away = np.linalg.norm(surroundings.means - reach.shoulder_world, axis=1)
-    points = _samples(surroundings.select(away < far_m + LARGEST_M), np.random.default_rng(0))
+    points = _samples(surroundings.select(away < far_m + LARGEST_M), rng)
     plane = support.coordinates(points)
     kept = (plane[:, 2] > LOWEST_M) & (np.linalg.norm(points - reach.shoulder_world, axis=1) < far_m)
     kept &= ~((support.beyond_reach(plane[:, :2]) < OBJECT_M) & (plane[:, 2] < support.top + OBJECT_M))
     points, plane = points[kept], plane[kept]
-    own, _ = cKDTree(configuration.points_world()).query(points, distance_upper_bound=ROBOT_M)
+    own, _ = cKDTree(configuration.surface_world(ROBOT_SAMPLES, rng)).query(points, distance_upper_bound=ROBOT_M)
     plane = plane[np.isinf(own)]
     boxes = []
     for thing in _standing(plane):
