@@ -11,6 +11,7 @@ import pytest
 
 from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import Rejection, Variation
+from aomgen.core.transforms import transform
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
 from aomgen.episodes.generate import generate
 from aomgen.episodes.ledger import (
@@ -20,6 +21,7 @@ from aomgen.episodes.ledger import (
     ended_units,
     read_accounts,
     read_draws,
+    read_rejection,
     write_rejection,
 )
 from aomgen.episodes.stage import run
@@ -28,6 +30,7 @@ from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.executors import Done
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
+from aomgen.report.draws_section import draws_section
 from drawer_episode import corner_camera, drawer_episode
 from toy_drawer import SUPPORT, fitted_drawer
 from toy_run import toy_run
@@ -197,6 +200,9 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
         assert item.episode.thetas[-1] > 0.09
         assert (path / item.episode.asset_usd).resolve().is_file()
         assert 0.9 <= item.episode.verdict["variation"]["scale"] <= 1.0
+    shown = "".join(draws_section(results))
+    assert "scale: 2 of" in shown
+    assert shown.count("<polygon") == 3 * 3, "all places of the map are within reach"
     # The same unit made once more, in this process, is the same to the byte.
     unit = min(committed, key=lambda unit: unit.number)
     other = tmp_path / "again"
@@ -211,6 +217,22 @@ def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path)
     with pytest.raises(NotEnoughEpisodesError, match="drawer-0: 0 of 1 episodes after 2 attempts"):
         run(results, results.folders["episodes"], lambda share, text: None)
     assert all(account.left == 0 for account in read_accounts(results.folders["episodes"]))
+
+
+def test_what_stands_in_the_scene_is_planned_and_verified_with(tmp_path):
+    """A wall before the drawer: the hand cannot pass."""
+    T = fitted_drawer().T_world_asset
+    wall = OrientedBox(
+        T_world_box=transform(np.eye(3), T[:3, 3] - [0.45, 0, -0.4]), half_extents=np.array([0.01, 0.5, 0.4])
+    )
+    results = toy_run(tmp_path, obstacles=(wall,))
+    unit = Unit(asset=0, index=0)
+    factory = EpisodeFactory(results, results.folders["episodes"])
+    assert factory.asset(0).scene.roles.obstacle.sum() == 1
+    assert not factory.make(unit).committed
+    rejection = read_rejection(results.folders["episodes"], unit)
+    assert rejection.reason == "collision"
+    assert "obstacles" in rejection.detail
 
 
 HOPELESS = {

@@ -117,6 +117,9 @@ def test_ranges_that_hold_nothing_are_refused() -> None:
         Ranges(scale=(0.0, 1.0))
     with pytest.raises(ConfigError, match=r"episodes.ranges.polygon: has 3 corners and an area of 0"):
         Ranges(polygon=((0, 0), (1, 1), (2, 2)))
+    for wrong in ((0.0, 1.0, 2.0), ((0, 0), (1, 1, 1), (0, 1))):
+        with pytest.raises(ConfigError, match=r"episodes.ranges.polygon: is .*; want its corners"):
+            Ranges(polygon=wrong)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="'table'"):
         Ranges(axes="table")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"ranges\.free\.tilt_deg"):
