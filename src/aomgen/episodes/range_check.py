@@ -73,7 +73,9 @@ def _refusal(
     shapes = [Shape(points_world=line, color="#d1495b", dot=True) for line in lines]
     write_text(picture, draw_map([*scene_shapes(scene, [wide]), *shapes]))
     places = np.stack([line[0] for line in lines])
-    counted = ", ".join(f"{count} {WORDS[reason]}" for reason, count in Counter(reasons.values()).most_common())
+    counted = ", ".join(
+        f"{count} {WORDS[reason]}" for reason, count in Counter(reasons.values()).most_common()
+    )
     reached = wide.places_world[wide.reached.any(2)]
     reach = (
         f"the arm holds its handle at {_extent(reached)}"

@@ -33,8 +33,8 @@ LARGEST_M: Final = 0.1
 SOLID_SAMPLES: Final = 8
 # A thing begins at most this high above the table, [m]; what is hidden at its foot is seldom higher.
 FOOT_M: Final = 0.06
-# Fewer cells, seen from above, are a speck.
-LEAST_CELLS: Final = 4
+# Fewer cells, seen from above, are a speck: a computer mouse covers some fifteen.
+LEAST_CELLS: Final = 8
 # Gaussians so near to the scanned robot are its own, or its shadow's, [m].
 ROBOT_M: Final = 0.04
 # Points on its surface: one every 1.5 cm.
@@ -67,7 +67,9 @@ def find_obstacles(
     kept = (plane[:, 2] > LOWEST_M) & (np.linalg.norm(points - reach.shoulder_world, axis=1) < far_m)
     kept &= ~((support.beyond_reach(plane[:, :2]) < OBJECT_M) & (plane[:, 2] < support.top + OBJECT_M))
     points, plane = points[kept], plane[kept]
-    own, _ = cKDTree(configuration.surface_world(ROBOT_SAMPLES, rng)).query(points, distance_upper_bound=ROBOT_M)
+    own, _ = cKDTree(configuration.surface_world(ROBOT_SAMPLES, rng)).query(
+        points, distance_upper_bound=ROBOT_M
+    )
     plane = plane[np.isinf(own)]
     boxes = []
     for thing in _standing(plane):

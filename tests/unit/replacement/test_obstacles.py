@@ -122,7 +122,7 @@ def test_specks_table_robot_and_the_object_s_rest_are_no_obstacles(
     own = discs(standing_robot.surface_world(20_000, rng), np.eye(3), 0.01, 0.9)
     rest = sheet(standing(0.7, 0.0, 0.0, (0.2, 0.2, 0.2)), rng)
     hanging = sheet(
-        OrientedBox(T_world_box=transform(np.eye(3), [0.4, 0.5, 0.6]), half_extents=[0.05] * 3), rng
+        OrientedBox(T_world_box=transform(np.eye(3), [0.4, 0.5, 0.6]), half_extents=np.full(3, 0.05)), rng
     )
     assert found_in([own, rest, hanging, clutter(rng)], standing_robot) == ()
     far = sheet(standing(3.0, 0.0, 0.0, (0.2, 0.2, 0.2)), rng)
