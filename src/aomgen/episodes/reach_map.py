@@ -106,4 +106,5 @@ def map_reach(
 
 def _nodes(bounds: Range, pitch: float, most: int) -> Array:
     low, high = bounds
-    return np.linspace(low, high, min(1 + int(np.ceil((high - low) / pitch)), most))
+    nodes = np.linspace(low, high, min(1 + int(np.ceil((high - low) / pitch)), most))
+    return np.asarray(nodes, np.float64)

@@ -100,9 +100,9 @@ def _standing(plane: Array) -> Iterator[Array]:
     counts = np.zeros(cells.max(0) + 1, int)
     np.add.at(counts, tuple(cells.T), 1)
     components = np.zeros(counts.shape, np.int32)
-    number = label(counts >= SOLID_SAMPLES, np.ones((3, 3, 3)), output=components)
+    label(counts >= SOLID_SAMPLES, np.ones((3, 3, 3)), output=components)
     owners = components[tuple(cells.T)]
-    for index in range(1, int(number) + 1):
+    for index in range(1, int(components.max()) + 1):
         columns = (components == index).any(2)
         foot = int(np.flatnonzero((components == index).any((0, 1)))[0]) * CELL_M
         if columns.sum() >= LEAST_CELLS and foot <= FOOT_M:
