@@ -10,8 +10,9 @@ import numpy as np
 
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.asset import AssetLink
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera, look_at
-from aomgen.core.demonstration import Demonstration, EpisodeScene
+from aomgen.core.demonstration import Demonstration, EpisodeScene, SupportPlane
 from aomgen.core.gaussians import gaussians_of
 from aomgen.core.light import hemisphere_light
 from aomgen.core.project import Project
@@ -58,7 +59,11 @@ def _demonstration() -> Demonstration:
 
 
 def toy_results(
-    out: Path, *, poses: int = 2, assets: int = 1, params: dict[str, Any] | None = None
+    out: Path,
+    *,
+    poses: int = 2,
+    assets: int = 1,
+    params: dict[str, Any] | None = None,
 ) -> ToyResults:
     """Where a toy run's results lie, or shall lie."""
     project = Project(
@@ -73,7 +78,9 @@ def toy_results(
     return ToyResults(project=project, out=out, folders=folders, workers=1)
 
 
-def toy_run(out: Path, **choices: Any) -> ToyResults:
+def toy_run(
+    out: Path, *, support: SupportPlane = SUPPORT, obstacles: tuple[OrientedBox, ...] = (), **choices: Any
+) -> ToyResults:
     """Write what the replacement stage leaves, for some equal drawers of different names; `choices` of `toy_results`."""
     robot, fitted, results = _robot(), fitted_drawer(), toy_results(out, **choices)
     plain = replace(fitted.asset, static=_plain(fitted.asset.static), moving=_plain(fitted.asset.moving))
@@ -90,7 +97,8 @@ def toy_run(out: Path, **choices: Any) -> ToyResults:
         folders["replacement"],
         "scene",
         EpisodeScene(
-            support=SUPPORT,
+            support=support,
+            obstacles=obstacles,
             T_world_plane=plane,
             light=light,
             light_source="made up",

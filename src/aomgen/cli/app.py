@@ -97,9 +97,11 @@ def check(
     from aomgen.capture.read import read_capture
     from aomgen.pipeline.preflight import category_warnings, check_project, machine_warnings
     from aomgen.pipeline.project_file import read_project
+    from aomgen.pipeline.stages import check_params
 
     if path.suffix == ".toml" and path.name != "capture.toml":
         project = read_project(path)
+        check_params(project)
         capture = read_capture(project.capture)
         warnings = check_project(project, capture) + machine_warnings(project.segmenter, capture)
         print(f"{path}: fine")

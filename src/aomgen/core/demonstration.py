@@ -6,6 +6,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.joint import Joint
 from aomgen.core.light import Light
@@ -144,6 +145,7 @@ class EpisodeScene:
 
     Attributes:
         support: The table that objects are put on.
+        obstacles: What else stands within the robot's reach.
         T_world_plane: Its surface (4, 4), on which shadows fall.
         light: What new objects are lit by.
         light_source: Where the light comes from, in words.
@@ -151,6 +153,7 @@ class EpisodeScene:
     """
 
     support: SupportPlane
+    obstacles: tuple[OrientedBox, ...]
     T_world_plane: Matrix4
     light: Light
     light_source: str

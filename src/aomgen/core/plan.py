@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.episode import ContactLog
-from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.core.values import Array, Matrix4, Vector3, freeze_arrays
 from aomgen.core.verdict import Verdict
 
@@ -59,6 +59,12 @@ class FittedAsset:
     residual_mm: float
 
     __post_init__ = freeze_arrays
+
+    @property
+    def middle_asset(self) -> Array:
+        """Middle of the footprint (3,), asset frame, [m]: objects are turned about it."""
+        low, high = self.asset.static.bounds
+        return np.append((low[:2] + high[:2]) / 2, 0.0)
 
     @property
     def start_theta(self) -> float:
@@ -152,10 +158,8 @@ class Variation:
 
     def placed(self, fitted: FittedAsset) -> Array:
         """Pose T_world_object (4, 4) of the asset in this variation."""
-        low, high = fitted.asset.static.bounds
-        pivot_asset = np.append((low[:2] + high[:2]) / 2, 0.0)
         T = fitted.T_world_asset
-        pivot = T[:3, :3] @ pivot_asset + T[:3, 3]
+        pivot = apply(T, fitted.middle_asset)
         shift = np.array([self.x, self.y, 0.0])
         if self.frame == "object":
             shift = T[:3, :3] @ shift

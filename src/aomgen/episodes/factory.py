@@ -18,17 +18,17 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, Ver
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
 from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
-from aomgen.episodes.screening import Place, longest_reach
+from aomgen.episodes.screening import Place
 from aomgen.episodes.variations import Ranges, draw, scaled_fit
-from aomgen.errors import ConfigError
 from aomgen.executors import Work
 from aomgen.io.artifact import file_digest, load_artifact
 from aomgen.io.atomic import staged_folder
 from aomgen.io.episode_folder import episode_folder
-from aomgen.io.schema import suggest
 from aomgen.results import ASSET_USD, Results
+from aomgen.robots.reach import longest_reach
 from aomgen.simulation.collision_check import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
@@ -96,21 +96,23 @@ class EpisodeFactory:
 
     @cached_property
     def place(self) -> Place:
-        """What draws are held against.
-
-        Raises:
-            ConfigError: A camera is unknown.
-        """
+        """What draws are held against."""
         scene, known = self.results.episode_scene, self.results.episode_scene.cameras
-        for name in self.params.cameras:
-            if name not in known:
-                raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(name, known))
         return Place(
             ranges=self.params.ranges,
             support=scene.support,
+            obstacles=scene.obstacles,
             reach=longest_reach(self.results.robot),
             cameras={name: known[name] for name in self.params.cameras or known},
             free=self.params.free_cameras,
+        )
+
+    @cached_property
+    def reach_maps(self) -> tuple[ReachMap, ...]:
+        """Of every asset."""
+        return tuple(
+            map_reach(fitted, self.results.demonstration, self.params.ranges, self.solver, self.plan_params)
+            for fitted in self.results.fitted_assets
         )
 
     @cached_property
@@ -250,9 +252,14 @@ class OpenAsset:
 
     def _build(self, fitted: FittedAsset) -> Scene:
         factory = self.factory
-        results, support = factory.results, factory.place.support
+        results, place = factory.results, factory.place
         return episode_scene(
-            results.robot, fitted, results.demonstration, support, bolted=factory.params.bolted
+            results.robot,
+            fitted,
+            results.demonstration,
+            place.support,
+            place.obstacles,
+            bolted=factory.params.bolted,
         )
 
     def seen(

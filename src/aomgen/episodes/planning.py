@@ -30,6 +30,7 @@ from aomgen.episodes.retarget import (
     free_joints,
 )
 from aomgen.episodes.start import choose_start
+from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, stalling_gripper
 from aomgen.simulation.scene import Scene
 
@@ -39,6 +40,7 @@ START_TOLERANCE_RAD = 0.05
 CLEARANCE_M = 0.003
 # A motion that is too fast is made this much slower than needed, as a factor: sampling shifts its peaks.
 SLOWER = 1.05
+Method = Literal["aomgen", "paper"]
 # Reasons of rejection, from early to late.
 REASONS = (
     "joint_limit",
@@ -69,7 +71,7 @@ class PlanParams:
     ik: IkLimits = field(default_factory=IkLimits)
     kinematic: KinematicLimits = field(default_factory=KinematicLimits)
     max_slow_down: float = 2.0
-    method: Literal["aomgen", "paper"] = "aomgen"
+    method: Method = "aomgen"
 
 
 def plan_episode(
@@ -103,7 +105,9 @@ def plan_episode(
         start=choose_start(demo, fitted, placed, T_world_object, solver, params.ik, params.kinematic)
         + (np.array(variation.start_offset) if variation.start_offset else 0.0),
     )
-    motions = _grasped(task, T_world_object)
+    moved = not np.array_equal(task.start, demo.joints[0])
+    T_world_start = placed.robot.ee_poses(task.start[None])[0] if moved else None
+    motions = retarget(fitted, task.shown, T_world_object, placed.robot, params.method, T_world_start)
     contacts = _follow_contact(task, motions)
     best, held = Rejection(reason="no_grasp", detail="the asset offers no grasp"), dict[int, Array]()
     for k, contact in enumerate(contacts):
@@ -156,20 +160,28 @@ class _Arm(NamedTuple):
     lost: Rejection | None
 
 
-def _grasped(task: _Task, T_world_object: Array) -> list[RetargetedMotion]:
-    """The motions with all grasps that the method tries, the nearest to the demonstrated one first."""
-    fitted, demo, shown = task.fitted, task.shown.demo, task.shown
-    depth = grasp_depth(fitted, float(demo.grasp_ee[2]), task.placed.robot)
+def retarget(
+    fitted: FittedAsset,
+    shown: DemonstratedMotion,
+    T_world_object: Array,
+    robot: RobotModel,
+    method: Method,
+    T_world_start: Array | None = None,
+) -> list[RetargetedMotion]:
+    """The motions with all grasps that a method tries, the nearest to the demonstrated one first.
+
+    The hand begins at a pose (4, 4); where it was demonstrated if None.
+    """
+    demo, rigid = shown.demo, method == "paper"
+    depth = grasp_depth(fitted, float(demo.grasp_ee[2]), robot)
     found = grasps(fitted, shown.hand_at_closed(fitted), depth, demo.ee_turn_ratio)
-    moved = not np.array_equal(task.start, demo.joints[0])
-    rigid = task.params.method == "paper"
     return [
         RetargetedMotion(
             shown=shown,
             fitted=fitted,
             T_world_object=T_world_object,
             grasp=grasp,
-            T_world_start=task.placed.robot.ee_poses(task.start[None])[0] if moved else None,
+            T_world_start=T_world_start,
             rigid=rigid,
         )
         for grasp in (islice(found, 1) if rigid else found)

@@ -6,13 +6,14 @@ from typing import Final
 
 import numpy as np
 
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import FittedAsset, OrbitChange, Rejection, Variation
 from aomgen.core.transforms import apply, matrix_from_rotvec, transform
-from aomgen.core.values import Array, Vector3, freeze_arrays
+from aomgen.core.values import Array
 from aomgen.episodes.variations import Ranges, inside
-from aomgen.robots.robot import RobotModel
+from aomgen.robots.reach import Reach
 
 # An object may stand this far beyond the table's estimated edge, [m].
 OVERHANG_M: Final = 0.02
@@ -27,21 +28,12 @@ FREE_CAMERA: Final = "free{}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
-    """How far an arm gets: about which point, and the farthest end effector, [m]."""
-
-    shoulder_world: Vector3
-    reach_m: float
-
-    __post_init__ = freeze_arrays
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
-    """What draws are held against: ranges, table, robot's reach, and cameras that the scene has."""
+    """What draws are held against: ranges, table, what stands there, robot's reach, and cameras that the scene has."""
 
     ranges: Ranges
     support: SupportPlane
+    obstacles: tuple[OrientedBox, ...]
     reach: Reach
     cameras: Mapping[str, Camera]
     free: int = 0
@@ -62,11 +54,25 @@ class Place:
         return views
 
     def screened(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
-        """Why a draw is not worth planning: "outside_area", "off_table", "out_of_reach" or "out_of_view"."""
+        """Why a draw is not worth planning: what `barred` says, or "out_of_view"."""
+        barred = self.barred(variation, fitted)
+        if barred is not None:
+            return barred
         T = variation.placed(fitted)
-        thetas = np.linspace(fitted.start_theta, fitted.target_theta, SAMPLED_VALUES)
-        moved = T @ fitted.asset.joint.motion(thetas)
-        held = apply(moved, fitted.contact_asset[None])
+        held = _held(fitted, T)
+        for name, camera in self.views(variation, fitted).items():
+            share = seen_share(camera, held, _corners(fitted, T))
+            if not share >= LEAST_IN_VIEW:
+                return Rejection(
+                    reason="out_of_view",
+                    detail=f"camera {name} shows {share:.0%} of the action, limit {LEAST_IN_VIEW:.0%}",
+                    metrics={"in_view": share},
+                )
+        return None
+
+    def barred(self, variation: Variation, fitted: FittedAsset) -> Rejection | None:
+        """Why an object cannot be used where it would stand: "outside_area", "off_table", "blocked" or "out_of_reach"."""
+        T = variation.placed(fitted)
         if self.ranges.polygon and not inside(self.ranges.polygon, np.array([variation.x, variation.y])):
             return Rejection(reason="outside_area", detail="the place lies beside the area given")
         over_m = self._overhang_m(fitted, T)
@@ -76,21 +82,20 @@ class Place:
                 detail=f"stands {100 * over_m:.0f} cm beyond the table's edge, limit {100 * OVERHANG_M:.0f} cm",
                 metrics={"overhang_m": over_m},
             )
-        far_m = float(np.linalg.norm(held - self.reach.shoulder_world, axis=1).max())
+        covered = next((box for box in self.obstacles if _stands_in(fitted, T, box)), None)
+        if covered is not None:
+            x, y = covered.T_world_box[:2, 3]
+            return Rejection(
+                reason="blocked",
+                detail=f"something of the scene stands there, about x = {x:.2f} m, y = {y:.2f} m",
+            )
+        far_m = float(np.linalg.norm(_held(fitted, T) - self.reach.shoulder_world, axis=1).max())
         if not far_m <= USEFUL_REACH * self.reach.reach_m:
             return Rejection(
                 reason="out_of_reach",
                 detail=f"the handle is {far_m:.2f} m from the shoulder, limit {USEFUL_REACH * self.reach.reach_m:.2f} m",
                 metrics={"distance_m": far_m},
             )
-        for name, camera in self.views(variation, fitted).items():
-            share = seen_share(camera, held, _corners(fitted, T))
-            if not share >= LEAST_IN_VIEW:
-                return Rejection(
-                    reason="out_of_view",
-                    detail=f"camera {name} shows {share:.0%} of the action, limit {LEAST_IN_VIEW:.0%}",
-                    metrics={"in_view": share},
-                )
         return None
 
     def _overhang_m(self, fitted: FittedAsset, T_world_object: Array) -> float:
@@ -127,26 +132,6 @@ def seen_share(camera: Camera, held_world: Array, corners_world: Array) -> float
     return float(np.prod(within) / np.prod(high - low))
 
 
-def longest_reach(robot: RobotModel, samples: int = 2000) -> Reach:
-    """Point about which the arm reaches farthest, and how far its end effector gets.
-
-    The point is the highest one on the first joint's line that keeps the farthest sampled
-    pose nearest, which for most arms is the shoulder.
-    """
-    rng = np.random.default_rng(0)
-    low, high = np.clip(robot.joint_limits, -np.pi, np.pi).T
-    joints = rng.uniform(low, high, (samples, len(low)))
-    points = robot.ee_poses(joints)[:, :3, 3]
-    foot = float(robot.link_poses(joints[:1], 0.0)[0, 0, 2, 3])
-    heights = foot + np.linspace(0.0, 0.5, 26)
-    middle = np.median(points[:, :2], axis=0)
-    farthest = [
-        float(np.linalg.norm(points - np.array([middle[0], middle[1], z]), axis=1).max()) for z in heights
-    ]
-    best = int(np.argmin(farthest))
-    return Reach(shoulder_world=np.array([middle[0], middle[1], heights[best]]), reach_m=farthest[best])
-
-
 def _aimed(camera: Camera, target_world: Array) -> Array:
     """Pose (4, 4) of a camera shifted so that it shows a point (3,) in the middle of its image, from as far as before."""
     R = camera.T_world_cam[:3, :3]
@@ -155,6 +140,19 @@ def _aimed(camera: Camera, target_world: Array) -> Array:
     )
     depth = (target_world - camera.center) @ R[:, 2]
     return transform(R, target_world - depth * ray)
+
+
+def _held(fitted: FittedAsset, T_world_object: Array) -> Array:
+    """Where the handle is (N, 3) while the part moves, world frame."""
+    thetas = np.linspace(fitted.start_theta, fitted.target_theta, SAMPLED_VALUES)
+    return apply(T_world_object @ fitted.asset.joint.motion(thetas), fitted.contact_asset[None])
+
+
+def _stands_in(fitted: FittedAsset, T_world_object: Array, box: OrientedBox) -> bool:
+    """Whether the static part and an upright box cover the same place: no side of either lies between them."""
+    sides = np.concatenate([T_world_object[:2, :2], box.T_world_box[:2, :2]], axis=1)
+    mine, others = _footprint(fitted, T_world_object) @ sides, box.corners()[:, :2] @ sides
+    return bool(((mine.max(0) > others.min(0)) & (others.max(0) > mine.min(0))).all())
 
 
 def _footprint(fitted: FittedAsset, T_world_object: Array) -> Array:

@@ -15,9 +15,11 @@ from aomgen.episodes.distributions import distributions
 from aomgen.episodes.factory import EpisodeFactory, open_factory
 from aomgen.episodes.generate import generate
 from aomgen.episodes.ledger import Account, Request, read_accounts, read_draws
+from aomgen.episodes.range_check import check_ranges
+from aomgen.episodes.reach_map import REACH_MAP
 from aomgen.errors import NotEnoughEpisodesError
 from aomgen.executors import Done, Executor, Processes, RayCluster
-from aomgen.io.artifact import read_json
+from aomgen.io.artifact import read_json, save_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.results import Results
@@ -36,6 +38,9 @@ def run(
         episodes=results.project.poses,
         attempts=results.project.poses * factory.params.attempts_per_episode,
     )
+    check_ranges(factory, folder)
+    for number, found in enumerate(factory.reach_maps):
+        save_artifact(folder, REACH_MAP.format(number), found)
     with open_executor(results, folder, factory.params.timeout_s) as executor:
         generate(folder, request, executor, factory.screen, progress, on_done)
     accounts = read_accounts(folder)

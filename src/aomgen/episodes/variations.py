@@ -9,7 +9,14 @@ from typing import Final, Literal
 import numpy as np
 from scipy.stats import qmc
 
-from aomgen.core.plan import FittedAsset, LightChange, MaterialChange, OrbitChange, Variation
+from aomgen.core.plan import (
+    FittedAsset,
+    LightChange,
+    MaterialChange,
+    OrbitChange,
+    Variation,
+    VariationFrame,
+)
 from aomgen.core.transforms import similarity, transform
 from aomgen.core.values import Array
 from aomgen.errors import ConfigError
@@ -99,12 +106,29 @@ class Ranges:
             )
         if self.axes not in ("world", "object"):
             raise ConfigError("episodes.ranges.axes", f"is '{self.axes}'", 'want "world" or "object"')
-        if self.polygon and not (len(self.polygon) >= CORNERS and area(self.polygon) > 0):
+        if not all(isinstance(corner, tuple) and len(corner) == 2 for corner in self.polygon):
+            raise ConfigError(
+                "episodes.ranges.polygon", f"is {self.polygon}", "want its corners, [[x, y], ...] in metres"
+            )
+        if self.polygon and not (len(self.polygon) >= CORNERS and 0 < area(self.polygon) < np.inf):
             raise ConfigError(
                 "episodes.ranges.polygon",
                 f"has {len(self.polygon)} corners and an area of 0",
                 "want three corners or more around the part of the table that objects may stand on",
             )
+
+    @property
+    def frame(self) -> VariationFrame:
+        """What x and y of draws mean."""
+        return "polygon" if self.polygon else self.axes
+
+    @property
+    def place_bounds(self) -> tuple[Range, Range]:
+        """Lowest and highest x and y of draws, [m]."""
+        if not self.polygon:
+            return self.x_m, self.y_m
+        (low_x, low_y), (high_x, high_y) = np.min(self.polygon, 0), np.max(self.polygon, 0)
+        return (low_x, high_x), (low_y, high_y)
 
 
 def draw(
@@ -124,15 +148,12 @@ def draw(
     """
     orbits = [ranges.around] * cameras + [ranges.free] * free
     bounds = [
-        ranges.x_m, ranges.y_m, ranges.yaw_deg, ranges.scale, ranges.speed,
+        *ranges.place_bounds, ranges.yaw_deg, ranges.scale, ranges.speed,
         ranges.light_turn_deg, ranges.light_intensity, ranges.light_temperature_k,
         ranges.hue_deg, ranges.saturation, ranges.brightness,
         *[ranges.start_deg] * arm_joints,
         *[bound for orbit in orbits for bound in (orbit.turn_deg, orbit.tilt_deg, orbit.distance)],
     ]  # fmt: skip
-    if ranges.polygon:
-        low, high = np.min(ranges.polygon, 0), np.max(ranges.polygon, 0)
-        bounds[:2] = (low[0], high[0]), (low[1], high[1])
     lows, highs = np.array(bounds).T
     sequence = qmc.Halton(len(bounds), scramble=True, rng=np.random.default_rng([seed, asset]))
     values = (lows + sequence.fast_forward(index).random(1)[0] * (highs - lows)).tolist()
@@ -144,7 +165,7 @@ def draw(
         x=x,
         y=y,
         yaw=float(np.deg2rad(yaw)),
-        frame="polygon" if ranges.polygon else ranges.axes,
+        frame=ranges.frame,
         scale=scale,
         speed=speed,
         start_offset=tuple(np.deg2rad(starts).tolist()) if any(ranges.start_deg) else (),

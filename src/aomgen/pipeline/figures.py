@@ -125,6 +125,7 @@ FIGURES: Final[dict[str, dict[str, Figure]]] = {
         "assets": Figure(name="assets"),
         "removed": Figure(name="Gaussians removed"),
         "filled": Figure(name="filled in"),
+        "obstacles": Figure(name="obstacles"),
     },
     "episodes": {
         "episodes": Figure(name="episodes"),

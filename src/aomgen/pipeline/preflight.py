@@ -13,10 +13,12 @@ from aomgen.core.recording import Capture
 from aomgen.errors import BackendError, ConfigError, StorageError
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
+from aomgen.io.schema import suggest
 from aomgen.io.video import probe_video
 from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.manifest import MANIFEST, text_digest
 from aomgen.pipeline.runner import STARTED, Stage, stage_states
+from aomgen.robots.robot import RobotModel
 
 # Beside the results: what was checked last, so that a finished run is looked through at once.
 CHECKED_FILE = "checked.json"
@@ -40,8 +42,9 @@ def check_project(project: Project, capture: Capture) -> tuple[str, ...]:
     _check_cameras(project, capture)
     assets = open_assets(project.assets)
     require_room(project.out)
-    warnings = check_capture(capture).warnings
-    return (*warnings, *_stretched(project, capture), *_doubtful_joints(capture.category, assets))
+    checked = check_capture(capture)
+    _check_robot_cameras(project, checked.robot)
+    return (*checked.warnings, *_stretched(project, capture), *_doubtful_joints(capture.category, assets))
 
 
 def preflight(
@@ -145,6 +148,20 @@ def _check_cameras(project: Project, capture: Capture) -> None:
             path,
             f"has {boxes} box around the robot, alignment_method = 'paper' takes {PAPER_ROBOT_BOXES}",
             "add a robot prompt on another image",
+        )
+    known = (capture.cameras[0].name, NEW_CAMERA)
+    for name in project.params.get("episodes", {}).get("cameras", ()):
+        if name not in known:
+            raise ConfigError("episodes.cameras", f"'{name}' is no camera", suggest(str(name), known))
+
+
+def _check_robot_cameras(project: Project, robot: RobotModel) -> None:
+    images = project.params.get("episodes", {}).get("images", {})
+    if images.get("robot_cameras") and not robot.cameras:
+        raise ConfigError(
+            "episodes.images.robot_cameras",
+            f"is true, but {robot.name} carries no camera",
+            "add [[camera]] to a robot.toml, or leave it out",
         )
 
 

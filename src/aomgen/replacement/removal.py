@@ -62,6 +62,12 @@ class Cleared(NamedTuple):
     removed: int
     filled: int
 
+    @property
+    def surroundings(self) -> Gaussians:
+        """All that never moves, world frame."""
+        twin = self.twin
+        return twin.gaussians.select((twin.labels == BACKGROUND) & (twin.bodies == 0))
+
 
 def clear_object(twin: Twin, robot: RobotModel, rng: np.random.Generator) -> Cleared:
     """Remove the recorded object from a bound scan; `rng` chooses texture patches.

@@ -27,8 +27,10 @@ from aomgen.io.artifact import save_artifact
 from aomgen.replacement.correspondence import UP, recorded_contact
 from aomgen.replacement.fitting import FitParams, fit_asset
 from aomgen.replacement.light_estimation import estimate_light
+from aomgen.replacement.obstacles import find_obstacles
 from aomgen.replacement.removal import Cleared, clear_object
 from aomgen.results import ASSET_USD, ASSETS_FOLDER, FITTED, Results
+from aomgen.robots.reach import longest_reach
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import render
 from aomgen.splatting.surfels import surfels_of
@@ -71,6 +73,9 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     progress(0.3, "light")
     light = estimate_light(results.twin, results.robot, np.random.default_rng(project.seed))
     support = support_plane(cleared)
+    obstacles = find_obstacles(
+        cleared.surroundings, cleared.support, longest_reach(results.robot), results.configuration
+    )
     moving, static = (
         surface_points(results.scene, results.parts.labels, label) for label in (MOVING, STATIC)
     )
@@ -95,6 +100,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     progress(0.9, "new viewpoint")
     scene = EpisodeScene(
         support=support,
+        obstacles=obstacles,
         T_world_plane=cleared.support.T_world_plane,
         light=light.light,
         light_source=light.source,
@@ -106,6 +112,7 @@ def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
         "light": light.source,
         "removed": cleared.removed,
         "filled": cleared.filled,
+        "obstacles": len(obstacles),
         "fit_residual_mm": float(np.max(residuals)) if residuals else 0.0,
     }
 

@@ -3,21 +3,18 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-import numpy as np
-
 from aomgen.core.plan import Variation
 from aomgen.episodes.distributions import Distribution, distributions
 from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.ledger import read_draws
+from aomgen.episodes.map_drawing import Shape, draw_map, front_line, scene_shapes
+from aomgen.episodes.reach_map import REACH_MAP, ReachMap
+from aomgen.io.artifact import load_artifact
 from aomgen.report.html import paragraph, text
 from aomgen.results import Results
 
 # Of one histogram, [px].
 WIDTH, HEIGHT = 230, 92
-# Of the map: length of an arrow, [m], and room around the outermost object, [m].
-ARROW_M, ROOM_M = 0.06, 0.08
-# Of the map, [px].
-MAP_WIDTH: Final = 480
 COLORS: Final = {"committed": "#2c7a4b", "rejected": "#d1495b", "skipped": "#b9c2cf"}
 
 
@@ -36,10 +33,12 @@ def draws_section(results: Results) -> list[str]:
         ),
         f'<div class="head">{charts}</div>',
         paragraph(
-            "The places from above, the robot at the cross; an arrow points where the object's front looks. Green: an "
-            "episode. Red: planned in vain. Grey: not worth planning; the reasons follow below."
+            "The places from above, the robot at the cross; a line points where the object's front looks. Green: an "
+            "episode. Red: planned in vain. Grey: not worth planning; the reasons follow below. Pale green below: where "
+            "the arm can hold the handle, the stronger, the more turns of the object. Brown: the free table; dark "
+            "boxes: what else stands there."
         ),
-        draw_map(results, draws),
+        _map(results, draws),
     ]
 
 
@@ -66,35 +65,17 @@ def draw_histogram(item: Distribution) -> str:
     )
 
 
-def draw_map(results: Results, draws: list[dict[str, Any]]) -> str:
-    """Where the objects of all draws stand, the robot's base at the origin, x to the right."""
-    arrows = [(_arrow(results, draw), COLORS[draw["outcome"]]) for draw in draws]
-    points = np.concatenate([np.zeros((1, 2)), *(arrow for arrow, _ in arrows)])
-    low, high = points.min(0) - ROOM_M, points.max(0) + ROOM_M
-    scale = MAP_WIDTH / (high[0] - low[0])
-    height = scale * (high[1] - low[1])
-
-    def at(point: np.ndarray) -> str:
-        return f"{scale * (point[0] - low[0]):.1f},{height - scale * (point[1] - low[1]):.1f}"
-
-    lines = "".join(
-        f'<polyline points="{at(start)} {at(end)}" stroke="{color}" stroke-width="2" fill="none"/>'
-        f'<circle r="3" fill="{color}" transform="translate({at(start)})"/>'
-        for (start, end), color in sorted(arrows, key=lambda item: list(COLORS.values())[::-1].index(item[1]))
-    )
-    foot = np.zeros(2)
-    return (
-        f'<svg viewBox="0 0 {MAP_WIDTH} {height:.0f}" style="max-width:{MAP_WIDTH}px">'
-        f'<path d="M{at(foot)}m-7,0h14m-7,-7v14" stroke="#1c2430" stroke-width="2"/>{lines}</svg>'
-    )
+def _map(results: Results, draws: list[dict[str, Any]]) -> str:
+    """Where the objects of all draws stand, on what the scene and the reach of the arm allow."""
+    folder, count = results.folders["episodes"], len(results.fitted_assets)
+    maps = [load_artifact(folder, REACH_MAP.format(number), ReachMap) for number in range(count)]
+    ordered = sorted(draws, key=lambda draw: list(COLORS)[::-1].index(draw["outcome"]))
+    lines = [_line(results, draw) for draw in ordered]
+    return draw_map([*scene_shapes(results.episode_scene, maps), *lines])
 
 
-def _arrow(results: Results, draw: Mapping[str, Any]) -> np.ndarray:
-    """From the middle of an object to before its front (2, 2), seen from above, world frame."""
-    fitted, stored = results.fitted_assets[draw["asset"]], draw["variation"]
+def _line(results: Results, draw: Mapping[str, Any]) -> Shape:
+    stored = draw["variation"]
     place = {name: stored[name] for name in ("seed", "index", "x", "y", "yaw", "frame")}
-    T = Variation(**place).placed(fitted)
-    low, high = fitted.asset.static.bounds
-    middle = np.append((low + high)[:2] / 2, 0.0)
-    ends = np.stack([middle, middle - [0.0, ARROW_M, 0.0]])
-    return (ends @ T[:3, :3].T + T[:3, 3])[:, :2]
+    line = front_line(results.fitted_assets[draw["asset"]], Variation(**place))
+    return Shape(points_world=line, color=COLORS[draw["outcome"]], dot=True)

@@ -186,6 +186,7 @@ def reasons() -> dict[str, str]:
     return {
         "outside_area": "the place lies beside the area asked for",
         "off_table": "the object would stand beyond the table's edge",
+        "blocked": "the object would stand where something else of the scene does",
         "out_of_reach": "the handle is farther away than the arm can hold anything",
         "out_of_view": "a camera does not show enough of the action",
         **LOST,

@@ -1,6 +1,8 @@
 """Tier A: does a commanded trajectory avoid collisions and reach the handle, before anything is simulated."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -8,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.demonstration import Demonstration, SupportPlane
 from aomgen.core.plan import FittedAsset, Rejection
 from aomgen.core.transforms import apply, matrix_from_quat
@@ -223,18 +226,27 @@ def _moves(scene: Scene, places: Array) -> Array:
 
 
 def episode_scene(
-    robot: RobotModel, fitted: FittedAsset, demo: Demonstration, support: SupportPlane, *, bolted: bool = True
+    robot: RobotModel,
+    fitted: FittedAsset,
+    demo: Demonstration,
+    support: SupportPlane,
+    obstacles: Sequence[OrientedBox] = (),
+    *,
+    bolted: bool = True,
 ) -> Scene:
-    """Robot, table and asset; a table that the recorded arm would have hit is lowered out of its way.
+    """Robot, table, obstacles and asset; a table that the recorded arm would have hit is lowered out of its way.
 
     An object that is not bolted needs its table where it is.
     """
-    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, support, bolted=bolted)
+    build = partial(
+        build_scene, robot, fitted.asset, fitted.T_world_asset, bolted=bolted, obstacles=obstacles
+    )
+    scene = build(support)
     overlap = table_overlap_m(scene, demo.joints)
     if overlap <= 0.0 or not bolted:
         return scene
     lower = replace(support, height=support.height - overlap - TABLE_CLEARANCE_M)
-    return build_scene(robot, fitted.asset, fitted.T_world_asset, lower, bolted=bolted)
+    return build(lower)
 
 
 def table_overlap_m(scene: Scene, joints: Array) -> float:

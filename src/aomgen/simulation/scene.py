@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aomgen.assets.mjcf import AssetNames, add_asset
-from aomgen.core.asset import ArticulatedAsset, BoxCollider
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.episode import FINGERS
 from aomgen.core.joint import Joint
@@ -162,7 +163,7 @@ def build_scene(
     frictionloss: float = 0.1,
     bolted: bool = True,
     visual: bool = False,
-    obstacles: Sequence[BoxCollider] = (),
+    obstacles: Sequence[OrientedBox] = (),
 ) -> Scene:
     """Compile robot, table and object into one model.
 
@@ -174,7 +175,7 @@ def build_scene(
         robot: With position actuators on all arm joints.
         bolted: Weld the object to the world instead of letting it stand by friction.
         visual: Also add what is seen, for rendering.
-        obstacles: What else stands there and does not move, poses in the world frame.
+        obstacles: What else stands there and does not move.
 
     Raises:
         ConfigError: The robot has no position actuators.
@@ -239,15 +240,15 @@ def _add_table(spec: mujoco.MjSpec, robot: RobotModel, support: SupportPlane, ce
         spec.add_exclude(name=f"{TABLE}_{name}", bodyname1="world", bodyname2=name)
 
 
-def _add_obstacles(spec: mujoco.MjSpec, obstacles: Sequence[BoxCollider]) -> None:
+def _add_obstacles(spec: mujoco.MjSpec, obstacles: Sequence[OrientedBox]) -> None:
     # A body of their own: the foot ignores what belongs to the world's body.
     body = spec.worldbody.add_body(name=OBSTACLES)
     for number, box in enumerate(obstacles):
         body.add_geom(
             name=f"{OBSTACLES}_{number}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=box.T_asset_box[:3, 3],
-            quat=quat_from_matrix(box.T_asset_box[:3, :3]),
+            pos=box.T_world_box[:3, 3],
+            quat=quat_from_matrix(box.T_world_box[:3, :3]),
             size=box.half_extents,
             group=3,
         )

@@ -5,13 +5,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from aomgen.assets.replay_in_isaac_sim import read_recording
 from aomgen.assets.usd_write import REPLAY_SCRIPT
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import Rejection, Variation
+from aomgen.core.transforms import transform
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams, Outcome
 from aomgen.episodes.generate import generate
 from aomgen.episodes.ledger import (
@@ -21,6 +24,7 @@ from aomgen.episodes.ledger import (
     ended_units,
     read_accounts,
     read_draws,
+    read_rejection,
     write_rejection,
 )
 from aomgen.episodes.stage import run
@@ -30,7 +34,9 @@ from aomgen.executors import Done
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import commit_episode, list_committed, read_episode
 from aomgen.io.video import encode_video
+from aomgen.report.draws_section import draws_section
 from backwards import closing_of
+from benchmarks.toy_drawer import SUPPORT, fitted_drawer
 from benchmarks.toy_run import toy_run
 from drawer_episode import corner_camera, drawer_episode
 
@@ -219,6 +225,9 @@ def test_episodes_of_a_toy_run_are_real(tmp_path):
         assert replayed.usd == usd
         np.testing.assert_array_equal(replayed.commands[1:, :-1], item.episode.action_joints)
         assert 0.9 <= item.episode.verdict["variation"]["scale"] <= 1.0
+    shown = "".join(draws_section(results))
+    assert "scale: 2 of" in shown
+    assert shown.count("<polygon") == 3 * 3, "all places of the map are within reach"
     # The same unit made once more, in this process, is the same to the byte.
     unit = min(committed, key=lambda unit: unit.number)
     other = tmp_path / "again"
@@ -249,10 +258,52 @@ def test_an_asset_that_never_opens_far_enough_is_told_with_its_reasons(tmp_path)
     assert all(account.left == 0 for account in read_accounts(results.folders["episodes"]))
 
 
-def test_unknown_cameras_are_refused(tmp_path):
-    results = toy_run(tmp_path, params={"cameras": ["font"]})
-    with pytest.raises(ConfigError, match="'font' is no camera; did you mean 'front'"):
-        run(results, results.folders["episodes"], lambda share, text: None)
+def test_what_stands_in_the_scene_is_planned_and_verified_with(tmp_path):
+    """A wall before the drawer: the hand cannot pass."""
+    T = fitted_drawer().T_world_asset
+    wall = OrientedBox(
+        T_world_box=transform(np.eye(3), T[:3, 3] - [0.45, 0, -0.4]), half_extents=np.array([0.01, 0.5, 0.4])
+    )
+    results = toy_run(tmp_path, obstacles=(wall,))
+    unit = Unit(asset=0, index=0)
+    factory = EpisodeFactory(results, results.folders["episodes"])
+    assert factory.asset(0).scene.roles.obstacle.sum() == 1
+    assert not factory.make(unit).committed
+    rejection = read_rejection(results.folders["episodes"], unit)
+    assert rejection.reason == "collision"
+    assert "obstacles" in rejection.detail
+
+
+HOPELESS = {
+    "beyond reach": (
+        {"x_m": [0.9, 1.2]},
+        r"no place for drawer-0: of 200 draws, at x 1\.\d\d to .*, 200 out of the arm's reach; the arm holds its handle at",
+    ),
+    "beside the table": (
+        {"polygon": [[5.0, 5.0], [5.5, 5.0], [5.0, 5.5]]},
+        r"of 200 draws, at x 5.00 to 5\.\d\d m, y 5.00 to 5\.\d\d m, \d+ off the table, \d+ beside the area; .* the free table is x",
+    ),
+    "where something stands": ({"x_m": [-0.01, 0.01], "yaw_deg": [0, 0]}, "200 where something stands"),
+}
+
+
+@pytest.mark.parametrize("name", HOPELESS)
+def test_ranges_that_hold_no_place_are_refused_before_work(tmp_path, name):
+    ranges, words = HOPELESS[name]
+    around = fitted_drawer().T_world_asset[:2, 3]
+    table = replace(SUPPORT, low_xy=around - 2, high_xy=around + 2)
+    inside = OrientedBox(T_world_box=fitted_drawer().T_world_asset, half_extents=np.full(3, 0.05))
+    obstacles = (inside,) if "something" in name else ()
+    results = toy_run(tmp_path, params={"ranges": ranges}, support=table, obstacles=obstacles)
+    folder = results.folders["episodes"]
+    folder.mkdir()
+    with pytest.raises(ConfigError, match=words) as caught:
+        run(results, folder, lambda share, text: None)
+    assert caught.value.exit_code == 2
+    (picture,) = folder.iterdir()
+    assert str(picture) in str(caught.value)
+    assert picture.read_text().startswith("<svg")
+    ElementTree.parse(picture)
 
 
 def test_what_a_user_sets_by_name_arrives(tmp_path):

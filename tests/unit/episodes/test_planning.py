@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.core.asset import ArticulatedAsset, BoxCollider
+from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.demonstration import Demonstration, gripper_command, timing
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
@@ -185,14 +186,14 @@ def test_the_way_leads_around_what_stands_there(
     demo = opening(solver, fitted, before=(0.28, -0.4, 0.0))
     here = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 
-    def planned(*boxes: BoxCollider) -> tuple[EpisodePlan | Rejection, Scene]:
+    def planned(*boxes: OrientedBox) -> tuple[EpisodePlan | Rejection, Scene]:
         scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT, obstacles=boxes)
         return plan_episode(fitted, demo, here, scene, solver, PlanParams()), scene
 
-    def column(place: np.ndarray, top: float) -> BoxCollider:
+    def column(place: np.ndarray, top: float) -> OrientedBox:
         half = (top - SUPPORT.height) / 2
         T = transform(np.eye(3), [place[0], place[1], SUPPORT.height + half])
-        return BoxCollider(name="column", T_asset_box=T, half_extents=np.array([0.01, 0.01, half]))
+        return OrientedBox(T_world_box=T, half_extents=np.array([0.01, 0.01, half]))
 
     plain, _ = planned()
     assert isinstance(plain, EpisodePlan)

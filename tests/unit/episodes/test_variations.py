@@ -5,14 +5,16 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.camera import Camera, look_at
 from aomgen.core.demonstration import SupportPlane
 from aomgen.core.plan import FittedAsset, OrbitChange, Variation
-from aomgen.core.transforms import apply
+from aomgen.core.transforms import apply, matrix_from_rotvec, transform
 from aomgen.episodes.distributions import distributions
-from aomgen.episodes.screening import Place, Reach, longest_reach, orbited
+from aomgen.episodes.screening import Place, orbited
 from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, scaled_fit
 from aomgen.errors import ConfigError
+from aomgen.robots.reach import Reach, longest_reach
 from aomgen.robots.robot import RobotModel
 from benchmarks.toy_drawer import SUPPORT, fitted_drawer
 
@@ -33,11 +35,20 @@ def camera(fitted: FittedAsset) -> Camera:
 
 
 def place(
-    camera: Camera, support: SupportPlane = SUPPORT, ranges: Ranges | None = None, free: int = 0
+    camera: Camera,
+    support: SupportPlane = SUPPORT,
+    ranges: Ranges | None = None,
+    free: int = 0,
+    obstacles: tuple[OrientedBox, ...] = (),
 ) -> Place:
     reach = Reach(shoulder_world=np.array([0.0, 0.0, 0.16]), reach_m=1.1)
     return Place(
-        ranges=ranges or Ranges(), support=support, reach=reach, cameras={"front": camera}, free=free
+        ranges=ranges or Ranges(),
+        support=support,
+        obstacles=obstacles,
+        reach=reach,
+        cameras={"front": camera},
+        free=free,
     )
 
 
@@ -106,6 +117,9 @@ def test_ranges_that_hold_nothing_are_refused() -> None:
         Ranges(scale=(0.0, 1.0))
     with pytest.raises(ConfigError, match=r"episodes.ranges.polygon: has 3 corners and an area of 0"):
         Ranges(polygon=((0, 0), (1, 1), (2, 2)))
+    for wrong in ((0.0, 1.0, 2.0), ((0, 0), (1, 1, 1), (0, 1))):
+        with pytest.raises(ConfigError, match=r"episodes.ranges.polygon: is .*; want its corners"):
+            Ranges(polygon=wrong)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="'table'"):
         Ranges(axes="table")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"ranges\.free\.tilt_deg"):
@@ -132,6 +146,27 @@ def test_poses_off_the_table_or_out_of_reach_are_not_tried(fitted: FittedAsset, 
     assert reason(place(wide), replace(HERE, x=0.5), fitted) == "out_of_reach"
     # The recorded place counts as table even where its edge is estimated too near.
     assert reason(place(wide, replace(small, high_xy=T - 0.1)), HERE, fitted) == ""
+
+
+def test_an_object_does_not_stand_where_something_else_does(fitted: FittedAsset, camera: Camera) -> None:
+    wide, T = replace(camera, fx=20, fy=20), fitted.T_world_asset
+    behind = T[:2, 3] + [0.5, 0.0]
+    half = np.array([0.05, 0.05, 0.1])
+    box = OrientedBox(T_world_box=transform(np.eye(3), np.append(behind, 0.15)), half_extents=half)
+    beside = place(wide, obstacles=(box,))
+    assert reason(beside, HERE, fitted) == ""
+    depth = fitted.asset.static.bounds[1][1]
+    # The drawer's back faces +x of the world: it comes up to the box's front.
+    near = 0.5 - 0.05 - depth
+    assert reason(beside, replace(HERE, x=near - 0.01), fitted) != "blocked"
+    assert reason(beside, replace(HERE, x=near + 0.01), fitted) == "blocked"
+    # Beside the corner of a turned box their outlines' bounds overlap, they do not.
+    R = matrix_from_rotvec(np.array([0.0, 0.0, np.pi / 4]))
+    width = fitted.asset.static.bounds[1][0]
+    corner = T[:2, 3] + [depth + 0.04, width + 0.04]
+    turned = OrientedBox(T_world_box=transform(R, np.append(corner, 0.15)), half_extents=half)
+    assert reason(place(wide, obstacles=(turned,)), HERE, fitted) == ""
+    assert reason(place(wide, obstacles=(turned,)), replace(HERE, x=0.02, y=0.02), fitted) == "blocked"
 
 
 def test_a_pose_that_a_camera_does_not_show_is_not_in_view(fitted: FittedAsset, camera: Camera) -> None:

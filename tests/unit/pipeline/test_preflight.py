@@ -3,6 +3,7 @@
 import json
 import re
 from contextlib import chdir
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import pytest
 
 from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
-from aomgen.capture import demo_videos
+from aomgen.capture import capture_check, demo_videos
 from aomgen.capture.read import read_capture
 from aomgen.core.project import Project
 from aomgen.errors import (
@@ -23,6 +24,7 @@ from aomgen.errors import (
 from aomgen.io.video import VideoInfo
 from aomgen.pipeline import environment, preflight
 from aomgen.pipeline.stages import assets_digest
+from aomgen.robots.loading import load_robot
 from broken_captures import CAPTURES, TOML, edit, write_tight_usd
 
 SHARED = Path(__file__).parents[4] / "shared" / "captures"
@@ -112,6 +114,30 @@ def test_the_paper_s_alignment_needs_two_boxes(small_copy, tmp_path):
         preflight.check_project(
             project_of(small_copy, tmp_path, alignment_method="paper"), read_capture(small_copy)
         )
+
+
+EPISODES = {
+    "unknown camera": ({"cameras": ["font"]}, "'font' is no camera; did you mean 'front'"),
+    "nothing like a camera": ({"cameras": ["x"]}, "'x' is no camera; known: front, side"),
+    "robot without cameras": ({"images": {"robot_cameras": True}}, "carries no camera; add"),
+}
+
+
+@pytest.mark.parametrize("name", EPISODES)
+def test_cameras_that_nobody_has(small_capture, tmp_path, name, monkeypatch):
+    params, words = EPISODES[name]
+    bare = replace(load_robot("ur5e_2f85"), cameras={})
+    monkeypatch.setattr(capture_check, "choose_robot", lambda section: bare)
+    with pytest.raises(ConfigError, match=words):
+        preflight.check_project(
+            project_of(small_capture, tmp_path, params={"episodes": params}), read_capture(small_capture)
+        )
+
+
+def test_cameras_that_exist(small_capture, tmp_path):
+    named = {"cameras": ["side", "front"], "images": {"robot_cameras": True}}
+    project = project_of(small_capture, tmp_path / "out", params={"episodes": named})
+    assert preflight.check_project(project, read_capture(small_capture)) == ()
 
 
 def test_out_is_a_file(small_capture, tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from aomgen.assets.choice import make_asset
-from aomgen.core.asset import BoxCollider
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import Rejection
 from aomgen.core.transforms import apply, transform
 from aomgen.robots.robot import RobotModel
@@ -22,7 +22,7 @@ LIMITS = KinematicLimits()
 JOINTS_A_SAMPLE = 0.26
 
 
-def scene_with(robot: RobotModel, *obstacles: BoxCollider) -> Scene:
+def scene_with(robot: RobotModel, *obstacles: OrientedBox) -> Scene:
     return build_scene(robot, make_asset("drawer", 1), FAR, SUPPORT, obstacles=obstacles)
 
 
@@ -75,9 +75,7 @@ def test_a_thin_wall_between_two_samples_is_met(robot: RobotModel) -> None:
     beside = robot.ee_poses(joints)[:, :3, 3]
     across = (beside[1] - beside[0]) / np.linalg.norm(beside[1] - beside[0])
     R = np.stack([across, np.cross([0, 0, 1.0], across), [0, 0, 1.0]], 1)
-    wall = BoxCollider(
-        name="wall", T_asset_box=transform(R, hand), half_extents=np.array([0.001, 0.03, 0.06])
-    )
+    wall = OrientedBox(T_world_box=transform(R, hand), half_extents=np.array([0.001, 0.03, 0.06]))
     still = np.zeros(2)
     free, met = scene_with(robot), scene_with(robot, wall)
     assert isinstance(check(free, joints, still), dict)
@@ -110,12 +108,12 @@ def test_the_arm_keeps_clear_of_the_object_by_as_much_as_is_asked(robot: RobotMo
 
 def test_an_object_in_an_obstacle_collides(robot: RobotModel) -> None:
     joints, still = np.array([NEAR, NEAR]), np.zeros(2)
-    box = BoxCollider(name="box", T_asset_box=FAR, half_extents=np.full(3, 0.05))
+    box = OrientedBox(T_world_box=FAR, half_extents=np.full(3, 0.05))
     result = check(scene_with(robot, box), joints, still)
     assert isinstance(result, Rejection)
     assert result.reason == "collision"
     opened = make_asset("drawer", 1)
     ahead = apply(FAR @ opened.joint.motion(0.15), opened.handle_point)
-    box = BoxCollider(name="box", T_asset_box=transform(np.eye(3), ahead), half_extents=np.full(3, 0.01))
+    box = OrientedBox(T_world_box=transform(np.eye(3), ahead), half_extents=np.full(3, 0.01))
     assert isinstance(check(scene_with(robot, box), joints, still), dict)
     assert isinstance(check(scene_with(robot, box), joints, np.array([0.0, 0.15])), Rejection)

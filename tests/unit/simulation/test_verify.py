@@ -10,6 +10,7 @@ import pytest
 
 from aomgen.assets.choice import make_asset
 from aomgen.core.asset import ArticulatedAsset
+from aomgen.core.boxes import OrientedBox
 from aomgen.core.plan import EpisodePlan, Rejection, VerifiedEpisode
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.verdict import Setting, SettingOutcome
@@ -89,6 +90,16 @@ def test_honest_pull_passes_in_all_settings(passed: VerifiedEpisode, plan: Episo
     normals = passed.contacts.normals_world
     mean = [normals[passed.contacts.fingers == side].mean(0) for side in (0, 1)]
     assert mean[0] @ mean[1] < 0
+
+
+def test_an_arm_that_runs_into_what_stands_there_is_rejected(robot: RobotModel, plan: EpisodePlan) -> None:
+    """The box is where the wrist goes while it pulls, and nowhere near the drawer."""
+    wrist = robot.link_poses(plan.joints[-1:], 1.0)[0, robot.body_names.index("wrist_1_link"), :3, 3]
+    box = OrientedBox(T_world_box=transform(np.eye(3), wrist - [0.05, 0, 0]), half_extents=np.full(3, 0.04))
+    scene = build_scene(robot, plan.fitted.asset, plan.T_world_object, SUPPORT, obstacles=(box,))
+    result = verify_plan(plan, scene)
+    assert isinstance(result, Rejection)
+    assert result.reason == "robot_contact"
 
 
 def test_the_certificate_holds_all_figures_limits_and_origins(passed: VerifiedEpisode, scene: Scene) -> None:

@@ -1,0 +1,151 @@
+"""What stands within the robot's reach besides the object, as upright boxes that the arm avoids.
+
+Solid Gaussians fill cells of a grid on the table; what is connected and stands on the table, or goes on below it,
+becomes boxes. Hanging specks, and what lies flat, do not.
+"""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import label
+from scipy.spatial import cKDTree
+
+from aomgen.core.boxes import OrientedBox, find_upright_axes
+from aomgen.core.gaussians import Gaussians
+from aomgen.core.transforms import matrix_from_quat, transform
+from aomgen.core.values import Array
+from aomgen.robots.reach import Reach
+from aomgen.robots.robot import RobotConfiguration
+from aomgen.twin.support import Support
+
+# Lower things do not hinder a hand and drown in the surface's own noise, [m].
+LOWEST_M: Final = 0.015
+# Side of a grid cell: gaps of the size are closed, [m].
+CELL_M: Final = 0.02
+# Each sample stands for this much opaque surface, [m^2]; a cell that a surface crosses has about sixteen.
+SAMPLE_M2: Final = 2.5e-5
+# An object that the arm reaches in front may stand so much farther back, [m].
+BEHIND_M: Final = 0.3
+# A Gaussian's disc counts no farther than this, [m]: larger ones are sky.
+LARGEST_M: Final = 0.1
+# Samples of a solid cell.
+SOLID_SAMPLES: Final = 8
+# A thing begins at most this high above the table, [m]; what is hidden at its foot is seldom higher.
+FOOT_M: Final = 0.06
+# Fewer cells, seen from above, are a speck: a computer mouse covers some fifteen.
+LEAST_CELLS: Final = 8
+# Gaussians so near to the scanned robot are its own, or its shadow's, [m].
+ROBOT_M: Final = 0.04
+# Points on its surface: one every 1.5 cm.
+ROBOT_SAMPLES: Final = 5000
+# And so near to where the object stood, its own, [m].
+OBJECT_M: Final = 0.03
+# A box is cut in two where that saves this share of its volume.
+SAVED_SHARE: Final = 0.15
+# Of samples beyond a side of a box, outliers.
+BEYOND: Final = 0.01
+
+
+def find_obstacles(
+    surroundings: Gaussians,
+    support: Support,
+    reach: Reach,
+    configuration: RobotConfiguration,
+) -> tuple[OrientedBox, ...]:
+    """Cover what stands within reach by boxes, from the table up; tall things are cut where the reach ends.
+
+    Args:
+        surroundings: All that never moves and is not the object, world frame.
+        support: The table, and where the object stood.
+        configuration: The scanned robot.
+    """
+    far_m, rng = reach.reach_m + BEHIND_M, np.random.default_rng(0)
+    away = np.linalg.norm(surroundings.means - reach.shoulder_world, axis=1)
+    points = _samples(surroundings.select(away < far_m + LARGEST_M), rng)
+    plane = support.coordinates(points)
+    kept = (plane[:, 2] > LOWEST_M) & (np.linalg.norm(points - reach.shoulder_world, axis=1) < far_m)
+    kept &= ~((support.beyond_reach(plane[:, :2]) < OBJECT_M) & (plane[:, 2] < support.top + OBJECT_M))
+    points, plane = points[kept], plane[kept]
+    own, _ = cKDTree(configuration.surface_world(ROBOT_SAMPLES, rng)).query(
+        points, distance_upper_bound=ROBOT_M
+    )
+    plane = plane[np.isinf(own)]
+    boxes = []
+    for thing in _standing(plane):
+        for part in _parts(thing):
+            boxes.append(_box(part, support.T_world_plane))
+    return tuple(boxes)
+
+
+def _samples(gaussians: Gaussians, rng: np.random.Generator) -> Array:
+    """Points (N, 3) spread over the discs that Gaussians cover, as many as they are large and opaque."""
+    order = np.argsort(-gaussians.scales, axis=1)[:, :2]
+    rows = np.arange(len(gaussians))
+    sizes = np.minimum(np.take_along_axis(gaussians.scales, order, 1).astype(np.float64), LARGEST_M)
+    expected = np.pi * sizes.prod(1) * gaussians.opacities / SAMPLE_M2
+    owners = np.repeat(rows, np.floor(expected + rng.uniform(size=len(rows))).astype(int))
+    axes = matrix_from_quat(gaussians.quats.astype(np.float64))[rows[:, None], :, order] * sizes[..., None]
+    radius, angle = np.sqrt(rng.uniform(size=len(owners))), rng.uniform(0, 2 * np.pi, len(owners))
+    disc = np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1)
+    return gaussians.means.astype(np.float64)[owners] + np.einsum("ni,nij->nj", disc, axes[owners])
+
+
+def _standing(plane: Array) -> Iterator[Array]:
+    """Samples (N, 3) of each connected thing that stands on the table, plane frame."""
+    if not len(plane):
+        return
+    low = np.append(plane[:, :2].min(0), LOWEST_M)
+    cells = np.floor((plane - low) / CELL_M).astype(int)
+    counts = np.zeros(cells.max(0) + 1, int)
+    np.add.at(counts, tuple(cells.T), 1)
+    components = np.zeros(counts.shape, np.int32)
+    label(counts >= SOLID_SAMPLES, np.ones((3, 3, 3)), output=components)
+    owners = components[tuple(cells.T)]
+    for index in range(1, int(components.max()) + 1):
+        columns = (components == index).any(2)
+        foot = int(np.flatnonzero((components == index).any((0, 1)))[0]) * CELL_M
+        if columns.sum() >= LEAST_CELLS and foot <= FOOT_M:
+            yield plane[owners == index]
+
+
+def _parts(thing: Array) -> list[Array]:
+    """Samples (N, 3) of the parts of a thing: cut where two boxes are clearly smaller than one."""
+    R = find_upright_axes(thing)
+    turned = thing @ R
+    cells = np.floor((turned[:, :2] - turned[:, :2].min(0)) / CELL_M).astype(int)
+    heights, counts = np.zeros(cells.max(0) + 1), np.zeros(cells.max(0) + 1, int)
+    np.maximum.at(heights, tuple(cells.T), thing[:, 2])
+    np.add.at(counts, tuple(cells.T), 1)
+    heights[counts < SOLID_SAMPLES] = 0.0
+    if np.count_nonzero(heights) < LEAST_CELLS:
+        return []
+    best, where = (1 - SAVED_SHARE) * _volume(heights), None
+    for axis in (0, 1):
+        for cut in range(1, heights.shape[axis]):
+            volume = sum(_volume(half) for half in np.split(heights, [cut], axis))
+            if volume < best:
+                best, where = volume, (axis, cut)
+    if where is None:
+        return [thing]
+    before = cells[:, where[0]] < where[1]
+    return [*_parts(thing[before]), *_parts(thing[~before])]
+
+
+def _volume(heights: Array) -> float:
+    """Volume of the box around columns (X, Y), in cells of the table times [m]."""
+    rows, columns = heights.any(1), heights.any(0)
+    if not rows.any():
+        return 0.0
+    return (
+        float(np.ptp(np.flatnonzero(rows)) + 1) * float(np.ptp(np.flatnonzero(columns)) + 1) * heights.max()
+    )
+
+
+def _box(part: Array, T_world_plane: Array) -> OrientedBox:
+    """The box around samples (N, 3), from the table up, world frame."""
+    R = find_upright_axes(part)
+    low, high = np.quantile(part @ R, (BEYOND, 1 - BEYOND), axis=0)
+    low[2] = 0.0
+    T_plane_box = transform(R, R @ ((low + high) / 2))
+    return OrientedBox(T_world_box=T_world_plane @ T_plane_box, half_extents=(high - low) / 2)

@@ -1,0 +1,129 @@
+"""Boxes that stand in a scene are found again from its Gaussians; specks, the table's noise and the robot are not."""
+
+import numpy as np
+import pytest
+
+from aomgen.core.boxes import OrientedBox, upright_axes
+from aomgen.core.gaussians import Gaussians, concatenate, gaussians_of
+from aomgen.core.transforms import quat_from_matrix, transform
+from aomgen.replacement.obstacles import find_obstacles
+from aomgen.robots.reach import longest_reach
+from aomgen.robots.robot import RobotConfiguration, RobotModel
+from aomgen.twin.support import Support
+
+TABLE = 0.05
+# Where the removed object stood, in front of the robot.
+SUPPORT = Support(
+    T_world_plane=transform(np.eye(3), [0.7, 0.0, TABLE]),
+    low=np.array([-0.15, -0.15]),
+    high=np.array([0.15, 0.15]),
+    reach_low=np.array([-0.2, -0.2]),
+    reach_high=np.array([0.2, 0.2]),
+    top=0.3,
+)
+
+
+def standing(x: float, y: float, yaw: float, size: tuple[float, float, float]) -> OrientedBox:
+    half = np.array(size) / 2
+    T = transform(upright_axes(yaw), [x, y, TABLE + half[2]])
+    return OrientedBox(T_world_box=T, half_extents=half)
+
+
+CARTON, BOOK = standing(0.35, 0.55, 0.3, (0.2, 0.14, 0.16)), standing(0.6, -0.55, -0.5, (0.2, 0.14, 0.03))
+WALL = standing(1.15, 0.1, 0.1, (0.05, 1.2, 2.0))
+
+
+def sheet(box: OrientedBox, rng: np.random.Generator) -> Gaussians:
+    """Noisy discs of 6 mm on the four sides and the top of a box, one every 5 mm; the bottom is not seen."""
+    means, turns = [], []
+    for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1), (2, 1)):
+        others = [k for k in range(3) if k != axis]
+        half = box.half_extents[others]
+        local = np.zeros((int(4 * half.prod() / 0.005**2), 3))
+        local[:, axis] = side * box.half_extents[axis]
+        local[:, others] = rng.uniform(-half, half, (len(local), 2))
+        face = np.eye(3)[:, [*others, axis]]
+        face[:, 2] *= np.linalg.det(face)
+        means.append(local @ box.T_world_box[:3, :3].T + box.T_world_box[:3, 3])
+        turns.append(np.repeat((box.T_world_box[:3, :3] @ face)[None], len(local), 0))
+    points = np.concatenate(means)
+    return discs(points + rng.normal(0, 0.002, points.shape), np.concatenate(turns), 0.006, 0.8)
+
+
+def discs(means: np.ndarray, turns: np.ndarray, radius: float, opacities: np.ndarray | float) -> Gaussians:
+    count = len(means)
+    return gaussians_of(
+        means=means,
+        quats=quat_from_matrix(np.broadcast_to(turns, (count, 3, 3))),
+        scales=np.full((count, 3), [radius, radius, 0.001]),
+        opacities=np.broadcast_to(opacities, count),
+        sh=np.zeros((count, 1, 3)),
+    )
+
+
+def clutter(rng: np.random.Generator) -> Gaussians:
+    """A rough table, 500 specks above it, and a sky."""
+    table = rng.uniform([-0.2, -0.8, TABLE], [1.3, 0.8, TABLE], (6000, 3))
+    table[:, 2] += np.abs(rng.normal(0, 0.006, 6000))
+    specks = rng.uniform([-0.2, -0.8, TABLE], [1.3, 0.8, 1.0], (500, 3))
+    sky = discs(np.array([[0.5, 0.0, 0.6]]), np.eye(3), 1e4, 0.5)
+    return concatenate([
+        discs(table, np.eye(3), 0.01, 0.8),
+        discs(specks, np.eye(3), 0.01, rng.uniform(0.02, 0.6, 500)),
+        sky,
+    ])  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def standing_robot(robot: RobotModel) -> RobotConfiguration:
+    return RobotConfiguration(robot=robot, joints=np.array([0.5, -1.5, 2.2, -0.7, 0.5, 1.5]), gripper=0.0)
+
+
+def found_in(parts: list[Gaussians], robot: RobotConfiguration) -> tuple[OrientedBox, ...]:
+    return find_obstacles(concatenate(parts), SUPPORT, longest_reach(robot.robot), robot)
+
+
+def farthest_corner(box: OrientedBox, true: OrientedBox) -> float:
+    """Largest distance of a corner of one box from the nearest of the other, [m]."""
+    between = np.linalg.norm(box.corners()[:, None] - true.corners(), axis=-1)
+    return float(max(between.min(0).max(), between.min(1).max()))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_boxes_are_found_again(standing_robot: RobotConfiguration, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = found_in([sheet(CARTON, rng), sheet(BOOK, rng), clutter(rng)], standing_robot)
+    assert len(found) == 2
+    for true in (CARTON, BOOK):
+        assert min(farthest_corner(box, true) for box in found) < 0.015
+
+
+def test_a_wall_is_cut_where_the_reach_ends(standing_robot: RobotConfiguration) -> None:
+    rng = np.random.default_rng(0)
+    (found,) = found_in([sheet(WALL, rng), clutter(rng)], standing_robot)
+    local = np.abs(WALL.coordinates(found.corners())[:, 0])
+    np.testing.assert_allclose(local, 0.025, atol=0.015)
+    top = found.corners()[:, 2].max()
+    assert 0.7 < top < 0.16 + longest_reach(standing_robot.robot).reach_m + 0.3
+
+
+def test_things_side_by_side_are_told_apart(standing_robot: RobotConfiguration) -> None:
+    rng, beside = np.random.default_rng(0), standing(0.35, 0.4, 0.3, (0.2, 0.14, 0.03))
+    found = found_in([sheet(CARTON, rng), sheet(beside, rng), clutter(rng)], standing_robot)
+    tops = sorted(box.corners()[:, 2].max() - TABLE for box in found)
+    assert len(tops) == 2
+    np.testing.assert_allclose(tops, [0.03, 0.16], atol=0.015)
+
+
+def test_specks_table_robot_and_the_object_s_rest_are_no_obstacles(
+    standing_robot: RobotConfiguration,
+) -> None:
+    rng = np.random.default_rng(1)
+    own = discs(standing_robot.surface_world(20_000, rng), np.eye(3), 0.01, 0.9)
+    rest = sheet(standing(0.7, 0.0, 0.0, (0.2, 0.2, 0.2)), rng)
+    hanging = sheet(
+        OrientedBox(T_world_box=transform(np.eye(3), [0.4, 0.5, 0.6]), half_extents=np.full(3, 0.05)), rng
+    )
+    assert found_in([own, rest, hanging, clutter(rng)], standing_robot) == ()
+    far = sheet(standing(3.0, 0.0, 0.0, (0.2, 0.2, 0.2)), rng)
+    assert found_in([far], standing_robot) == ()
