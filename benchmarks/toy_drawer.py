@@ -9,20 +9,21 @@ from aomgen.core.transforms import apply, interpolate, matrix_from_rotvec, trans
 from aomgen.episodes.ik import IkSolver, solve_path
 from aomgen.episodes.joint_limits import IkLimits, IkPath
 
-SUPPORT = SupportPlane(height=0.05, low_xy=[-np.inf] * 2, high_xy=[np.inf] * 2)
+SUPPORT = SupportPlane(height=0.05, low_xy=np.full(2, -np.inf), high_xy=np.full(2, np.inf))
 NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
 
 
 def fitted_drawer() -> FittedAsset:
     """A drawer before the robot, its handle about 0.68 m ahead."""
     asset = make_asset("drawer", 1)
+    shares = np.linspace(0, 1, 20)
     T = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
     return FittedAsset(
         asset=asset,
         T_world_asset=T,
         contact_asset=asset.handle_point,
-        shares=np.linspace(0, 1, 20),
-        thetas=0.15 * np.linspace(0, 1, 20) ** 2 * (3 - 2 * np.linspace(0, 1, 20)),
+        shares=shares,
+        thetas=np.asarray(0.15 * shares**2 * (3 - 2 * shares), np.float64),
         scale=1.0,
         mirrored=False,
         mode="trajectory",
