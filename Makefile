@@ -8,17 +8,22 @@ CONSTRAINTS := constraints/cpu-py311.txt
 LEROBOT_VENV := .venv-lerobot
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test coverage check format scores build install weights native sanitize neon lerobot-test robots-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon lerobot-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
 
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 test: $(VENV)/dev.stamp weights
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+	$(PYTEST) -m "not slow"
+
+# Killed runs, a full disk, a Ray cluster, whole captures: what takes more than ten seconds each.
+slow-test: $(VENV)/dev.stamp weights
+	$(PYTEST) -m slow
 
 # Which lines no test runs: build/coverage/index.html.
 coverage: $(VENV)/dev.stamp weights
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal --cov=aomgen --cov-report=html:build/coverage --cov-report=term:skip-covered
+	$(PYTEST) --cov=aomgen --cov-report=html:build/coverage --cov-report=term:skip-covered
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

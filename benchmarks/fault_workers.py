@@ -33,8 +33,8 @@ UNIT_S: Final = 1.0
 HANGS_S: Final = 1200.0
 # A Ray cluster of two nodes, each with one processor, and as much shared memory as Ray takes at least, [bytes].
 NODE: Final = {"num_cpus": 1, "object_store_memory": 80 << 20}
-# Episodes of an asset in a run on Ray; the fault comes after so many units.
-RAY_POSES, RAY_FAULT_AFTER = 3, 2
+# Episodes of an asset in a run on Ray; after so many units a worker dies, then a node.
+RAY_POSES, RAY_FAULTS_AFTER = 3, (1, 3)
 
 
 def worker_deaths(scratch: Path, deaths: int = 50, requested: int = 200) -> dict[str, int]:
@@ -100,28 +100,38 @@ def ray_deaths(scratch: Path) -> dict[str, Any]:
     code = in_child(partial(_on_ray, results, scratch), HANGS_S)
     if code:
         raise WorkerError(scratch, f"ended with code {code}", "see its traceback")
-    whole = read_tree(scratch / "undisturbed")
+    disturbed = scratch / "disturbed"
     return {
-        name: {
-            "episodes": len(list_committed(scratch / name / FOLDERS["episodes"])),
-            "tree_equal": tree == whole,
-        }
-        for name in ("worker_killed", "node_killed")
-        if (tree := read_tree(scratch / name, staging=True))
+        "killed": ["worker", "node"],
+        "episodes": len(list_committed(disturbed / FOLDERS["episodes"])),
+        "tree_equal": read_tree(disturbed, staging=True) == read_tree(scratch / "undisturbed"),
     }
 
 
 def _on_ray(results: ToyResults, scratch: Path) -> None:
-    """An undisturbed run in processes, then two on a cluster."""
+    """An undisturbed run in processes, then one on a cluster.
+
+    Raises:
+        WorkerError: It was over before both faults had happened.
+    """
     _generate(elsewhere(results, scratch / "undisturbed", workers=WORKERS), lambda done: None)
     with _cluster() as cluster:
-        other = cluster.add_node(**NODE)
-        for name, fault in (
-            ("worker_killed", partial(_kill_ray_worker, cluster)),
-            ("node_killed", partial(cluster.remove_node, other, allow_graceful=False)),
-        ):
-            here = elsewhere(results, scratch / name, ray=cluster.address)
-            _generate(here, _after(RAY_FAULT_AFTER, fault))
+        node = cluster.add_node(**NODE)
+        faults = [
+            partial(_kill_ray_worker, cluster),
+            partial(cluster.remove_node, node, allow_graceful=False),
+        ]
+        units = 0
+
+        def heard(_: Done) -> None:
+            nonlocal units
+            units += 1
+            if units in RAY_FAULTS_AFTER:
+                faults.pop(0)()
+
+        _generate(elsewhere(results, scratch / "disturbed", ray=cluster.address), heard)
+    if faults:
+        raise WorkerError("ray", f"was done after {units} units, before both faults")
 
 
 @contextmanager
@@ -135,19 +145,6 @@ def _cluster() -> Iterator[Any]:
         yield cluster
     finally:
         cluster.shutdown()
-
-
-def _after(units: int, fault: Callable[[], object]) -> Callable[[Done], None]:
-    """Let a fault happen once, when so many units are done."""
-    done = 0
-
-    def heard(_: Done) -> None:
-        nonlocal done
-        done += 1
-        if done == units:
-            fault()
-
-    return heard
 
 
 def _kill_ray_worker(cluster: Any) -> None:

@@ -16,7 +16,7 @@ NEAR = np.array([2.11, -1.51, 2.26, -0.75, 0.53, 1.57])
 def fitted_drawer() -> FittedAsset:
     """A drawer before the robot, its handle about 0.68 m ahead."""
     asset = make_asset("drawer", 1)
-    shares = np.linspace(0, 1, 20)
+    shares = np.linspace(0, 1, 20, dtype=np.float64)
     T = transform(matrix_from_rotvec(np.array([0, 0, -np.pi / 2])), np.array([0.92, -0.2, 0.05]))
     return FittedAsset(
         asset=asset,

@@ -108,6 +108,7 @@ def test_workers_end_with_their_parent(tmp_path):
     assert not Path(f"/proc/{worker}").exists()
 
 
+@pytest.mark.slow
 def test_ray_does_the_same(tmp_path, ray_here):
     with RayCluster(partial(open_work, tmp_path), ray_here, 60) as executor:
         found = results(executor, ["unit", "die1", "die9"])
@@ -118,6 +119,7 @@ def test_ray_does_the_same(tmp_path, ray_here):
             results(executor, ["fail"])
 
 
+@pytest.mark.slow
 def test_a_unit_that_hangs_on_ray_is_given_up(tmp_path, ray_here):
     # Workers of the cluster take seconds to start, more on a busy machine.
     with RayCluster(partial(open_work, tmp_path), ray_here, 20.0) as executor:

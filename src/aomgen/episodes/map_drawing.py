@@ -14,8 +14,7 @@ from aomgen.core.values import Array, freeze_arrays
 from aomgen.episodes.reach_map import ReachMap
 
 # Width of a map, [px], and room around what is drawn, [m].
-WIDTH: Final = 480
-ROOM_M: Final = 0.08
+WIDTH, ROOM_M = 480, 0.08
 # Length of a line that tells where an object's front looks, [m].
 LINE_M: Final = 0.06
 TABLE, OBSTACLE, REACHED = "#f3ead9", "#8a8f98", "#57b894"

@@ -141,6 +141,7 @@ def stage(robot: RobotModel) -> Stage:
     return stage
 
 
+@pytest.mark.slow
 def test_several_cameras_and_their_clocks_are_found_and_a_blind_one_is_kept(stage: Stage) -> None:
     wall = world_camera([-1.7, -1.0, 0.9], (-3.0, -3.0, 0.9))
     cameras = {

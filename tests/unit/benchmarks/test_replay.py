@@ -156,6 +156,7 @@ def test_a_plan_is_rechecked_by_forward_kinematics(robot: RobotModel, plan: Epis
     assert recheck(replace(plan, joints=fast), robot, PlanParams())["step"] > 1.0
 
 
+@pytest.mark.slow
 def test_a_killed_bench_goes_on(
     fitted: FittedAsset, demo: Demonstration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -119,6 +119,7 @@ def test_fit_pose(tmp_path: Path) -> None:
     assert float(last.split("position ")[1].split("%")[0]) < 0.4
 
 
+@pytest.mark.slow
 def test_make_capture(tmp_path: Path) -> None:
     said = run("01_make_capture.py", tmp_path / "capture", "--scan-views", 12, "--size", 160, 120)
     assert "12 scan images" in said
@@ -133,6 +134,7 @@ def test_make_asset(tmp_path: Path) -> None:
     assert "revolute about" in run("03_make_asset.py", tmp_path / "microwave.usda")
 
 
+@pytest.mark.slow
 def test_generate_episodes_and_learn_from_them(tmp_path: Path) -> None:
     assert "4 episodes verified" in run("04_generate_episodes.py", tmp_path, "--episodes", 4)
     assert "4 episodes at 10 frames" in run("07_learn_from_the_dataset.py", tmp_path / "dataset")

@@ -111,6 +111,7 @@ def _errors(structure: Structure, cameras: dict[str, Camera]) -> np.ndarray:
     return np.linalg.norm(apply(umeyama(found, true), found) - true, axis=1)
 
 
+@pytest.mark.slow
 def test_foreign_and_repeated_images_are_listed_and_unused(photographs, tmp_path):
     images, cameras, view, _ = photographs
     elsewhere = _scene(8)
