@@ -31,7 +31,12 @@ from aomgen.episodes.retarget import (
 )
 from aomgen.episodes.start import choose_start
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import KinematicLimits, check_kinematics, stalling_gripper
+from aomgen.simulation.collision_check import (
+    KinematicLimits,
+    check_kinematics,
+    self_overlap_mm,
+    stalling_gripper,
+)
 from aomgen.simulation.scene import Scene
 
 # The Cartesian way has to end where the demonstration began, on the same branch, [rad].
@@ -95,6 +100,9 @@ def plan_episode(
     """
     T_world_object = variation.placed(fitted)
     placed = scene.placed(T_world_object, CLEARANCE_M)
+    allowed = params.kinematic.max_self_penetration_mm
+    allowed += self_overlap_mm(placed, demo.joints[0], float(demo.gripper[0]))
+    params = replace(params, kinematic=replace(params.kinematic, max_self_penetration_mm=allowed))
     task = _Task(
         shown=DemonstratedMotion(demo),
         variation=variation,

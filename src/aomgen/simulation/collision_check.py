@@ -35,20 +35,20 @@ class KinematicLimits:
     """What tier A accepts.
 
     Attributes:
-        max_penetration_mm: Of robot and scene, or of two parts of the robot.
+        max_penetration_mm: Of robot and scene.
         max_handle_penetration_mm: Of fingers and handle while they hold it.
         max_gap_mm: Distance between the handle and the farther pad while they hold it.
-        self_margin_mm: Self penetration is measured against the robot's own overlap in its start pose.
+        max_self_penetration_mm: Of two parts of the robot, beyond `self_overlap_mm` where the real arm has been.
     """
 
     max_penetration_mm: float = 1.0
     max_handle_penetration_mm: float = 6.0
     max_gap_mm: float = 10.0
-    self_margin_mm: float = 1.0
+    max_self_penetration_mm: float = 1.0
 
     @property
     def by_figure(self) -> dict[str, float]:
-        """Largest values of the figures of `check_kinematics`; that of self penetration depends on the start pose."""
+        """Largest values of the figures of `check_kinematics`, but of what depends on the arm alone."""
         return {
             "penetration_mm": self.max_penetration_mm,
             "handle_penetration_mm": self.max_handle_penetration_mm,
@@ -81,15 +81,13 @@ def check_kinematics(
     data, kinds = mujoco.MjData(scene.model), _pair_kinds(scene)
     worst = {"scene": _Overlap(*_object_overlap(scene, data)), "self": _Overlap(), "handle": _Overlap()}
     rows = np.arange(len(joints), dtype=np.float64)
-    start = scene.qpos(joints[:1], gripper[0], thetas[0])
-    allowed_self = limits.self_margin_mm + _sweep(scene, data, kinds, start, rows[:1], holding)[0]["self"].mm
     qpos = scene.qpos(joints, gripper, thetas)
     # Samples first: most of what collides does so there already.
     found, places = _sweep(scene, data, kinds, qpos, rows, holding)
     worst = {kind: max(worst[kind], found[kind]) for kind in worst}
     gaps = [_grip_gap_mm(scene, data, row) for row in qpos[holding]]
     gap = _Overlap(max(gaps, default=0.0), float(np.flatnonzero(holding)[np.argmax(gaps)]) if gaps else 0.0)
-    result = _judge(worst, gap, allowed_self, limits)
+    result = _judge(worst, gap, limits)
     if isinstance(result, Rejection):
         return result
     counts = np.ceil(_moves(scene, places) / SWEEP_M * SWEEP_RESERVE).astype(int)
@@ -98,7 +96,14 @@ def check_kinematics(
     shares = (between - before)[:, None]
     swept = (1 - shares) * qpos[before] + shares * qpos[before + 1]
     found, _ = _sweep(scene, data, kinds, swept, between, holding)
-    return _judge({kind: max(worst[kind], found[kind]) for kind in worst}, gap, allowed_self, limits)
+    return _judge({kind: max(worst[kind], found[kind]) for kind in worst}, gap, limits)
+
+
+def self_overlap_mm(scene: Scene, joints: Array, gripper: float) -> float:
+    """How deep parts of the robot overlap at joints (J,): where a real arm stood, their shapes are too large there."""
+    qpos, still = scene.qpos(joints[None], gripper, 0.0), np.zeros(1)
+    found, _ = _sweep(scene, mujoco.MjData(scene.model), _pair_kinds(scene), qpos, still, still > 0)
+    return found["self"].mm
 
 
 class _Overlap(NamedTuple):
@@ -110,12 +115,12 @@ class _Overlap(NamedTuple):
 
 
 def _judge(
-    worst: dict[str, _Overlap], gap: _Overlap, allowed_self: float, limits: KinematicLimits
+    worst: dict[str, _Overlap], gap: _Overlap, limits: KinematicLimits
 ) -> dict[str, float] | Rejection:
     """The figures, or the first limit that they break."""
     tests = [
         ("collision", "penetration_mm", worst["scene"], limits.max_penetration_mm),
-        ("self_collision", "self_penetration_mm", worst["self"], allowed_self),
+        ("self_collision", "self_penetration_mm", worst["self"], limits.max_self_penetration_mm),
         ("grip_collision", "handle_penetration_mm", worst["handle"], limits.max_handle_penetration_mm),
         ("no_grip", "grip_gap_mm", gap, limits.max_gap_mm),
     ]

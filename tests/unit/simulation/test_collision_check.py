@@ -12,7 +12,7 @@ from aomgen.core.plan import Rejection
 from aomgen.core.transforms import apply, transform
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation import collision_check
-from aomgen.simulation.collision_check import SWEEP_M, KinematicLimits, check_kinematics
+from aomgen.simulation.collision_check import SWEEP_M, KinematicLimits, check_kinematics, self_overlap_mm
 from aomgen.simulation.scene import Scene, build_scene
 from benchmarks.toy_drawer import NEAR, SUPPORT
 
@@ -104,6 +104,18 @@ def test_the_arm_keeps_clear_of_the_object_by_as_much_as_is_asked(robot: RobotMo
     pairs = product(np.flatnonzero(roles.robot & ~roles.gripper), np.flatnonzero(roles.object))
     distance = min(mujoco.mj_geomDistance(near.model, data, int(a), int(b), 0.1, None) for a, b in pairs)
     assert distance == pytest.approx(clearance - LIMITS.max_penetration_mm / 1000, abs=3e-4)
+
+
+def test_an_arm_that_begins_in_itself_collides_unless_a_real_one_stood_there(robot: RobotModel) -> None:
+    folded = np.array([0.33, -0.73, 1.49, 1.42, 2.72, 2.22])
+    scene, joints, still = scene_with(robot), np.array([folded, folded]), np.zeros(2)
+    overlap = self_overlap_mm(scene, folded, 0.0)
+    assert overlap > 5
+    result = check(scene, joints, still)
+    assert isinstance(result, Rejection)
+    assert result.reason == "self_collision"
+    real = KinematicLimits(max_self_penetration_mm=1 + overlap)
+    assert isinstance(check_kinematics(scene, joints, still, still, still > 0, real), dict)
 
 
 def test_an_object_in_an_obstacle_collides(robot: RobotModel) -> None:
