@@ -18,9 +18,9 @@ from aomgen.robots.robot import RobotModel
 
 # Rotations of the gripper that are tried, the smallest first, [deg]: about the handle, and along it.
 TILTS_DEG, SWINGS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0), (20.0, -20.0, 40.0, -40.0)
-# How far beyond the end effector point a bar may lie and still be between the pads, [m]: one that is pulled, and one that
-# is pushed, which adaptive fingers let slip towards the palm unless they hold it with the outer half of their pads.
-PULLED_DEPTHS_M, PUSHED_DEPTHS_M = (-0.005, 0.012), (0.006, 0.012)
+# How far beyond the end effector point a bar is held, [m]: adaptive fingers that hold it with the inner half of their pads
+# let it slip towards the palm.
+DEPTHS_M = (0.006, 0.012)
 # Cosines: a bar that lies more along the approach is held squarely; fingers that close less across the plate of a rim
 # slip off when it is slippery.
 MAX_ALONG_BAR, MIN_ACROSS_RIM = 0.6, 0.7
@@ -89,8 +89,7 @@ def grasp_depth(fitted: FittedAsset, demonstrated_depth: float, robot: RobotMode
     A bar lies where the recorded one did; a rim is held by the finger tips, whatever was held in the recording.
     """
     if not (robot.pads and held_at_rim(fitted.asset)):
-        bounds = PULLED_DEPTHS_M if fitted.travel > 0 else PUSHED_DEPTHS_M
-        return float(np.clip(demonstrated_depth, *bounds))
+        return float(np.clip(demonstrated_depth, *DEPTHS_M))
     joints = np.zeros((1, len(robot.joint_names)))
     Ts_ee_body = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
     Ts_ee_pad = [Ts_ee_body[pad.body] @ pad.T_body_pad for pad in robot.pads]
