@@ -68,14 +68,14 @@ class PlanParams:
         fps: Samples a second.
         ik: Limits of the arm.
         kinematic: Limits of tier A.
-        max_slow_down: How much slower than asked a phase of a too fast plan may become.
+        max_slow_down: How much slower than asked a phase of a too fast plan may become: films may begin near the handle.
         method: "aomgen", or "paper" to compare: the demonstrated contact turned with the object, straight ways beside it.
     """
 
     fps: float = 10.0
     ik: IkLimits = field(default_factory=IkLimits)
     kinematic: KinematicLimits = field(default_factory=KinematicLimits)
-    max_slow_down: float = 2.0
+    max_slow_down: float = 5.0
     method: Method = "aomgen"
 
 
