@@ -16,7 +16,8 @@ class IkLimits:
     """What a solved path must keep.
 
     Arms state their largest speeds, few their accelerations: planners of such arms use 5 to 10 rad/s^2, and makers that
-    state a limit 7.5 to 20 rad/s^2. Jerk is limited to what reaches that acceleration in a tenth of a second.
+    state a limit 7.5 to 20 rad/s^2. From about 7 rad/s^2 on, near a straight elbow, the simulated drives of a UR5e are at
+    their largest torque.
 
     Attributes:
         residual_mm, residual_deg: Largest distance to the asked pose.
@@ -31,7 +32,7 @@ class IkLimits:
     residual_deg: float = 0.5
     speed: float = 2.6
     slide_speed: float = 1.0
-    acceleration: float = 10.0
+    acceleration: float = 6.0
     slide_acceleration: float = 5.0
     jerk: float = 100.0
     slide_jerk: float = 50.0
