@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
+from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
 from aomgen.core.values import Array, Vector3, freeze_arrays
@@ -83,12 +84,12 @@ def orientations(
     yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
 
 
-def grasp_depth(fitted: FittedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
+def grasp_depth(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
     """How far beyond the end effector point, along the approach, the hand holds the handle, [m].
 
     A bar lies where the recorded one did; a rim is held by the finger tips, whatever was held in the recording.
     """
-    if not (robot.pads and held_at_rim(fitted.asset)):
+    if not (robot.pads and held_at_rim(asset)):
         return float(np.clip(demonstrated_depth, *DEPTHS_M))
     joints = np.zeros((1, len(robot.joint_names)))
     Ts_ee_body = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]

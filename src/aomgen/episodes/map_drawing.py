@@ -17,6 +17,7 @@ from aomgen.episodes.reach_map import ReachMap
 WIDTH, ROOM_M = 480, 0.08
 # Length of a line that tells where an object's front looks, [m].
 LINE_M: Final = 0.06
+OUTCOMES: Final = {"committed": "#2c7a4b", "rejected": "#d1495b", "skipped": "#b9c2cf"}
 TABLE, OBSTACLE, REACHED = "#f3ead9", "#8a8f98", "#57b894"
 # How strongly a place is colored that the arm reaches in every turn, 0..1.
 REACHED_OPACITY: Final = 0.7
@@ -83,10 +84,10 @@ def draw_map(shapes: Iterable[Shape]) -> str:
     )
 
 
-def front_line(fitted: FittedAsset, variation: Variation) -> Array:
-    """From the middle of an object to before its front (2, 2), world frame."""
+def front_line(fitted: FittedAsset, variation: Variation, outcome: str) -> Shape:
+    """From the middle of an object to before its front, in the color of what came of its draw."""
     ends = np.stack([fitted.middle_asset, fitted.middle_asset - [0.0, LINE_M, 0.0]])
-    return apply(variation.placed(fitted), ends)[:, :2]
+    return Shape(points_world=apply(variation.placed(fitted), ends)[:, :2], color=OUTCOMES[outcome], dot=True)
 
 
 def _reached_places(found: ReachMap, opacity: float) -> list[Shape]:

@@ -181,7 +181,7 @@ def retarget(
     The hand begins at a pose (4, 4); where it was demonstrated if None.
     """
     demo, rigid = shown.demo, method == "paper"
-    depth = grasp_depth(fitted, float(demo.grasp_ee[2]), robot)
+    depth = grasp_depth(fitted.asset, float(demo.grasp_ee[2]), robot)
     found = grasps(fitted, shown.hand_at_closed(fitted), depth, demo.ee_turn_ratio)
     return [
         RetargetedMotion(
@@ -198,9 +198,8 @@ def retarget(
 
 def _follow_contact(task: _Task, motions: list[RetargetedMotion]) -> list[Array | Rejection]:
     """Joints (K, J) at the knots of the contact, for all grasps at once, on the demonstration's branch."""
-    # From the closed part on, which is where demonstrated and new hand are most alike.
     shown, order = task.shown, int(np.sign(task.fitted.travel))
-    times = shown.knots[2][::order]
+    times = shown.from_closed(task.fitted)
     targets = np.stack([motion.holding(times) for motion in motions], 1)
     joints = walk(task.solver, shown.poses(times[:1])[0], targets[0], shown.joints(times[:1])[0])
     solved, reached = follow(task.solver, targets, joints, task.params.ik)

@@ -9,7 +9,7 @@ import numpy as np
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.ledger import Unit
-from aomgen.episodes.map_drawing import Shape, draw_map, front_line, scene_shapes
+from aomgen.episodes.map_drawing import draw_map, front_line, scene_shapes
 from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.variations import Ranges
 from aomgen.errors import ConfigError
@@ -69,10 +69,9 @@ def _refusal(
         factory.plan_params,
         max_nodes=WIDE_NODES,
     )
-    lines = [front_line(fitted, variation) for variation in reasons]
-    shapes = [Shape(points_world=line, color="#d1495b", dot=True) for line in lines]
-    write_text(picture, draw_map([*scene_shapes(scene, [wide]), *shapes]))
-    places = np.stack([line[0] for line in lines])
+    lines = [front_line(fitted, variation, "rejected") for variation in reasons]
+    write_text(picture, draw_map([*scene_shapes(scene, [wide]), *lines]))
+    places = np.stack([line.points_world[0] for line in lines])
     counted = ", ".join(
         f"{count} {WORDS[reason]}" for reason, count in Counter(reasons.values()).most_common()
     )

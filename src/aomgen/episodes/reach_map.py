@@ -73,8 +73,7 @@ def map_reach(
     fitted = scaled_fit(fitted, sum(ranges.scale) / 2)
     shown = DemonstratedMotion(demo)
     motions = retarget(fitted, shown, np.eye(4), solver.robot, params.method)
-    # From the closed part on, as in planning.
-    knots = shown.knots[2][:: int(np.sign(fitted.travel))]
+    knots = shown.from_closed(fitted)
     times = knots[np.linspace(0, len(knots) - 1, POSES).round().astype(int)]
     Ts_object_ee = np.stack([motion.holding(times) for motion in motions])
     x, y = (_nodes(bounds, PITCH_M, max_nodes) for bounds in ranges.place_bounds)

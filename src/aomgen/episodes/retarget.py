@@ -120,13 +120,16 @@ class DemonstratedMotion:
         poses = self._poses(np.clip(times, self.times[0], self.times[-1]))
         return transform(matrix_from_quat(poses[:, 3:]), poses[:, :3])
 
-    def hand_at_closed(self, fitted: FittedAsset) -> Array:
-        """Demonstrated hand (3, 3) at the closed part, in the frame of the fitted asset.
+    def from_closed(self, fitted: FittedAsset) -> Array:
+        """Knots (K,) of the contact from the closed part on.
 
-        An object whose hinge is on the other side is held alike only there.
+        There demonstrated and new hand are most alike: an object whose hinge is on the other side is held alike only there.
         """
-        closed = self.moments.start if fitted.travel > 0 else self.moments.end
-        return fitted.T_world_asset[:3, :3].T @ self.poses(np.array([closed]))[0, :3, :3]
+        return self.knots[2][:: int(np.sign(fitted.travel))]
+
+    def hand_at_closed(self, fitted: FittedAsset) -> Array:
+        """Demonstrated hand (3, 3) at the closed part, in the frame of the fitted asset."""
+        return fitted.T_world_asset[:3, :3].T @ self.poses(self.from_closed(fitted)[:1])[0, :3, :3]
 
     def way(self, times: Array | float) -> Array:
         """Way of the hand up to times (N,), [m]."""

@@ -59,8 +59,7 @@ def fit_asset(
 
     Returns:
         The fitted asset, with the motion in the recorded direction; or a Rejection "joint_type" (another kind of
-        joint), "hinge_side"
-        (mode "object" without mirroring), "size" or "path" (mode "object": no scale in bounds
+        joint), "hinge_side" (mode "object" without mirroring), "size" or "path" (mode "object": no scale in bounds
         follows the recorded path).
 
     Not checked: reach, collisions and forces; planning and verification do that.

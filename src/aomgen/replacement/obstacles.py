@@ -71,11 +71,8 @@ def find_obstacles(
         points, distance_upper_bound=ROBOT_M
     )
     plane = plane[np.isinf(own)]
-    boxes = []
-    for thing in _standing(plane):
-        for part in _parts(thing):
-            boxes.append(_box(part, support.T_world_plane))
-    return tuple(boxes)
+    parts = (part for thing in _standing(plane) for part in _parts(thing))
+    return tuple(_box(part, support.T_world_plane) for part in parts)
 
 
 def _samples(gaussians: Gaussians, rng: np.random.Generator) -> Array:

@@ -1,13 +1,13 @@
 """The report's section on the draws: what was asked for, what was delivered, and where objects could stand."""
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 from aomgen.core.plan import Variation
 from aomgen.episodes.distributions import Distribution, distributions
 from aomgen.episodes.factory import GenerationParams
 from aomgen.episodes.ledger import read_draws
-from aomgen.episodes.map_drawing import Shape, draw_map, front_line, scene_shapes
+from aomgen.episodes.map_drawing import OUTCOMES, Shape, draw_map, front_line, scene_shapes
 from aomgen.episodes.reach_map import REACH_MAP, ReachMap
 from aomgen.io.artifact import load_artifact
 from aomgen.report.html import paragraph, text
@@ -15,7 +15,6 @@ from aomgen.results import Results
 
 # Of one histogram, [px].
 WIDTH, HEIGHT = 230, 92
-COLORS: Final = {"committed": "#2c7a4b", "rejected": "#d1495b", "skipped": "#b9c2cf"}
 
 
 def draws_section(results: Results) -> list[str]:
@@ -52,7 +51,7 @@ def draw_histogram(item: Distribution) -> str:
         for numbers, color in (
             (item.drawn, "#dde2e9"),
             (item.tried, "#9fc3d0"),
-            (item.delivered, COLORS["committed"]),
+            (item.delivered, OUTCOMES["committed"]),
         )
         for k, number in enumerate(numbers.tolist())
     )
@@ -69,7 +68,7 @@ def _map(results: Results, draws: list[dict[str, Any]]) -> str:
     """Where the objects of all draws stand, on what the scene and the reach of the arm allow."""
     folder, count = results.folders["episodes"], len(results.fitted_assets)
     maps = [load_artifact(folder, REACH_MAP.format(number), ReachMap) for number in range(count)]
-    ordered = sorted(draws, key=lambda draw: list(COLORS)[::-1].index(draw["outcome"]))
+    ordered = sorted(draws, key=lambda draw: list(OUTCOMES)[::-1].index(draw["outcome"]))
     lines = [_line(results, draw) for draw in ordered]
     return draw_map([*scene_shapes(results.episode_scene, maps), *lines])
 
@@ -77,5 +76,4 @@ def _map(results: Results, draws: list[dict[str, Any]]) -> str:
 def _line(results: Results, draw: Mapping[str, Any]) -> Shape:
     stored = draw["variation"]
     place = {name: stored[name] for name in ("seed", "index", "x", "y", "yaw", "frame")}
-    line = front_line(results.fitted_assets[draw["asset"]], Variation(**place))
-    return Shape(points_world=line, color=COLORS[draw["outcome"]], dot=True)
+    return front_line(results.fitted_assets[draw["asset"]], Variation(**place), draw["outcome"])

@@ -35,7 +35,7 @@ def from_above(asset: ArticulatedAsset, degrees: float) -> np.ndarray:
 
 def test_a_rim_is_held_by_the_tips_whatever_was_held(laptop: FittedAsset, robot: RobotModel) -> None:
     asset = laptop.asset
-    depths = [grasp_depth(laptop, shown, robot) for shown in (-0.02, 0.002, 0.03)]
+    depths = [grasp_depth(laptop.asset, shown, robot) for shown in (-0.02, 0.002, 0.03)]
     assert len(set(depths)) == 1
     joints = np.zeros((1, 6))
     Ts = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
@@ -64,7 +64,7 @@ def test_fingers_close_across_the_plate_of_a_rim(laptop: FittedAsset) -> None:
 def test_a_bar_is_held_where_the_recorded_one_was_by_the_outer_half_of_the_pads(robot: RobotModel) -> None:
     fitted = fitted_drawer()
     assert not held_at_rim(fitted.asset)
-    depths = [grasp_depth(fitted, shown, robot) for shown in (-0.01, 0.003, 0.008, 0.5)]
+    depths = [grasp_depth(fitted.asset, shown, robot) for shown in (-0.01, 0.003, 0.008, 0.5)]
     assert 0.004 < depths[0] == depths[1] < depths[2] == 0.008 < depths[3] < 0.02
 
 

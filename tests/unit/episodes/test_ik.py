@@ -15,20 +15,10 @@ from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
+from benchmarks.toy_drawer import SUPPORT, fitted_drawer
 
 PHASES = np.ones(80, np.int64)
 HINGES = np.zeros(6, bool)
-
-
-@pytest.fixture(scope="module")
-def solver(robot: RobotModel) -> IkSolver:
-    return ik_solver(robot)
-
-
-@pytest.fixture(scope="module")
-def demo(solver: IkSolver) -> Demonstration:
-    return opening(solver, fitted_drawer())
 
 
 def residuals(robot: RobotModel, Ts_world_ee: np.ndarray, joints: np.ndarray) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from aomgen.core.demonstration import Demonstration, gripper_command, timing
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
 from aomgen.episodes.grasps import Grasp, grasps, orientations
-from aomgen.episodes.ik import IkSolver, ik_solver
+from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.retarget import CONTACT, ROOM, DemonstratedMotion, RetargetedMotion
@@ -21,22 +21,7 @@ from aomgen.simulation.collision_check import KinematicLimits, check_kinematics
 from aomgen.simulation.scene import Scene, build_scene
 from aomgen.simulation.verify import verify_plan
 from backwards import closing_of
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
-
-
-@pytest.fixture(scope="module")
-def solver(robot: RobotModel) -> IkSolver:
-    return ik_solver(robot)
-
-
-@pytest.fixture(scope="module")
-def fitted() -> FittedAsset:
-    return fitted_drawer()
-
-
-@pytest.fixture(scope="module")
-def demo(robot: RobotModel, solver: IkSolver, fitted: FittedAsset) -> Demonstration:
-    return opening(solver, fitted)
+from benchmarks.toy_drawer import SUPPORT, opening
 
 
 def grasp_of(demo: Demonstration, fitted: FittedAsset) -> Grasp:

@@ -7,31 +7,16 @@ import pytest
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
-from aomgen.episodes.ik import IkSolver, ik_solver
+from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.reach_map import MAX_NODES, ReachMap, map_reach
 from aomgen.episodes.variations import Ranges, draw
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
+from benchmarks.toy_drawer import SUPPORT
 
 # From the robot's foot to far beyond its reach.
 RANGES = Ranges(x_m=(-0.2, 0.6), y_m=(-0.3, 0.3), yaw_deg=(-90, 90))
-
-
-@pytest.fixture(scope="module")
-def solver(robot: RobotModel) -> IkSolver:
-    return ik_solver(robot)
-
-
-@pytest.fixture(scope="module")
-def fitted() -> FittedAsset:
-    return fitted_drawer()
-
-
-@pytest.fixture(scope="module")
-def demo(solver: IkSolver, fitted: FittedAsset) -> Demonstration:
-    return opening(solver, fitted)
 
 
 @pytest.fixture(scope="module")

@@ -7,28 +7,13 @@ import pytest
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
-from aomgen.episodes.ik import IkSolver, ik_solver
+from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.start import choose_start
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from backwards import closing_of
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer, opening
-
-
-@pytest.fixture(scope="module")
-def solver(robot: RobotModel) -> IkSolver:
-    return ik_solver(robot)
-
-
-@pytest.fixture(scope="module")
-def fitted() -> FittedAsset:
-    return fitted_drawer()
-
-
-@pytest.fixture(scope="module")
-def demo(solver: IkSolver, fitted: FittedAsset) -> Demonstration:
-    return opening(solver, fitted)
+from benchmarks.toy_drawer import SUPPORT
 
 
 @pytest.mark.parametrize(("x", "moved"), [(0.0, False), (-0.2, True)])

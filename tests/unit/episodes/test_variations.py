@@ -16,15 +16,10 @@ from aomgen.episodes.variations import OrbitRanges, Ranges, area, draw, inside, 
 from aomgen.errors import ConfigError
 from aomgen.robots.reach import Reach, longest_reach
 from aomgen.robots.robot import RobotModel
-from benchmarks.toy_drawer import SUPPORT, fitted_drawer
+from benchmarks.toy_drawer import SUPPORT
 
 HERE = Variation(seed=0, index=0, x=0.0, y=0.0, yaw=0.0)
 SQUARE = ((0.5, -0.5), (1.2, -0.5), (1.2, 0.3), (0.5, 0.3))
-
-
-@pytest.fixture(scope="module")
-def fitted() -> FittedAsset:
-    return fitted_drawer()
 
 
 @pytest.fixture(scope="module")
