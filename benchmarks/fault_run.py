@@ -126,13 +126,18 @@ def told_file(out: Path) -> Path:
     return out.with_suffix(".told")
 
 
-def in_child(work: Callable[[], object], limit_s: float = RUN_S) -> int:
-    """Do work in a forked process, and kill its group after a while.
+def in_child(work: Callable[[], object], limit_s: float = RUN_S, method: str = "fork") -> int:
+    """Do work in another process, and kill its group after a while.
+
+    Args:
+        work: Pickled if the process is not a fork of this one.
+        limit_s: Afterwards it is killed.
+        method: "spawn" for what does not survive a fork, as Ray after it was used here.
 
     Returns:
         0, the code of its error, or minus the number of the signal that ended it.
     """
-    child = get_context("fork").Process(target=_in_own_group, args=(work,))
+    child = get_context(method).Process(target=_in_own_group, args=(work,))
     child.start()
     assert child.pid is not None
     with suppress(PermissionError, ProcessLookupError):  # it has done so itself, and has gone on or ended

@@ -97,7 +97,7 @@ def _number(process: BaseProcess) -> int:
 def ray_deaths(scratch: Path) -> dict[str, Any]:
     """Kill a worker process, and then a node, of a Ray cluster in the middle of a run; compare with an undisturbed run."""
     results = toy_run(scratch / INPUTS, params=PARAMS, poses=RAY_POSES, assets=ASSETS)
-    code = in_child(partial(_on_ray, results, scratch), HANGS_S)
+    code = in_child(partial(_on_ray, results, scratch), HANGS_S, "spawn")
     if code:
         raise WorkerError(scratch, f"ended with code {code}", "see its traceback")
     disturbed = scratch / "disturbed"
