@@ -4,13 +4,14 @@ In the end effector frame of every robot z points out of the palm and the finger
 bar lies along x.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Annotated
 
 import numpy as np
 
-from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
+from aomgen.assets.asset_check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import angle_between, invert, matrix_from_rotvec
@@ -22,6 +23,9 @@ TILTS_DEG, SWINGS_DEG = (0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0), (20.0, -20
 # How far beyond the end effector point a bar is held, [m]: adaptive fingers that hold it with the inner half of their pads
 # let it slip towards the palm.
 DEPTHS_M = (0.006, 0.012)
+# How far finger tips reach beyond the held point of a rim, the farthest first, [m]: a stiff, heavy lid slips off greasy
+# fingers that reach less, but what is below a lid may leave them no more room.
+RIM_OVERLAPS_M = (0.006, 0.004)
 # Cosines: a bar that lies more along the approach is held squarely; fingers that close less across the plate of a rim
 # slip off when it is slippery.
 MAX_ALONG_BAR, MIN_ACROSS_RIM = 0.6, 0.7
@@ -84,33 +88,36 @@ def orientations(
     yield "turned", matrix_from_rotvec(np.pi * first[:, 2]) @ first
 
 
-def grasp_depth(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> float:
-    """How far beyond the end effector point, along the approach, the hand holds the handle, [m].
+def grasp_depths(asset: ArticulatedAsset, demonstrated_depth: float, robot: RobotModel) -> tuple[float, ...]:
+    """How far beyond the end effector point, along the approach, the hand holds the handle, the best first, [m].
 
     A bar lies where the recorded one did; a rim is held by the finger tips, whatever was held in the recording.
     """
     if not (robot.pads and held_at_rim(asset)):
-        return float(np.clip(demonstrated_depth, *DEPTHS_M))
+        return (float(np.clip(demonstrated_depth, *DEPTHS_M)),)
     joints = np.zeros((1, len(robot.joint_names)))
     Ts_ee_body = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
     Ts_ee_pad = [Ts_ee_body[pad.body] @ pad.T_body_pad for pad in robot.pads]
     halves = [np.abs(T[2, :3]) @ pad.half_extents for T, pad in zip(Ts_ee_pad, robot.pads, strict=True)]
-    return float(min(T[2, 3] + half for T, half in zip(Ts_ee_pad, halves, strict=True))) - RIM_ROOM_M
+    tips = float(min(T[2, 3] + half for T, half in zip(Ts_ee_pad, halves, strict=True)))
+    return tuple(tips - overlap for overlap in RIM_OVERLAPS_M)
 
 
-def grasps(fitted: FittedAsset, R_front_ee: Array, depth: float, turn_ratio: float) -> Iterator[Grasp]:
-    """Grasps to try, in order of likeness to the demonstrated one.
+def grasps(
+    fitted: FittedAsset, R_front_ee: Array, depths: Sequence[float], turn_ratio: float
+) -> Iterator[Grasp]:
+    """Grasps to try: with the first depth in order of likeness to the demonstrated one, then with the next.
 
     Args:
         R_front_ee: As for `orientations`.
-        depth: See `grasp_depth`, [m].
+        depths: See `grasp_depths`, [m].
         turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
     """
     asset, revolute = fitted.asset, fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
     plate = np.cross(asset.handle_axis, outward_normal(asset)) if held_at_rim(asset) else None
-    for name, R in orientations(R_front_ee, asset.handle_axis, TILTS_DEG):
+    for depth, (name, R) in product(depths, orientations(R_front_ee, asset.handle_axis, TILTS_DEG)):
         if plate is not None and not abs(plate @ R[:, 1]) >= MIN_ACROSS_RIM:
             continue
         for share in ratios:

@@ -15,7 +15,7 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.episode import PHASES
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation
 from aomgen.core.values import Array
-from aomgen.episodes.grasps import grasp_depth, grasps
+from aomgen.episodes.grasps import grasp_depths, grasps
 from aomgen.episodes.ik import IkSolver, follow, solve_smoothly, walk
 from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
 from aomgen.episodes.retarget import (
@@ -181,8 +181,8 @@ def retarget(
     The hand begins at a pose (4, 4); where it was demonstrated if None.
     """
     demo, rigid = shown.demo, method == "paper"
-    depth = grasp_depth(fitted.asset, float(demo.grasp_ee[2]), robot)
-    found = grasps(fitted, shown.hand_at_closed(fitted), depth, demo.ee_turn_ratio)
+    depths = grasp_depths(fitted.asset, float(demo.grasp_ee[2]), robot)
+    found = grasps(fitted, shown.hand_at_closed(fitted), depths, demo.ee_turn_ratio)
     return [
         RetargetedMotion(
             shown=shown,

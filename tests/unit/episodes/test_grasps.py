@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aomgen.assets.asset_check import RIM_ROOM_M, held_at_rim, outward_normal
+from aomgen.assets.asset_check import held_at_rim, outward_normal
 from aomgen.core.asset import ArticulatedAsset
 from aomgen.core.plan import FittedAsset
 from aomgen.core.transforms import apply, invert, matrix_from_rotvec
-from aomgen.episodes.grasps import grasp_depth, grasps
+from aomgen.episodes.grasps import RIM_OVERLAPS_M, grasp_depths, grasps
 from aomgen.robots.robot import RobotModel
 from benchmarks.toy_drawer import fitted_drawer
 
@@ -35,28 +35,30 @@ def from_above(asset: ArticulatedAsset, degrees: float) -> np.ndarray:
 
 def test_a_rim_is_held_by_the_tips_whatever_was_held(laptop: FittedAsset, robot: RobotModel) -> None:
     asset = laptop.asset
-    depths = [grasp_depth(laptop.asset, shown, robot) for shown in (-0.02, 0.002, 0.03)]
-    assert len(set(depths)) == 1
+    first, *others = [grasp_depths(asset, shown, robot) for shown in (-0.02, 0.002, 0.03)]
+    assert set(others) == {first}
     joints = np.zeros((1, 6))
     Ts = invert(robot.ee_poses(joints)) @ robot.link_poses(joints, 1.0)[0]
     tips = [
         apply(Ts[pad.body] @ pad.T_body_pad, CORNERS * pad.half_extents)[:, 2].max() for pad in robot.pads
     ]
-    assert min(tips) - depths[0] == pytest.approx(RIM_ROOM_M, abs=1e-4)
+    assert min(tips) - np.array(first) == pytest.approx(RIM_OVERLAPS_M, abs=1e-4)
     # Where the tips end is rim still, seen along the lid.
     bar = asset.handle_bar
     assert bar is not None
     inward = -outward_normal(asset)
     end = float((bar.T_asset_box[:3, 3] - asset.handle_point) @ inward) + float(bar.half_extents[1])
-    assert min(tips) - depths[0] < end
+    assert min(tips) - min(first) < end
 
 
 def test_fingers_close_across_the_plate_of_a_rim(laptop: FittedAsset) -> None:
     asset = laptop.asset
     plate = np.cross(asset.handle_axis, outward_normal(asset))
-    found = list(grasps(laptop, from_above(asset, 35.0), 0.014, 0.85))
+    found = list(grasps(laptop, from_above(asset, 35.0), [0.014], 0.85))
     assert "tilt +0" in found[0].name
     assert len({grasp.name for grasp in found}) == len(found) > 5
+    deeper = list(grasps(laptop, from_above(asset, 35.0), [0.012, 0.014], 0.85))
+    assert [grasp.name for grasp in deeper] == 2 * [grasp.name for grasp in found]
     angles = np.rad2deg([np.arccos(abs(plate @ grasp.R_object_ee[:, 1])) for grasp in found])
     assert angles.max() < 46.0
 
@@ -64,7 +66,7 @@ def test_fingers_close_across_the_plate_of_a_rim(laptop: FittedAsset) -> None:
 def test_a_bar_is_held_where_the_recorded_one_was_by_the_outer_half_of_the_pads(robot: RobotModel) -> None:
     fitted = fitted_drawer()
     assert not held_at_rim(fitted.asset)
-    depths = [grasp_depth(fitted.asset, shown, robot) for shown in (-0.01, 0.003, 0.008, 0.5)]
+    depths = [grasp_depths(fitted.asset, shown, robot)[0] for shown in (-0.01, 0.003, 0.008, 0.5)]
     assert 0.004 < depths[0] == depths[1] < depths[2] == 0.008 < depths[3] < 0.02
 
 
@@ -72,7 +74,7 @@ def test_a_hand_may_lean_along_the_bar_and_closes_across_it(robot: RobotModel) -
     fitted = fitted_drawer()
     axis = fitted.asset.handle_axis
     R = from_above(fitted.asset, 10.0)
-    found = list(grasps(fitted, R, 0.0, 1.0))
+    found = list(grasps(fitted, R, [0.0], 1.0))
     leaning = [grasp for grasp in found if "swing" in grasp.name]
     assert leaning
     for grasp in found:

@@ -26,7 +26,7 @@ from benchmarks.toy_drawer import SUPPORT, opening
 
 def grasp_of(demo: Demonstration, fitted: FittedAsset) -> Grasp:
     R = fitted.T_world_asset[:3, :3].T @ demo.Ts_world_ee[demo.contact_frames[0], :3, :3]
-    return next(iter(grasps(fitted, R, 0.0, demo.ee_turn_ratio)))
+    return next(iter(grasps(fitted, R, [0.0], demo.ee_turn_ratio)))
 
 
 def motion_of(
