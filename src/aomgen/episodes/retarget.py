@@ -7,7 +7,7 @@ Source: AOMGen, sec. 4.3.3, "Pose Generalization". The paper turns the contact s
 it is made anew from the joint, so that the object may be another one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal, NamedTuple
 
@@ -40,6 +40,9 @@ Style = Literal["demonstrated", "straight"]
 FreeWay = Literal["cartesian", "joints", "direct"]
 # The last stretch of the approach, and the first of the retreat, moves with the object, [m].
 RIGID_STRETCH_M = 0.10
+# On at least so much way before that stretch the hand goes to the new place, [m]. A film that begins nearer to the
+# handle is given a rest at its start, as if the hand came at this speed, [m/s].
+FREE_WAY_M, REST_SPEED = 0.05, 0.1
 # A turn of one radian counts as this much way, [m].
 TURN_WEIGHT_M = 0.15
 # Fingers come this much wider than they will hold, as a share of their stroke: what is held lies some millimetres off
@@ -98,13 +101,18 @@ class DemonstratedMotion:
     """What a demonstration gives to all its retargeted motions; times are from its first sample, [s]."""
 
     def __init__(self, demo: Demonstration) -> None:
+        ways = np.linalg.norm(np.diff(demo.Ts_world_ee[:, :3, 3], axis=0), axis=1)
+        before = demo.times_s[1:] - demo.times_s[0] <= timing(demo).close
+        missing = RIGID_STRETCH_M + FREE_WAY_M - float(ways[before].sum())
+        if missing > 0.0:
+            demo, rows = _rested(demo, missing / REST_SPEED)
+            ways = np.concatenate([np.full(rows, missing / rows), ways])
         self.demo, self.moments = demo, timing(demo)
         self.times = demo.times_s - demo.times_s[0]
         positions, quats = demo.Ts_world_ee[:, :3, 3], quat_from_matrix(demo.Ts_world_ee[:, :3, :3])
         flips = np.cumprod(np.sign(np.sum(quats[1:] * quats[:-1], 1)) + 1e-12)
         quats[1:] *= np.sign(flips)[:, None]
         self._poses = Akima1DInterpolator(self.times, np.column_stack([positions, quats]))
-        ways = np.linalg.norm(np.diff(positions, axis=0), axis=1)
         self._ways = np.concatenate([[0.0], np.cumsum(ways)])
         # Knots between the marks (5, K).
         self.knots: Array = np.linspace(self.moments.marks[:-1], self.moments.marks[1:], KNOTS, axis=1)
@@ -132,12 +140,25 @@ class DemonstratedMotion:
         return fitted.T_world_asset[:3, :3].T @ self.poses(self.from_closed(fitted)[:1])[0, :3, :3]
 
     def way(self, times: Array | float) -> Array:
-        """Way of the hand up to times (N,), [m]."""
+        """Way of the hand up to times (N,), [m]; a rest before the film counts as one."""
         return np.asarray(np.interp(times, self.times, self._ways))
 
     def joints(self, times: Array) -> Array:
         """Recorded arm joints (N, J)."""
         return np.stack([np.interp(times, self.times, column) for column in self.demo.joints.T], -1)
+
+
+def _rested(demo: Demonstration, seconds: float) -> tuple[Demonstration, int]:
+    """A demonstration with a rest at its start before it, and how many samples that takes."""
+    step = float(demo.times_s[1] - demo.times_s[0])
+    rows = int(np.ceil(seconds / step))
+    first = {
+        name: np.concatenate([np.repeat(values[:1], rows, axis=0), values])
+        for name in ("joints", "gripper", "Ts_world_ee", "thetas")
+        for values in [getattr(demo, name)]
+    }
+    times = np.concatenate([demo.times_s[0] - step * np.arange(rows, 0, -1), demo.times_s])
+    return replace(demo, times_s=times, **first), rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,9 +261,8 @@ class RetargetedMotion:
         shown, close = self.shown, self.shown.moments.close
         if self.rigid:
             return np.clip(times / max(close, 1e-9), 0.0, 1.0)
-        left = shown.way(close) - shown.way(times)
-        total = max(float(shown.way(close)) - self.stretch, 1e-6)
-        return _smoothstep(1.0 - (left - self.stretch) / total)
+        free = max(float(shown.way(close)) - self.stretch, FREE_WAY_M)
+        return _smoothstep(shown.way(times) / free)
 
     @cached_property
     def _ends(self) -> Array:

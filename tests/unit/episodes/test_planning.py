@@ -268,6 +268,24 @@ def test_pose_out_of_reach_is_rejected_with_a_reason(
     assert result.metrics["grasps_tried"] >= 7
 
 
+@pytest.mark.parametrize("way", [0.16, 0.08, 0.02])
+def test_a_film_that_begins_near_the_handle_begins_there_with_every_object(
+    robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset, way: float
+) -> None:
+    """The way to the new place is not shown; the arm takes it from where it was, as fast as it can."""
+    left = DemonstratedMotion(demo).way(timing(demo).close) - DemonstratedMotion(demo).way(demo.times_s)
+    rows = slice(int(np.flatnonzero(left <= way)[0]), None)
+    names = ("times_s", "joints", "gripper", "Ts_world_ee", "thetas")
+    near = replace(demo, **{name: getattr(demo, name)[rows] for name in names})
+    scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
+    there = Variation(seed=0, index=0, x=0.06, y=0.05, yaw=0.2)
+    plan = plan_episode(fitted, near, there, scene, solver, PlanParams())
+    assert isinstance(plan, EpisodePlan)
+    np.testing.assert_allclose(plan.joints[0], near.joints[0], atol=0.05)
+    assert plan.metrics["joint_acceleration"] <= IkLimits().acceleration
+    assert isinstance(verify_plan(plan, scene), VerifiedEpisode)
+
+
 def test_a_motion_too_fast_for_the_arm_is_slowed_down_as_far_as_allowed(
     robot: RobotModel, solver: IkSolver, demo: Demonstration, fitted: FittedAsset
 ) -> None:
