@@ -5,10 +5,10 @@ VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
-LEROBOT_VENV := .venv-lerobot
+POLICY_VENV := .venv-policy
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon lerobot-test robots-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon policy-env lerobot-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -45,9 +45,12 @@ build: $(VENV)/pip.stamp
 
 install: $(VENV)/demo.stamp weights
 
-# The real LeRobot reads a finished demo's dataset, in an environment of its own.
-lerobot-test: $(LEROBOT_VENV)/installed.stamp
-	$(LEROBOT_VENV)/bin/python tests/lerobot_check.py $(OUT)/dataset
+# The real LeRobot, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
+policy-env: $(POLICY_VENV)/installed.stamp
+
+# It reads a finished demo's dataset.
+lerobot-test: policy-env
+	$(POLICY_VENV)/bin/python tests/lerobot_check.py $(OUT)/dataset
 
 # Other makers' arms, whose files come in public packages; nothing of those packages is installed.
 ROBOTS := build/robots
@@ -103,9 +106,9 @@ $(VENV)/dev.stamp: $(VENV)/demo.stamp
 weights: $(VENV)/demo.stamp
 	@$(BIN)/python -m aomgen.segmentation.weights
 
-$(LEROBOT_VENV)/installed.stamp: requirements/lerobot-py311.txt tests/lerobot_env.sh
-	PYTHON=$(PYTHON) sh tests/lerobot_env.sh
+$(POLICY_VENV)/installed.stamp: $(wildcard requirements/*) pyproject.toml
+	PYTHON=$(PYTHON) sh requirements/policy_env.sh
 	@touch $@
 
 clean:
-	rm -rf build $(VENV) $(LEROBOT_VENV)
+	rm -rf build $(VENV) $(POLICY_VENV)

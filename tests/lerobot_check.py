@@ -1,4 +1,4 @@
-"""Load a dataset with the real lerobot; run with .venv-lerobot/bin/python, not with ours.
+"""Load a dataset with the real lerobot; run with .venv-policy/bin/python, not with ours.
 
 Prints one JSON line: episodes, frames, and the mean grey of the first frame of the first, the
 last of the middle and the last of the last episode, for each camera in name order.
@@ -8,17 +8,9 @@ import json
 import sys
 from pathlib import Path
 
-import torch
-
-if torch.version.cuda is None:
-    # torchvision's wheel is built for CUDA; with a CPU torch its import fails unless the two
-    # operators that it wants to describe exist.
-    library = torch.library.Library("torchvision", "DEF")
-    for name in ("nms", "qnms"):
-        library.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-
 import av
 import lerobot.datasets.lerobot_dataset as lerobot_dataset
+import torch
 from lerobot.datasets.utils import dataset_to_policy_features
 
 

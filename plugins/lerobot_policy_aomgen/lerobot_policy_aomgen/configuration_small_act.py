@@ -1,0 +1,83 @@
+"""Settings of the small policy, as `lerobot-train` takes them from its command line."""
+
+from dataclasses import dataclass, field
+
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.configs.types import NormalizationMode
+from lerobot.optim.optimizers import AdamWConfig
+from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
+
+
+@PreTrainedConfig.register_subclass("small_act")
+@dataclass
+class SmallACTConfig(PreTrainedConfig):
+    """Action chunking with a small convolutional encoder: about 1.5 million parameters for two cameras.
+
+    Attributes:
+        chunk_size: Actions that are predicted at once.
+        n_action_steps: Of these, how many are done before the policy looks again.
+        channels: Of the encoder's convolutions; each halves the picture.
+        dim_model, n_heads, dim_feedforward, n_encoder_layers, n_decoder_layers, dropout: Of the transformer.
+        shift_px: Pictures are shifted by up to so many pixels in training.
+        optimizer_lr, optimizer_weight_decay, warmup_steps, decay_steps: Of AdamW, with a cosine decay to zero; fewer
+            steps of training shorten both.
+    """
+
+    chunk_size: int = 20
+    n_action_steps: int = 10
+    channels: tuple[int, ...] = (32, 64, 96, 128)
+    dim_model: int = 128
+    n_heads: int = 4
+    dim_feedforward: int = 512
+    n_encoder_layers: int = 3
+    n_decoder_layers: int = 2
+    dropout: float = 0.05
+    shift_px: int = 0
+    optimizer_lr: float = 1e-3
+    optimizer_weight_decay: float = 1e-4
+    warmup_steps: int = 300
+    decay_steps: int = 6000
+    normalization_mapping: dict[str, NormalizationMode] = field(
+        default_factory=lambda: {
+            "VISUAL": NormalizationMode.MEAN_STD,
+            "STATE": NormalizationMode.MEAN_STD,
+            "ACTION": NormalizationMode.MEAN_STD,
+        }
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.n_action_steps <= self.chunk_size:
+            raise ValueError(
+                f"n_action_steps is {self.n_action_steps}, want 1 to chunk_size = {self.chunk_size}"
+            )
+
+    def validate_features(self) -> None:
+        """Raises ValueError without an action, a state, or anything that tells where the object is."""
+        if self.action_feature is None or self.robot_state_feature is None:
+            raise ValueError("the dataset needs the features action and observation.state")
+        if not (self.image_features or self.env_state_feature):
+            raise ValueError("the dataset needs pictures, or observation.environment_state")
+
+    def get_optimizer_preset(self) -> AdamWConfig:
+        return AdamWConfig(lr=self.optimizer_lr, weight_decay=self.optimizer_weight_decay, grad_clip_norm=1.0)
+
+    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
+        return CosineDecayWithWarmupSchedulerConfig(
+            num_warmup_steps=self.warmup_steps,
+            num_decay_steps=self.decay_steps,
+            peak_lr=self.optimizer_lr,
+            decay_lr=0.0,
+        )
+
+    @property
+    def observation_delta_indices(self) -> None:
+        return None
+
+    @property
+    def action_delta_indices(self) -> list[int]:
+        return list(range(self.chunk_size))
+
+    @property
+    def reward_delta_indices(self) -> None:
+        return None
