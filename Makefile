@@ -5,10 +5,9 @@ VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
-LEROBOT_VENV := .venv-lerobot
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon lerobot-test robots-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon datasets-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -45,9 +44,10 @@ build: $(VENV)/pip.stamp
 
 install: $(VENV)/demo.stamp weights
 
-# The real LeRobot reads a finished demo's dataset, in an environment of its own.
-lerobot-test: $(LEROBOT_VENV)/installed.stamp
-	$(LEROBOT_VENV)/bin/python tests/lerobot_check.py $(OUT)/dataset
+# The libraries that people train with read a finished run's episodes in every format, each in an environment of its own.
+READERS := lerobot lerobot-v21 tfds robomimic
+datasets-test: $(VENV)/dev.stamp $(READERS:%=.venv-%/installed.stamp)
+	EPISODES=$(abspath $(OUT))/08_episodes $(BIN)/python -m pytest -s tests/readers
 
 # Other makers' arms, whose files come in public packages; nothing of those packages is installed.
 ROBOTS := build/robots
@@ -103,9 +103,11 @@ $(VENV)/dev.stamp: $(VENV)/demo.stamp
 weights: $(VENV)/demo.stamp
 	@$(BIN)/python -m aomgen.segmentation.weights
 
-$(LEROBOT_VENV)/installed.stamp: requirements/lerobot-py311.txt tests/lerobot_env.sh
-	PYTHON=$(PYTHON) sh tests/lerobot_env.sh
+.venv-lerobot-v21/installed.stamp: .venv-lerobot/installed.stamp
+.venv-robomimic/installed.stamp: $(VENV)/dev.stamp
+.venv-%/installed.stamp: requirements/lerobot-py311.txt tests/readers/environments.sh
+	PYTHON=$(PYTHON) sh tests/readers/environments.sh $*
 	@touch $@
 
 clean:
-	rm -rf build $(VENV) $(LEROBOT_VENV)
+	rm -rf build $(VENV) $(READERS:%=.venv-%)

@@ -9,6 +9,8 @@ from aomgen.cli.run import find_project
 from aomgen.errors import CorruptArtifactError, MissingFileError
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a run, or its project file.")]
+# How many of the differences are printed.
+SHOWN_FAULTS = 10
 
 
 def export(
@@ -49,7 +51,7 @@ def audit(
     print(f"episodes  {splits} of {found.committed}, {found.frames} frames, actions {found.actions}")
     print(f"numbers   largest difference {found.difference:.1e} ({found.differing})")
     print(f"pictures  lowest PSNR {found.psnr_db:.1f} dB ({found.least_like})")
-    for fault in found.faults:
+    for fault in found.faults[:SHOWN_FAULTS]:
         print(f"fault     {fault}")
     if found.faults:
         raise CorruptArtifactError(

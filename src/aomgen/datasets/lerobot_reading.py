@@ -66,7 +66,10 @@ def read_lerobot(folder: Path) -> StoredDataset:
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise MalformedFileError(folder / "meta", f"is not complete ({error!r})", REMEDY) from error
     return StoredDataset(
-        actions=chosen_space(features, where), sizes=sizes, episodes=_episodes(places, sizes, train)
+        actions=chosen_space(features, where),
+        sizes=sizes,
+        episodes=_episodes(places, sizes, train),
+        video=bool(videos),
     )
 
 

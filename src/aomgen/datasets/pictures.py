@@ -13,6 +13,9 @@ from aomgen.io.episode_folder import SAMPLED_FRAMES, CommittedEpisode, color_cou
 from aomgen.io.images import resize
 from aomgen.io.video import decode_frames, encode_video
 
+# Quality of videos that are encoded again: finer than when rendered, since small pictures have more detail a pixel.
+RESIZED_CRF = {"h264": 14, "av1": 15}
+
 
 def read_pictures(item: CommittedEpisode, camera: str) -> Iterator[NDArray[np.uint8]]:
     """Frames (H, W, 3) of one camera at its size; area-averaged where that is smaller than the video's.
@@ -60,5 +63,6 @@ def resize_videos(item: CommittedEpisode, folder: Path) -> CommittedEpisode:
         pictures = list(read_pictures(item, name))
         videos[name] = folder / f"{item.folder.name}.{name}.mp4"
         counts[name] = count_colors(pictures)
-        write_bytes(videos[name], encode_video(pictures, item.episode.fps, codec=item.codec))
+        data = encode_video(pictures, item.episode.fps, codec=item.codec, crf=RESIZED_CRF[item.codec])
+        write_bytes(videos[name], data)
     return replace(item, videos=videos, color_counts=counts)

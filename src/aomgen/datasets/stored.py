@@ -40,12 +40,14 @@ class StoredDataset:
     Attributes:
         actions: Space of the feature `action`.
         sizes: Width and height of the pictures by camera, [px].
+        video: Whether pictures were compressed as videos are.
         episodes: One after the other; what is wrong with a file is raised when it is reached.
     """
 
     actions: ActionSpace
     sizes: Mapping[str, tuple[int, int]]
     episodes: Iterator[StoredEpisode]
+    video: bool = False
 
 
 def chosen_space(features: Mapping[str, Any], where: Path) -> ActionSpace:
