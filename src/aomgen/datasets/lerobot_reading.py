@@ -32,7 +32,6 @@ class _Place:
 
     number: int
     source_index: int
-    instruction: str
     length: int
     table: Path
     row: int
@@ -63,12 +62,17 @@ def read_lerobot(folder: Path) -> StoredDataset:
         train = int(info["splits"]["train"].split(":")[1])
         fps = int(info["fps"])
         places = list(PLACES[version](folder, videos, fps))
+        if len(places) != info["total_episodes"]:
+            raise MalformedFileError(
+                where, f"says {info['total_episodes']} episodes, not {len(places)}", REMEDY
+            )
+        tasks = TASKS[version](folder)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise MalformedFileError(folder / "meta", f"is not complete ({error!r})", REMEDY) from error
     return StoredDataset(
         actions=chosen_space(features, where),
         sizes=sizes,
-        episodes=_episodes(places, sizes, train),
+        episodes=_episodes(places, tasks, sizes, train),
         video=bool(videos),
     )
 
@@ -90,7 +94,6 @@ def _places_v3(folder: Path, videos: list[str], fps: int) -> Iterator[_Place]:
         yield _Place(
             number=row["episode_index"],
             source_index=row[SOURCE],
-            instruction=row["tasks"][0],
             length=row["length"],
             table=data,
             row=row["dataset_from_index"],
@@ -99,19 +102,14 @@ def _places_v3(folder: Path, videos: list[str], fps: int) -> Iterator[_Place]:
 
 
 def _places_v21(folder: Path, videos: list[str], fps: int) -> Iterator[_Place]:
-    lines = folder / "meta" / "episodes.jsonl"
-    if not lines.is_file():
-        raise MissingFileError(lines, "is missing", REMEDY)
     row_number = 0
-    for line in lines.read_text("utf-8").splitlines():
-        row = json.loads(line)
+    for row in _read_lines(folder / "meta" / "episodes.jsonl"):
         number = row["episode_index"]
         where: dict[str, Any] = {"episode_chunk": number // CHUNK_FILES, "episode_index": number}
         path = lerobot_v21.VIDEO_PATH
         yield _Place(
             number=number,
             source_index=row[SOURCE],
-            instruction=row["tasks"][0],
             length=row["length"],
             table=folder / lerobot_v21.DATA_PATH.format(**where),
             row=row_number,
@@ -120,7 +118,28 @@ def _places_v21(folder: Path, videos: list[str], fps: int) -> Iterator[_Place]:
         row_number += row["length"]
 
 
-# How each version says where its episodes lie.
+def _tasks_v3(folder: Path) -> list[str]:
+    table = _read_table(folder / lerobot_v3.TASKS_PATH)
+    # The sentences stand in the column that pandas makes of an index.
+    rows = {
+        number: task for number, task in zip(*(column.to_pylist() for column in table.columns), strict=True)
+    }
+    return [rows[number] for number in range(len(rows))]
+
+
+def _tasks_v21(folder: Path) -> list[str]:
+    rows = {row["task_index"]: row["task"] for row in _read_lines(folder / "meta" / "tasks.jsonl")}
+    return [rows[number] for number in range(len(rows))]
+
+
+def _read_lines(path: Path) -> list[Any]:
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", REMEDY)
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+# How each version says where its episodes lie, and which instructions there are.
+TASKS: Final = {lerobot_v21.VERSION: _tasks_v21, lerobot_v3.VERSION: _tasks_v3}
 PLACES: Final = {lerobot_v21.VERSION: _places_v21, lerobot_v3.VERSION: _places_v3}
 
 
@@ -139,17 +158,23 @@ class _VideoFrames:
             yield np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
 
 
-def _episodes(places: list[_Place], sizes: dict[str, tuple[int, int]], train: int) -> Iterator[StoredEpisode]:
+def _episodes(
+    places: list[_Place], tasks: list[str], sizes: dict[str, tuple[int, int]], train: int
+) -> Iterator[StoredEpisode]:
     opened, read_table = cache(_VideoFrames), lru_cache(maxsize=1)(_read_table)
     for place in places:
         table = read_table(place.table)
-        if "index" not in table.column_names:
-            raise MalformedFileError(place.table, "lacks the feature 'index'", REMEDY)
+        for name in ("index", "task_index"):
+            if name not in table.column_names:
+                raise MalformedFileError(place.table, f"lacks the feature '{name}'", REMEDY)
         rows = pc.index(table["index"], place.row).as_py()
         table = table.slice(rows, place.length) if rows >= 0 else table.slice(0, 0)
         if table["index"].to_pylist() != list(range(place.row, place.row + place.length)):
             raise MalformedFileError(place.table, f"holds other rows for episode {place.number}", REMEDY)
-        pictures = {}
+        columns, pictures = _columns(table), {}
+        task = int(columns["task_index"][0])
+        if not 0 <= task < len(tasks):
+            raise MalformedFileError(place.table, f"names task {task} of {len(tasks)}", REMEDY)
         for camera in sizes:
             if camera in place.videos:
                 video, start = place.videos[camera]
@@ -159,8 +184,8 @@ def _episodes(places: list[_Place], sizes: dict[str, tuple[int, int]], train: in
         yield StoredEpisode(
             source_index=place.source_index,
             split="train" if place.number < train else "val",
-            instruction=place.instruction,
-            columns=_columns(table),
+            instruction=tasks[task],
+            columns=columns,
             pictures=pictures,
         )
 

@@ -42,6 +42,7 @@ VERSION: Final = "v3.0"
 DATA_FILE_MB, VIDEO_FILE_MB = 100, 200
 DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+TASKS_PATH: Final = "meta/tasks.parquet"
 EPISODES_PATH: Final = "meta/episodes/chunk-000/file-000.parquet"
 Counts = dict[str, NDArray[np.int64]]
 
@@ -78,7 +79,7 @@ def write_lerobot_v3(
             counts = _write_data_with_pictures(staging, selection, columns, rows, progress)
         _complete_rows(rows, columns, counts)
         write_parquet(staging / EPISODES_PATH, pa.Table.from_pylist(rows))
-        write_parquet(staging / "meta" / "tasks.parquet", _task_table(tasks_of(selection)))
+        write_parquet(staging / TASKS_PATH, _task_table(tasks_of(selection)))
         totals = {name: np.sum([count[name] for count in counts], 0) for name in counts[0]}
         statistics = dict(episode_statistics(join_columns(columns), totals))
         write_plain_json(staging / "meta" / "stats.json", statistics)

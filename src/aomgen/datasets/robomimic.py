@@ -117,11 +117,21 @@ def _write_demonstration(
 
 def _add_next(group: "h5py.Group", name: str) -> None:
     """The observation that follows each one, the last one twice: a view that takes no space."""
-    import h5py
+    from h5py import h5d, h5p, h5s
 
     source = group["obs"][name]
-    view = h5py.VirtualSource(source)
-    layout = h5py.VirtualLayout(source.shape, source.dtype)
-    layout[:-1] = view[1:]
-    layout[-1:] = view[-1:]
-    group.require_group("next_obs").create_virtual_dataset(name, layout)
+    count, *rest = source.shape
+
+    def frames(start: int, number: int) -> h5s.SpaceID:
+        chosen = h5s.create_simple(source.shape)
+        chosen.select_hyperslab((start, *[0] * len(rest)), (number, *rest))
+        return chosen
+
+    # Not h5py's VirtualLayout, which writes down when it was made.
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
+    here, path = b".", source.name.encode()
+    properties.set_virtual(frames(0, count - 1), here, path, frames(1, count - 1))
+    properties.set_virtual(frames(count - 1, 1), here, path, frames(count - 1, 1))
+    target = group.require_group("next_obs").id
+    h5d.create(target, name.encode(), source.id.get_type(), h5s.create_simple(source.shape), dcpl=properties)
