@@ -34,7 +34,7 @@ VERSION: Final = "1.0.0"
 SHARD_EPISODES: Final = 16
 # Joints of OpenVLA's state; fewer are followed by zeros.
 STATE_JOINTS: Final = 7
-# 40 dB and more on rendered pictures.
+# Above 38 dB on rendered pictures, of any size.
 JPEG_QUALITY: Final = 95
 SHARD_NAME: Final = "{name}-{split}.tfrecord-{shard:05d}-of-{shards:05d}"
 FILE_TEMPLATE: Final = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
@@ -148,7 +148,9 @@ def _record(item: CommittedEpisode, actions: ActionSpace) -> bytes:
     }
     for camera in sorted(episode.cameras):
         pictures = read_pictures(item, camera)
-        steps[f"observation/{camera}"] = [encode_jpeg(picture, JPEG_QUALITY) for picture in pictures]
+        steps[f"observation/{camera}"] = [
+            encode_jpeg(picture, JPEG_QUALITY, halve_colors=False) for picture in pictures
+        ]
     steps |= {
         "is_first": first,
         "is_last": last,

@@ -76,10 +76,12 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def encode_jpeg(image: NDArray[np.uint8], quality: int = 90) -> bytes:
-    """JPEG bytes of an image (H, W, 3) uint8."""
+def encode_jpeg(image: NDArray[np.uint8], quality: int = 90, *, halve_colors: bool = True) -> bytes:
+    """JPEG bytes of an image (H, W, 3) uint8, with one color for each or for two by two pixels."""
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "JPEG", quality=quality)
+    Image.fromarray(image).save(
+        buffer, "JPEG", quality=quality, subsampling="4:2:0" if halve_colors else "4:4:4"
+    )
     return buffer.getvalue()
 
 
