@@ -4,10 +4,10 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -143,25 +143,27 @@ TASKS: Final = {lerobot_v21.VERSION: _tasks_v21, lerobot_v3.VERSION: _tasks_v3}
 PLACES: Final = {lerobot_v21.VERSION: _places_v21, lerobot_v3.VERSION: _places_v3}
 
 
-class _VideoFrames:
-    """Frames of a video, taken in order."""
+# Frames of a video with their numbers; taken in order.
+_Frames = Iterator[tuple[int, tuple[float, av.VideoFrame]]]
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._frames, self._place = path, decode_frames(path), 0
 
-    def take(self, start: int, count: int) -> Iterator[NDArray[np.uint8]]:
-        """The frames start .. start + count - 1, which follow those taken before."""
-        if start != self._place:
-            raise MalformedFileError(self._path, f"is not taken at frame {self._place} but {start}", REMEDY)
-        self._place += count
-        for _, frame in islice(self._frames, count):
+def _open_video(path: Path) -> _Frames:
+    return enumerate(decode_frames(path))
+
+
+def _take(frames: _Frames, start: int, count: int) -> Iterator[NDArray[np.uint8]]:
+    """The frames start .. start + count - 1; those before are passed over."""
+    for number, (_, frame) in frames:
+        if number >= start:
             yield np.asarray(frame.to_ndarray(format="rgb24", threads=1), np.uint8)
+        if number >= start + count - 1:
+            return
 
 
 def _episodes(
     places: list[_Place], tasks: list[str], sizes: dict[str, tuple[int, int]], train: int
 ) -> Iterator[StoredEpisode]:
-    opened, read_table = cache(_VideoFrames), lru_cache(maxsize=1)(_read_table)
+    opened, read_table = cache(_open_video), lru_cache(maxsize=1)(_read_table)
     for place in places:
         table = read_table(place.table)
         for name in ("index", "task_index"):
@@ -178,7 +180,7 @@ def _episodes(
         for camera in sizes:
             if camera in place.videos:
                 video, start = place.videos[camera]
-                pictures[camera] = opened(video).take(start, place.length)
+                pictures[camera] = _take(opened(video), start, place.length)
             else:
                 pictures[camera] = _pictures(table, picture_key(camera), place.table)
         yield StoredEpisode(

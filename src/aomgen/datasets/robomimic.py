@@ -9,7 +9,7 @@ Source: robomimic's documentation "Dataset contents and info".
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from aomgen.datasets.pictures import read_pictures
 from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
 from aomgen.errors import ConfigError
 from aomgen.io.episode_folder import CommittedEpisode
-
-if TYPE_CHECKING:
-    import h5py
 
 FILE: Final = "demonstrations.hdf5"
 # robomimic's number of Gym environments.
@@ -83,7 +80,7 @@ def unscale_actions(scaled: Array, lower: Array, upper: Array) -> Array:
 
 
 def _write_demonstration(
-    group: "h5py.Group", item: CommittedEpisode, selection: Selection, limits: tuple[Array, Array]
+    group: Any, item: CommittedEpisode, selection: Selection, limits: tuple[Array, Array]
 ) -> None:
     episode = item.episode
     columns = feature_columns(episode, selection.choices.actions)
@@ -115,7 +112,7 @@ def _write_demonstration(
         _add_next(group, name)
 
 
-def _add_next(group: "h5py.Group", name: str) -> None:
+def _add_next(group: Any, name: str) -> None:
     """The observation that follows each one, the last one twice: a view that takes no space."""
     from h5py import h5d, h5p, h5s
 

@@ -2,14 +2,16 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aomgen.datasets.features import ActionSpace
 from aomgen.datasets.robomimic import FILE, MASKS, unscale_actions
 from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode
 from aomgen.errors import MalformedFileError, MissingFileError
+from aomgen.io.schema import suggest
 
 IMAGE: Final = "_image"
 
@@ -27,16 +29,22 @@ def read_robomimic(folder: Path) -> StoredDataset:
     if not where.is_file():
         raise MissingFileError(where, "is missing", REMEDY)
     try:
-        file = h5py.File(where, "r")
-        data = file["data"]
-        first = data["demo_0/obs"]
+        file: Any = h5py.File(where, "r")
+        actions = str(file["data"].attrs["action_space"])
+        first = file["data/demo_0/obs"]
         cameras = [name.removesuffix(IMAGE) for name in first if name.endswith(IMAGE)]
-        sizes = {name: tuple(map(int, first[name + IMAGE].shape[2:0:-1])) for name in cameras}
-        return StoredDataset(
-            actions=data.attrs["action_space"], sizes=sizes, episodes=_episodes(file, where, cameras)
-        )
+        shapes = {name: first[name + IMAGE].shape for name in cameras}
     except (KeyError, OSError, RuntimeError) as error:
         raise _damaged(where, error) from error
+    if actions not in get_args(ActionSpace):
+        raise MalformedFileError(
+            where, f"says action_space '{actions}'", suggest(actions, get_args(ActionSpace))
+        )
+    return StoredDataset(
+        actions=actions,  # type: ignore[arg-type]
+        sizes={name: (int(shape[2]), int(shape[1])) for name, shape in shapes.items()},
+        episodes=_episodes(file, where, cameras),
+    )
 
 
 def _damaged(where: Path, error: Exception) -> MalformedFileError:
