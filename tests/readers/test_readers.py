@@ -158,9 +158,14 @@ def test_rlds(folders, tmp_path, options):
     chosen = chosen_frames(got.selection).values()
     assert got.report["tasks"] == [episodes[episode].episode.instruction for episode, _ in chosen]
     written = read_json(got.dataset / VERSION / STATISTICS_FILE)[got.dataset.name]
-    for feature, numbers in got.report["statistics"].items():
-        for name, values in numbers.items():
-            np.testing.assert_allclose(written[feature][name], values, rtol=0, atol=1e-6)
+    differences = [
+        np.abs(np.subtract(written[feature][name], values)).max()
+        for feature, numbers in got.report["statistics"].items()
+        for name, values in numbers.items()
+    ]
+    print(f"largest difference of OpenVLA's statistics: {max(differences):.1e}")
+    assert len(differences) == 12
+    assert max(differences) <= 1e-6
     ends = np.cumsum([len(item.episode) for item in episodes]) - 1
     assert np.flatnonzero(got.numbers["is_last"]).tolist() == ends.tolist()
     assert np.flatnonzero(got.numbers["reward"]).tolist() == ends.tolist()

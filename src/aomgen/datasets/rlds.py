@@ -34,7 +34,7 @@ VERSION: Final = "1.0.0"
 SHARD_EPISODES: Final = 16
 # Joints of OpenVLA's state; fewer are followed by zeros.
 STATE_JOINTS: Final = 7
-# Above 38 dB on rendered pictures, of any size.
+# At least 36 dB on rendered pictures, even at 64x48.
 JPEG_QUALITY: Final = 95
 SHARD_NAME: Final = "{name}-{split}.tfrecord-{shard:05d}-of-{shards:05d}"
 FILE_TEMPLATE: Final = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
