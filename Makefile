@@ -5,10 +5,9 @@ VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
 CONSTRAINTS := constraints/cpu-py311.txt
-POLICY_VENV := .venv-policy
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon policy-env lerobot-test robots-test clean
+.PHONY: demo test slow-test coverage check format scores build install weights native sanitize neon policy-env datasets-test robots-test clean
 
 demo: install
 	$(BIN)/aomgen demo $(OUT)
@@ -45,12 +44,13 @@ build: $(VENV)/pip.stamp
 
 install: $(VENV)/demo.stamp weights
 
-# The real LeRobot, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
-policy-env: $(POLICY_VENV)/installed.stamp
+# The real LeRobot with our plug-ins, in an environment of its own: `. .venv-policy/bin/activate; lerobot-train ...`
+policy-env: .venv-policy/installed.stamp
 
-# It reads a finished demo's dataset.
-lerobot-test: policy-env
-	$(POLICY_VENV)/bin/python tests/lerobot_check.py $(OUT)/dataset
+# The libraries that people train with read a finished run's episodes in every format, each in an environment of its own.
+READERS := policy lerobot-v21 tfds robomimic
+datasets-test: $(VENV)/dev.stamp $(READERS:%=.venv-%/installed.stamp)
+	EPISODES=$(abspath $(OUT))/08_episodes $(BIN)/python -m pytest -s tests/readers
 
 # Other makers' arms, whose files come in public packages; nothing of those packages is installed.
 ROBOTS := build/robots
@@ -106,9 +106,11 @@ $(VENV)/dev.stamp: $(VENV)/demo.stamp
 weights: $(VENV)/demo.stamp
 	@$(BIN)/python -m aomgen.segmentation.weights
 
-$(POLICY_VENV)/installed.stamp: $(wildcard requirements/*) pyproject.toml
-	PYTHON=$(PYTHON) sh requirements/policy_env.sh
+.venv-lerobot-v21/installed.stamp: .venv-policy/installed.stamp
+.venv-robomimic/installed.stamp: $(VENV)/dev.stamp
+.venv-%/installed.stamp: $(wildcard requirements/*) pyproject.toml
+	PYTHON=$(PYTHON) sh requirements/environments.sh $*
 	@touch $@
 
 clean:
-	rm -rf build $(VENV) $(POLICY_VENV)
+	rm -rf build $(VENV) $(READERS:%=.venv-%)

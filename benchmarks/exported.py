@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import mujoco
 import numpy as np
@@ -14,18 +14,13 @@ from numpy.typing import NDArray
 from aomgen.core.episode import Episode
 from aomgen.core.transforms import matrix_from_quat, rotvec_from_matrix, transform
 from aomgen.core.values import Array
-from aomgen.datasets.features import ee_targets, feature_columns
+from aomgen.datasets.features import ActionSpace, ee_targets, feature_columns
 from aomgen.robots.robot import RobotModel
 from benchmarks.foreign_scene import ForeignScene
 
 # Columns of a dataset.
 STATE, EE_POSE = "observation.state", "annotation.ee_pose"
 FORCE, THETA = "annotation.finger_force", "annotation.object_joint"
-COLUMNS: Final[dict[str, str]] = {
-    "joint": "action",
-    "ee_absolute": "annotation.action.ee_absolute",
-    "ee_delta": "annotation.action.ee_delta",
-}
 # Newton steps a pose; the next one is a few centimetres away.
 IK_STEPS: Final = 6
 # An object that stands this much farther along the gripper's approach cannot be opened or closed by the same actions, [m].
@@ -93,7 +88,10 @@ def exported_from(
         usd=usd,
         T_world_object=T_world_object,
         states=columns[STATE],
-        actions={space: columns[name] for space, name in COLUMNS.items()},
+        actions={
+            space: columns.get(f"annotation.action.{space}", columns["action"])
+            for space in get_args(ActionSpace)
+        },
         ee_poses=columns[EE_POSE],
         forces=columns[FORCE].sum(1),
         thetas=columns[THETA].ravel(),

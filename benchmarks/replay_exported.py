@@ -2,23 +2,19 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow.parquet as pq
 
-from aomgen.datasets.features import ee_targets
+from aomgen.datasets.features import ActionSpace, ee_targets
 from aomgen.errors import MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.robots.loading import load_stored_robot
 from aomgen.robots.robot import RobotModel
 from benchmarks.exported import (
-    COLUMNS,
-    EE_POSE,
-    FORCE,
     OPENED_SHARE,
     STATE,
-    THETA,
     Exported,
     Replay,
     exported_from,
@@ -66,7 +62,8 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
     table = pq.read_table(out / "dataset" / "data")
     columns = {
         name: np.array(table[name].to_pylist(), np.float64)
-        for name in (*COLUMNS.values(), STATE, EE_POSE, FORCE, THETA)
+        for name in table.column_names
+        if name.startswith(("action", "annotation.", STATE))
     }
     owner = np.array(table["episode_index"])
     for row in pq.read_table(meta / "episodes").to_pylist():
@@ -100,7 +97,7 @@ def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]
         "unit": "deg" if scene.revolute else "mm",
         "summed_mm": 1000 * summed_error_m(episode),
     }
-    for space in COLUMNS:
+    for space in get_args(ActionSpace):
         thetas = Replay(scene, robot, episode, space).run().thetas
         row[space] = {
             "opened": bool(episode.shares(thetas)[-1] >= OPENED_SHARE),

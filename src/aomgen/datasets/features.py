@@ -4,7 +4,7 @@ LeRobot takes every `observation.*` for an input of a policy and every `action*`
 what a robot measures is an observation, only one action space is `action`, and all the rest is `annotation.*`.
 """
 
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,41 +19,51 @@ from aomgen.core.transforms import (
 )
 from aomgen.core.values import Array
 
+# Spaces of actions; all describe the same targets.
+ActionSpace = Literal["joint", "ee_absolute", "ee_delta"]
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
 # Those that LeRobot v3.0 stores for each feature.
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
-def feature_names(episode: Episode) -> dict[str, tuple[str, ...]]:
+def action_feature(space: str, chosen: str) -> str:
+    """Name of the feature that holds the actions of a space, in a dataset whose policies learn the chosen one."""
+    return "action" if space == chosen else f"annotation.action.{space}"
+
+
+def feature_names(episode: Episode, actions: ActionSpace = "joint") -> dict[str, tuple[str, ...]]:
     """Element names of every low-dimensional feature."""
     state = (*episode.joint_names, "gripper")
+    spaces = {"joint": state, "ee_absolute": (*_POSE, "gripper"), "ee_delta": (*_DELTA, "gripper")}
     return {
         "observation.state": state,
-        "action": state,
-        "annotation.action.ee_absolute": (*_POSE, "gripper"),
-        "annotation.action.ee_delta": (*_DELTA, "gripper"),
+        **{action_feature(space, actions): names for space, names in spaces.items()},
         "annotation.ee_pose": _POSE,
         "annotation.object_joint": ("theta",),
         "annotation.finger_force": ("left", "right"),
     }
 
 
-def feature_columns(episode: Episode) -> dict[str, Array]:
+def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[str, Array]:
     """Values (T, D) of every low-dimensional feature; metres, radians, newtons.
 
     The three action spaces describe one target, what is to be reached at the next frame (at the
-    last frame: where to stay). `action` holds joint values, `annotation.action.ee_absolute` the end
-    effector's pose in the world frame, `annotation.action.ee_delta` the motion to it from the
-    observed pose (`ee_deltas`). The last element of each is the gripper's target, 0 open .. 1 closed.
+    last frame: where to stay): `joint` by joint values, `ee_absolute` by the end effector's pose in
+    the world frame, `ee_delta` by the motion to it from the observed pose (`ee_deltas`). The chosen
+    one is `action`, the others are `annotation.action.<space>`. The last element of each is the
+    gripper's target, 0 open .. 1 closed.
     """
     target = episode.action_gripper[:, None]
     deltas = ee_deltas(episode.Ts_world_ee, episode.Ts_world_ee_action)
+    spaces = {
+        "joint": np.column_stack([episode.action_joints, target]),
+        "ee_absolute": np.column_stack([_pose_vectors(episode.Ts_world_ee_action), target]),
+        "ee_delta": np.column_stack([deltas, target]),
+    }
     return {
         "observation.state": np.column_stack([episode.joints, episode.gripper]),
-        "action": np.column_stack([episode.action_joints, target]),
-        "annotation.action.ee_absolute": np.column_stack([_pose_vectors(episode.Ts_world_ee_action), target]),
-        "annotation.action.ee_delta": np.column_stack([deltas, target]),
+        **{action_feature(space, actions): values for space, values in spaces.items()},
         "annotation.ee_pose": _pose_vectors(episode.Ts_world_ee),
         "annotation.object_joint": episode.thetas[:, None],
         "annotation.finger_force": _finger_forces(episode),

@@ -14,117 +14,82 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
-from aomgen.core.values import Array
-from aomgen.datasets.features import (
-    column_statistics,
-    feature_columns,
-    feature_names,
-    image_statistics,
+from aomgen.datasets.lerobot_tables import (
+    CHUNK_FILES,
+    describe,
+    encode_pictures,
+    episode_columns,
+    episode_statistics,
+    join_columns,
+    parquet_table,
+    picture_key,
+    tasks_of,
+    write_parquet,
+    write_plain_json,
 )
-from aomgen.errors import ConfigError, CorruptArtifactError, MissingFileError
-from aomgen.io.atomic import staged_folder, write_bytes, write_text
-from aomgen.io.episode_folder import CommittedEpisode, read_episode
+from aomgen.datasets.pictures import check_length, resize_videos
+from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
+from aomgen.io.atomic import scratch_folder, write_bytes
+from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.video import concatenate_videos
 
 VERSION: Final = "v3.0"
-# The format's defaults: files in a folder, and sizes of files, [MB].
-CHUNK_FILES, DATA_FILE_MB, VIDEO_FILE_MB = 1000, 100, 200
+# The format's defaults: sizes of files, [MB].
+DATA_FILE_MB, VIDEO_FILE_MB = 100, 200
 DATA_PATH: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-INDEX_TYPES: Final = {
-    "timestamp": "float32",
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
+TASKS_PATH: Final = "meta/tasks.parquet"
+EPISODES_PATH: Final = "meta/episodes/chunk-000/file-000.parquet"
+Counts = dict[str, NDArray[np.int64]]
 
 
 def write_lerobot_v3(
-    episode_folders: Sequence[Path], folder: Path, progress: Progress = silent
-) -> dict[str, int]:
-    """Build a dataset from committed episodes, in the order given.
+    episode_folders: Sequence[Path], folder: Path, choices: Choices = Choices(), progress: Progress = silent
+) -> Selection:
+    """Build a dataset from committed episodes, in the order given, those to train on first.
 
     Args:
         episode_folders: Folders that `io.episode_folder.commit_episode` wrote.
         folder: Becomes the dataset; replaced if it is there.
+        choices: The form of the dataset.
         progress: Called after every episode.
 
     Returns:
-        How many "episodes" and "frames" were written.
+        The episodes that were written.
 
     Raises:
-        MissingFileError: There is no episode.
-        ConfigError: Episodes differ in rate, robot, joints or cameras.
-        CorruptArtifactError: An episode's file is damaged, or a video has another length.
+        MissingFileError, ConfigError, CorruptArtifactError: See `selection.select_episodes`; or a video
+            has another length than its episode.
         StorageError: The disk refuses.
     """
-    if not episode_folders:
-        raise MissingFileError(folder, "there is no episode to write", "generate episodes first")
-    episodes = [read_episode(path) for path in episode_folders]
-    for item in episodes:
-        _check_alike(item, episodes[0])
-    tasks = list(dict.fromkeys(item.episode.instruction for item in episodes))
-    columns = _columns([item.episode for item in episodes], tasks)
-    rows = [_episode_row(item.episode, table) for item, table in zip(episodes, columns, strict=True)]
-    frames = sum(len(item.episode) for item in episodes)
-    with staged_folder(folder) as staging:
-        _write_data(staging, columns, rows)
-        counts = _write_videos(staging, episodes, rows, progress)
-        meta = staging / "meta"
-        _write_parquet(meta / "episodes" / "chunk-000" / "file-000.parquet", pa.Table.from_pylist(rows))
-        _write_parquet(meta / "tasks.parquet", _task_table(tasks))
-        _write_json(meta / "stats.json", _statistics(columns, counts, frames))
-        _write_json(meta / "info.json", _info(episodes[0], len(episodes), len(tasks), frames))
-    return {"episodes": len(episodes), "frames": frames}
-
-
-def _check_alike(item: CommittedEpisode, first: CommittedEpisode) -> None:
-    def kind(committed: CommittedEpisode) -> dict[str, Any]:
-        episode = committed.episode
-        sizes = {name: (camera.width, camera.height) for name, camera in sorted(episode.cameras.items())}
-        return {
-            "fps": episode.fps,
-            "robot": episode.robot,
-            "joints": episode.joint_names,
-            "cameras": sizes,
-            "codec": committed.codec,
-        }
-
-    have, want = kind(item), kind(first)
-    for name, value in have.items():
-        if value != want[name]:
-            raise ConfigError(
-                item.folder, f"has {name} {value}, {first.folder.name} has {want[name]}", "export them apart"
-            )
-
-
-def _columns(episodes: list[Episode], tasks: list[str]) -> list[dict[str, NDArray]]:
-    """Columns (T, D) float32 or (T,) of each episode."""
-    start, result = 0, []
-    for number, episode in enumerate(episodes):
-        count = len(episode)
-        table: dict[str, NDArray] = {
-            name: values.astype(np.float32) for name, values in feature_columns(episode).items()
-        }
-        table["timestamp"] = episode.times_s.astype(np.float32)
-        table["frame_index"] = np.arange(count)
-        table["episode_index"] = np.full(count, number)
-        table["index"] = np.arange(start, start + count)
-        table["task_index"] = np.full(count, tasks.index(episode.instruction))
-        result.append(table)
-        start += count
-    return result
+    selection = select_episodes(episode_folders, folder, choices)
+    columns = episode_columns(selection)
+    rows = [
+        _episode_row(item.episode, table) for item, table in zip(selection.episodes, columns, strict=True)
+    ]
+    with staged_dataset(folder, selection) as staging:
+        if choices.media == "video":
+            counts = _write_videos(staging, selection, rows, progress)
+            _write_data(staging, columns, rows)
+        else:
+            counts = _write_data_with_pictures(staging, selection, columns, rows, progress)
+        _complete_rows(rows, columns, counts)
+        write_parquet(staging / EPISODES_PATH, pa.Table.from_pylist(rows))
+        write_parquet(staging / TASKS_PATH, _task_table(tasks_of(selection)))
+        totals = {name: np.sum([count[name] for count in counts], 0) for name in counts[0]}
+        statistics = dict(episode_statistics(join_columns(columns), totals))
+        write_plain_json(staging / "meta" / "stats.json", statistics)
+        write_plain_json(staging / "meta" / "info.json", _info(selection))
+    return selection
 
 
 def _episode_row(episode: Episode, table: dict[str, NDArray]) -> dict[str, Any]:
     first = int(table["index"][0])
-    row = {
+    return {
         "episode_index": int(table["episode_index"][0]),
         "tasks": [episode.instruction],
         "length": len(episode),
@@ -135,10 +100,14 @@ def _episode_row(episode: Episode, table: dict[str, NDArray]) -> dict[str, Any]:
         "aomgen/source_index": episode.index,
         "aomgen/asset": episode.asset,
     }
-    for name, values in table.items():
-        for kind, numbers in column_statistics(values.reshape(len(values), -1)).items():
-            row[f"stats/{name}/{kind}"] = numbers
-    return row
+
+
+def _complete_rows(
+    rows: list[dict[str, Any]], columns: list[dict[str, NDArray]], counts: list[Counts]
+) -> None:
+    for row, table, colors in zip(rows, columns, counts, strict=True):
+        for name, statistics in episode_statistics(table, colors):
+            row |= {f"stats/{name}/{kind}": numbers for kind, numbers in statistics.items()}
 
 
 def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
@@ -152,125 +121,100 @@ def assign_files(sizes: Sequence[float], limit: float) -> list[int]:
     return numbers
 
 
+def _members(files: list[int]) -> list[list[int]]:
+    """Numbers of the episodes in each file."""
+    return [[i for i, where in enumerate(files) if where == file] for file in range(files[-1] + 1)]
+
+
 def _write_data(staging: Path, columns: list[dict[str, NDArray]], rows: list[dict[str, Any]]) -> None:
-    files = assign_files([sum(v.nbytes for v in table.values()) for table in columns], DATA_FILE_MB * 1e6)
-    for file in sorted(set(files)):
-        members = [table for table, number in zip(columns, files, strict=True) if number == file]
-        merged = {name: np.concatenate([table[name] for table in members]) for name in members[0]}
-        chunk, index = divmod(file, CHUNK_FILES)
-        path = staging / DATA_PATH.format(chunk_index=chunk, file_index=index)
-        _write_parquet(path, pa.table({name: _arrow(values) for name, values in merged.items()}))
-    for row, number in zip(rows, files, strict=True):
-        row["data/chunk_index"], row["data/file_index"] = divmod(number, CHUNK_FILES)
+    files = assign_files([_bytes(table) for table in columns], DATA_FILE_MB * 1e6)
+    for file, members in enumerate(_members(files)):
+        table = parquet_table(join_columns([columns[i] for i in members]), {})
+        _write_data_file(staging, file, table, [rows[i] for i in members])
 
 
-def _arrow(values: NDArray) -> pa.Array:
-    """A column; a feature of one element is stored as plain numbers, as LeRobot does."""
-    flat = pa.array(values.ravel(), pa.float32() if values.dtype == np.float32 else pa.int64())
-    if values.ndim == 2 and values.shape[1] > 1:
-        return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-    return flat
+def _write_data_with_pictures(
+    staging: Path,
+    selection: Selection,
+    columns: list[dict[str, NDArray]],
+    rows: list[dict[str, Any]],
+    progress: Progress,
+) -> list[Counts]:
+    """Write tables that hold the pictures, too; returns color counts (3, 256) by camera of each episode."""
+    cameras = selection.episodes[0].episode.cameras.values()
+    # A file's size is only known when it is written: at most that of its uncompressed pictures.
+    pixels = 3 * sum(camera.width * camera.height for camera in cameras)
+    sizes = [_bytes(table) + len(table["index"]) * pixels for table in columns]
+    counts: list[Counts] = []
+    for file, members in enumerate(_members(assign_files(sizes, DATA_FILE_MB * 1e6))):
+        encoded = []
+        for i in members:
+            pictures, colors = encode_pictures(selection.episodes[i])
+            encoded.append(pictures)
+            counts.append(colors)
+            progress((i + 1) / len(rows), f"{i + 1} of {len(rows)}")
+        joined = {name: [png for pictures in encoded for png in pictures[name]] for name in encoded[0]}
+        table = parquet_table(join_columns([columns[i] for i in members]), joined)
+        _write_data_file(staging, file, table, [rows[i] for i in members])
+    return counts
+
+
+def _bytes(table: dict[str, NDArray]) -> int:
+    return sum(values.nbytes for values in table.values())
+
+
+def _write_data_file(staging: Path, file: int, table: pa.Table, rows: list[dict[str, Any]]) -> None:
+    chunk, index = divmod(file, CHUNK_FILES)
+    write_parquet(staging / DATA_PATH.format(chunk_index=chunk, file_index=index), table)
+    for row in rows:
+        row |= {"data/chunk_index": chunk, "data/file_index": index}
 
 
 def _write_videos(
-    staging: Path, episodes: list[CommittedEpisode], rows: list[dict[str, Any]], progress: Progress
-) -> dict[str, NDArray[np.int64]]:
-    """Write all videos, complete the episodes' rows; returns color counts (3, 256) by camera."""
-    cameras, fps = sorted(episodes[0].videos), episodes[0].episode.fps
-    totals = {}
-    for done, camera in enumerate(cameras):
-        key = _video_key(camera)
-        files = assign_files([item.videos[camera].stat().st_size for item in episodes], VIDEO_FILE_MB * 1e6)
-        for file in sorted(set(files)):
-            members = [number for number, where in enumerate(files) if where == file]
-            data, lengths = concatenate_videos([episodes[i].videos[camera] for i in members], fps)
-            chunk, index = divmod(file, CHUNK_FILES)
-            path = staging / VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=index)
-            write_bytes(path, data)
-            start = 0
-            for i, length in zip(members, lengths, strict=True):
-                _check_length(episodes[i], camera, length)
-                rows[i] |= {
-                    f"videos/{key}/chunk_index": chunk,
-                    f"videos/{key}/file_index": index,
-                    f"videos/{key}/from_timestamp": start / fps,
-                    f"videos/{key}/to_timestamp": (start + length) / fps,
-                }
-                start += length
-        totals[camera] = np.zeros((3, 256), np.int64)
-        for i, item in enumerate(episodes):
-            counts = item.color_counts[camera]
-            totals[camera] += counts
-            for kind, numbers in image_statistics(counts, len(item.episode)).items():
-                rows[i][f"stats/{key}/{kind}"] = numbers
-            progress((done + (i + 1) / len(episodes)) / len(cameras), f"{camera}: {i + 1} of {len(episodes)}")
-    return totals
+    staging: Path, selection: Selection, rows: list[dict[str, Any]], progress: Progress
+) -> list[Counts]:
+    """Write all videos, complete the episodes' rows; returns color counts (3, 256) by camera of each episode."""
+    episodes: list[CommittedEpisode] = list(selection.episodes)
+    with scratch_folder(staging.parent) as scratch:
+        if selection.choices.size is not None:
+            episodes = [resize_videos(item, scratch) for item in episodes]
+        cameras = sorted(episodes[0].videos)
+        for done, camera in enumerate(cameras):
+            sizes = [item.videos[camera].stat().st_size for item in episodes]
+            for file, members in enumerate(_members(assign_files(sizes, VIDEO_FILE_MB * 1e6))):
+                _write_video_file(staging, camera, file, {i: episodes[i] for i in members}, rows)
+            progress((done + 1) / len(cameras), camera)
+    return [dict(sorted(item.color_counts.items())) for item in episodes]
 
 
-def _video_key(camera: str) -> str:
-    return f"observation.images.{camera}"
-
-
-def _check_length(item: CommittedEpisode, camera: str, length: int) -> None:
-    if length != len(item.episode):
-        raise CorruptArtifactError(
-            item.videos[camera], f"has {length} frames, the episode {len(item.episode)}", "generate it again"
-        )
-
-
-def _statistics(
-    columns: list[dict[str, NDArray]], counts: dict[str, NDArray[np.int64]], frames: int
-) -> dict[str, Any]:
-    """Content of stats.json."""
-    statistics = {}
-    for name in columns[0]:
-        merged: Array = np.concatenate([table[name] for table in columns])
-        statistics[name] = column_statistics(merged.reshape(len(merged), -1))
-    for camera, levels in counts.items():
-        statistics[_video_key(camera)] = image_statistics(levels, frames)
-    return statistics
-
-
-def _info(committed: CommittedEpisode, episodes: int, tasks: int, frames: int) -> dict[str, Any]:
-    """Content of info.json of a dataset whose episodes are all like one of them."""
-    first = committed.episode
-    features: dict[str, Any] = {
-        name: {"dtype": "float32", "shape": [len(names)], "names": list(names)}
-        for name, names in feature_names(first).items()
-    }
-    for name, camera in sorted(first.cameras.items()):
-        features[_video_key(name)] = {
-            "dtype": "video",
-            "shape": [camera.height, camera.width, 3],
-            "names": ["height", "width", "channels"],
-            "info": {
-                "video.height": camera.height,
-                "video.width": camera.width,
-                "video.codec": committed.codec,
-                "video.pix_fmt": "yuv420p",
-                "video.is_depth_map": False,
-                "video.fps": first.fps,
-                "video.channels": 3,
-                "has_audio": False,
-            },
+def _write_video_file(
+    staging: Path, camera: str, file: int, members: dict[int, CommittedEpisode], rows: list[dict[str, Any]]
+) -> None:
+    key, fps = picture_key(camera), next(iter(members.values())).episode.fps
+    data, lengths = concatenate_videos([item.videos[camera] for item in members.values()], fps)
+    chunk, index = divmod(file, CHUNK_FILES)
+    write_bytes(staging / VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=index), data)
+    start = 0
+    for (i, item), length in zip(members.items(), lengths, strict=True):
+        check_length(item, camera, length)
+        rows[i] |= {
+            f"videos/{key}/chunk_index": chunk,
+            f"videos/{key}/file_index": index,
+            f"videos/{key}/from_timestamp": start / fps,
+            f"videos/{key}/to_timestamp": (start + length) / fps,
         }
-    for name, kind in INDEX_TYPES.items():
-        features[name] = {"dtype": kind, "shape": [1], "names": None}
-    return {
-        "codebase_version": VERSION,
-        "robot_type": first.robot,
-        "total_episodes": episodes,
-        "total_frames": frames,
-        "total_tasks": tasks,
-        "chunks_size": CHUNK_FILES,
+        start += length
+
+
+def _info(selection: Selection) -> dict[str, Any]:
+    """Content of info.json."""
+    paths = {
         "data_files_size_in_mb": DATA_FILE_MB,
         "video_files_size_in_mb": VIDEO_FILE_MB,
-        "fps": first.fps,
-        "splits": {"train": f"0:{episodes}"},
         "data_path": DATA_PATH,
-        "video_path": VIDEO_PATH,
-        "features": features,
+        "video_path": VIDEO_PATH if selection.choices.media == "video" else None,
     }
+    return describe(selection, VERSION) | paths
 
 
 def _task_table(tasks: Sequence[str]) -> pa.Table:
@@ -294,13 +238,3 @@ def _task_table(tasks: Sequence[str]) -> pa.Table:
         {"task_index": pa.array(range(len(tasks)), pa.int64()), index: pa.array(tasks, pa.string())}
     )
     return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    write_text(path, json.dumps(content, indent=4, allow_nan=False))
-
-
-def _write_parquet(path: Path, table: pa.Table) -> None:
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink)
-    write_bytes(path, sink.getvalue().to_pybytes())

@@ -1,15 +1,40 @@
 """A LeRobot v3.0 dataset of the committed episodes. [paper 5.2]"""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from aomgen.core.progress import Progress
+from aomgen.datasets.features import ActionSpace
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
+from aomgen.datasets.selection import Choices
+from aomgen.errors import ConfigError
 from aomgen.io.episode_folder import list_committed
+from aomgen.io.schema import suggest
 from aomgen.results import Results
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DatasetParams:
+    """What can be chosen of a run's own dataset; `aomgen export` makes all others.
+
+    Attributes:
+        actions: Space of the actions that policies learn.
+    """
+
+    actions: ActionSpace = "joint"
+
+    def __post_init__(self) -> None:
+        spaces = get_args(ActionSpace)
+        if self.actions not in spaces:
+            raise ConfigError(
+                "parameter 'dataset.actions'", f"is '{self.actions}'", suggest(self.actions, spaces)
+            )
 
 
 def run(results: Results, folder: Path, progress: Progress) -> dict[str, Any]:
     """Write all episodes of the run."""
-    written = write_lerobot_v3(list_committed(results.folders["episodes"]), folder, progress)
-    return {"episodes": written["episodes"], "frames": written["frames"]}
+    params = results.params("dataset", DatasetParams())
+    episodes = list_committed(results.folders["episodes"])
+    selection = write_lerobot_v3(episodes, folder, Choices(actions=params.actions), progress)
+    return {"episodes": len(selection.episodes), "frames": selection.frames}

@@ -32,10 +32,24 @@ def read_image(path: Path) -> NDArray[np.uint8]:
         MissingFileError, MalformedFileError, LimitExceededError: As their names say.
     """
     with open_image(path) as image:
-        try:
-            return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
-        except (OSError, ValueError) as error:
-            raise MalformedFileError(path, f"cannot be decoded ({error})", "export it again") from error
+        return _pixels(image, path)
+
+
+def decode_image(data: bytes, where: Path) -> NDArray[np.uint8]:
+    """Image (H, W, 3) uint8 sRGB of the bytes of an image file; `where` names the file that holds them.
+
+    Raises:
+        MalformedFileError, LimitExceededError: As their names say.
+    """
+    with _checked(io.BytesIO(data), where) as image:
+        return _pixels(image, where)
+
+
+def _pixels(image: Image.Image, where: Path) -> NDArray[np.uint8]:
+    try:
+        return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+    except (OSError, ValueError) as error:
+        raise MalformedFileError(where, f"cannot be decoded ({error})", "export it again") from error
 
 
 def read_labels(path: Path) -> NDArray[np.uint8]:
@@ -62,10 +76,12 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def encode_jpeg(image: NDArray[np.uint8], quality: int = 90) -> bytes:
-    """JPEG bytes of an image (H, W, 3) uint8."""
+def encode_jpeg(image: NDArray[np.uint8], quality: int = 90, *, halve_colors: bool = True) -> bytes:
+    """JPEG bytes of an image (H, W, 3) uint8, with one color for each or for two by two pixels."""
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "JPEG", quality=quality)
+    Image.fromarray(image).save(
+        buffer, "JPEG", quality=quality, subsampling="4:2:0" if halve_colors else "4:4:4"
+    )
     return buffer.getvalue()
 
 
@@ -87,10 +103,14 @@ def open_image(path: Path) -> Image.Image:
     """
     if not path.is_file():
         raise MissingFileError(path, "is missing", "check the folder")
+    return _checked(path, path)
+
+
+def _checked(source: Path | io.BytesIO, where: Path) -> Image.Image:
     try:
-        image = Image.open(path)
+        image = Image.open(source)
     except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
-        raise MalformedFileError(path, "is not an image", "export it as PNG or JPEG") from error
+        raise MalformedFileError(where, "is not an image", "export it as PNG or JPEG") from error
     if not image.width * image.height <= MAX_PIXELS:
-        raise LimitExceededError(path, f"has {image.width} x {image.height} pixels, limit {MAX_PIXELS}")
+        raise LimitExceededError(where, f"has {image.width} x {image.height} pixels, limit {MAX_PIXELS}")
     return image

@@ -219,6 +219,13 @@ def encode_video(
     return buffer.getvalue()
 
 
+def halve_colors(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image (H, W, 3) as the best video would show it: with one color for two by two pixels (yuv420p)."""
+    frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+    halved = frame.reformat(format="yuv420p", threads=1)
+    return np.asarray(halved.to_ndarray(format="rgb24", threads=1), np.uint8)
+
+
 def decode_samples(data: bytes, where: Path, step: int) -> tuple[int, list[NDArray[np.uint8]]]:
     """How many frames a video's bytes really hold, and every `step`-th of them (H, W, 3).
 

@@ -31,6 +31,7 @@ PARAMETERS = {
     "motion": ("motion.estimate", "MotionParams"),
     "replacement": ("replacement.fitting", "FitParams"),
     "episodes": ("episodes.factory", "GenerationParams"),
+    "dataset": ("datasets.stage", "DatasetParams"),
 }
 
 
@@ -159,7 +160,7 @@ STAGES: tuple[Stage, ...] = (
         folder="dataset",
         title="LeRobot dataset",
         needs=("episodes",),
-        version=2,
+        version=3,
         weight=2,
         function=_lazily("datasets.stage"),
     ),

@@ -1,10 +1,6 @@
 """Bad input on the command line: one sentence, an exit code by family, nothing half-written."""
 
-import subprocess
-import sys
 from collections.abc import Callable
-from contextlib import chdir, redirect_stderr, redirect_stdout
-from io import StringIO
 from pathlib import Path
 from subprocess import CompletedProcess
 from unittest.mock import patch
@@ -14,38 +10,11 @@ import pytest
 from aomgen import __version__
 from aomgen.assets.choice import make_asset
 from aomgen.assets.usd_write import write_usd
-from aomgen.cli.app import main
 from aomgen.cli.run import find_project
 from aomgen.core.project import Project
 from aomgen.pipeline.project_file import write_project
 from aomgen.pipeline.stages import PROJECT_FILE
-
-
-def started(*arguments: object, folder: Path) -> CompletedProcess:
-    """Run the command line as a user does; shows also what native libraries write."""
-    command = [sys.executable, "-c", "from aomgen.cli.app import main; main()", *map(str, arguments)]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
-
-
-def aomgen(*arguments: object, folder: Path) -> CompletedProcess:
-    """Run the command line in this process, which has imported everything already."""
-    words = ["aomgen", *map(str, arguments)]
-    out, err, code = StringIO(), StringIO(), 0
-    with chdir(folder), redirect_stdout(out), redirect_stderr(err), patch.object(sys, "argv", words):
-        try:
-            main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-    return CompletedProcess(words, code, out.getvalue(), err.getvalue())
-
-
-def one_sentence(result: CompletedProcess, code: int, *words: str) -> None:
-    assert result.returncode == code, result.stderr
-    lines = result.stderr.strip().splitlines()
-    assert len(lines) == 1, result.stderr
-    assert lines[0].startswith("error: ")
-    for word in words:
-        assert word in lines[0]
+from command_line import aomgen, one_sentence, started
 
 
 def test_a_good_capture_is_described(sample, tmp_path):

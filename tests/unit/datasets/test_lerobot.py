@@ -1,15 +1,10 @@
 import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from aomgen.core.camera import Camera, look_at
-from aomgen.core.episode import ContactLog, Episode
-from aomgen.core.joint import Joint
-from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.datasets.features import (
     column_statistics,
     ee_deltas,
@@ -21,61 +16,7 @@ from aomgen.datasets.lerobot_v3 import assign_files, write_lerobot_v3
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.episode_folder import color_counts, commit_episode
 from aomgen.io.video import concatenate_videos, encode_video, read_video
-
-FPS = 10
-
-
-def make_episode(index: int, frames: int, *, cameras: tuple[str, ...] = ("front", "side")) -> Episode:
-    rng = np.random.default_rng(index)
-    joints = np.cumsum(rng.normal(0, 0.02, (frames, 6)), 0)
-    turn = np.linspace(0, 4, frames)[:, None] * np.array([0, 0, 1.0])
-    T_ee = transform(matrix_from_rotvec(turn), rng.normal(size=3) + np.linspace(0, 0.2, frames)[:, None])
-    camera = Camera(
-        fx=80, fy=80, cx=40, cy=32, width=80, height=64, T_world_cam=look_at((1, 1, 1), (0, 0, 0))
-    )
-    contact = ContactLog(
-        frames=np.array([3]),
-        fingers=np.array([1]),
-        points_world=np.zeros((1, 3)),
-        normals_world=np.array([[0, 0, 1.0]]),
-        forces=np.array([4.0]),
-    )
-    return Episode(
-        index=index,
-        seed=5,
-        instruction="open the microwave" if index != 2 else "open the drawer",
-        robot="ur5e_2f85",
-        asset="microwave-1",
-        asset_usd="asset.usda",
-        joint_names=tuple(f"joint_{i}" for i in range(6)),
-        fps=FPS,
-        joints=joints,
-        gripper=np.linspace(0, 1, frames),
-        action_joints=joints + 0.01,
-        action_gripper=np.linspace(0, 1, frames),
-        Ts_world_ee=T_ee,
-        Ts_world_ee_action=T_ee @ transform(np.eye(3), (0.01, 0, 0)),
-        thetas=np.linspace(0, 1.2, frames),
-        phases=np.zeros(frames, np.int64),
-        contacts=contact,
-        joint=Joint(type="revolute", axis=(0, 0, -1), origin=(0.4, 0, 0), lower=0, upper=1.6),
-        T_world_object=np.eye(4),
-        cameras={name: camera for name in cameras},
-        verdict={"passed": True},
-        simulation={"bolted": True},
-    )
-
-
-def make_frames(index: int, frames: int) -> np.ndarray:
-    """Frame k of episode i is a flat grey of its own, so that decoding can be checked."""
-    levels = 20 + 10 * index + 6 * np.arange(frames)
-    return np.broadcast_to(levels[:, None, None, None], (frames, 64, 80, 3)).astype(np.uint8)
-
-
-def commit(root: Path, index: int, frames: int, **options: tuple[str, ...]) -> Path:
-    episode = make_episode(index, frames, **options)
-    video = encode_video(make_frames(index, frames), FPS)
-    return commit_episode(root, episode, {name: video for name in episode.cameras})
+from small_episodes import FPS, commit, make_episode, make_frames
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +56,7 @@ def test_values_survive(dataset):
 
 def test_every_frame_of_the_joined_video_is_the_right_one(dataset):
     video = read_video(dataset / "videos/observation.images.side/chunk-000/file-000.mp4")
-    want = np.concatenate([make_frames(i, n)[:, 0, 0, 0] for i, n in enumerate((12, 9, 15))]).astype(float)
+    want = np.concatenate([make_frames(i, n, 1)[:, 0, 0, 0] for i, n in enumerate((12, 9, 15))]).astype(float)
     got = video.frames_srgb.mean((1, 2, 3))
     assert len(got) == 36
     np.testing.assert_allclose(got, want, atol=2)
@@ -224,27 +165,3 @@ def test_the_dataset_of_av1_videos_says_so(tmp_path):
 def test_joining_needs_every_video(tmp_path):
     with pytest.raises(MissingFileError):
         concatenate_videos([tmp_path / "none.mp4"], FPS)
-
-
-@pytest.mark.lerobot
-def test_the_real_library_loads_it(dataset):
-    project = Path(__file__).parents[3]
-    python = project / ".venv-lerobot" / "bin" / "python"
-    if not python.exists():
-        pytest.skip("run tests/lerobot_env.sh to install the real lerobot")
-    command = [python, project / "tests" / "lerobot_check.py", dataset]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    report = json.loads(done.stdout.strip().splitlines()[-1])
-    assert (report["episodes"], report["frames"]) == (3, 36)
-    assert report["policy_features"] == {
-        "observation.state": "STATE",
-        "observation.images.front": "VISUAL",
-        "observation.images.side": "VISUAL",
-        "action": "ACTION",
-    }
-    np.testing.assert_allclose(
-        report["grey"],
-        [[make_frames(e, 15)[f, 0, 0, 0] / 255] * 2 for e, f in ((0, 0), (1, 8), (2, 14))],
-        atol=0.01,
-    )

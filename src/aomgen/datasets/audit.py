@@ -1,0 +1,146 @@
+"""Does a dataset hold what its episodes hold? Numbers, pictures and splits, compared one by one."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.progress import Progress, silent
+from aomgen.datasets.formats import DatasetFormat, find_format
+from aomgen.datasets.pictures import read_pictures
+from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode
+from aomgen.errors import MalformedFileError
+from aomgen.io.episode_folder import CommittedEpisode, read_episode
+from aomgen.io.video import halve_colors
+from aomgen.splatting.metrics import psnr
+
+# Largest difference of a number, as a share of it or of 1: several steps of single precision.
+MAX_DIFFERENCE: Final = 1e-6
+# Least likeness of a picture to the episode's, [dB]: JPEG of quality 95 and a second pass of a video stay above.
+MIN_PSNR_DB: Final = 35.0
+
+
+@dataclass(slots=True)
+class Audit:
+    """What was found.
+
+    Attributes:
+        actions: Space of the feature `action`.
+        committed: How many episodes there are.
+        splits: How many of them the dataset has, by split.
+        frames: How many frames these have.
+        difference, differing: Largest difference of a number, and its feature.
+        psnr_db, least_like: Least likeness of a picture, and what shows it.
+        faults: Sentences; none where dataset and episodes agree.
+    """
+
+    actions: str
+    committed: int
+    splits: dict[str, int] = field(default_factory=dict)
+    frames: int = 0
+    difference: float = 0.0
+    differing: str = "none"
+    psnr_db: float = np.inf
+    least_like: str = "none"
+    faults: list[str] = field(default_factory=list)
+
+
+def audit_dataset(dataset: Path, episode_folders: Sequence[Path], progress: Progress = silent) -> Audit:
+    """Compare a dataset with committed episodes.
+
+    Args:
+        dataset: A folder in any of our formats.
+        episode_folders: All committed episodes of a run.
+        progress: Called after every episode.
+
+    Raises:
+        MissingFileError, MalformedFileError: A file of the dataset is missing, damaged, or lacks a feature.
+        CorruptArtifactError: An episode's file is damaged.
+    """
+    kind = find_format(dataset)
+    stored = kind.read(dataset)
+    left = {int(folder.name): folder for folder in episode_folders}
+    audit = Audit(actions=stored.actions, committed=len(left))
+    for found in stored.episodes:
+        audit.splits[found.split] = audit.splits.get(found.split, 0) + 1
+        if found.source_index not in left:
+            audit.faults.append(
+                f"episode {found.source_index} is not among the committed ones, or there twice"
+            )
+            continue
+        item = read_episode(left.pop(found.source_index))
+        _compare_numbers(audit, kind, found, item, dataset)
+        _compare_pictures(audit, stored, found, item)
+        audit.frames += len(item.episode)
+        progress(1 - len(left) / audit.committed, f"{audit.committed - len(left)} of {audit.committed}")
+    if left:
+        audit.faults.append(
+            f"{len(left)} committed episodes are not in the dataset, the first is {min(left)}"
+        )
+    if kind.needs_val and set(audit.splits) != {"train", "val"}:
+        audit.faults.append(f"has no split but {', '.join(audit.splits)}")
+    return audit
+
+
+def _compare_numbers(
+    audit: Audit, kind: DatasetFormat, found: StoredEpisode, item: CommittedEpisode, dataset: Path
+) -> None:
+    number = item.folder.name
+    if found.instruction != item.episode.instruction:
+        audit.faults.append(f"episode {number} has the instruction '{found.instruction}'")
+    for name, wanted in kind.columns(item.episode, audit.actions).items():  # type: ignore[arg-type]
+        if name not in found.columns:
+            raise MalformedFileError(dataset, f"lacks the feature '{name}' of episode {number}", REMEDY)
+        values = np.reshape(found.columns[name], (len(found.columns[name]), -1))
+        wanted = np.reshape(wanted, (len(wanted), -1))
+        if values.shape != wanted.shape:
+            audit.faults.append(f"'{name}' of episode {number} has shape {values.shape}, not {wanted.shape}")
+            continue
+        difference = float(np.max(np.abs(values - wanted) / np.maximum(1, np.abs(wanted))))
+        if not difference <= MAX_DIFFERENCE:
+            audit.faults.append(f"'{name}' of episode {number} differs by {difference:.2g}")
+        if not difference <= audit.difference:
+            audit.difference, audit.differing = difference, name
+
+
+def _compare_pictures(
+    audit: Audit, stored: StoredDataset, found: StoredEpisode, item: CommittedEpisode
+) -> None:
+    number = item.folder.name
+    if set(found.pictures) != set(item.episode.cameras):
+        audit.faults.append(f"episode {number} has cameras {sorted(found.pictures)}")
+        return
+    for camera, pictures in found.pictures.items():
+        likeness = list(_likenesses(pictures, _wanted(stored, item, camera)))
+        least = min(likeness, default=0.0)
+        if len(likeness) != len(item.episode) or not least >= MIN_PSNR_DB:
+            audit.faults.append(
+                f"camera '{camera}' of episode {number} shows {len(likeness)} frames of {len(item.episode)}, "
+                f"the least like has {least:.1f} dB of {MIN_PSNR_DB:.0f}"
+            )
+        if least < audit.psnr_db:
+            audit.psnr_db, audit.least_like = least, f"{camera} of episode {number}"
+
+
+def _wanted(stored: StoredDataset, item: CommittedEpisode, camera: str) -> Iterator[NDArray[np.uint8]]:
+    """An episode's pictures as the dataset could show them at best."""
+    rendered = item.episode.cameras[camera]
+    view = rendered.resized(*stored.sizes[camera])
+    again = stored.video and (view.width, view.height) != (rendered.width, rendered.height)
+    cameras = {**item.episode.cameras, camera: view}
+    for picture in read_pictures(replace(item, episode=replace(item.episode, cameras=cameras)), camera):
+        yield halve_colors(picture) if again else picture
+
+
+def _likenesses(
+    pictures: Iterator[NDArray[np.uint8]], wanted: Iterator[NDArray[np.uint8]]
+) -> Iterator[float]:
+    """PSNR of frame by frame, [dB]; as many as both have, none for one of another shape."""
+    for mine, theirs in zip(pictures, wanted, strict=False):
+        if np.array_equal(mine, theirs):
+            yield np.inf
+        else:
+            yield psnr(mine / 255, theirs / 255) if mine.shape == theirs.shape else 0.0

@@ -1,0 +1,138 @@
+"""The formats that datasets are written in, and how one is recognised."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from numpy.typing import NDArray
+
+from aomgen.core.episode import Episode
+from aomgen.core.progress import Progress, silent
+from aomgen.datasets.features import ActionSpace, feature_columns
+from aomgen.datasets.lerobot_reading import INFO_FILE, read_lerobot
+from aomgen.datasets.lerobot_tables import single_precision_columns
+from aomgen.datasets.lerobot_v3 import write_lerobot_v3
+from aomgen.datasets.lerobot_v21 import write_lerobot_v21
+from aomgen.datasets.rlds import openvla_columns, write_rlds
+from aomgen.datasets.rlds_reading import FEATURES_FILE, read_rlds
+from aomgen.datasets.robomimic import FILE, write_robomimic
+from aomgen.datasets.robomimic_reading import read_robomimic
+from aomgen.datasets.selection import (
+    Choices,
+    Media,
+    Selection,
+    default_val,
+    parse_size,
+    require_replaceable,
+)
+from aomgen.datasets.stored import StoredDataset
+from aomgen.errors import ConfigError, MalformedFileError, MissingFileError
+from aomgen.io.schema import suggest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DatasetFormat:
+    """One format.
+
+    Attributes:
+        mark: File by which a folder in this format is recognised.
+        write: Builds a dataset of episodes.
+        read: Reads it back.
+        columns: What it holds of an episode alone, by feature.
+        actions: Space of `action` unless another is chosen.
+        media: Whether the kind of pictures can be chosen.
+        needs_val: Whether some episodes are always kept to validate on.
+    """
+
+    mark: str
+    write: Callable[[Sequence[Path], Path, Choices, Progress], Selection]
+    read: Callable[[Path], StoredDataset]
+    columns: Callable[[Episode, ActionSpace], Mapping[str, NDArray[Any]]]
+    actions: ActionSpace = "joint"
+    media: bool = False
+    needs_val: bool = True
+
+
+_LEROBOT: Final = DatasetFormat(
+    mark=INFO_FILE,
+    write=write_lerobot_v3,
+    read=read_lerobot,
+    columns=single_precision_columns,
+    media=True,
+    needs_val=False,
+)
+FORMATS: Final[dict[str, DatasetFormat]] = {
+    "lerobot-v3": _LEROBOT,
+    "lerobot-v2.1": replace(_LEROBOT, write=write_lerobot_v21),
+    "rlds": DatasetFormat(
+        mark=FEATURES_FILE, write=write_rlds, read=read_rlds, columns=openvla_columns, actions="ee_delta"
+    ),
+    "hdf5": DatasetFormat(mark=FILE, write=write_robomimic, read=read_robomimic, columns=feature_columns),
+}
+
+
+def export_dataset(
+    episode_folders: Sequence[Path],
+    folder: Path,
+    kind: str,
+    progress: Progress = silent,
+    *,
+    actions: str = "",
+    media: str = "",
+    size: str = "",
+    val: int | None = None,
+) -> Selection:
+    """Build a dataset from committed episodes; options that are not given are the format's own.
+
+    Args:
+        episode_folders: Folders of committed episodes, in order.
+        folder: Becomes the dataset; replaced if it is one of ours.
+        kind: One of `FORMATS`.
+        progress: Called as the work goes on.
+        actions, media, val: See `selection.Choices`.
+        size: Of the pictures, `128x96`.
+
+    Raises:
+        ConfigError: An option is wrong, or the folder holds something else than a dataset of ours.
+        AomgenError: Whatever the format's writer refuses.
+    """
+    known = _format(kind)
+    if media and not known.media:
+        raise ConfigError("--media", f"has no meaning for {kind}", "it is for LeRobot; leave it out")
+    for option, word, words in (("--actions", actions, ActionSpace), ("--media", media, Media)):
+        if word and word not in get_args(words):
+            raise ConfigError(option, f"'{word}' is unknown", suggest(word, get_args(words)))
+    default = default_val(len(episode_folders)) if known.needs_val else 0
+    choices = Choices(
+        actions=actions or known.actions,  # type: ignore[arg-type]
+        media=media or "video",  # type: ignore[arg-type]
+        size=parse_size(size) if size else None,
+        val=default if val is None else val,
+    )
+    require_replaceable(folder)
+    return known.write(episode_folders, folder, choices, progress)
+
+
+def find_format(folder: Path) -> DatasetFormat:
+    """The format of a dataset.
+
+    Raises:
+        MissingFileError: There is no such folder.
+        MalformedFileError: It is in no known format.
+    """
+    if not folder.is_dir():
+        raise MissingFileError(folder, "is missing", "give the folder of a dataset")
+    for known in FORMATS.values():
+        if (folder / known.mark).is_file():
+            return known
+    marks = ", ".join(dict.fromkeys(known.mark for known in FORMATS.values()))
+    raise MalformedFileError(
+        folder, f"is no dataset: it holds none of {marks}", "give the folder of a dataset"
+    )
+
+
+def _format(kind: str) -> DatasetFormat:
+    if kind not in FORMATS:
+        raise ConfigError("--format", f"'{kind}' is unknown", suggest(kind, FORMATS))
+    return FORMATS[kind]

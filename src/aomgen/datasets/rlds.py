@@ -1,0 +1,232 @@
+"""RLDS datasets as TensorFlow Datasets (TFDS) stores them, for OpenVLA; TensorFlow is not needed.
+
+`FOLDER/1.0.0/` holds features.json, dataset_info.json and the shards of the splits `train` and `val`, so that
+`tfds.builder(FOLDER's name, data_dir=FOLDER's parent)` finds it. An episode is one record.
+
+OpenVLA's forms differ from those of our other formats: see `openvla_columns`.
+
+Source: TFDS's documentation "RLDS"; OpenVLA's `prismatic/vla/datasets/rlds/oxe` for the encodings.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.core.episode import Episode
+from aomgen.core.progress import Progress, silent
+from aomgen.core.transforms import invert
+from aomgen.core.values import Array
+from aomgen.datasets.features import ActionSpace, feature_columns
+from aomgen.datasets.pictures import read_pictures
+from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
+from aomgen.datasets.tfrecord import Feature, encode_example, records_bytes
+from aomgen.errors import ConfigError
+from aomgen.io.atomic import write_bytes, write_json
+from aomgen.io.episode_folder import CommittedEpisode
+from aomgen.io.images import encode_jpeg
+
+VERSION: Final = "1.0.0"
+# Episodes in a file: some ten megabytes, so that a reader has several files to mix.
+SHARD_EPISODES: Final = 16
+# Joints of OpenVLA's state; fewer are followed by zeros.
+STATE_JOINTS: Final = 7
+# At least 36 dB on rendered pictures, even at 64x48.
+JPEG_QUALITY: Final = 95
+SHARD_NAME: Final = "{name}-{split}.tfrecord-{shard:05d}-of-{shards:05d}"
+FILE_TEMPLATE: Final = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
+STATISTICS_FILE: Final = "dataset_statistics.json"
+TFDS_NAME: Final = re.compile(r"[a-zA-Z]\w*")
+_CLASS: Final = "tensorflow_datasets.core.features."
+
+
+def openvla_columns(episode: Episode, actions: ActionSpace = "ee_delta") -> dict[str, Array]:
+    """Columns (T, D) of a step, by name; a point in a name stands for a level of nesting.
+
+    The gripper of `action` and `observation.state` is 1 open .. 0 closed. `observation.state` is seven joints
+    (zeros for those an arm does not have) and gripper. `action` of the space "ee_delta" is the motion from the
+    observed pose to the target in the world's axes: translation, then roll, pitch and yaw (`rpy_from_matrix`) of
+    R_world_target @ inverse(R_world_ee). Annotations are as in the other formats.
+
+    Raises:
+        ConfigError: The arm has more than seven joints.
+    """
+    joints = len(episode.joint_names)
+    if not joints <= STATE_JOINTS:
+        raise ConfigError(
+            "--format rlds", f"holds {STATE_JOINTS} joints, the arm has {joints}", "choose another format"
+        )
+    columns = feature_columns(episode, actions)
+    padding = np.zeros((len(episode), STATE_JOINTS - joints))
+    columns["observation.state"] = np.column_stack([episode.joints, padding, 1 - episode.gripper])
+    target = columns["action"][:, :-1]
+    if actions == "ee_delta":
+        target = world_deltas(episode.Ts_world_ee, episode.Ts_world_ee_action)
+    columns["action"] = np.column_stack([target, 1 - episode.action_gripper])
+    return columns
+
+
+def world_deltas(Ts_world_ee: Array, Ts_world_target: Array) -> Array:
+    """Motion from observed poses (T, 4, 4) to targets (T, 4, 4) in the world's axes (T, 6): [m], then [rad]."""
+    turns = Ts_world_target[:, :3, :3] @ invert(Ts_world_ee)[:, :3, :3]
+    return np.column_stack([Ts_world_target[:, :3, 3] - Ts_world_ee[:, :3, 3], rpy_from_matrix(turns)])
+
+
+def rpy_from_matrix(R: Array) -> Array:
+    """Roll, pitch and yaw (T, 3), [rad]: R = Rz(yaw) @ Ry(pitch) @ Rx(roll)."""
+    roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+    pitch = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 2, 1], R[:, 2, 2]))
+    yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+    return np.column_stack([roll, pitch, yaw])
+
+
+def write_rlds(
+    episode_folders: Sequence[Path], folder: Path, choices: Choices, progress: Progress = silent
+) -> Selection:
+    """Build a dataset from committed episodes; arguments, result and errors as `lerobot_v3.write_lerobot_v3`.
+
+    Raises:
+        ConfigError: The folder's name is none that TFDS takes, or nothing would be left to validate on.
+    """
+    name = folder.name
+    if not TFDS_NAME.fullmatch(name):
+        raise ConfigError(folder, "is no name for TFDS", "use letters, digits and _ in the folder's name")
+    if not choices.val:
+        raise ConfigError(
+            "--val", "is 0", "without a val split OpenVLA takes 5 % of the training data; choose 1 or more"
+        )
+    selection = select_episodes(episode_folders, folder, choices)
+    splits, done = [], 0
+    with staged_dataset(folder, selection) as staging:
+        home = staging / VERSION
+        for split, episodes in selection.splits.items():
+            shards = [episodes[i : i + SHARD_EPISODES] for i in range(0, len(episodes), SHARD_EPISODES)]
+            size = 0
+            for number, members in enumerate(shards):
+                records = [_record(item, choices.actions) for item in members]
+                file = SHARD_NAME.format(name=name, split=split, shard=number, shards=len(shards))
+                write_bytes(home / file, records_bytes(records))
+                size += sum(map(len, records))
+                done += len(members)
+                progress(done / len(selection.episodes), f"{done} of {len(selection.episodes)}")
+            lengths = [str(len(members)) for members in shards]
+            splits.append(
+                {
+                    "name": split,
+                    "numBytes": str(size),
+                    "shardLengths": lengths,
+                    "filepathTemplate": FILE_TEMPLATE,
+                }
+            )
+        columns = [openvla_columns(item.episode, choices.actions) for item in selection.episodes]
+        write_json(home / "features.json", _features(selection.episodes[0], columns[0]))
+        write_json(home / "dataset_info.json", _info(name, splits))
+        write_json(home / STATISTICS_FILE, {name: openvla_statistics(columns)})
+    return selection
+
+
+def openvla_statistics(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, Any]:
+    """What OpenVLA normalizes with, of the columns of all episodes, in single precision as its loader computes it."""
+    result: dict[str, Any] = {}
+    for key, name in {"action": "action", "proprio": "observation.state"}.items():
+        values = np.concatenate([table[name].astype(np.float32) for table in columns])
+        numbers = {"mean": values.mean(0), "std": values.std(0), "max": values.max(0), "min": values.min(0)}
+        numbers |= {"q01": np.quantile(values, 0.01, axis=0), "q99": np.quantile(values, 0.99, axis=0)}
+        result[key] = {kind: array.tolist() for kind, array in numbers.items()}
+    frames = sum(len(table["action"]) for table in columns)
+    return result | {"num_transitions": frames, "num_trajectories": len(columns)}
+
+
+def _record(item: CommittedEpisode, actions: ActionSpace) -> bytes:
+    episode = item.episode
+    first, last = (np.arange(len(episode)) == frame for frame in (0, len(episode) - 1))
+    steps: dict[str, Feature] = {
+        name.replace(".", "/"): values for name, values in openvla_columns(episode, actions).items()
+    }
+    for camera in sorted(episode.cameras):
+        pictures = read_pictures(item, camera)
+        steps[f"observation/{camera}"] = [
+            encode_jpeg(picture, JPEG_QUALITY, halve_colors=False) for picture in pictures
+        ]
+    steps |= {
+        "is_first": first,
+        "is_last": last,
+        "is_terminal": last,
+        "reward": last.astype(np.float32),
+        "discount": np.ones(len(episode), np.float32),
+        "language_instruction": [episode.instruction.encode()] * len(episode),
+    }
+    about: dict[str, Feature] = {
+        "episode_metadata/file_path": [item.folder.name.encode()],
+        "episode_metadata/source_index": np.array([episode.index]),
+        "episode_metadata/asset": [episode.asset.encode()],
+    }
+    return encode_example({f"steps/{name}": value for name, value in steps.items()} | about)
+
+
+def _features(item: CommittedEpisode, columns: Mapping[str, NDArray]) -> dict[str, Any]:
+    """Content of features.json."""
+    step: dict[str, Any] = {name: _tensor(values.shape[1]) for name, values in columns.items()}
+    for name, camera in item.episode.cameras.items():
+        step[f"observation.{name}"] = _image(camera.width, camera.height)
+    step |= {name: _scalar("bool") for name in ("is_first", "is_last", "is_terminal")}
+    step |= {name: _scalar("float32") for name in ("reward", "discount")}
+    step["language_instruction"] = _text()
+    about = {"file_path": _text(), "source_index": _scalar("int64"), "asset": _text()}
+    steps = {
+        "pythonClassName": f"{_CLASS}dataset_feature.Dataset",
+        "sequence": {"feature": _nest(step), "length": "-1"},
+    }
+    return _dictionary({"steps": steps, "episode_metadata": _dictionary(about)})
+
+
+def _nest(features: Mapping[str, Any]) -> dict[str, Any]:
+    """A dictionary of features; what stands before a point in a name is a dictionary within."""
+    levels: dict[str, dict[str, Any]] = {}
+    for name, feature in features.items():
+        first, _, rest = name.partition(".")
+        levels.setdefault(first, {})[rest] = feature
+    return _dictionary({name: parts[""] if "" in parts else _nest(parts) for name, parts in levels.items()})
+
+
+def _dictionary(features: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "pythonClassName": f"{_CLASS}features_dict.FeaturesDict",
+        "featuresDict": {"features": dict(features)},
+    }
+
+
+def _tensor(size: int) -> dict[str, Any]:
+    tensor = {"shape": {"dimensions": [str(size)]}, "dtype": "float32", "encoding": "none"}
+    return {"pythonClassName": f"{_CLASS}tensor_feature.Tensor", "tensor": tensor}
+
+
+def _scalar(kind: str) -> dict[str, Any]:
+    tensor = {"shape": {}, "dtype": kind, "encoding": "none"}
+    return {"pythonClassName": f"{_CLASS}scalar.Scalar", "tensor": tensor}
+
+
+def _text() -> dict[str, Any]:
+    return {"pythonClassName": f"{_CLASS}text_feature.Text", "text": {}}
+
+
+def _image(width: int, height: int) -> dict[str, Any]:
+    shape = {"dimensions": [str(height), str(width), "3"]}
+    image = {"shape": shape, "dtype": "uint8", "encodingFormat": "jpeg"}
+    return {"pythonClassName": f"{_CLASS}image_feature.Image", "image": image}
+
+
+def _info(name: str, splits: list[dict[str, Any]]) -> dict[str, Any]:
+    """Content of dataset_info.json."""
+    return {
+        "name": name,
+        "version": VERSION,
+        "fileFormat": "tfrecord",
+        "moduleName": "aomgen.datasets.rlds",
+        "description": "Verified demonstrations of opening articulated objects.",
+        "releaseNotes": {},
+        "splits": splits,
+    }

@@ -1,0 +1,134 @@
+"""HDF5 datasets in robomimic's layout: one file, a group a demonstration, masks for the splits.
+
+robomimic's policies end in a tanh, so `actions` are scaled to [-1, 1] over the whole dataset; the limits stand
+beside them, and the actions of every space in their own units are there, too.
+
+Source: robomimic's documentation "Dataset contents and info".
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.progress import Progress, silent
+from aomgen.core.values import Array
+from aomgen.datasets.features import feature_columns
+from aomgen.datasets.pictures import read_pictures
+from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
+from aomgen.errors import ConfigError
+from aomgen.io.episode_folder import CommittedEpisode
+
+FILE: Final = "demonstrations.hdf5"
+# robomimic's number of Gym environments.
+GYM_TYPE: Final = 2
+# robomimic's names of the splits.
+MASKS: Final = {"train": "train", "val": "valid"}
+
+
+def write_robomimic(
+    episode_folders: Sequence[Path], folder: Path, choices: Choices, progress: Progress = silent
+) -> Selection:
+    """Build a dataset from committed episodes; arguments, result and errors as `lerobot_v3.write_lerobot_v3`.
+
+    Raises:
+        ConfigError: Nothing would be left to validate on.
+    """
+    import h5py
+
+    if not choices.val:
+        raise ConfigError("--val", "is 0", "robomimic wants a mask of demonstrations to validate on")
+    selection = select_episodes(episode_folders, folder, choices)
+    limits = action_limits(selection)
+    with staged_dataset(folder, selection) as staging, h5py.File(staging / FILE, "w") as file:
+        data = file.create_group("data")
+        data.attrs["total"] = selection.frames
+        data.attrs["env_args"] = json.dumps(
+            {"env_name": "aomgen/Open-v0", "type": GYM_TYPE, "env_kwargs": {}}
+        )
+        data.attrs["action_space"] = choices.actions
+        data.attrs["action_lower"], data.attrs["action_upper"] = limits
+        for number, item in enumerate(selection.episodes):
+            _write_demonstration(data.create_group(f"demo_{number}"), item, selection, limits)
+            progress((number + 1) / len(selection.episodes), f"{number + 1} of {len(selection.episodes)}")
+        numbers = iter(range(len(selection.episodes)))
+        for split, episodes in selection.splits.items():
+            names = [f"demo_{next(numbers)}" for _ in episodes]
+            file.create_dataset(f"mask/{MASKS[split]}", data=np.array(names, "S"))
+    return selection
+
+
+def action_limits(selection: Selection) -> tuple[Array, Array]:
+    """Least and greatest value (D,) of each element of the actions."""
+    actions = np.concatenate(
+        [feature_columns(item.episode, selection.choices.actions)["action"] for item in selection.episodes]
+    )
+    return actions.min(0), actions.max(0)
+
+
+def scale_actions(actions: Array, lower: Array, upper: Array) -> Array:
+    """Actions (T, D) mapped from lower..upper to -1..1; an element that never changes becomes 0."""
+    span = upper - lower
+    return np.where(span > 0, 2 * (actions - lower) / np.where(span > 0, span, 1) - 1, 0)
+
+
+def unscale_actions(scaled: Array, lower: Array, upper: Array) -> Array:
+    """The inverse of `scale_actions`."""
+    return lower + (scaled + 1) / 2 * (upper - lower)
+
+
+def _write_demonstration(
+    group: Any, item: CommittedEpisode, selection: Selection, limits: tuple[Array, Array]
+) -> None:
+    episode = item.episode
+    columns = feature_columns(episode, selection.choices.actions)
+    last = np.arange(len(episode)) == len(episode) - 1
+    group.attrs["num_samples"] = len(episode)
+    group.attrs["instruction"] = episode.instruction
+    group.attrs["source_index"] = episode.index
+    group.attrs["asset"] = episode.asset
+    group["actions"] = scale_actions(columns["action"], *limits)
+    group["states"] = np.column_stack([episode.joints, episode.gripper, episode.thetas])
+    group["rewards"] = last.astype(np.float64)
+    group["dones"] = last.astype(np.int64)
+    for name, values in columns.items():
+        if name.startswith("annotation"):
+            group[name.replace(".", "/")] = values
+    group[f"annotation/action/{selection.choices.actions}"] = columns["action"]
+    group["obs/state"] = columns["observation.state"]
+    for camera in sorted(episode.cameras):
+        pictures = np.stack(list(read_pictures(item, camera)))
+        # A frame a chunk, since readers want single frames.
+        group.create_dataset(
+            f"obs/{camera}_image",
+            data=pictures,
+            chunks=(1, *pictures.shape[1:]),
+            compression="gzip",
+            compression_opts=1,
+        )
+    for name in list(group["obs"]):
+        _add_next(group, name)
+
+
+def _add_next(group: Any, name: str) -> None:
+    """The observation that follows each one, the last one twice: a view that takes no space."""
+    from h5py import h5d, h5p, h5s
+
+    source = group["obs"][name]
+    count, *rest = source.shape
+
+    def frames(start: int, number: int) -> h5s.SpaceID:
+        chosen = h5s.create_simple(source.shape)
+        chosen.select_hyperslab((start, *[0] * len(rest)), (number, *rest))
+        return chosen
+
+    # Not h5py's VirtualLayout, which writes down when it was made.
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
+    here, path = b".", source.name.encode()
+    properties.set_virtual(frames(0, count - 1), here, path, frames(1, count - 1))
+    properties.set_virtual(frames(count - 1, 1), here, path, frames(count - 1, 1))
+    target = group.require_group("next_obs").id
+    h5d.create(target, name.encode(), source.id.get_type(), h5s.create_simple(source.shape), dcpl=properties)

@@ -1,0 +1,178 @@
+"""TFRecord files of `tf.train.Example`, without TensorFlow.
+
+A record is its length (8 bytes, little-endian), the length's masked CRC (4), its bytes, and their masked
+CRC (4). An Example is a protocol buffer: a map of names to lists of bytes, floats or whole numbers.
+
+Source: TensorFlow's guide "TFRecord and tf.train.Example"; protocol buffers' guide "Encoding".
+"""
+
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.errors import MalformedFileError, MissingFileError
+
+# TensorFlow turns a CRC by 15 bits and adds this, so that data which hold CRCs have sound ones.
+MASK_TURN, MASK_ADDED = 15, 0xA282EAD8
+# Largest unsigned number of 32 and of 64 bits; both wrap there.
+MAX_32, MAX_64 = 0xFFFFFFFF, 0xFFFFFFFFFFFFFFFF
+# Protocol buffers: the low three bits of a tag say how a field is stored; this is length first.
+DELIMITED = 2
+# Fields of Feature: which kind of list it holds.
+BYTES_LIST, FLOAT_LIST, INT64_LIST = 1, 2, 3
+REMEDY: Final = "export it again"
+Feature = list[bytes] | NDArray[Any]
+
+
+def masked_crc(data: bytes) -> int:
+    """The CRC-32C of some bytes as TFRecord stores it."""
+    crc = google_crc32c.value(data)
+    return ((crc >> MASK_TURN | crc << (32 - MASK_TURN)) + MASK_ADDED) & MAX_32
+
+
+def records_bytes(records: Iterable[bytes]) -> bytes:
+    """Content of a TFRecord file."""
+    parts = []
+    for record in records:
+        length = struct.pack("<Q", len(record))
+        parts += [
+            length,
+            struct.pack("<I", masked_crc(length)),
+            record,
+            struct.pack("<I", masked_crc(record)),
+        ]
+    return b"".join(parts)
+
+
+def read_records(path: Path) -> Iterator[bytes]:
+    """The records of a TFRecord file, each checked against its CRC.
+
+    Raises:
+        MissingFileError: No such file.
+        MalformedFileError: The file ends inside a record, or bytes do not match their CRC.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, "is missing", REMEDY)
+    left = path.stat().st_size
+    with path.open("rb") as file:
+        number = 0
+        while left:
+            head = file.read(12)
+            length = _checked(path, number, head[:8], head[8:])
+            (size,) = struct.unpack("<Q", length)
+            # Before so much memory is taken.
+            if not size + 16 <= left:
+                raise MalformedFileError(path, f"ends inside record {number}", REMEDY)
+            yield _checked(path, number, file.read(size), file.read(4))
+            left -= size + 16
+            number += 1
+
+
+def _checked(path: Path, number: int, data: bytes, crc: bytes) -> bytes:
+    if len(crc) < 4:
+        raise MalformedFileError(path, f"ends inside record {number}", REMEDY)
+    if struct.unpack("<I", crc) != (masked_crc(data),):
+        raise MalformedFileError(path, f"record {number} does not match its CRC", REMEDY)
+    return data
+
+
+def encode_example(features: Mapping[str, Feature]) -> bytes:
+    """A serialized `tf.train.Example`.
+
+    Args:
+        features: Bytes, or numbers of any shape: floats are stored in single precision, others (and bool)
+            as whole numbers.
+    """
+    entries = (
+        _delimited(1, name.encode()) + _delimited(2, _encode_feature(value))
+        for name, value in features.items()
+    )
+    return _delimited(1, b"".join(_delimited(1, entry) for entry in entries))
+
+
+def _encode_feature(value: Feature) -> bytes:
+    if isinstance(value, list):
+        return _delimited(BYTES_LIST, b"".join(_delimited(1, item) for item in value))
+    if value.dtype.kind == "f":
+        return _delimited(FLOAT_LIST, _delimited(1, value.astype("<f4").tobytes()))
+    numbers = b"".join(_varint(int(number) & MAX_64) for number in value.ravel())
+    return _delimited(INT64_LIST, _delimited(1, numbers))
+
+
+def _varint(number: int) -> bytes:
+    """Seven bits a byte, lowest first; the eighth bit says that more follow."""
+    result = bytearray()
+    while number > 127:
+        result.append(number & 127 | 128)
+        number >>= 7
+    result.append(number)
+    return bytes(result)
+
+
+def _delimited(field: int, data: bytes) -> bytes:
+    return _varint(field << 3 | DELIMITED) + _varint(len(data)) + data
+
+
+def decode_example(record: bytes, where: Path) -> dict[str, Feature]:
+    """Features of a serialized Example, numbers flat: float32 or int64.
+
+    Raises:
+        MalformedFileError: The bytes are no Example; `where` names them.
+    """
+    try:
+        features: dict[str, Feature] = {}
+        for _, content in _parts(memoryview(record)):
+            for _, entry in _parts(content):
+                (_, name), (_, value) = _parts(entry)
+                features[str(name, "utf-8")] = _decode_feature(value)
+    except ValueError as error:
+        raise MalformedFileError(where, f"holds a record that is no Example ({error})", REMEDY) from error
+    return features
+
+
+def _decode_feature(value: memoryview) -> Feature:
+    ((kind, items),) = _parts(value)
+    if kind == BYTES_LIST:
+        return [bytes(item) for _, item in _parts(items)]
+    packed = b"".join(bytes(item) for _, item in _parts(items))
+    if kind == FLOAT_LIST:
+        return np.frombuffer(packed, "<f4")
+    return np.array(list(_numbers(memoryview(packed))), np.uint64).astype(np.int64)
+
+
+def _parts(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Number and content of each field of a message; an Example holds only fields stored with their length."""
+    place = 0
+    while place < len(data):
+        tag, place = _read_varint(data, place)
+        size, place = _read_varint(data, place)
+        if tag & 7 != DELIMITED or not place + size <= len(data):
+            raise ValueError("a field has another type or is cut")
+        yield tag >> 3, data[place : place + size]
+        place += size
+
+
+def _numbers(data: memoryview) -> Iterator[int]:
+    place = 0
+    while place < len(data):
+        number, place = _read_varint(data, place)
+        yield number
+
+
+def _read_varint(data: memoryview, place: int) -> tuple[int, int]:
+    """A number and the place behind it."""
+    number = 0
+    for shift in range(0, 64, 7):
+        if not place < len(data):
+            break
+        byte = data[place]
+        number |= (byte & 127) << shift
+        place += 1
+        if byte < 128:
+            return number & MAX_64, place
+    raise ValueError("a number is cut")

@@ -1,0 +1,91 @@
+"""`aomgen export` and `aomgen audit` from the command line: what is printed, and one sentence with an exit code for bad input."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from aomgen.core.project import Project
+from aomgen.pipeline.project_file import write_project
+from aomgen.pipeline.stages import PROJECT_FILE
+from command_line import aomgen, one_sentence
+from small_episodes import commit
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("run")
+    for index, frames in enumerate((12, 9, 15)):
+        commit(out / "08_episodes", index, frames)
+    # What a killed worker left is no episode.
+    (out / "08_episodes" / "000007").mkdir()
+    write_project(out / PROJECT_FILE, Project(capture=out, out=out, assets=("microwave:1",)))
+    return out
+
+
+def test_export_and_audit(run, tmp_path):
+    made = aomgen("export", run, "opening", "--format", "rlds", "--size", "64x48", folder=tmp_path)
+    assert (made.returncode, made.stderr) == (0, "")
+    assert made.stdout == "wrote opening: 2 + 1 episodes, 36 frames\n"
+    found = aomgen("audit", "opening", run, folder=tmp_path)
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "2 train + 1 val of 3, 36 frames, actions ee_delta" in found.stdout
+
+
+def test_a_dataset_that_differs_ends_with_an_exit_code(run, tmp_path):
+    assert aomgen("export", run, "d", "--format", "lerobot-v3", folder=tmp_path).returncode == 0
+    fewer = tmp_path / "fewer"
+    shutil.copytree(run, fewer)
+    shutil.rmtree(fewer / "08_episodes" / "000001")
+    found = aomgen("audit", "d", fewer, folder=tmp_path)
+    assert "fault     episode 1 is not among the committed ones" in found.stdout
+    one_sentence(found, 6, "differs from the episodes in 1 ways", "export it again")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--format", "parquet"), 2, "'parquet' is unknown"),
+        (("--format", "rlds", "--val", "3"), 2, "3 of 3 episodes leaves none to train on"),
+        (("--format", "hdf5", "--size", "wide"), 2, "'wide' is not WxH"),
+        (("--format", "hdf5", "--size", "800x600"), 2, "larger than what camera 'front' rendered, 80x64"),
+    ],
+)
+def test_wrong_options_leave_nothing(run, tmp_path, words, code, said):
+    one_sentence(aomgen("export", run, "dataset", *words, folder=tmp_path), code, said)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_foreign_folder_is_kept(run, tmp_path):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
+    one_sentence(
+        aomgen("export", run, "photos", "--format", "hdf5", folder=tmp_path), 2, "no dataset of AOMGen"
+    )
+    one_sentence(aomgen("export", run, run, "--format", "hdf5", folder=tmp_path), 2, "no dataset of AOMGen")
+    assert (tmp_path / "photos" / "cat.jpg").read_bytes() == b"cat"
+    assert (run / PROJECT_FILE).is_file()
+
+
+def test_a_run_without_episodes_is_refused(run, tmp_path):
+    (tmp_path / "08_episodes").mkdir()
+    shutil.copy(run / PROJECT_FILE, tmp_path)
+    one_sentence(
+        aomgen("export", tmp_path, "d", "--format", "hdf5", folder=tmp_path), 3, "holds no committed episode"
+    )
+    one_sentence(aomgen("export", "nowhere", "d", "--format", "hdf5", folder=tmp_path), 3, "is missing")
+
+
+def test_a_cut_shard_is_told(run, tmp_path):
+    assert aomgen("export", run, "opening", "--format", "rlds", folder=tmp_path).returncode == 0
+    shard = next((tmp_path / "opening" / "1.0.0").glob("*train*"))
+    shard.write_bytes(shard.read_bytes()[:-100])
+    one_sentence(
+        aomgen("audit", "opening", run, folder=tmp_path), 3, "ends inside record 1", "export it again"
+    )
+
+
+def test_an_action_space_of_the_project_that_does_not_exist_is_refused(run, tmp_path):
+    one_sentence(
+        aomgen("run", run, "--set", "dataset.actions=ee_detla", folder=tmp_path), 2, "did you mean 'ee_delta'"
+    )
