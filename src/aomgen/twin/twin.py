@@ -177,16 +177,22 @@ def render_state(
     return replace(drawn, rgb=drawn.rgb * light.factors(surface * taken))
 
 
+def standing_bodies(twin: Twin, robot: RobotModel) -> NDArray[np.bool_]:
+    """Which bodies (B,) no joint moves: the world, the robot's base and the object's static part."""
+    rest = twin.scan_state
+    turned = replace(rest, joints=rest.joints + 1.0)
+    stand = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned)).all((1, 2))
+    stand[twin.body(PART)] = False
+    return stand
+
+
 def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
     """What each Gaussian (N,) does for shadows, see `twin.shadow`.
 
     The object's static part and the robot's base stand where they were scanned, with their shadows.
     """
-    rest = twin.scan_state
-    turned = replace(rest, joints=rest.joints + 1.0)
-    stand = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned)).all((1, 2))
-    roles = np.where(stand, STANDS, MOVES).astype(np.uint8)
-    roles[0], roles[twin.body(PART)] = SCENE, MOVES
+    roles = np.where(standing_bodies(twin, robot), STANDS, MOVES).astype(np.uint8)
+    roles[0] = SCENE
     return roles[twin.bodies]
 
 
