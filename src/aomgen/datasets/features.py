@@ -4,7 +4,7 @@ LeRobot takes every `observation.*` for an input of a policy and every `action*`
 what a robot measures is an observation, only one action space is `action`, and all the rest is `annotation.*`.
 """
 
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,8 @@ from aomgen.core.transforms import (
 )
 from aomgen.core.values import Array
 
+# Spaces of actions; all describe the same targets.
+ActionSpace = Literal["joint", "ee_absolute", "ee_delta"]
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
 # Those that LeRobot v3.0 stores for each feature.

@@ -122,8 +122,7 @@ def render_episode(
     shades: list[Shade] = []
     if T_world_plane is not None:
         soft = cast_soft_shadow(twin, T_world_plane, threads) if soft is None else soft
-        if soft is not None:
-            shades.append(SoftShade(twin, trajectory.T_world_object, soft, T_world_plane))
+        shades = soft_shades(twin, trajectory.T_world_object, soft, T_world_plane)
     batches = [states.part(slice(k, k + BATCH)) for k in range(0, len(states.thetas), BATCH)]
     drawn: dict[str, CameraFrames] = {}
     if layers:
@@ -144,6 +143,13 @@ def states_of(twin: Twin, robot: RobotModel, trajectory: Trajectory) -> States:
     moved = (trajectory.joints, trajectory.gripper, trajectory.thetas)
     Ts = trajectory_body_poses(twin, robot, *moved, trajectory.T_world_object)
     return States(Ts, trajectory.thetas)
+
+
+def soft_shades(
+    twin: Twin, T_world_object: Array, soft: SoftShadow | None, T_world_plane: Array
+) -> list[Shade]:
+    """The shadow of the object where it stands, if it is lit."""
+    return [] if soft is None else [SoftShade(twin, T_world_object, soft, T_world_plane)]
 
 
 def _crisp_shade(

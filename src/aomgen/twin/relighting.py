@@ -13,8 +13,8 @@ from aomgen.core.values import Array, freeze_arrays, require_indices
 
 # Weights below this are as good as none.
 NEGLIGIBLE: Final = 1e-3
-# Surfaces that are lit at once: their colors in a batch of states stay in the processor's cache.
-BLOCK: Final = 256
+# Colors that are computed at once, of some surfaces in all states: they stay in the processor's cache.
+BLOCK: Final = 8192
 # Steps of linear light, of which the darkest is a tenth of a grey level.
 LEVELS: Final = 1 << 14
 # Where the views' weights add up to less than this, the residual fades out.
@@ -101,7 +101,7 @@ class Relit:
             owners: Body of every surface (M,).
             Ts_world_body: Body poses (T, B, 4, 4).
         """
-        Rs = Ts_world_body[..., :3, :3]
+        Rs, size = Ts_world_body[..., :3, :3], max(BLOCK // len(Ts_world_body), 1)
         colors = np.empty((len(Rs), len(self.indices), 3), np.float32)
         groups = owners.astype(np.int64) * len(self.lights) + self.light_of
         for group in np.unique(groups).tolist():
@@ -110,16 +110,16 @@ class Relit:
             # Each orientation once.
             state_of, different = _distinct(Rs[:, body])
             light_body = self.lights[light].seen_from(different).astype(np.float32)
-            for start in range(0, len(rows), BLOCK):
-                block = rows[start : start + BLOCK]
+            for start in range(0, len(rows), size):
+                block = rows[start : start + size]
                 lit = _shaded_blocks(self.albedo_linear[block], self.transfer[block], light_body)
                 colors[:, _as_slice(block)] = lit if len(lit) == len(Rs) else lit[state_of]
         for residual in self.residuals:
             weights = residual.weights(Rs[:, residual.body]).astype(np.float32)
             weights[weights <= NEGLIGIBLE] = 0
-            for start in range(0, len(residual.rows), BLOCK):
-                block = _as_slice(residual.rows[start : start + BLOCK])
-                difference = residual.difference_srgb[:, start : start + BLOCK]
+            for start in range(0, len(residual.rows), size):
+                block = _as_slice(residual.rows[start : start + size])
+                difference = residual.difference_srgb[:, start : start + size]
                 seen = weights @ difference.reshape(len(difference), -1)
                 seen = seen.reshape(len(Rs), -1, 3) + colors[:, block]
                 colors[:, block] = np.clip(seen, 0, 1, out=seen)
