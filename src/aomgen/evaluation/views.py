@@ -21,6 +21,8 @@ Visuals = Literal["splat", "simulator"]
 VISUALS: Final[tuple[Visuals, ...]] = get_args(Visuals)
 # Who draws is alone on its processor, and pictures do not depend on how many there are.
 THREADS: Final = 1
+# The simulator's light from everywhere and from the camera: together a white surface is about white.
+AMBIENT, DIFFUSE = 0.5, 0.5
 Images = dict[str, NDArray[np.uint8]]
 
 
@@ -78,6 +80,8 @@ class SimulatorViews:
         T, self._cameras = variation.placed(fitted), place.cameras
         self._scene = build_scene(results.robot, fitted.asset, T, place.support, visual=True)
         self._scene.model.geom_group[self._scene.roles.table] = VISUAL_GROUP
+        light = self._scene.model.vis.headlight
+        light.ambient[:], light.diffuse[:] = AMBIENT, DIFFUSE
         sizes = [(camera.width, camera.height) for camera in self._cameras.values()]
         self._renderer = SceneRenderer(self._scene, tuple(np.max(sizes, 0).tolist()))
         _, layers, _ = opened.seen(variation, self._cameras)

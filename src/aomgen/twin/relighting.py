@@ -95,51 +95,87 @@ class Relit:
         )
 
     def colors_srgb(self, owners: NDArray[np.int32], Ts_world_body: Array) -> NDArray[np.float32]:
-        """Colors (T, M, 3), sRGB 0..1, in T states: `core.light.shaded_srgb` to a tenth of a grey level.
-
-        Args:
-            owners: Body of every surface (M,).
-            Ts_world_body: Body poses (T, B, 4, 4).
-        """
-        Rs, size = Ts_world_body[..., :3, :3], max(BLOCK // len(Ts_world_body), 1)
-        colors = np.empty((len(Rs), len(self.indices), 3), np.float32)
-        groups = owners.astype(np.int64) * len(self.lights) + self.light_of
-        for group in np.unique(groups).tolist():
-            rows = np.flatnonzero(groups == group)
-            body, light = divmod(group, len(self.lights))
-            # Each orientation once.
-            state_of, different = _distinct(Rs[:, body])
-            light_body = self.lights[light].seen_from(different).astype(np.float32)
-            for start in range(0, len(rows), size):
-                block = rows[start : start + size]
-                lit = _shaded_blocks(self.albedo_linear[block], self.transfer[block], light_body)
-                colors[:, _as_slice(block)] = lit if len(lit) == len(Rs) else lit[state_of]
-        for residual in self.residuals:
-            weights = residual.weights(Rs[:, residual.body]).astype(np.float32)
-            weights[weights <= NEGLIGIBLE] = 0
-            for start in range(0, len(residual.rows), size):
-                block = _as_slice(residual.rows[start : start + size])
-                difference = residual.difference_srgb[:, start : start + size]
-                seen = weights @ difference.reshape(len(difference), -1)
-                seen = seen.reshape(len(Rs), -1, 3) + colors[:, block]
-                colors[:, block] = np.clip(seen, 0, 1, out=seen)
+        """Colors (T, M, 3) in T states; arguments as of `Relighting`."""
+        lit = Relighting(self, owners)
+        colors = np.empty((len(Ts_world_body), len(owners), 3), np.float32)
+        colors[:, lit.order] = lit.colors_srgb(Ts_world_body)
         return colors
 
 
-def _shaded_blocks(
-    albedo_linear: NDArray[np.float32], transfer: NDArray[np.float32], lights: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """sRGB colors (T, R, 3) of diffuse surfaces (R, 3), (R, 9) in lights (T, 9, 3) of their frame.
+class Relighting:
+    """Surfaces prepared to be lit in many states: `core.light.shaded_srgb` to a tenth of a grey level.
+
+    Args:
+        relit: M surfaces.
+        owners: Body of every surface (M,).
+
+    Attributes:
+        order: Surfaces in the order of the colors (M,): those of one body and light follow one another.
+    """
+
+    def __init__(self, relit: Relit, owners: NDArray[np.int32]) -> None:
+        groups = owners.astype(np.int64) * len(relit.lights) + relit.light_of
+        self.order = np.argsort(groups, kind="stable")
+        self._lights, self._count = relit.lights, len(owners)
+        found, starts = np.unique(groups[self.order], return_index=True)
+        ends = [*starts[1:].tolist(), self._count]
+        # Body, light, first surface, and transfer times albedo by channel (3, R, 9).
+        self._groups = [
+            (*divmod(group, len(relit.lights)), start, _colored_transfer(relit, self.order[start:end]))
+            for group, start, end in zip(found.tolist(), starts.tolist(), ends, strict=True)
+        ]
+        place = np.empty(self._count, np.int64)
+        place[self.order] = np.arange(self._count)
+        # Residual, its surfaces in the order of the colors, and what was seen of them (K, 3 R).
+        self._residuals = []
+        for residual in relit.residuals:
+            rows = place[residual.rows]
+            sorting = np.argsort(rows)
+            difference = residual.difference_srgb[:, sorting]
+            self._residuals.append((residual, rows[sorting], difference.reshape(len(difference), -1)))
+
+    def colors_srgb(self, Ts_world_body: Array) -> NDArray[np.float32]:
+        """Colors (T, M, 3), sRGB 0..1, for body poses (T, B, 4, 4); surfaces as in `order`."""
+        Rs, size = Ts_world_body[..., :3, :3], max(BLOCK // len(Ts_world_body), 1)
+        colors = np.empty((len(Rs), self._count, 3), np.float32)
+        # Each orientation of a body once.
+        distinct = {body: _distinct(Rs[:, body]) for body, *_ in self._groups}
+        firsts = dict(
+            zip(distinct, np.cumsum([0, *(len(turns) for _, turns in distinct.values())]), strict=False)
+        )
+        turns = np.concatenate([np.zeros((0, 3, 3)), *(turns for _, turns in distinct.values())])
+        seen = [np.moveaxis(light.seen_from(turns), -1, 0) * LEVELS for light in self._lights]
+        for body, light, start, transfer in self._groups:
+            state_of, different = distinct[body]
+            lights = seen[light][:, firsts[body] : firsts[body] + len(different)].astype(np.float32)
+            for first in range(0, transfer.shape[1], size):
+                lit = _shaded_blocks(transfer[:, first : first + size], lights)
+                block = slice(start + first, start + first + lit.shape[1])
+                colors[:, block] = lit if len(lit) == len(Rs) else lit[state_of]
+        for residual, rows, seen_srgb in self._residuals:
+            weights = residual.weights(Rs[:, residual.body]).astype(np.float32)
+            weights[weights <= NEGLIGIBLE] = 0
+            for start in range(0, len(rows), size):
+                block = _as_slice(rows[start : start + size])
+                more = weights @ seen_srgb[:, 3 * start : 3 * (start + size)]
+                more = more.reshape(len(Rs), -1, 3) + colors[:, block]
+                colors[:, block] = np.clip(more, 0, 1, out=more)
+        return colors
+
+
+def _colored_transfer(relit: Relit, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Transfer times albedo (3, R, 9) of some surfaces."""
+    return relit.transfer[rows] * relit.albedo_linear[rows].T[..., None]
+
+
+def _shaded_blocks(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """sRGB colors (T, R, 3) of diffuse surfaces by channel (3, R, 9) in lights (3, T, 9) of their frame, in `LEVELS`.
 
     Products of matrices as small as these are never divided among threads, so that they round in one way only.
     """
-    table, colors = _srgb_table(), np.empty((len(lights), len(transfer), 3), np.float32)
-    by_channel = np.ascontiguousarray(np.moveaxis(lights, -1, 0)) * np.float32(LEVELS)
-    for channel in range(3):
-        levels = by_channel[channel] @ (transfer * albedo_linear[:, channel, None]).T
-        levels += np.float32(0.5)
-        colors[..., channel] = table.take(levels.astype(np.int64), mode="clip")
-    return colors
+    levels = lights @ transfer.swapaxes(1, 2)
+    levels += np.float32(0.5)
+    return np.moveaxis(_srgb_table().take(levels.astype(np.int64), mode="clip"), 0, -1)
 
 
 @cache
