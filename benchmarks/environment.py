@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-import gymnasium
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 
@@ -17,11 +16,11 @@ from aomgen.episodes.record import trajectory_of
 from aomgen.episodes.render import render_episode
 from aomgen.evaluation.actions import ACTION_SPACES
 from aomgen.evaluation.draws import SuiteRequest, make_suite
-from aomgen.evaluation.environment import ENV_ID
+from aomgen.evaluation.environment import OpenEnv
 from aomgen.evaluation.evaluate import EvaluationRequest, evaluate
 from aomgen.evaluation.policies import ORACLE, OracleReplay
-from aomgen.evaluation.rollout import World, open_world
-from aomgen.evaluation.suite import open_results
+from aomgen.evaluation.rollout import World
+from aomgen.evaluation.suite import open_results, open_suite
 from aomgen.evaluation.views import SplatViews
 from aomgen.io.episode_folder import list_committed, read_episode
 from aomgen.results import Results
@@ -56,17 +55,23 @@ def run_environment(
     """
     path = folder / "suite.json"
     if not path.is_file():
-        make_suite(run, path, SuiteRequest(trials=trials, seed=SEED), workers, lambda share, text: tell(text))
-    figures: dict[str, Any] = {ORACLE: {}}
+        make_suite(
+            open_results(run),
+            path,
+            SuiteRequest(trials=trials, seed=SEED),
+            workers,
+            lambda share, text: tell(text),
+        )
+    opened, figures = open_suite(path), dict[str, Any]({ORACLE: {}})
     for space in ACTION_SPACES:
         request = EvaluationRequest(policy=ORACLE, action_space=space)
-        found = evaluate(path, folder / space, request, workers, lambda share, text: tell(text))
+        found = evaluate(*opened, folder / space, request, workers, lambda share, text: tell(text))
         figures[ORACLE][space] = {
             name: found[name] for name in ("success_rate", "interval_95", "trials", "failures")
         }
         figures |= {name: found[name] for name in ("redrawn", "nearest_mm", "nearest_deg")}
     figures["pixels_psnr"] = worst_psnr(open_results(run))
-    world = open_world(path)
+    world = World(*opened)
     timed = {f"{width}x{height}": time_steps(resized(world, (width, height))) for width, height in SIZES}
     figures["step_cpu_ms"] = {name: step_ms for name, (step_ms, _) in timed.items()}
     figures["reset_s"] = {name: reset_s for name, (_, reset_s) in timed.items()}
@@ -111,7 +116,7 @@ def _psnrs(factory: EpisodeFactory, path: Path) -> list[float]:
 
 def time_steps(world: World) -> tuple[float, float]:
     """Median CPU time of a step, [ms], and median time of a reset, [s], with pictures, on one thread."""
-    env = gymnasium.make(ENV_ID, suite=world, disable_env_checker=True)
+    env = OpenEnv(world)
     policy = OracleReplay(world)
     steps, resets = [], []
     for trial in (0, *range(TIMED_TRIALS)):
@@ -131,9 +136,9 @@ def time_steps(world: World) -> tuple[float, float]:
 
 def passes_check(world: World) -> bool:
     """Whether Gymnasium's own check finds nothing; raises what it finds."""
-    env = gymnasium.make(ENV_ID, suite=resized(world, (64, 48)), disable_env_checker=True)
+    env = OpenEnv(resized(world, (64, 48)))
     with warnings.catch_warnings():
         # Joints and poses have no bounds of their own.
-        warnings.filterwarnings("ignore", message=".*(infinity|Box action space).*")
-        check_env(env.unwrapped)
+        warnings.filterwarnings("ignore", message=".*(infinity|Box action space|alternative render modes).*")
+        check_env(env)
     return True

@@ -9,7 +9,7 @@ import typer
 
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
-from aomgen.cli.evaluate import evaluate_app
+from aomgen.cli.evaluate_commands import evaluate_app
 from aomgen.cli.robot_draft import robot_app
 from aomgen.cli.run import find_project, report_bug, run_project, sample_capture, stop_at_signals
 from aomgen.errors import AomgenError, ConfigError, InputError
@@ -255,7 +255,7 @@ def report(out: RunFolder) -> None:
 @app.command()
 def doctor() -> None:
     """Say what is installed, what is missing, and what each part is for."""
-    from aomgen.pipeline.environment import diagnose
+    from aomgen.pipeline.requirements import diagnose
 
     problems = 0
     for name, state, purpose in diagnose():

@@ -17,8 +17,6 @@ from aomgen.errors import ConfigError
 from aomgen.simulation.replay import Reached
 
 ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
-# A quaternion that is shorter tells no orientation.
-SHORTEST_QUAT: Final = 1e-6
 
 
 def action_size(space: ActionSpace, arm_joints: int) -> int:
@@ -54,7 +52,7 @@ def joint_target(
         return np.append(np.clip(action[:-1], low, high), gripper)
     if space == "ee_delta":
         Ts = ee_targets(reached.T_world_ee[None], action[None, :6])
-    elif np.linalg.norm(action[3:7]) >= SHORTEST_QUAT:
+    elif action[3:7].any():
         quat = action[3:7] / np.linalg.norm(action[3:7])
         Ts = transform(matrix_from_quat(quat[None]), action[None, :3])
     else:

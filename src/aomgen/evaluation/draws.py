@@ -19,12 +19,11 @@ from aomgen.episodes.factory import EpisodeFactory, GenerationParams
 from aomgen.episodes.variations import draw_independently
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.evaluation.actions import ACTION_SPACES
-from aomgen.evaluation.parts import Parts
+from aomgen.evaluation.saved_units import SavedUnits
 from aomgen.evaluation.suite import (
     Suite,
     Trial,
     nearest_pose,
-    open_results,
     require_apart,
     require_json,
     training_poses,
@@ -70,16 +69,17 @@ class DrawnTrial:
     redrawn: dict[str, int]
 
 
-def make_suite(run: Path, path: Path, request: SuiteRequest, workers: int, progress: Progress) -> Suite:
+def make_suite(
+    results: Results, path: Path, request: SuiteRequest, workers: int, progress: Progress
+) -> Suite:
     """Draw a suite and write it; what a killed call has drawn is kept.
 
     Raises:
         ConfigError: The seed is that of the training, or a camera or an action space is unknown.
         NotEnoughEpisodesError: Hardly any draw passes.
-        AomgenError: The run is not there, or has not come that far.
+        AomgenError: The run has not come that far.
     """
     require_json(path)
-    results = open_results(run)
     cameras = _chosen_cameras(results, request)
     if request.action_space not in ACTION_SPACES:
         raise ConfigError(
@@ -88,11 +88,12 @@ def make_suite(run: Path, path: Path, request: SuiteRequest, workers: int, progr
     if request.seed == results.project.seed:
         raise ConfigError("--seed", f"{request.seed} is that of the training", "choose another one")
     twin = twin_digest(results)
-    parts = Parts(path.with_name(f"{path.stem}.parts"), {"twin": twin, **_plain(request)}, DrawnTrial)
-    opener = partial(_open_drawing, run.resolve(), request)
+    parts = SavedUnits(path.with_name(f"{path.stem}.parts"), {"twin": twin, **_plain(request)}, DrawnTrial)
+    # A copy without what has been read.
+    opener = partial(_open_drawing, replace(results), request)
     drawn = parts.make(range(request.trials), opener, workers, progress)
     suite = Suite(
-        run=os.path.relpath(run.resolve(), path.resolve().parent),
+        run=os.path.relpath(results.out.resolve(), path.resolve().parent),
         twin=twin,
         task=results.recorded.instruction,
         assets=tuple(fitted.asset.name for fitted in results.fitted_assets),
@@ -106,7 +107,7 @@ def make_suite(run: Path, path: Path, request: SuiteRequest, workers: int, progr
         redrawn=dict(sum((Counter(item.redrawn) for item in drawn), Counter[str]()).most_common()),
         nearest=None,
     )
-    suite = replace(suite, nearest=require_apart(path, suite, results)).sealed()
+    suite = replace(suite, nearest=require_apart(suite, results)).sealed()
     write_suite(path, suite)
     remove_folder(parts.folder)
     return suite
@@ -127,8 +128,7 @@ def _chosen_cameras(results: Results, request: SuiteRequest) -> dict[str, Camera
     return {name: known[name].resized(*request.size) if request.size else known[name] for name in names}
 
 
-def _open_drawing(run: Path, request: SuiteRequest) -> Callable[[int], DrawnTrial]:
-    results = open_results(run)
+def _open_drawing(results: Results, request: SuiteRequest) -> Callable[[int], DrawnTrial]:
     factory = EpisodeFactory(results, results.folders["episodes"], _chosen_cameras(results, request))
     return partial(draw_trial, factory, request)
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.errors import BackendError, ConfigError
-from aomgen.evaluation.rollout import Rollout, World, open_world
+from aomgen.evaluation.rollout import Rollout, World
+from aomgen.evaluation.suite import open_suite
 from aomgen.evaluation.views import VISUALS, Visuals
 from aomgen.io.schema import suggest
 
@@ -51,7 +52,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
     ) -> None:
         if visuals not in VISUALS:
             raise ConfigError("visuals", f"'{visuals}' is unknown", suggest(visuals, VISUALS))
-        self._world = suite if isinstance(suite, World) else open_world(Path(suite), visuals)
+        self._world = suite if isinstance(suite, World) else World(*open_suite(Path(suite)), visuals)
         self.render_mode = render_mode
         chosen = self._world.suite
         self.task = self.task_description = chosen.task

@@ -13,13 +13,14 @@ from scipy.stats import binomtest
 
 from aomgen.core.progress import Progress
 from aomgen.datasets.features import ActionSpace
-from aomgen.evaluation.parts import Parts
 from aomgen.evaluation.policies import Policy, open_policy
-from aomgen.evaluation.rollout import World, open_world
-from aomgen.evaluation.suite import open_suite, require_apart
+from aomgen.evaluation.rollout import World
+from aomgen.evaluation.saved_units import SavedUnits
+from aomgen.evaluation.suite import Suite, require_apart
 from aomgen.evaluation.views import Visuals
 from aomgen.io.atomic import write_bytes
 from aomgen.io.video import encode_video
+from aomgen.results import Results
 
 # So many failures are kept as videos.
 FILMED: Final = 10
@@ -59,12 +60,12 @@ class RolloutRecord:
 
 
 def evaluate(
-    path: Path, out: Path, request: EvaluationRequest, workers: int, progress: Progress
+    suite: Suite, results: Results, out: Path, request: EvaluationRequest, workers: int, progress: Progress
 ) -> dict[str, Any]:
     """Judge a policy; rollouts that are there are kept.
 
     Args:
-        path: Of the suite.
+        suite, results: The trials, and the run that they belong to.
         out: Gets a file for each rollout, and videos of some failures.
         request: Who is judged.
         workers: Processes.
@@ -76,19 +77,20 @@ def evaluate(
         training episode), and all `rollouts`.
 
     Raises:
-        ConfigError: The policy is unknown, the suite belongs to another twin, or a trial is inside the training.
-        AomgenError: Whatever the suite or the policy refuses.
+        ConfigError: The policy is unknown, or a trial is inside the training.
+        AomgenError: Whatever the policy refuses.
     """
-    suite, results = open_suite(path)
-    nearest = require_apart(path, suite, results)
-    opener = partial(_open_rollouts, path.resolve(), request)
-    # What cannot be opened is told before processes are started.
-    open_policy(request.policy, _world(path, request))
+    nearest = require_apart(suite, results)
     identity = {"suite": suite.digest, **asdict(request)}
-    parts = Parts(out / ROLLOUTS_FOLDER, identity, RolloutRecord)
+    suite = replace(suite, action_space=request.action_space or suite.action_space)
+    # A copy without what has been read.
+    opener = partial(_open_rollouts, suite, replace(results), request)
+    # What cannot be opened is told before processes are started.
+    open_policy(request.policy, World(suite, results, request.visuals))
+    parts = SavedUnits(out / ROLLOUTS_FOLDER, identity, RolloutRecord)
     rows = parts.make(range(len(suite.trials)), opener, workers, progress)
     failed = [row.trial for row in rows if row.fail_reason][:FILMED]
-    Parts(out / VIDEOS_FOLDER, identity, RolloutRecord).make(
+    SavedUnits(out / VIDEOS_FOLDER, identity, RolloutRecord).make(
         failed, partial(opener, film=out / VIDEOS_FOLDER), workers, progress
     )
     successes = len(rows) - sum(bool(row.fail_reason) for row in rows)
@@ -96,7 +98,7 @@ def evaluate(
         "policy": request.policy,
         "suite": suite.digest,
         "twin": suite.twin,
-        "action_space": request.action_space or suite.action_space,
+        "action_space": suite.action_space,
         "visuals": request.visuals,
         "trials": len(rows),
         "successes": successes,
@@ -116,18 +118,10 @@ def interval_95(successes: int, trials: int) -> list[float]:
     return [float(interval.low), float(interval.high)]
 
 
-def _world(path: Path, request: EvaluationRequest) -> World:
-    world = open_world(path, request.visuals)
-    if request.action_space is None:
-        return world
-    suite = replace(world.suite, action_space=request.action_space)
-    return World(suite, world.factory.results, request.visuals)
-
-
 def _open_rollouts(
-    path: Path, request: EvaluationRequest, film: Path | None = None
+    suite: Suite, results: Results, request: EvaluationRequest, film: Path | None = None
 ) -> Callable[[int], RolloutRecord]:
-    world = _world(path, request)
+    world = World(suite, results, request.visuals)
     return partial(roll_out, world, open_policy(request.policy, world), film=film)
 
 

@@ -2,7 +2,6 @@
 
 import math
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -11,8 +10,8 @@ from aomgen.core.plan import EpisodePlan, Rejection
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.evaluation.actions import action_size, joint_target, require_shape
-from aomgen.evaluation.suite import Suite, open_suite
-from aomgen.evaluation.views import KINDS, Views, Visuals
+from aomgen.evaluation.suite import Suite
+from aomgen.evaluation.views import KINDS, TrialViews, Visuals
 from aomgen.results import Results
 from aomgen.simulation.judge import PassRule, judge
 from aomgen.simulation.replay import Reached, Simulation
@@ -51,11 +50,6 @@ class World:
         return plan
 
 
-def open_world(path: Path, visuals: Visuals = "splat") -> World:
-    """The world of a suite's file; raises as `open_suite`."""
-    return World(*open_suite(path), visuals)
-
-
 class Rollout:
     """One trial from its reset to its end.
 
@@ -88,7 +82,7 @@ class Rollout:
         return float((self.reached.theta - self.fitted.start_theta) / self.fitted.travel)
 
     @cached_property
-    def _views(self) -> Views:
+    def _views(self) -> TrialViews:
         world = self.world
         return KINDS[world.visuals](world.factory, self._opened, self.fitted, self.trial.variation)
 

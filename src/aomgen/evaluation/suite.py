@@ -216,7 +216,7 @@ def nearest_pose(T_world_object: Array, poses: Mapping[str, Array]) -> tuple[Pos
     return PoseDistance(mm=float(mm[found]), deg=float(deg[found])), list(poses)[found]
 
 
-def require_apart(path: Path, suite: Suite, results: Results) -> PoseDistance | None:
+def require_apart(suite: Suite, results: Results) -> PoseDistance | None:
     """The smallest distance of a trial to a committed episode; refuses a suite that has a trial inside the training.
 
     Raises:
@@ -231,8 +231,8 @@ def require_apart(path: Path, suite: Suite, results: Results) -> PoseDistance | 
         distance, name = found
         if not distance.apart >= 1:
             raise ConfigError(
-                path,
-                f"trial {number} is {distance.mm:.1f} mm and {distance.deg:.2f} deg from episode {name}, "
+                f"trial {number} of the suite",
+                f"is {distance.mm:.1f} mm and {distance.deg:.2f} deg from episode {name} of the training, "
                 f"want at least {APART_MM:g} mm or {APART_DEG:g} deg",
                 f"{REMEDY} and another --seed",
             )

@@ -19,14 +19,12 @@ from aomgen.synthetic.scene_recording import SceneRenderer
 
 Visuals = Literal["splat", "simulator"]
 VISUALS: Final[tuple[Visuals, ...]] = get_args(Visuals)
-# Who draws is alone on its processor, and pictures do not depend on how many there are.
-THREADS: Final = 1
 # The simulator's light from everywhere and from the camera: together a white surface is about white.
 AMBIENT, DIFFUSE = 0.5, 0.5
 Images = dict[str, NDArray[np.uint8]]
 
 
-class Views(Protocol):
+class TrialViews(Protocol):
     """Draws states of one trial."""
 
     def draw(self, reached: Reached) -> Images:
@@ -47,7 +45,7 @@ class SplatViews:
         demo = factory.results.demonstration
         first = Reached(demo.joints[0], 0.0, fitted.start_theta, demo.Ts_world_ee[0])
         Ts = self._states(first).Ts_world_body[0]
-        self._views = FixedViews(self._twin, self._robot, Ts, layers, shades, THREADS)
+        self._views = FixedViews(self._twin, self._robot, Ts, layers, shades, threads=1)
 
     def draw(self, reached: Reached) -> Images:
         """Image (H, W, 3) of every camera."""

@@ -42,6 +42,7 @@ def evaluate_suite(
 ) -> None:
     """Draw trials that every policy shall meet: poses of the run's ranges whose plan passes the certificate."""
     from aomgen.evaluation.draws import SuiteRequest, make_suite
+    from aomgen.evaluation.suite import open_results
 
     request = SuiteRequest(
         trials=trials,
@@ -50,7 +51,7 @@ def evaluate_suite(
         size=_parse_size(size),
         cameras=tuple(cameras or ()),
     )
-    suite = make_suite(run, file, request, workers or _processors(), _tell)
+    suite = make_suite(open_results(run), file, request, workers or _processors(), _tell)
     nearest = suite.nearest
     apart = f"{nearest.mm:.1f} mm and {nearest.deg:.2f} deg" if nearest else "no episodes yet"
     print(f"{file}: {len(suite.trials)} trials, {sum(suite.redrawn.values())} redrawn {suite.redrawn}")
@@ -74,6 +75,7 @@ def evaluate_policy(
 ) -> None:
     """Let a policy try every trial of a suite; the same command continues where it was stopped."""
     from aomgen.evaluation.evaluate import EvaluationRequest, evaluate
+    from aomgen.evaluation.suite import open_suite
     from aomgen.evaluation.views import VISUALS
     from aomgen.io.atomic import write_json
     from aomgen.io.schema import suggest
@@ -85,7 +87,7 @@ def evaluate_policy(
     )
     words = [suite.stem, policy.partition("=")[0], *filter(None, [actions]), visuals]
     folder = out or suite.with_name("-".join(words))
-    figures = evaluate(suite, folder, request, workers or _processors(), _tell)
+    figures = evaluate(*open_suite(suite), folder, request, workers or _processors(), _tell)
     print(_table(figures))
     if json_file:
         write_json(json_file, figures)

@@ -17,7 +17,7 @@ REQUEST_FILE: Final = "request.json"
 T = TypeVar("T")
 
 
-class Parts(Generic[T]):
+class SavedUnits(Generic[T]):
     """A folder with a value of each unit.
 
     Args:
