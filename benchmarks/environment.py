@@ -51,7 +51,7 @@ def run_environment(
 
     Returns:
         `oracle_replay` and `nearest_replay` by action space, `pixels_psnr` (the worst frame, [dB]), `step_cpu_ms` by
-        image size and `reset_s` (medians), `redrawn`, `nearest_mm`, `nearest_deg`, and `check_env`.
+        image size and `reset_s` (medians of CPU time), `redrawn`, `nearest_mm`, `nearest_deg`, and `check_env`.
     """
     path = folder / "suite.json"
     if not path.is_file():
@@ -115,14 +115,14 @@ def _psnrs(factory: EpisodeFactory, path: Path) -> list[float]:
 
 
 def time_steps(world: World) -> tuple[float, float]:
-    """Median CPU time of a step, [ms], and median time of a reset, [s], with pictures, on one thread."""
+    """Median CPU time of a step, [ms], and of a reset, [s], with pictures, on one thread."""
     env = OpenEnv(world)
     policy = OracleReplay(world)
     steps, resets = [], []
     for trial in (0, *range(TIMED_TRIALS)):
-        begin = time.perf_counter()
+        begin = time.process_time()
         observation, _ = env.reset(options={"trial": trial})
-        resets.append(time.perf_counter() - begin)
+        resets.append(time.process_time() - begin)
         policy.reset(world.rollout(trial))
         over = False
         while not over:

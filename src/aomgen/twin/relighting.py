@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import srgb_from_linear
-from aomgen.core.light import Light
+from aomgen.core.light import Light, turned_radiance
 from aomgen.core.values import Array, freeze_arrays, require_indices
 
 # Weights below this are as good as none.
@@ -116,7 +116,10 @@ class Relighting:
     def __init__(self, relit: Relit, owners: NDArray[np.int32]) -> None:
         groups = owners.astype(np.int64) * len(relit.lights) + relit.light_of
         self.order = np.argsort(groups, kind="stable")
-        self._lights, self._count = relit.lights, len(owners)
+        self._count, self._bodies = len(owners), np.unique(owners).tolist()
+        self._radiance = LEVELS * np.concatenate(
+            [np.zeros((9, 0)), *(light.radiance_sh for light in relit.lights)], 1
+        )
         found, starts = np.unique(groups[self.order], return_index=True)
         ends = [*starts[1:].tolist(), self._count]
         # Body, light, first surface, and transfer times albedo by channel (3, R, 9).
@@ -138,16 +141,15 @@ class Relighting:
         """Colors (T, M, 3), sRGB 0..1, for body poses (T, B, 4, 4); surfaces as in `order`."""
         Rs, size = Ts_world_body[..., :3, :3], max(BLOCK // len(Ts_world_body), 1)
         colors = np.empty((len(Rs), self._count, 3), np.float32)
-        # Each orientation of a body once.
-        distinct = {body: _distinct(Rs[:, body]) for body, *_ in self._groups}
-        firsts = dict(
-            zip(distinct, np.cumsum([0, *(len(turns) for _, turns in distinct.values())]), strict=False)
-        )
-        turns = np.concatenate([np.zeros((0, 3, 3)), *(turns for _, turns in distinct.values())])
-        seen = [np.moveaxis(light.seen_from(turns), -1, 0) * LEVELS for light in self._lights]
+        # Each orientation of a body once, and all lights at once.
+        new = np.concatenate([np.ones((1, Rs.shape[1]), bool), (Rs[1:] != Rs[:-1]).any((2, 3))])
+        turns = [Rs[new[:, body], body] for body in self._bodies]
+        firsts = dict(zip(self._bodies, np.cumsum([0, *map(len, turns)]).tolist(), strict=False))
+        seen = turned_radiance(self._radiance, np.concatenate([np.zeros((0, 3, 3)), *turns]))
+        seen = np.ascontiguousarray(np.moveaxis(seen, -1, 0), np.float32)
         for body, light, start, transfer in self._groups:
-            state_of, different = distinct[body]
-            lights = seen[light][:, firsts[body] : firsts[body] + len(different)].astype(np.float32)
+            state_of = np.cumsum(new[:, body]) - 1
+            lights = seen[3 * light : 3 * light + 3, firsts[body] : firsts[body] + state_of[-1] + 1]
             for first in range(0, transfer.shape[1], size):
                 lit = _shaded_blocks(transfer[:, first : first + size], lights)
                 block = slice(start + first, start + first + lit.shape[1])
@@ -181,12 +183,6 @@ def _shaded_blocks(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -
 @cache
 def _srgb_table() -> NDArray[np.float32]:
     return srgb_from_linear(np.arange(LEVELS + 1) / LEVELS).astype(np.float32)
-
-
-def _distinct(Rs: Array) -> tuple[NDArray[np.int64], Array]:
-    """For each of T orientations (T, 3, 3) its place among those that differ from the one before, and these."""
-    new = np.append(True, (Rs[1:] != Rs[:-1]).any((1, 2)))
-    return np.cumsum(new) - 1, Rs[new]
 
 
 def _as_slice(rows: NDArray[np.int64]) -> NDArray[np.int64] | slice:
