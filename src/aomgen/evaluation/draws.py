@@ -18,7 +18,6 @@ from aomgen.datasets.features import ActionSpace
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams
 from aomgen.episodes.variations import draw_independently
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
-from aomgen.evaluation.actions import ACTION_SPACES
 from aomgen.evaluation.saved_units import SavedUnits
 from aomgen.evaluation.suite import (
     Suite,
@@ -75,16 +74,12 @@ def make_suite(
     """Draw a suite and write it; what a killed call has drawn is kept.
 
     Raises:
-        ConfigError: The seed is that of the training, or a camera or an action space is unknown.
+        ConfigError: The seed is that of the training, or a camera is unknown.
         NotEnoughEpisodesError: Hardly any draw passes.
         AomgenError: The run has not come that far.
     """
     require_json(path)
     cameras = _chosen_cameras(results, request)
-    if request.action_space not in ACTION_SPACES:
-        raise ConfigError(
-            "--actions", f"'{request.action_space}' is unknown", suggest(request.action_space, ACTION_SPACES)
-        )
     if request.seed == results.project.seed:
         raise ConfigError("--seed", f"{request.seed} is that of the training", "choose another one")
     twin = twin_digest(results)

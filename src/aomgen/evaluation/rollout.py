@@ -35,7 +35,8 @@ class World:
         self.suite, self.visuals = suite, visuals
         self.factory = EpisodeFactory(results, results.folders["episodes"], suite.cameras)
         self.action_size = action_size(suite.action_space, len(suite.joint_names))
-        self.held_frames = math.ceil(HELD_S * suite.fps)
+        # From the first to the last of them it takes that long.
+        self.held_frames = 1 + math.ceil(HELD_S * suite.fps)
 
     def rollout(self, number: int) -> "Rollout":
         """A trial at its reset."""

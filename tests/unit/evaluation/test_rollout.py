@@ -80,6 +80,17 @@ def test_who_does_nothing_opens_nothing(world: World) -> None:
     assert abs(rollout.opening_share) < 0.01
 
 
+def test_success_has_to_last_half_a_second(world: World) -> None:
+    rollout, plan, shares = world.rollout(0), world.plan(0), []
+    while rollout.fail_reason is None:
+        rollout.step(planned_action(plan, rollout.frame, "joint", rollout.reached.T_world_ee))
+        shares.append(rollout.opening_share)
+    opened = np.flatnonzero(np.array(shares) >= 0.9)
+    assert rollout.fail_reason == ""
+    assert (opened[-1] - opened[0]) / world.suite.fps == 0.5
+    assert len(opened) == 6
+
+
 def test_the_plan_of_another_pose_fails(world: World) -> None:
     """With the hand beside the handle, nothing opens, or not by the fingers."""
     plan, places = world.plan(0), [world.plan(k).T_world_object for k in range(3)]
