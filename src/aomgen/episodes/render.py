@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera, CameraPath
-from aomgen.core.gaussians import concatenate
+from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.values import Array, Matrix4, freeze_arrays
 from aomgen.episodes.shading import (
     CrispShade,
@@ -129,7 +129,7 @@ def render_episode(
         views = FixedViews(twin, robot, states.Ts_world_body[0], layers, shades, threads)
         outputs = _outputs(params)
         images = zip(*(views.draw(batch, outputs) for batch in batches), strict=True)
-        frames = (_frames(items, of, params) for items, of in zip(images, views.labels, strict=True))
+        frames = (_frames(items, views.labels, params) for items in images)
         drawn |= zip(layers, frames, strict=True)
     for name, path in (paths or {}).items():
         around = path.Ts_world_cam[:, None, :3, 3] + NEAR_PATH * np.stack([np.ones(3), -np.ones(3)])
@@ -177,7 +177,7 @@ class FixedViews:
         shades: The object's soft shadow, if any.
 
     Attributes:
-        labels: Of the Gaussians of each camera, in the engine's order.
+        labels: Of all Gaussians, in the engine's order.
     """
 
     def __init__(
@@ -192,8 +192,11 @@ class FixedViews:
         stands = standing_bodies(twin, robot)
         self._threads = threads
         self._moving = moving_layer(twin.select(~stands[twin.bodies]))
-        self._views = [_StillView(twin, stands, Ts_world_body, layer, threads) for layer in layers.values()]
-        self.labels = [np.append(view.labels, self._moving.labels) for view in self._views]
+        bodies = twin.select(stands[twin.bodies] & twin.moves)
+        world = posed_by(bodies, Ts_world_body)
+        still = concatenate([twin.gaussians.select(~twin.moves), world])
+        self._views = [_StillView(layer, world, still, threads) for layer in layers.values()]
+        self.labels = np.concatenate([twin.labels[~twin.moves], bodies.labels, self._moving.labels])
         light = twin.directional_light
         seen = [] if light is None else [view.points_on(light.T_world_plane) for view in self._views]
         points = np.concatenate([np.zeros((0, 3)), *seen])
@@ -222,29 +225,23 @@ class _StillView:
     Attributes:
         session: Draws into it what moves.
         layer: Of the scene, without the robot and the object.
-        labels: Of the session's Gaussians.
         scene_share: How much of each pixel's color (H, W) is of the scene, 0..1: shadows fall on that.
+
+    Args:
+        layer: See above.
+        bodies: What stands there of robot and object, world frame.
+        still: Scene and bodies.
+        threads: As of `RenderSession`.
     """
 
-    def __init__(
-        self,
-        twin: Twin,
-        stands: NDArray[np.bool_],
-        Ts_world_body: Array,
-        layer: StaticLayer,
-        threads: int | None,
-    ) -> None:
-        bodies = twin.select(stands[twin.bodies] & twin.moves)
+    def __init__(self, layer: StaticLayer, bodies: Gaussians, still: Gaussians, threads: int | None) -> None:
         self.layer, self.session = layer, layer.session
         self.scene_share = np.ones(layer.depth.shape, np.float32)
-        self.labels = np.append(twin.labels[~twin.moves], bodies.labels)
-        if not len(bodies.gaussians):
+        if not len(bodies):
             return
-        world = posed_by(bodies, Ts_world_body)
-        scene = twin.gaussians.select(~twin.moves)
-        self.session = RenderSession(concatenate([scene, world]), layer.camera, threads=threads)
-        alone = layer.session.draw(world, shade=np.zeros_like(self.scene_share)).rgb.sum(-1)
-        both = self.session.draw(world.select(np.zeros(0, np.int64))).rgb.sum(-1)
+        self.session = RenderSession(still, layer.camera, threads=threads)
+        alone = layer.session.draw(bodies, shade=np.zeros_like(self.scene_share)).rgb.sum(-1)
+        both = self.session.draw(bodies.select(np.zeros(0, np.int64))).rgb.sum(-1)
         self.scene_share = 1 - np.where(both > DARK, alone / np.maximum(both, DARK), 0)
 
     def darkened(self, shaded: Sequence[ShadedPixels], dark: Sequence[DarkMaps]) -> NDArray[np.float32]:
