@@ -3,35 +3,35 @@
 import pytest
 
 from aomgen.errors import BackendError
-from aomgen.pipeline import environment
+from aomgen.pipeline import requirements
 
 
 @pytest.mark.parametrize("missing", ["pycolmap", "torch", "onnxruntime"])
 def test_missing_modules(monkeypatch, missing):
-    found = environment.importlib.util.find_spec
+    found = requirements.importlib.util.find_spec
     monkeypatch.setattr(
-        environment.importlib.util, "find_spec", lambda name: None if name == missing else found(name)
+        requirements.importlib.util, "find_spec", lambda name: None if name == missing else found(name)
     )
     with pytest.raises(BackendError, match=f"{missing}: is not installed; pip install"):
-        environment.require_environment(environment.EVERYTHING, "auto", has_masks=False)
+        requirements.require_environment(requirements.EVERYTHING, "auto", has_masks=False)
 
 
 def test_what_is_done_needs_nothing(monkeypatch):
-    monkeypatch.setattr(environment.importlib.util, "find_spec", lambda name: None)
-    environment.require_environment([], "auto", has_masks=False)
-    environment.require_environment(["dataset"], "auto", has_masks=False)
+    monkeypatch.setattr(requirements.importlib.util, "find_spec", lambda name: None)
+    requirements.require_environment([], "auto", has_masks=False)
+    requirements.require_environment(["dataset"], "auto", has_masks=False)
 
 
 def test_weights(tmp_path, monkeypatch):
     monkeypatch.setenv("AOMGEN_WEIGHTS", str(tmp_path))
-    environment.require_environment(["parts"][:0], "auto", has_masks=False)
+    requirements.require_environment(["parts"][:0], "auto", has_masks=False)
     with pytest.raises(BackendError, match="weights are missing"):
-        environment.require_environment(["parts"], "auto", has_masks=False)
+        requirements.require_environment(["parts"], "auto", has_masks=False)
     with pytest.raises(BackendError, match=r"sam2-large: no SAM 2 weights of this name .*known: none"):
-        environment.require_environment(["parts"], "sam2-large", has_masks=True)
+        requirements.require_environment(["parts"], "sam2-large", has_masks=True)
 
 
 def test_no_opengl_driver(monkeypatch):
-    monkeypatch.setattr(environment, "GL_PROBE", "raise RuntimeError('no device')")
+    monkeypatch.setattr(requirements, "GL_PROBE", "raise RuntimeError('no device')")
     with pytest.raises(BackendError, match="OpenGL: RuntimeError: no device; install libegl1"):
-        environment.require_environment(["alignment"], "auto", has_masks=True)
+        requirements.require_environment(["alignment"], "auto", has_masks=True)
