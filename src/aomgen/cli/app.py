@@ -10,6 +10,7 @@ import typer
 from aomgen import __version__
 from aomgen.cli.bench import bench_app
 from aomgen.cli.dataset_commands import RunFolder, audit, export
+from aomgen.cli.evaluate_commands import evaluate_app
 from aomgen.cli.robot_draft import robot_app
 from aomgen.cli.run import find_project, report_bug, run_project, sample_capture, stop_at_signals
 from aomgen.errors import AomgenError, ConfigError, InputError
@@ -24,6 +25,7 @@ app = typer.Typer(
 assets_app = typer.Typer(no_args_is_help=True, help="Make and check articulated assets (USD).")
 app.add_typer(assets_app, name="assets")
 app.add_typer(bench_app, name="bench")
+app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(robot_app, name="robot")
 app.command()(export)
 app.command()(audit)
@@ -254,7 +256,7 @@ def report(out: RunFolder) -> None:
 @app.command()
 def doctor() -> None:
     """Say what is installed, what is missing, and what each part is for."""
-    from aomgen.pipeline.environment import diagnose
+    from aomgen.pipeline.requirements import diagnose
 
     problems = 0
     for name, state, purpose in diagnose():

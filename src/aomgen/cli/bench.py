@@ -211,6 +211,24 @@ def bench_generate(
     _show(run_generate(out, sample_capture(), episodes, run_project, tell, **machine), json_file)
 
 
+@bench_app.command("environment")
+def bench_environment(
+    run: Annotated[Path, typer.Argument(help="Folder of a run that has committed episodes.")],
+    trials: Annotated[int, typer.Option(min=1, help="Of each action space.")] = 100,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    json_file: JsonFile = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Keeps suite and rollouts; continued when it exists.")
+    ] = None,
+) -> None:
+    """Replay plans in closed loop in every action space, compare pictures with episodes', time steps and resets."""
+    from benchmarks.environment import run_environment
+
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = (out or Path(scratch)).resolve()
+        _show(run_environment(run, folder, trials, workers, partial(print, file=sys.stderr)), json_file)
+
+
 @bench_app.command("replay")
 def bench_replay(
     attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,

@@ -42,17 +42,22 @@ class Light:
 
     def seen_from(self, R_world_body: ArrayLike) -> Array:
         """Coefficients (..., 9, 3) in the frames of bodies turned by (..., 3, 3)."""
-        Rs_body_world = np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
-        constant = np.broadcast_to(self.radiance_sh[:1], (*Rs_body_world.shape[:-2], 1, 3))
-        turned = [
-            matrix @ self.radiance_sh[band * band : (band + 1) ** 2]
-            for band, matrix in enumerate(sh_rotation(Rs_body_world, 2), start=1)
-        ]
-        return np.concatenate([constant, *turned], -2)
+        return turned_radiance(self.radiance_sh, R_world_body)
 
     def scaled(self, gain: ArrayLike) -> "Light":
         """The light made brighter by a factor, or by three, one for each channel."""
         return Light(radiance_sh=self.radiance_sh * np.asarray(gain, np.float64))
+
+
+def turned_radiance(radiance_sh: ArrayLike, R_world_body: ArrayLike) -> Array:
+    """Coefficients (..., 9, C) in the frames of bodies turned by (..., 3, 3) of radiance (9, C) in the world's."""
+    radiance, Rs_body_world = np.asarray(radiance_sh), np.asarray(R_world_body, np.float64).swapaxes(-1, -2)
+    constant = np.broadcast_to(radiance[:1], (*Rs_body_world.shape[:-2], 1, radiance.shape[1]))
+    turned = [
+        matrix @ radiance[band * band : (band + 1) ** 2]
+        for band, matrix in enumerate(sh_rotation(Rs_body_world, 2), start=1)
+    ]
+    return np.concatenate([constant, *turned], -2)
 
 
 def hemisphere_light(sky: ArrayLike, ground: ArrayLike) -> Light:

@@ -3,7 +3,7 @@
 import hashlib
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -38,6 +38,8 @@ from aomgen.twin.variation import changed, light_gains, scaled
 
 # Assets that a worker keeps open: the one it works on, and the next.
 OPEN_ASSETS: Final = 2
+# Sizes of an asset whose scenes a worker keeps: the recorded one, and that of the episode.
+OPEN_SIZES: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,10 +81,11 @@ class EpisodeFactory:
     Args:
         results: Of the run.
         folder: Of all episodes.
+        cameras: To be used instead of the scene's.
     """
 
-    def __init__(self, results: Results, folder: Path) -> None:
-        self.results, self.folder = results, folder
+    def __init__(self, results: Results, folder: Path, cameras: Mapping[str, Camera] | None = None) -> None:
+        self.results, self.folder, self._cameras = results, folder, cameras
         self.params = results.params("episodes", GenerationParams())
         self.plan_params = replace(self.params.plan, fps=results.fps)
         # Methods cannot be cached per instance otherwise without keeping the instance alive.
@@ -103,8 +106,8 @@ class EpisodeFactory:
             support=scene.support,
             obstacles=scene.obstacles,
             reach=longest_reach(self.results.robot),
-            cameras={name: known[name] for name in self.params.cameras or known},
-            free=self.params.free_cameras,
+            cameras=self._cameras or {name: known[name] for name in self.params.cameras or known},
+            free=0 if self._cameras else self.params.free_cameras,
         )
 
     @cached_property
@@ -145,25 +148,28 @@ class EpisodeFactory:
         self._seconds = {}
         variation = self.variation(unit)
         opened = self.asset(unit.asset)
-        fitted, scene = opened.sized(variation.scale)
-        with self._timed("plan"):
-            plan = plan_episode(
-                fitted, self.results.demonstration, variation, scene, self.solver, self.plan_params
-            )
-        verified: VerifiedEpisode | Rejection = (
-            plan if isinstance(plan, Rejection) else self._verified(plan, scene, opened.digests)
-        )
+        verified = self.certify(opened, variation)
         if isinstance(verified, Rejection):
             write_rejection(self.folder, unit, variation, verified)
         else:
             self._commit(unit, verified, opened)
         return Outcome(committed=isinstance(verified, VerifiedEpisode), seconds=self._seconds)
 
-    def _verified(
-        self, plan: EpisodePlan, scene: Scene, digests: Mapping[str, str]
-    ) -> VerifiedEpisode | Rejection:
+    def plan(self, opened: "OpenAsset", variation: Variation) -> EpisodePlan | Rejection:
+        """The plan for a variation of an asset."""
+        fitted, scene = opened.sized(variation.scale)
+        demo = self.results.demonstration
+        with self._timed("plan"):
+            return plan_episode(fitted, demo, variation, scene, self.solver, self.plan_params)
+
+    def certify(self, opened: "OpenAsset", variation: Variation) -> VerifiedEpisode | Rejection:
+        """Plan for a variation of an asset and verify the plan."""
+        plan = self.plan(opened, variation)
+        if isinstance(plan, Rejection):
+            return plan
+        _, scene = opened.sized(variation.scale)
         with self._timed("verify"):
-            return verify_plan(plan, scene, limits=self._tier_a_limits(), digests=digests)
+            return verify_plan(plan, scene, limits=self._tier_a_limits(), digests=opened.digests)
 
     def _tier_a_limits(self) -> dict[str, float]:
         """Largest values of a plan's figures, by name, for the certificate."""
@@ -238,22 +244,15 @@ class OpenAsset:
     usd: Path
     digests: Mapping[str, str]
 
-    def sized(self, scale: float) -> tuple[FittedAsset, Scene]:
-        """The asset at a size, and the scene to plan and verify it in."""
-        if scale == 1.0:
-            return self.fitted, self.scene
-        fitted = scaled_fit(self.fitted, scale)
-        return fitted, self._build(fitted)
-
     @cached_property
-    def scene(self) -> Scene:
-        """Robot, table and the asset as it was fitted."""
-        return self._build(self.fitted)
+    def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:
+        """Gives the asset at a size, and the scene to plan and verify it in; the last ones are kept."""
+        return lru_cache(OPEN_SIZES)(self._sized)
 
-    def _build(self, fitted: FittedAsset) -> Scene:
-        factory = self.factory
+    def _sized(self, scale: float) -> tuple[FittedAsset, Scene]:
+        factory, fitted = self.factory, scaled_fit(self.fitted, scale)
         results, place = factory.results, factory.place
-        return episode_scene(
+        scene = episode_scene(
             results.robot,
             fitted,
             results.demonstration,
@@ -261,6 +260,7 @@ class OpenAsset:
             place.obstacles,
             bolted=factory.params.bolted,
         )
+        return fitted, scene
 
     def seen(
         self, variation: Variation, cameras: Mapping[str, Camera]

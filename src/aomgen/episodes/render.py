@@ -9,18 +9,29 @@ from numpy.typing import NDArray
 
 from aomgen.conventions import BACKGROUND
 from aomgen.core.camera import Camera, CameraPath
-from aomgen.core.gaussians import concatenate
+from aomgen.core.gaussians import Gaussians, concatenate
 from aomgen.core.values import Array, Matrix4, freeze_arrays
-from aomgen.episodes.shading import CrispShade, Shade, SoftShade, find_shaded_pixels, shaded_factors
+from aomgen.episodes.shading import (
+    CrispShade,
+    DarkMaps,
+    Shade,
+    ShadedPixels,
+    SoftShade,
+    States,
+    find_shaded_pixels,
+    shaded_factors,
+)
 from aomgen.io.video import Codec
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.session import Motion, RenderSession, draw_outputs
 from aomgen.twin.plane_shadow import SoftShadow, cast_soft_shadow
+from aomgen.twin.shadow import FAR, intersect_surface
 from aomgen.twin.twin import (
     StaticLayer,
     Twin,
     moving_layer,
     posed_by,
+    standing_bodies,
     static_layer,
     trajectory_body_poses,
 )
@@ -107,32 +118,105 @@ def render_episode(
         paths: Cameras that move, by name.
         params: Which images.
     """
-    Ts = trajectory_body_poses(
-        twin, robot, trajectory.joints, trajectory.gripper, trajectory.thetas, trajectory.T_world_object
-    )
+    states = states_of(twin, robot, trajectory)
     shades: list[Shade] = []
     if T_world_plane is not None:
         soft = cast_soft_shadow(twin, T_world_plane, threads) if soft is None else soft
-        if soft is not None:
-            shades.append(SoftShade(twin, trajectory.thetas, trajectory.T_world_object, soft, T_world_plane))
-    stands = (Ts == Ts[:1]).all((0, 2, 3))
-    views = [_StillView(twin, stands, Ts[0], layer, threads) for layer in layers.values()]
+        shades = soft_shades(twin, trajectory.T_world_object, soft, T_world_plane)
+    batches = [states.part(slice(k, k + BATCH)) for k in range(0, len(states.thetas), BATCH)]
     drawn: dict[str, CameraFrames] = {}
-    if views:
-        alone = None if twin.directional_light is None else not shades
-        seen = [view.points() for view in views]
-        cast = [] if alone is None else [CrispShade(twin, robot, Ts, seen, with_part=alone, threads=threads)]
-        frames = _draw_fixed(twin, Ts, stands, views, [*shades, *cast], params, threads)
+    if layers:
+        views = FixedViews(twin, robot, states.Ts_world_body[0], layers, shades, threads)
+        outputs = _outputs(params)
+        images = zip(*(views.draw(batch, outputs) for batch in batches), strict=True)
+        frames = (_frames(items, views.labels, params) for items in images)
         drawn |= zip(layers, frames, strict=True)
     for name, path in (paths or {}).items():
         around = path.Ts_world_cam[:, None, :3, 3] + NEAR_PATH * np.stack([np.ones(3), -np.ones(3)])
-        cast = (
-            []
-            if twin.directional_light is None
-            else [CrispShade(twin, robot, Ts, [around], with_part=not shades, threads=threads)]
-        )
-        drawn[name] = _draw_moving(twin, Ts, path, [*shades, *cast], params, threads)
+        cast = _crisp_shade(twin, robot, states.Ts_world_body[0], around.reshape(-1, 3), shades, threads)
+        drawn[name] = _draw_moving(twin, states, path, [*shades, *cast], params, threads)
     return drawn
+
+
+def states_of(twin: Twin, robot: RobotModel, trajectory: Trajectory) -> States:
+    """Where the twin's bodies are in a trajectory."""
+    moved = (trajectory.joints, trajectory.gripper, trajectory.thetas)
+    Ts = trajectory_body_poses(twin, robot, *moved, trajectory.T_world_object)
+    return States(Ts, trajectory.thetas)
+
+
+def soft_shades(
+    twin: Twin, T_world_object: Array, soft: SoftShadow | None, T_world_plane: Array
+) -> list[Shade]:
+    """The shadow of the object where it stands, if it is lit."""
+    return [] if soft is None else [SoftShade(twin, T_world_object, soft, T_world_plane)]
+
+
+def _crisp_shade(
+    twin: Twin,
+    robot: RobotModel,
+    Ts_world_body: Array,
+    seen_world: Array,
+    shades: Sequence[Shade],
+    threads: int | None,
+) -> list[Shade]:
+    """The shadow in a directional light, where there is one; the part's too, unless another shade has it."""
+    if twin.directional_light is None:
+        return []
+    return [CrispShade(twin, robot, Ts_world_body, seen_world, with_part=not shades, threads=threads)]
+
+
+class FixedViews:
+    """What fixed cameras show of an object that stands at a pose: prepared once, then drawn for any states.
+
+    The pictures of a state do not depend on what else is drawn.
+
+    Args:
+        twin, robot, layers, threads: As of `render_episode`.
+        Ts_world_body: Poses (B, 4, 4) of the twin's bodies in any state.
+        shades: The object's soft shadow, if any.
+
+    Attributes:
+        labels: Of all Gaussians, in the engine's order.
+    """
+
+    def __init__(
+        self,
+        twin: Twin,
+        robot: RobotModel,
+        Ts_world_body: Array,
+        layers: Mapping[str, StaticLayer],
+        shades: Sequence[Shade],
+        threads: int | None,
+    ) -> None:
+        stands = standing_bodies(twin, robot)
+        self._threads = threads
+        self._moving = moving_layer(twin.select(~stands[twin.bodies]))
+        bodies = twin.select(stands[twin.bodies] & twin.moves)
+        world = posed_by(bodies, Ts_world_body)
+        still = concatenate([twin.gaussians.select(~twin.moves), world])
+        self._views = [_StillView(layer, world, still, threads) for layer in layers.values()]
+        self.labels = np.concatenate([twin.labels[~twin.moves], bodies.labels, self._moving.labels])
+        light = twin.directional_light
+        seen = [] if light is None else [view.points_on(light.T_world_plane) for view in self._views]
+        points = np.concatenate([np.zeros((0, 3)), *seen])
+        self._shades = [*shades, *_crisp_shade(twin, robot, Ts_world_body, points, shades, threads)]
+        self._pixels = [
+            [
+                find_shaded_pixels(shade, view.layer.camera, view.layer.depth, view.scene_share)
+                for shade in self._shades
+            ]
+            for view in self._views
+        ]
+
+    def draw(self, states: States, outputs: Sequence[str]) -> list[dict[str, NDArray]]:
+        """Images (T, H, W, ...) of each camera by output, see `draw_outputs`."""
+        dark = [shade.dark(states) for shade in self._shades]
+        shaded = zip(self._views, self._pixels, strict=True)
+        darkened = [view.darkened(pixels, dark) for view, pixels in shaded] if dark else None
+        motion = self._moving.motion(states.Ts_world_body)
+        sessions = [view.session for view in self._views]
+        return draw_outputs(sessions, self._moving.gaussians, motion, outputs, darkened, self._threads)
 
 
 class _StillView:
@@ -141,35 +225,39 @@ class _StillView:
     Attributes:
         session: Draws into it what moves.
         layer: Of the scene, without the robot and the object.
-        labels: Of the session's Gaussians.
         scene_share: How much of each pixel's color (H, W) is of the scene, 0..1: shadows fall on that.
+
+    Args:
+        layer: See above.
+        bodies: What stands there of robot and object, world frame.
+        still: Scene and bodies.
+        threads: As of `RenderSession`.
     """
 
-    def __init__(
-        self,
-        twin: Twin,
-        stands: NDArray[np.bool_],
-        Ts_world_body: Array,
-        layer: StaticLayer,
-        threads: int | None,
-    ) -> None:
-        bodies = twin.select(stands[twin.bodies] & twin.moves)
+    def __init__(self, layer: StaticLayer, bodies: Gaussians, still: Gaussians, threads: int | None) -> None:
         self.layer, self.session = layer, layer.session
         self.scene_share = np.ones(layer.depth.shape, np.float32)
-        self.labels = np.append(twin.labels[~twin.moves], bodies.labels)
-        if not len(bodies.gaussians):
+        if not len(bodies):
             return
-        world = posed_by(bodies, Ts_world_body)
-        scene = twin.gaussians.select(~twin.moves)
-        self.session = RenderSession(concatenate([scene, world]), layer.camera, threads=threads)
-        alone = layer.session.draw(world, shade=np.zeros_like(self.scene_share)).rgb.sum(-1)
-        both = self.session.draw(world.select(np.zeros(0, np.int64))).rgb.sum(-1)
+        self.session = RenderSession(still, layer.camera, threads=threads)
+        alone = layer.session.draw(bodies, shade=np.zeros_like(self.scene_share)).rgb.sum(-1)
+        both = self.session.draw(bodies.select(np.zeros(0, np.int64))).rgb.sum(-1)
         self.scene_share = 1 - np.where(both > DARK, alone / np.maximum(both, DARK), 0)
 
-    def points(self) -> Array:
-        """What is seen of the scene (H, W, 3)."""
-        camera, depth = self.layer.camera, self.layer.depth
-        return (camera.center + camera.directions() * depth[..., None])[np.isfinite(depth)]
+    def darkened(self, shaded: Sequence[ShadedPixels], dark: Sequence[DarkMaps]) -> NDArray[np.float32]:
+        """Factors (T, H, W) on the colors of the scene in shadows; at least one."""
+        shape = self.layer.depth.shape
+        image = np.ones((len(dark[0].shares), shape[0] * shape[1]), np.float32)
+        for item, maps in zip(shaded, dark, strict=True):
+            # One light is taken only once.
+            image[:, item.pixels] = np.minimum(image[:, item.pixels], item.factors(maps))
+        return image.reshape(-1, *shape)
+
+    def points_on(self, T_world_plane: Array) -> Array:
+        """What is seen of a surface (N, 3)."""
+        far = np.minimum(self.layer.depth, FAR).astype(np.float64)
+        points, belongs = intersect_surface(T_world_plane, self.layer.camera, far)
+        return points[belongs > 0]
 
 
 def _outputs(params: ImageParams, *, shaded: bool = False) -> tuple[str, ...]:
@@ -196,43 +284,9 @@ def _frames(
     )
 
 
-def _draw_fixed(
-    twin: Twin,
-    Ts_world_body: Array,
-    stands: NDArray[np.bool_],
-    views: Sequence[_StillView],
-    shades: Sequence[Shade],
-    params: ImageParams,
-    threads: int | None,
-) -> list[CameraFrames]:
-    moving = moving_layer(twin.select(~stands[twin.bodies]))
-    places = [
-        [find_shaded_pixels(shade, view.layer.camera, view.layer.depth, view.scene_share) for shade in shades]
-        for view in views
-    ]
-    batches = []
-    for start in range(0, len(Ts_world_body), BATCH):
-        chosen = slice(start, start + BATCH)
-        motion = moving.motion(Ts_world_body[chosen])
-        dark = [shade.dark(chosen) for shade in shades]
-        darkened: list[NDArray[np.float32] | None] = [None] * len(views)
-        for index, view in enumerate(views if shades else ()):
-            image = np.ones((len(motion), view.layer.depth.size), np.float32)
-            for place, maps in zip(places[index], dark, strict=True):
-                # One light is taken only once.
-                image[:, place.pixels] = np.minimum(image[:, place.pixels], place.factors(maps))
-            darkened[index] = image.reshape(len(motion), *view.layer.depth.shape)
-        sessions = [view.session for view in views]
-        batches.append(draw_outputs(sessions, moving.gaussians, motion, _outputs(params), darkened, threads))
-    return [
-        _frames(items, np.append(view.labels, moving.labels), params)
-        for view, items in zip(views, zip(*batches, strict=True), strict=True)
-    ]
-
-
 def _draw_moving(
     twin: Twin,
-    Ts_world_body: Array,
+    states: States,
     path: CameraPath,
     shades: Sequence[Shade],
     params: ImageParams,
@@ -245,9 +299,9 @@ def _draw_moving(
         twin.gaussians.select(np.zeros(0, np.int64)), path.camera.moved(np.eye(4)), threads=threads
     )
     batches = []
-    for start in range(0, len(Ts_world_body), BATCH):
+    for start in range(0, len(states.thetas), BATCH):
         chosen = slice(start, start + BATCH)
-        motion = everything.motion(Ts_world_body[chosen])
+        motion = everything.motion(states.Ts_world_body[chosen])
         before = Motion(
             parts=motion.parts,
             Ts_world_part=np.linalg.inv(path.Ts_world_cam[chosen])[:, None] @ motion.Ts_world_part,
@@ -255,11 +309,11 @@ def _draw_moving(
         )
         outputs = _outputs(params, shaded=bool(shades))
         (images,) = draw_outputs([session], everything.gaussians, before, outputs, threads=threads)
-        dark = [shade.dark(chosen) for shade in shades]
+        dark = [shade.dark(states.part(chosen)) for shade in shades]
         for t in range(len(motion) if shades else 0):
             depth, camera = images["median_depth"][t], path.at(start + t)
             found = [
-                shaded_factors(shade, maps[t], camera, depth)
+                shaded_factors(shade, maps, t, camera, depth)
                 for shade, maps in zip(shades, dark, strict=True)
             ]
             factors = np.where(scene[images["max_id"][t]], np.minimum.reduce(found), 1)

@@ -1,7 +1,7 @@
 """How shadows darken the scene in an episode's images, frame by frame."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_array
 
 from aomgen.core.camera import Camera
+from aomgen.core.gaussians import Gaussians
 from aomgen.core.light import Light
 from aomgen.core.transforms import apply, invert
 from aomgen.core.values import Array
@@ -20,6 +21,26 @@ from aomgen.twin.twin import OBJECT, PART, Twin, shadow_roles
 
 # Cell of a map of the robot's crisp shadow, [m]: about a pixel.
 CRISP_CELL = 0.004
+# Nothing that hangs on an arm throws a shadow farther from its base than this, [m].
+SHADOW_REACH = 2.5
+
+
+class States(NamedTuple):
+    """Of what moves in T frames: poses of the twin's bodies (T, B, 4, 4), joint values of the object (T,)."""
+
+    Ts_world_body: Array
+    thetas: Array
+
+    def part(self, frames: slice) -> "States":
+        """Some of the frames."""
+        return States(self.Ts_world_body[frames], self.thetas[frames])
+
+
+class DarkMaps(NamedTuple):
+    """Share (T, rows, columns) of the sRGB color that is taken in cells on a surface; nothing beside them."""
+
+    grid: PlaneGrid
+    shares: NDArray[np.float32]
 
 
 class SoftShade:
@@ -31,26 +52,26 @@ class SoftShade:
         grid: Cells of its maps.
     """
 
-    def __init__(
-        self, twin: Twin, thetas: Array, T_world_object: Array, soft: SoftShadow, T_world_plane: Array
-    ):
+    def __init__(self, twin: Twin, T_world_object: Array, soft: SoftShadow, T_world_plane: Array) -> None:
         self.T_world_plane, self.grid = T_world_plane, soft.grid
         self.T_world_grid = T_world_object @ soft.T_object_plane
         arriving = soft.arriving(_object_light(twin), T_world_object)
         # sRGB is close to the power 1 / 2.2 of linear light.
         self._dark = 1 - np.maximum(arriving, 0) ** np.float32(1 / 2.2)
-        self._states = soft.states(thetas)
+        self._soft = soft
 
-    def dark(self, frames: slice) -> NDArray[np.float32]:
-        """Share (T, rows, columns) of the sRGB color that it takes."""
-        dark = self._states[frames] @ self._dark.reshape(len(self._dark), -1)
-        return dark.reshape(-1, *self._dark.shape[1:])
+    def dark(self, states: States) -> DarkMaps:
+        """What it takes."""
+        dark = self._soft.states(states.thetas) @ self._dark.reshape(len(self._dark), -1)
+        return DarkMaps(self.grid, dark.reshape(-1, *self._dark.shape[1:]))
 
 
 class CrispShade:
     """The shadow that the robot, and the object's part `with_part`, throws in a directional light.
 
-    Attributes: As of `SoftShade`.
+    Cells do not depend on what moves where, so that equal states give equal pictures.
+
+    Attributes: As of `SoftShade`; `grid` covers what is seen (N, 3) of the surface.
     """
 
     def __init__(
@@ -58,7 +79,7 @@ class CrispShade:
         twin: Twin,
         robot: RobotModel,
         Ts_world_body: Array,
-        points_world: Sequence[Array],
+        seen_world: Array,
         *,
         with_part: bool,
         threads: int | None,
@@ -66,41 +87,60 @@ class CrispShade:
         light, roles = _lamp(twin), shadow_roles(twin, robot)
         moving, stands = (roles == MOVES) & (with_part | (twin.bodies != twin.body(PART))), roles == STANDS
         self.T_world_plane = self.T_world_grid = light.T_world_plane
-        to_plane = invert(light.T_world_plane)
+        self._to_plane = invert(light.T_world_plane)
         self._bodies, self._parts, self._threads = twin.gaussians.select(moving), twin.bodies[moving], threads
-        self._direction, self._Ts = to_plane[:3, :3] @ light.direction, to_plane @ Ts_world_body
-        self.grid = self._reached(
-            [apply(to_plane, points)[..., :2].reshape(-1, 2) for points in points_world]
-        )
-        places = self.grid.low + (np.indices((self.grid.columns, self.grid.rows)).T + 0.5) * self.grid.cell
-        cells = apply(light.T_world_plane, np.concatenate([places, np.zeros_like(places[..., :1])], -1))
-        poses = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body[0])
-        lit = 1 - silhouette(twin.gaussians.select(stands), light.direction, poses).at(cells)
+        self._direction = self._to_plane[:3, :3] @ light.direction
+        self._boxes = _body_corners(self._bodies, self._parts)
+        self.grid = _cells_over(apply(self._to_plane, seen_world)[:, :2], self._to_plane[:2, 3])
+        poses = RigidParts(indices=twin.bodies[stands], Ts_world_part=Ts_world_body)
+        standing = silhouette(twin.gaussians.select(stands), light.direction, poses)
+        lit = 1 - standing.at(apply(light.T_world_plane, self.grid.points()))
         self._share = ((1 - light.shade.mean()) * lit).astype(np.float32)
 
-    def dark(self, frames: slice) -> NDArray[np.float32]:
-        """Share (T, rows, columns) of the sRGB color that it takes."""
-        Ts = self._Ts[frames]
+    def dark(self, states: States) -> DarkMaps:
+        """What it takes, in those cells where it may fall in any of the frames."""
+        Ts = self._to_plane @ states.Ts_world_body
+        rows, columns = self._reached(Ts)
+        window = self.grid.window(rows, columns)
         directions = np.tile(self._direction, (len(Ts), 1))
-        return self._share * cast_on_plane(
-            self._bodies, self._parts, Ts, directions, self.grid, self._threads
-        )
+        cast = cast_on_plane(self._bodies, self._parts, Ts, directions, window, self._threads)
+        return DarkMaps(window, self._share[rows, columns] * cast)
 
-    def _reached(self, seen: Sequence[Array]) -> PlaneGrid:
-        """Cells where shadow may fall, within the bounds of what is seen."""
-        boxes, slope = [np.zeros((0, 2))], self._direction[:2] / self._direction[2]
-        for body in np.unique(self._parts):
-            own = self._bodies.means[self._parts == body]
-            sides = np.stack([own.min(0), own.max(0)], 1)
-            corners = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
-            places = apply(self._Ts[:, None, body], corners)
-            boxes.append((places[..., :2] - places[..., 2:] * slope).reshape(-1, 2))
-        cast, met = np.concatenate(boxes), np.concatenate([np.zeros((0, 2)), *seen])
-        if not len(cast) or not len(met):
-            return PlaneGrid(low=np.zeros(2), cell=CRISP_CELL, columns=1, rows=1)
-        low, high = np.maximum(cast.min(0), met.min(0)), np.minimum(cast.max(0), met.max(0))
-        columns, rows = np.maximum(np.ceil((high - low) / CRISP_CELL), 0).astype(int).tolist()
-        return PlaneGrid(low=low - CRISP_CELL, cell=CRISP_CELL, columns=columns + 2, rows=rows + 2)
+    def _reached(self, Ts_plane_body: Array) -> tuple[slice, slice]:
+        """Rows and columns of the grid that hold the shadows of all bodies' boxes; at least one of each."""
+        slope, grid = self._direction[:2] / self._direction[2], self.grid
+        places = [apply(Ts_plane_body[:, None, body], corners) for body, corners in self._boxes.items()]
+        if not places:
+            return slice(0, 1), slice(0, 1)
+        cast = np.concatenate([item[..., :2] - item[..., 2:] * slope for item in places], 1).reshape(-1, 2)
+        low, high = (
+            np.floor((bound - grid.low) / grid.cell).astype(int) for bound in (cast.min(0), cast.max(0))
+        )
+        (x, y), size = np.clip(low, 0, None), np.array([grid.columns, grid.rows])
+        to_x, to_y = np.minimum(high + 1, size)
+        if not (x < to_x and y < to_y):
+            return slice(0, 1), slice(0, 1)
+        return slice(int(y), int(to_y)), slice(int(x), int(to_x))
+
+
+def _body_corners(gaussians: Gaussians, bodies: NDArray[np.int32]) -> dict[int, Array]:
+    """Corners (8, 3) of the box about the Gaussians of each body, body frame."""
+    corners = {}
+    for body in np.unique(bodies).tolist():
+        own = gaussians.means[bodies == body]
+        sides = np.stack([own.min(0), own.max(0)], 1)
+        corners[body] = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
+    return corners
+
+
+def _cells_over(places: Array, base: Array) -> PlaneGrid:
+    """Cells of `CRISP_CELL` over places (N, 2) on a surface near the robot's base (2,), corners at multiples of it."""
+    places = np.clip(places, base - SHADOW_REACH, base + SHADOW_REACH)
+    if not len(places):
+        return PlaneGrid(low=np.zeros(2), cell=CRISP_CELL, columns=1, rows=1)
+    first, last = (np.floor(bound / CRISP_CELL).astype(int) for bound in (places.min(0), places.max(0)))
+    columns, rows = (last - first + 3).tolist()
+    return PlaneGrid(low=(first - 1) * CRISP_CELL, cell=CRISP_CELL, columns=columns, rows=rows)
 
 
 Shade = SoftShade | CrispShade
@@ -127,17 +167,23 @@ class ShadedPixels:
     Attributes:
         pixels: (N,) indices into H * W.
         share: How much of their color is the surface's (N,), 0..1.
+        grid: Cells that may be dark.
         lookup: Matrix (N, cells) that interpolates a map there.
     """
 
     pixels: NDArray[np.int64]
     share: NDArray[np.float32]
+    grid: PlaneGrid
     lookup: csr_array
 
-    def factors(self, dark: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Factors (T, N) on their colors for maps (T, rows, columns)."""
-        maps = np.ascontiguousarray(dark.reshape(len(dark), -1).T)
-        return 1 - self.share * (self.lookup @ maps).T
+    def factors(self, dark: DarkMaps) -> NDArray[np.float32]:
+        """Factors (T, N) on their colors for maps of the grid, or of a window of it."""
+        maps = dark.shares
+        if dark.grid is not self.grid:
+            column, row = np.rint((dark.grid.low - self.grid.low) / self.grid.cell).astype(int)
+            maps = np.zeros((len(maps), self.grid.rows, self.grid.columns), np.float32)
+            maps[:, row : row + dark.grid.rows, column : column + dark.grid.columns] = dark.shares
+        return 1 - self.share * (self.lookup @ np.ascontiguousarray(maps.reshape(len(maps), -1).T)).T
 
 
 def find_shaded_pixels(
@@ -150,17 +196,17 @@ def find_shaded_pixels(
     seen = np.flatnonzero(share > 0)
     lookup = shade.grid.lookup(apply(invert(shade.T_world_grid), points.reshape(-1, 3)[seen])[:, :2])
     hit = lookup.sum(1) > 0
-    return ShadedPixels(pixels=seen[hit], share=share[seen[hit]], lookup=lookup[hit])
+    return ShadedPixels(pixels=seen[hit], share=share[seen[hit]], grid=shade.grid, lookup=lookup[hit])
 
 
 def shaded_factors(
-    shade: Shade, dark: NDArray[np.float32], camera: Camera, depth: NDArray[np.float32]
+    shade: Shade, dark: DarkMaps, frame: int, camera: Camera, depth: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Factors (H, W) on the colors of the surface, where a camera sees it at depth (H, W), in one frame's map."""
+    """Factors (H, W) on the colors of the surface in one frame, where a camera sees it at depth (H, W)."""
     points, belongs = intersect_surface(shade.T_world_plane, camera, depth.astype(np.float64))
     seen = belongs > 0
     places = apply(invert(shade.T_world_grid), points[seen])[:, :2]
-    cells = ((places - shade.grid.low) / shade.grid.cell - 0.5).T[::-1]
+    cells = ((places - dark.grid.low) / dark.grid.cell - 0.5).T[::-1]
     factors = np.ones(depth.shape, np.float32)
-    factors[seen] -= (belongs[seen] * map_coordinates(dark, cells, order=1)).astype(np.float32)
+    factors[seen] -= (belongs[seen] * map_coordinates(dark.shares[frame], cells, order=1)).astype(np.float32)
     return factors

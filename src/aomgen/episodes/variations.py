@@ -3,6 +3,7 @@
 Source: AOMGen, sec. 5.2 (ranges of x, y and yaw); Halton's sequence, scrambled (Owen, 2017).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal
 
@@ -147,16 +148,34 @@ def draw(
         free: How many are moved by `ranges.free`.
     """
     orbits = [ranges.around] * cameras + [ranges.free] * free
-    bounds = [
+    bounds = _bounds(ranges, arm_joints, orbits)
+    sequence = qmc.Halton(len(bounds), scramble=True, rng=np.random.default_rng([seed, asset]))
+    return _variation(sequence.fast_forward(index).random(1)[0], bounds, ranges, seed, index, arm_joints)
+
+
+def draw_independently(rng: np.random.Generator, seed: int, index: int, ranges: Ranges) -> Variation:
+    """A variation whose values are uniform and know nothing of any other's; arm and cameras begin as recorded."""
+    bounds = _bounds(ranges, 0, [])
+    return _variation(rng.random(len(bounds)), bounds, ranges, seed, index, 0)
+
+
+def _bounds(ranges: Ranges, arm_joints: int, orbits: Sequence[OrbitRanges]) -> Array:
+    """Lowest and highest values (D, 2) of a draw."""
+    return np.array([
         *ranges.place_bounds, ranges.yaw_deg, ranges.scale, ranges.speed,
         ranges.light_turn_deg, ranges.light_intensity, ranges.light_temperature_k,
         ranges.hue_deg, ranges.saturation, ranges.brightness,
         *[ranges.start_deg] * arm_joints,
         *[bound for orbit in orbits for bound in (orbit.turn_deg, orbit.tilt_deg, orbit.distance)],
-    ]  # fmt: skip
-    lows, highs = np.array(bounds).T
-    sequence = qmc.Halton(len(bounds), scramble=True, rng=np.random.default_rng([seed, asset]))
-    values = (lows + sequence.fast_forward(index).random(1)[0] * (highs - lows)).tolist()
+    ])  # fmt: skip
+
+
+def _variation(
+    shares: Array, bounds: Array, ranges: Ranges, seed: int, index: int, arm_joints: int
+) -> Variation:
+    """The variation at shares (D,) of the bounds (D, 2)."""
+    lows, highs = bounds.T
+    values = (lows + shares * (highs - lows)).tolist()
     x, y, yaw, scale, speed, turn, intensity, temperature_k, hue, saturation, brightness = values[:11]
     starts, views = values[11 : 11 + arm_joints], values[11 + arm_joints :]
     return Variation(

@@ -15,8 +15,8 @@ from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.io.schema import suggest
 from aomgen.io.video import probe_video
-from aomgen.pipeline.environment import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.manifest import MANIFEST, text_digest
+from aomgen.pipeline.requirements import EVERYTHING, require_environment, require_room
 from aomgen.pipeline.runner import STARTED, Stage, stage_states
 from aomgen.robots.robot import RobotModel
 

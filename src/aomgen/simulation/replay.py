@@ -44,10 +44,6 @@ class Commands:
     velocities: Array
     gripper: Array
 
-    def after(self, tick: int) -> "Commands":
-        """Those from a tick on."""
-        return Commands(self.joints[tick:], self.velocities[tick:], self.gripper[tick:])
-
 
 @dataclass(frozen=True, slots=True)
 class SimulationState:
@@ -90,6 +86,106 @@ class SimulatedRun:
     untouched: SimulationState
 
 
+class Reached(NamedTuple):
+    """Arm joints (J,), gripper 0..1, the object's joint, [rad] or [m], and end effector (4, 4) at one tick."""
+
+    joints: Array
+    gripper: float
+    theta: float
+    T_world_ee: Array
+
+
+class Simulation:
+    """An arm that tracks one target after the other, without looking ahead; a builder of a `SimulatedRun`.
+
+    Autoreset is off (see `build_scene`), so that what diverges is seen.
+
+    Attributes:
+        data: State now.
+        untouched: See `SimulatedRun`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        fps: float,
+        target: Array,
+        setting: Setting | None = None,
+        initial_theta: float = 0.0,
+        resumed: SimulationState | None = None,
+    ) -> None:
+        """Let the arm stand at a target (J + 1,), joints and gripper; or go on from a state that was `untouched`."""
+        self._ticks = math.ceil(CONTROL_HZ / fps)
+        self._steps = math.ceil(1 / (fps * self._ticks * scene.model.opt.timestep))
+        self._fps, self._scene, self._setting = fps, scene, setting
+        self._model = model = copy.copy(scene.model)
+        model.opt.timestep = 1 / (fps * self._ticks * self._steps)
+        _ignore_hand_on_hand(scene, model)
+        if setting is not None:
+            apply_setting(scene, model, setting, initial_theta)
+        self._target = target
+        self._rows: list[_Row] = []
+        self._contacts: list[RawContacts] = []
+        self._commands: list[Array] = []
+        self._tick, self._near = 0, resumed is not None
+        if resumed is None:
+            start = scene.qpos(target[None, :-1], target[-1], initial_theta)[0]
+            self.data = stand(scene, model, start, _ramp(target, target, fps, 1), SETTLE_S)
+            self.untouched = _state_of(model, self.data, 0)
+        else:
+            self._tick, self.untouched, self.data = resumed.tick, resumed, mujoco.MjData(model)
+            mujoco.mj_setState(model, self.data, resumed.state, STATE)
+
+    def follow(self, target: Array) -> None:
+        """Command the way from the last target straight to this one (J + 1,), which is reached a frame later."""
+        commands = _ramp(self._target, target, self._fps, self._ticks)
+        first = self._tick
+        for _ in track(self._scene, self._model, self.data, commands, self._steps):
+            contacts = self._read()
+            self._rows.append(_read_row(self._scene, self.data))
+            self._contacts += contacts
+            self._near = self._near or any(self._scene.roles.object[item.geoms].any() for item in contacts)
+            if self._tick == first and not self._near:
+                self.untouched = _state_of(self._model, self.data, first)
+            self._tick += 1
+        self._commands.append(commands.joints)
+        self._target = target
+
+    def diverged(self) -> Rejection | None:
+        """A Rejection "diverged" when MuJoCo has warned of it."""
+        if not self.data.warning.number[DIVERGENCE].any():
+            return None
+        time_s = self._tick / (self._fps * self._ticks)
+        detail = f"the simulation became unstable at {time_s:.2f} s"
+        return Rejection(reason="diverged", detail=detail, metrics={"time_s": time_s})
+
+    def reached(self) -> Reached:
+        """Where everything is now."""
+        now = _stack(self._scene, [_read_row(self._scene, self.data)])
+        names = ("joints", "gripper", "thetas", "Ts_world_ee")
+        return Reached(*(now[name][0] for name in names))
+
+    def run(self) -> SimulatedRun:
+        """What has happened so far, the state now included; of a resumed simulation, since then."""
+        frames, ticks = len(self._commands) + 1, self._ticks
+        contacts = [*self._contacts, *self._read()]
+        return SimulatedRun(
+            frame_ticks=ticks * np.arange(frames),
+            tick_s=1 / (self._fps * ticks),
+            commands=np.concatenate([*self._commands, self._target[None, :-1]]),
+            touches=find_touches(self._scene, contacts),
+            untouched=self.untouched,
+            **_stack(self._scene, [*self._rows, _read_row(self._scene, self.data)]),
+        )
+
+    def _read(self) -> list[RawContacts]:
+        """Contacts of this tick, if any; a latch catches where the joint is now."""
+        if self._setting is not None and self._setting.latch:
+            theta = self.data.qpos[self._scene.object_qpos]
+            self._model.dof_frictionloss[self._scene.object_dof] = self._setting.friction_at(theta)
+        return [read_contacts(self._model, self.data, self._tick)] if self.data.ncon else []
+
+
 def simulate(
     scene: Scene,
     joints: Array,
@@ -104,7 +200,7 @@ def simulate(
 
     From sample t on, the command moves straight from sample t to sample t + 1 at constant velocity:
     the exported action at t, which names the target at t + 1, and the one before it are all that is used.
-    Autoreset is off (see `build_scene`) and a warning of divergence ends the run with a Rejection "diverged".
+    A warning of divergence ends the run with a Rejection "diverged".
 
     Args:
         setting: How the object resists; None leaves it as it is in the scene.
@@ -112,48 +208,17 @@ def simulate(
             two are the same, so this one starts where that one was still `untouched`.
         initial_theta: The object's joint at reset, [rad] or [m].
     """
-    ticks_a_frame = math.ceil(CONTROL_HZ / fps)
-    steps_a_tick = math.ceil(1 / (fps * ticks_a_frame * scene.model.opt.timestep))
-    model = copy.copy(scene.model)
-    model.opt.timestep = 1 / (fps * ticks_a_frame * steps_a_tick)
-    _ignore_hand_on_hand(scene, model)
-    if setting is not None:
-        apply_setting(scene, model, setting, initial_theta)
-    commands = _linear_commands(joints, gripper, fps, ticks_a_frame)
-    if approach is None:
-        start = scene.qpos(joints[:1], gripper[0], initial_theta)[0]
-        first, data = 0, stand(scene, model, start, commands, SETTLE_S)
-        untouched = _state_of(model, data, 0)
-    else:
-        untouched = approach.untouched
-        first, data = untouched.tick, mujoco.MjData(model)
-        mujoco.mj_setState(model, data, untouched.state, STATE)
-    rows: list[_Row] = []
-    contacts: list[RawContacts] = []
-    last = len(commands.joints) - 1
-    on_object, near = scene.roles.object, False
-    for tick, _ in enumerate(track(scene, model, data, commands.after(first), steps_a_tick), start=first):
-        sample = tick % ticks_a_frame == 0
-        if sample and data.warning.number[DIVERGENCE].any():
-            return _diverged(tick / (fps * ticks_a_frame))
-        if setting is not None and setting.latch:
-            model.dof_frictionloss[scene.object_dof] = setting.friction_at(data.qpos[scene.object_qpos])
-        if approach is not None and tick == first:
-            continue
-        if data.ncon:
-            contacts.append(read_contacts(model, data, tick))
-            near = near or bool(on_object[contacts[-1].geoms].any())
-        if approach is None and not near and sample and tick < last:
-            untouched = _state_of(model, data, tick)
-        rows.append(_read_row(scene, data))
-    run = SimulatedRun(
-        frame_ticks=ticks_a_frame * np.arange(len(joints)),
-        tick_s=1 / (fps * ticks_a_frame),
-        commands=commands.joints,
-        touches=find_touches(scene, contacts),
-        untouched=untouched,
-        **_stack(scene, rows),
-    )
+    samples = np.column_stack([joints, gripper])
+    first, resumed = 0, None
+    if approach is not None:
+        resumed = approach.untouched
+        first = int(np.searchsorted(approach.frame_ticks, resumed.tick))
+    simulation = Simulation(scene, fps, samples[first], setting, initial_theta, resumed)
+    for target in samples[first + 1 :]:
+        simulation.follow(target)
+        if lost := simulation.diverged():
+            return lost
+    run = simulation.run()
     return run if approach is None else _joined(approach, run)
 
 
@@ -194,15 +259,11 @@ def track(
         mujoco.mj_step(model, data, steps_a_tick)
 
 
-def _linear_commands(joints: Array, gripper: Array, fps: float, ticks_a_frame: int) -> Commands:
-    """Commands straight from each sample (T) to the next; at the last tick the arm is commanded to stand."""
-    samples = np.column_stack([joints, gripper])
-    steps = np.diff(samples, axis=0)
-    shares = np.arange(ticks_a_frame) / ticks_a_frame
-    moving = samples[:-1, None] + shares[:, None] * steps[:, None]
-    commands = np.concatenate([moving.reshape(-1, samples.shape[1]), samples[-1:]])
-    velocities = np.concatenate([np.repeat(fps * steps, ticks_a_frame, 0), np.zeros((1, steps.shape[1]))])
-    return Commands(commands[:, :-1], velocities[:, :-1], commands[:, -1])
+def _ramp(start: Array, target: Array, fps: float, ticks: int) -> Commands:
+    """Commands at the ticks of one frame straight from joints and gripper (J + 1,) to others, which the next begins with."""
+    step = target - start
+    samples = start + (np.arange(ticks) / ticks)[:, None] * step
+    return Commands(samples[:, :-1], np.tile(fps * step[:-1], (ticks, 1)), samples[:, -1])
 
 
 def _servo_controls(scene: Scene, commands: Commands) -> Array:
@@ -228,11 +289,6 @@ def _state_of(model: mujoco.MjModel, data: mujoco.MjData, tick: int) -> Simulati
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return SimulationState(tick, state)
-
-
-def _diverged(time_s: float) -> Rejection:
-    detail = f"the simulation became unstable at {time_s:.2f} s"
-    return Rejection(reason="diverged", detail=detail, metrics={"time_s": time_s})
 
 
 class _Row(NamedTuple):
@@ -275,9 +331,10 @@ def _stack(scene: Scene, rows: list[_Row]) -> dict[str, Array]:
 def _joined(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
     """The ticks of an approach up to where it was untouched, and those of a run that began there."""
     last, early = approach.untouched.tick, approach.touches.ticks <= approach.untouched.tick
+    # A state that was restored has no forces before its first step: that tick is the approach's.
     names = ("joints", "gripper", "thetas", "rates", "torques", "Ts_world_ee", "bases_world")
     values = {
-        name: np.concatenate([getattr(approach, name)[: last + 1], getattr(rest, name)]) for name in names
+        name: np.concatenate([getattr(approach, name)[: last + 1], getattr(rest, name)[1:]]) for name in names
     }
     touches = {
         item.name: np.concatenate(
@@ -285,4 +342,4 @@ def _joined(approach: SimulatedRun, rest: SimulatedRun) -> SimulatedRun:
         )
         for item in fields(Touches)
     }
-    return replace(rest, touches=Touches(**touches), **values)
+    return replace(approach, touches=Touches(**touches), **values)

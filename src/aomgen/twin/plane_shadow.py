@@ -52,6 +52,16 @@ class PlaneGrid:
 
     __post_init__ = freeze_arrays
 
+    def points(self) -> Array:
+        """Middles of the cells (rows, columns, 3), on the surface."""
+        places = self.low + (np.indices((self.columns, self.rows)).T + 0.5) * self.cell
+        return np.concatenate([places, np.zeros_like(places[..., :1])], -1)
+
+    def window(self, rows: slice, columns: slice) -> "PlaneGrid":
+        """Some of the rows and columns."""
+        low = self.low + self.cell * np.array([columns.start, rows.start])
+        return replace(self, low=low, columns=columns.stop - columns.start, rows=rows.stop - rows.start)
+
     def lookup(self, points: Array) -> csr_array:
         """Matrix (N, rows * columns) that interpolates a map at points (N, 2); 0 outside."""
         places = (points - self.low) / self.cell - 0.5

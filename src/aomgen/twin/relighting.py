@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.conventions import srgb_from_linear
-from aomgen.core.light import Light
+from aomgen.core.light import Light, turned_radiance
 from aomgen.core.values import Array, freeze_arrays, require_indices
 
 # Weights below this are as good as none.
 NEGLIGIBLE: Final = 1e-3
-# Surfaces that are lit at once: their colors in a batch of states stay in the processor's cache.
-BLOCK: Final = 256
+# Colors that are computed at once, of some surfaces in all states: they stay in the processor's cache.
+BLOCK: Final = 8192
 # Steps of linear light, of which the darkest is a tenth of a grey level.
 LEVELS: Final = 1 << 14
 # Where the views' weights add up to less than this, the residual fades out.
@@ -95,62 +95,94 @@ class Relit:
         )
 
     def colors_srgb(self, owners: NDArray[np.int32], Ts_world_body: Array) -> NDArray[np.float32]:
-        """Colors (T, M, 3), sRGB 0..1, in T states: `core.light.shaded_srgb` to a tenth of a grey level.
-
-        Args:
-            owners: Body of every surface (M,).
-            Ts_world_body: Body poses (T, B, 4, 4).
-        """
-        Rs = Ts_world_body[..., :3, :3]
-        colors = np.empty((len(Rs), len(self.indices), 3), np.float32)
-        groups = owners.astype(np.int64) * len(self.lights) + self.light_of
-        for group in np.unique(groups).tolist():
-            rows = np.flatnonzero(groups == group)
-            body, light = divmod(group, len(self.lights))
-            # Each orientation once.
-            state_of, different = _distinct(Rs[:, body])
-            light_body = self.lights[light].seen_from(different).astype(np.float32)
-            for start in range(0, len(rows), BLOCK):
-                block = rows[start : start + BLOCK]
-                lit = _shaded_blocks(self.albedo_linear[block], self.transfer[block], light_body)
-                colors[:, _as_slice(block)] = lit if len(lit) == len(Rs) else lit[state_of]
-        for residual in self.residuals:
-            weights = residual.weights(Rs[:, residual.body]).astype(np.float32)
-            weights[weights <= NEGLIGIBLE] = 0
-            for start in range(0, len(residual.rows), BLOCK):
-                block = _as_slice(residual.rows[start : start + BLOCK])
-                difference = residual.difference_srgb[:, start : start + BLOCK]
-                seen = weights @ difference.reshape(len(difference), -1)
-                seen = seen.reshape(len(Rs), -1, 3) + colors[:, block]
-                colors[:, block] = np.clip(seen, 0, 1, out=seen)
+        """Colors (T, M, 3) in T states; arguments as of `Relighting`."""
+        lit = Relighting(self, owners)
+        colors = np.empty((len(Ts_world_body), len(owners), 3), np.float32)
+        colors[:, lit.order] = lit.colors_srgb(Ts_world_body)
         return colors
 
 
-def _shaded_blocks(
-    albedo_linear: NDArray[np.float32], transfer: NDArray[np.float32], lights: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """sRGB colors (T, R, 3) of diffuse surfaces (R, 3), (R, 9) in lights (T, 9, 3) of their frame.
+class Relighting:
+    """Surfaces prepared to be lit in many states: `core.light.shaded_srgb` to a tenth of a grey level.
+
+    Args:
+        relit: M surfaces.
+        owners: Body of every surface (M,).
+
+    Attributes:
+        order: Surfaces in the order of the colors (M,): those of one body and light follow one another.
+    """
+
+    def __init__(self, relit: Relit, owners: NDArray[np.int32]) -> None:
+        groups = owners.astype(np.int64) * len(relit.lights) + relit.light_of
+        self.order = np.argsort(groups, kind="stable")
+        self._count, self._bodies = len(owners), np.unique(owners).tolist()
+        self._radiance = LEVELS * np.concatenate(
+            [np.zeros((9, 0)), *(light.radiance_sh for light in relit.lights)], 1
+        )
+        found, starts = np.unique(groups[self.order], return_index=True)
+        ends = [*starts[1:].tolist(), self._count]
+        # Body, light, first surface, and transfer times albedo by channel (3, R, 9).
+        self._groups = [
+            (*divmod(group, len(relit.lights)), start, _colored_transfer(relit, self.order[start:end]))
+            for group, start, end in zip(found.tolist(), starts.tolist(), ends, strict=True)
+        ]
+        place = np.empty(self._count, np.int64)
+        place[self.order] = np.arange(self._count)
+        # Residual, its surfaces in the order of the colors, and what was seen of them (K, 3 R).
+        self._residuals = []
+        for residual in relit.residuals:
+            rows = place[residual.rows]
+            sorting = np.argsort(rows)
+            difference = residual.difference_srgb[:, sorting]
+            self._residuals.append((residual, rows[sorting], difference.reshape(len(difference), -1)))
+
+    def colors_srgb(self, Ts_world_body: Array) -> NDArray[np.float32]:
+        """Colors (T, M, 3), sRGB 0..1, for body poses (T, B, 4, 4); surfaces as in `order`."""
+        Rs, size = Ts_world_body[..., :3, :3], max(BLOCK // len(Ts_world_body), 1)
+        colors = np.empty((len(Rs), self._count, 3), np.float32)
+        # Each orientation of a body once, and all lights at once.
+        new = np.concatenate([np.ones((1, Rs.shape[1]), bool), (Rs[1:] != Rs[:-1]).any((2, 3))])
+        turns = [Rs[new[:, body], body] for body in self._bodies]
+        firsts = dict(zip(self._bodies, np.cumsum([0, *map(len, turns)]).tolist(), strict=False))
+        seen = turned_radiance(self._radiance, np.concatenate([np.zeros((0, 3, 3)), *turns]))
+        seen = np.ascontiguousarray(np.moveaxis(seen, -1, 0), np.float32)
+        for body, light, start, transfer in self._groups:
+            state_of = np.cumsum(new[:, body]) - 1
+            lights = seen[3 * light : 3 * light + 3, firsts[body] : firsts[body] + state_of[-1] + 1]
+            for first in range(0, transfer.shape[1], size):
+                lit = _shaded_blocks(transfer[:, first : first + size], lights)
+                block = slice(start + first, start + first + lit.shape[1])
+                colors[:, block] = lit if len(lit) == len(Rs) else lit[state_of]
+        for residual, rows, seen_srgb in self._residuals:
+            weights = residual.weights(Rs[:, residual.body]).astype(np.float32)
+            weights[weights <= NEGLIGIBLE] = 0
+            for start in range(0, len(rows), size):
+                block = _as_slice(rows[start : start + size])
+                more = weights @ seen_srgb[:, 3 * start : 3 * (start + size)]
+                more = more.reshape(len(Rs), -1, 3) + colors[:, block]
+                colors[:, block] = np.clip(more, 0, 1, out=more)
+        return colors
+
+
+def _colored_transfer(relit: Relit, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Transfer times albedo (3, R, 9) of some surfaces."""
+    return relit.transfer[rows] * relit.albedo_linear[rows].T[..., None]
+
+
+def _shaded_blocks(transfer: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """sRGB colors (T, R, 3) of diffuse surfaces by channel (3, R, 9) in lights (3, T, 9) of their frame, in `LEVELS`.
 
     Products of matrices as small as these are never divided among threads, so that they round in one way only.
     """
-    table, colors = _srgb_table(), np.empty((len(lights), len(transfer), 3), np.float32)
-    by_channel = np.ascontiguousarray(np.moveaxis(lights, -1, 0)) * np.float32(LEVELS)
-    for channel in range(3):
-        levels = by_channel[channel] @ (transfer * albedo_linear[:, channel, None]).T
-        levels += np.float32(0.5)
-        colors[..., channel] = table.take(levels.astype(np.int64), mode="clip")
-    return colors
+    levels = lights @ transfer.swapaxes(1, 2)
+    levels += np.float32(0.5)
+    return np.moveaxis(_srgb_table().take(levels.astype(np.int64), mode="clip"), 0, -1)
 
 
 @cache
 def _srgb_table() -> NDArray[np.float32]:
     return srgb_from_linear(np.arange(LEVELS + 1) / LEVELS).astype(np.float32)
-
-
-def _distinct(Rs: Array) -> tuple[NDArray[np.int64], Array]:
-    """For each of T orientations (T, 3, 3) its place among those that differ from the one before, and these."""
-    new = np.append(True, (Rs[1:] != Rs[:-1]).any((1, 2)))
-    return np.cumsum(new) - 1, Rs[new]
 
 
 def _as_slice(rows: NDArray[np.int64]) -> NDArray[np.int64] | slice:

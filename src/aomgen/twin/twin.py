@@ -17,7 +17,7 @@ from aomgen.core.values import Array, Matrix4, freeze_arrays, require_indices
 from aomgen.robots.robot import RobotModel
 from aomgen.splatting.rasterizer import Rendering, render
 from aomgen.splatting.session import Motion, RenderSession
-from aomgen.twin.relighting import Relit
+from aomgen.twin.relighting import Relighting, Relit
 from aomgen.twin.shadow import MOVES, SCENE, STANDS, DirectionalLight
 
 WORLD: Final = "world"
@@ -177,16 +177,21 @@ def render_state(
     return replace(drawn, rgb=drawn.rgb * light.factors(surface * taken))
 
 
+def standing_bodies(twin: Twin, robot: RobotModel) -> NDArray[np.bool_]:
+    """Which bodies (B,) no joint moves: the world, the robot's base and the object's static part."""
+    rest = twin.scan_state
+    turned = replace(rest, joints=rest.joints + 1.0)
+    near = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned))
+    return near.all((1, 2)) & (np.arange(len(near)) != twin.body(PART))
+
+
 def shadow_roles(twin: Twin, robot: RobotModel) -> NDArray[np.uint8]:
     """What each Gaussian (N,) does for shadows, see `twin.shadow`.
 
     The object's static part and the robot's base stand where they were scanned, with their shadows.
     """
-    rest = twin.scan_state
-    turned = replace(rest, joints=rest.joints + 1.0)
-    stand = np.isclose(body_poses(twin, robot, rest), body_poses(twin, robot, turned)).all((1, 2))
-    roles = np.where(stand, STANDS, MOVES).astype(np.uint8)
-    roles[0], roles[twin.body(PART)] = SCENE, MOVES
+    roles = np.where(standing_bodies(twin, robot), STANDS, MOVES).astype(np.uint8)
+    roles[0] = SCENE
     return roles[twin.bodies]
 
 
@@ -227,33 +232,35 @@ class MovingLayer:
     """The Gaussians of a twin that move, prepared for many frames.
 
     Attributes:
-        gaussians: In body frames; the M relit ones last, in the order of `relit`.
+        gaussians: In body frames; the M relit ones last, in the order of `relighting`.
         bodies: Body of each.
         labels: Part label of each.
-        relit: What is lit anew as it turns.
+        relighting: Of what is lit anew as it turns, if anything is.
     """
 
     gaussians: Gaussians
     bodies: NDArray[np.int32]
     labels: NDArray[np.uint8]
-    relit: Relit | None
+    relighting: Relighting | None
 
     def motion(self, Ts_world_body: ArrayLike) -> Motion:
         """The layer's frames for body poses (T, B, 4, 4): Gaussians turn with their bodies, surfaces are lit."""
-        Ts, colors = np.asarray(Ts_world_body, np.float64), None
-        if self.relit is not None and (count := len(self.relit.indices)):
-            colors = self.relit.colors_srgb(self.bodies[-count:], Ts)
+        Ts = np.asarray(Ts_world_body, np.float64)
+        colors = None if self.relighting is None else self.relighting.colors_srgb(Ts)
         return Motion(parts=self.bodies, Ts_world_part=Ts, colors=colors)
 
 
 def moving_layer(moving: Twin) -> MovingLayer:
     """Prepare a twin, of which everything moves."""
-    lit = np.zeros(0, np.int64) if moving.relit is None else moving.relit.indices
+    lit, relighting = np.zeros(0, np.int64), None
+    if moving.relit is not None and len(moving.relit.indices):
+        relighting = Relighting(moving.relit, moving.relit_bodies)
+        lit = moving.relit.indices[relighting.order]
     plain = np.setdiff1d(np.arange(len(moving.bodies)), lit)
     order = np.concatenate([plain[np.argsort(moving.bodies[plain], kind="stable")], lit])
     return MovingLayer(
         gaussians=moving.gaussians.select(order),
         bodies=moving.bodies[order],
         labels=moving.labels[order],
-        relit=moving.relit,
+        relighting=relighting,
     )

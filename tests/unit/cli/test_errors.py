@@ -118,6 +118,23 @@ def test_numbers_out_of_range_are_told_as_such(tmp_path, words, told):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (("s.json", "--policy", "oracle_replay"), 3, "s.json: is missing"),
+        (("s.toml", "--policy", "oracle_replay"), 2, "ends in .json"),
+        (("s.json", "--policy", "oracle_replay", "--actions", "joints"), 2, "did you mean 'joint'?"),
+        (("s.json", "--policy", "oracle_replay", "--visuals", "splats"), 2, "did you mean 'splat'?"),
+        (("suite", "out", "s.json"), 3, "project.toml: is missing"),
+        (("suite", "out", "s.json", "--size", "128"), 2, "want WxH"),
+        (("suite", "out", "s.json", "--actions", "delta"), 2, "'delta' is unknown"),
+    ],
+)
+def test_evaluations_are_refused_before_they_begin(tmp_path, words, code, told):
+    one_sentence(aomgen("evaluate", *words, folder=tmp_path), code, told)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_results_do_not_go_where_a_file_is(tmp_path):
     (tmp_path / "out").write_text("mine")
     one_sentence(aomgen("demo", "out", folder=tmp_path), 2, "is a file")

@@ -267,7 +267,7 @@ def test_what_stands_in_the_scene_is_planned_and_verified_with(tmp_path):
     results = toy_run(tmp_path, obstacles=(wall,))
     unit = Unit(asset=0, index=0)
     factory = EpisodeFactory(results, results.folders["episodes"])
-    assert factory.asset(0).scene.roles.obstacle.sum() == 1
+    assert factory.asset(0).sized(1.0)[1].roles.obstacle.sum() == 1
     assert not factory.make(unit).committed
     rejection = read_rejection(results.folders["episodes"], unit)
     assert rejection.reason == "collision"

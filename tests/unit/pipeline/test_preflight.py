@@ -22,7 +22,7 @@ from aomgen.errors import (
     StorageError,
 )
 from aomgen.io.video import VideoInfo
-from aomgen.pipeline import environment, preflight
+from aomgen.pipeline import preflight, requirements
 from aomgen.pipeline.stages import assets_digest
 from aomgen.robots.loading import load_robot
 from broken_captures import CAPTURES, TOML, edit, write_tight_usd
@@ -149,13 +149,13 @@ def test_out_is_a_file(small_capture, tmp_path):
 
 
 def test_a_full_disk(small_capture, tmp_path, monkeypatch):
-    monkeypatch.setattr(environment.shutil, "disk_usage", lambda path: SimpleNamespace(free=90 << 20))
+    monkeypatch.setattr(requirements.shutil, "disk_usage", lambda path: SimpleNamespace(free=90 << 20))
     with pytest.raises(StorageError, match="90 MB left on its disk, want at least 250"):
         preflight.check_project(project_of(small_capture, tmp_path / "out"), read_capture(small_capture))
 
 
 def test_a_folder_that_is_not_ours(small_capture, tmp_path, monkeypatch):
-    monkeypatch.setattr(environment.os, "access", lambda path, mode: False)
+    monkeypatch.setattr(requirements.os, "access", lambda path, mode: False)
     with pytest.raises(StorageError, match="not writable"):
         preflight.check_project(project_of(small_capture, tmp_path / "out"), read_capture(small_capture))
 

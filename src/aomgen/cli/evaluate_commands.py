@@ -1,0 +1,133 @@
+"""`aomgen evaluate`: the twin as a judge of policies."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import click
+import typer
+
+from aomgen.errors import ConfigError
+
+DEFAULT_COMMAND = "policy"
+
+
+class _PolicyByDefault(typer.core.TyperGroup):
+    """`aomgen evaluate SUITE` means `aomgen evaluate policy SUITE`."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands and not args[0].startswith("-"):
+            args = [DEFAULT_COMMAND, *args]
+        return super().parse_args(ctx, args)
+
+
+evaluate_app = typer.Typer(
+    cls=_PolicyByDefault, no_args_is_help=True, help="Judge policies in the twin: SUITE --policy NAME."
+)
+Workers = Annotated[int, typer.Option(min=0, help="Processes; 0 for one a processor.")]
+
+
+@evaluate_app.command("suite")
+def evaluate_suite(
+    run: Annotated[Path, typer.Argument(help="Folder of a run that has its assets fitted.")],
+    file: Annotated[Path, typer.Argument(help="JSON to write.")],
+    trials: Annotated[int, typer.Option(min=1, max=10_000, help="How many.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same trials; not that of the run.")] = 1,
+    actions: Annotated[str, typer.Option(help="joint, ee_absolute or ee_delta.")] = "joint",
+    size: Annotated[
+        str, typer.Option(help="WxH of the images, for example 128x128; as in the run if empty.")
+    ] = "",
+    cameras: Annotated[list[str] | None, typer.Option("--camera", help="Only these; repeatable.")] = None,
+    workers: Workers = 0,
+) -> None:
+    """Draw trials that every policy shall meet: poses of the run's ranges whose plan passes the certificate."""
+    from aomgen.evaluation.draws import SuiteRequest, make_suite
+    from aomgen.evaluation.suite import open_results
+
+    request = SuiteRequest(
+        trials=trials,
+        seed=seed,
+        action_space=_chosen_actions(actions),
+        size=_parse_size(size),
+        cameras=tuple(cameras or ()),
+    )
+    suite = make_suite(open_results(run), file, request, workers or _processors(), _tell)
+    nearest = suite.nearest
+    apart = f"{nearest.mm:.1f} mm and {nearest.deg:.2f} deg" if nearest else "no episodes yet"
+    print(f"{file}: {len(suite.trials)} trials, {sum(suite.redrawn.values())} redrawn {suite.redrawn}")
+    print(f"nearest to an episode of the training: {apart}")
+
+
+@evaluate_app.command(DEFAULT_COMMAND)
+def evaluate_policy(
+    suite: Annotated[Path, typer.Argument(help="JSON of `aomgen evaluate suite`.")],
+    policy: Annotated[str, typer.Option(help="oracle_replay, or nearest_replay[=RUN or DATASET].")],
+    actions: Annotated[
+        str, typer.Option(help="joint, ee_absolute or ee_delta; as the suite has it if empty.")
+    ] = "",
+    visuals: Annotated[str, typer.Option(help="splat, or simulator: MuJoCo's renderer.")] = "splat",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Keeps rollouts and videos of failures; beside the suite if not given."),
+    ] = None,
+    workers: Workers = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures here.")] = None,
+) -> None:
+    """Let a policy try every trial of a suite; the same command continues where it was stopped."""
+    from aomgen.evaluation.evaluate import EvaluationRequest, evaluate
+    from aomgen.evaluation.suite import open_suite
+    from aomgen.evaluation.views import VISUALS
+    from aomgen.io.atomic import write_json
+    from aomgen.io.schema import suggest
+
+    if visuals not in VISUALS:
+        raise ConfigError("--visuals", f"'{visuals}' is unknown", suggest(visuals, VISUALS))
+    request = EvaluationRequest(
+        policy=policy, action_space=_chosen_actions(actions) if actions else None, visuals=visuals
+    )
+    words = [suite.stem, policy.partition("=")[0], *filter(None, [actions]), visuals]
+    folder = out or suite.with_name("-".join(words))
+    figures = evaluate(*open_suite(suite), folder, request, workers or _processors(), _tell)
+    print(_table(figures))
+    if json_file:
+        write_json(json_file, figures)
+
+
+def _table(figures: dict[str, Any]) -> str:
+    low, high = figures["interval_95"]
+    share = f"{figures['success_rate']:.1%} ({low:.1%} to {high:.1%})"
+    lines = [
+        ("policy", f"{figures['policy']}, {figures['action_space']}, {figures['visuals']}"),
+        ("success", f"{share}, {figures['successes']} of {figures['trials']}"),
+        *((f"  {reason}", str(count)) for reason, count in figures["failures"].items()),
+        ("redrawn", json.dumps(figures["redrawn"])),
+    ]
+    return "\n".join(f"{name:14} {value}" for name, value in lines)
+
+
+def _chosen_actions(name: str):
+    from aomgen.evaluation.actions import ACTION_SPACES
+    from aomgen.io.schema import suggest
+
+    if name not in ACTION_SPACES:
+        raise ConfigError("--actions", f"'{name}' is unknown", suggest(name, ACTION_SPACES))
+    return name
+
+
+def _parse_size(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
+        raise ConfigError("--size", f"is '{text}'", "want WxH, for example 128x128")
+    return int(width), int(height)
+
+
+def _processors() -> int:
+    import os
+
+    return len(os.sched_getaffinity(0))
+
+
+def _tell(share: float, text: str) -> None:
+    print(f"{share:4.0%} {text}", flush=True)

@@ -1,0 +1,171 @@
+"""Draw the trials of a suite: uniform and independent over the project's ranges, where a plan passes the certificate."""
+
+import math
+import os
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.plan import Rejection, Variation, VerifiedEpisode
+from aomgen.core.progress import Progress
+from aomgen.datasets.features import ActionSpace
+from aomgen.episodes.factory import EpisodeFactory, GenerationParams
+from aomgen.episodes.variations import draw_independently
+from aomgen.errors import ConfigError, NotEnoughEpisodesError
+from aomgen.evaluation.saved_units import SavedUnits
+from aomgen.evaluation.suite import (
+    Suite,
+    Trial,
+    nearest_pose,
+    require_apart,
+    require_json,
+    training_poses,
+    twin_digest,
+    write_suite,
+)
+from aomgen.io.atomic import remove_folder
+from aomgen.io.schema import suggest
+from aomgen.results import Results
+from aomgen.simulation.settings import draw_settings
+
+# Draws for a trial before the suite is given up: where one in a hundred fits, one is found.
+MAX_TRIAL_DRAWS: Final = 500
+# A trial lasts at most so much longer than the longest plan, as a factor: policies hesitate.
+PATIENCE: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SuiteRequest:
+    """What a suite shall be.
+
+    Attributes:
+        trials: How many; the assets share them evenly, one after the other.
+        seed: Of the draws.
+        action_space: What actions mean.
+        size: Of the images, [px]; None as the run has them.
+        cameras: Names; empty for all of the run's.
+    """
+
+    trials: int = 200
+    seed: int = 1
+    action_space: ActionSpace = "joint"
+    size: tuple[int, int] | None = None
+    cameras: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrawnTrial:
+    """A trial, how many frames its plan has, and draws that were passed over before it, by reason."""
+
+    trial: Trial
+    frames: int
+    redrawn: dict[str, int]
+
+
+def make_suite(
+    results: Results, path: Path, request: SuiteRequest, workers: int, progress: Progress
+) -> Suite:
+    """Draw a suite and write it; what a killed call has drawn is kept.
+
+    Raises:
+        ConfigError: The seed is that of the training, or a camera is unknown.
+        NotEnoughEpisodesError: Hardly any draw passes.
+        AomgenError: The run has not come that far.
+    """
+    require_json(path)
+    cameras = _chosen_cameras(results, request)
+    if request.seed == results.project.seed:
+        raise ConfigError("--seed", f"{request.seed} is that of the training", "choose another one")
+    twin = twin_digest(results)
+    parts = SavedUnits(path.with_name(f"{path.stem}.parts"), {"twin": twin, **_plain(request)}, DrawnTrial)
+    # A copy without what has been read.
+    opener = partial(_open_drawing, replace(results), request)
+    drawn = parts.make(range(request.trials), opener, workers, progress)
+    suite = Suite(
+        run=os.path.relpath(results.out.resolve(), path.resolve().parent),
+        twin=twin,
+        task=results.recorded.instruction,
+        assets=tuple(fitted.asset.name for fitted in results.fitted_assets),
+        joint_names=results.robot.joint_names,
+        fps=round(results.fps),
+        action_space=request.action_space,
+        cameras=cameras,
+        max_frames=math.ceil(PATIENCE * max(item.frames for item in drawn)),
+        seed=request.seed,
+        trials=tuple(item.trial for item in drawn),
+        redrawn=dict(sum((Counter(item.redrawn) for item in drawn), Counter[str]()).most_common()),
+        nearest=None,
+    )
+    suite = replace(suite, nearest=require_apart(suite, results)).sealed()
+    write_suite(path, suite)
+    remove_folder(parts.folder)
+    return suite
+
+
+def _plain(request: SuiteRequest) -> dict:
+    """As JSON gives it back."""
+    content = asdict(request)
+    return content | {"size": request.size and list(request.size), "cameras": list(request.cameras)}
+
+
+def _chosen_cameras(results: Results, request: SuiteRequest) -> dict[str, Camera]:
+    known = results.episode_scene.cameras
+    names = request.cameras or results.params("episodes", GenerationParams()).cameras or tuple(known)
+    for name in names:
+        if name not in known:
+            raise ConfigError("--camera", f"'{name}' is no camera of this run", suggest(name, known))
+    return {name: known[name].resized(*request.size) if request.size else known[name] for name in names}
+
+
+def _open_drawing(results: Results, request: SuiteRequest) -> Callable[[int], DrawnTrial]:
+    factory = EpisodeFactory(results, results.folders["episodes"], _chosen_cameras(results, request))
+    return partial(draw_trial, factory, request)
+
+
+def draw_trial(factory: EpisodeFactory, request: SuiteRequest, number: int) -> DrawnTrial:
+    """A trial of a suite; each has a sequence of draws of its own.
+
+    Raises:
+        NotEnoughEpisodesError: None of its draws passes.
+    """
+    asset = number * len(factory.results.fitted_assets) // request.trials
+    rng = np.random.default_rng([request.seed, number])
+    training = training_poses(factory.results)
+    redrawn = Counter[str]()
+    while redrawn.total() < MAX_TRIAL_DRAWS:
+        variation = draw_independently(rng, request.seed, number, factory.params.ranges)
+        made = _certified(factory, asset, variation, training)
+        if isinstance(made, VerifiedEpisode):
+            plan, settings = made.plan, draw_settings(made.plan.fitted.asset, request.seed, number)
+            trial = Trial(
+                asset=asset,
+                variation=variation,
+                setting=settings[int(rng.integers(len(settings)))],
+                joints=plan.joints[0],
+                gripper=float(plan.gripper[0]),
+            )
+            return DrawnTrial(trial=trial, frames=len(plan), redrawn=dict(redrawn))
+        redrawn[made.reason] += 1
+    raise NotEnoughEpisodesError(
+        "suite",
+        f"none of {MAX_TRIAL_DRAWS} draws for trial {number} passes ({redrawn.most_common()})",
+        "choose other ranges in the project",
+    )
+
+
+def _certified(
+    factory: EpisodeFactory, asset: int, variation: Variation, training: dict
+) -> VerifiedEpisode | Rejection:
+    """A draw's certificate, or why it is passed over."""
+    opened = factory.asset(asset)
+    fitted, _ = opened.sized(variation.scale)
+    found = nearest_pose(variation.placed(fitted), training)
+    if found is not None and not found[0].apart >= 1:
+        return Rejection(reason="in_training", detail=f"stands as in episode {found[1]}")
+    return factory.place.screened(variation, fitted) or factory.certify(opened, variation)

@@ -1,0 +1,144 @@
+"""Roll a policy out in every trial of a suite, over processes, and count."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from aomgen.core.progress import Progress
+from aomgen.datasets.features import ActionSpace
+from aomgen.evaluation.policies import Policy, open_policy
+from aomgen.evaluation.rollout import World
+from aomgen.evaluation.saved_units import SavedUnits
+from aomgen.evaluation.suite import Suite, require_apart
+from aomgen.evaluation.views import Visuals
+from aomgen.io.atomic import write_bytes
+from aomgen.io.video import encode_video
+from aomgen.results import Results
+
+# So many failures are kept as videos.
+FILMED: Final = 10
+ROLLOUTS_FOLDER, VIDEOS_FOLDER = "rollouts", "failures"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluationRequest:
+    """Who is judged, and how.
+
+    Attributes:
+        policy: See `policies.open_policy`.
+        action_space: What its actions mean; None as the suite has it.
+        visuals: What it sees.
+    """
+
+    policy: str
+    action_space: ActionSpace | None = None
+    visuals: Visuals = "splat"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RolloutRecord:
+    """What came of a trial.
+
+    Attributes:
+        trial: Its number.
+        fail_reason: Empty where it succeeded.
+        opening_share: Way of the object's joint at the end, over the planned one.
+        frames: Actions taken.
+    """
+
+    trial: int
+    fail_reason: str
+    opening_share: float
+    frames: int
+
+
+def evaluate(
+    suite: Suite, results: Results, out: Path, request: EvaluationRequest, workers: int, progress: Progress
+) -> dict[str, Any]:
+    """Judge a policy; rollouts that are there are kept.
+
+    Args:
+        suite, results: The trials, and the run that they belong to.
+        out: Gets a file for each rollout, and videos of some failures.
+        request: Who is judged.
+        workers: Processes.
+        progress: Called after every rollout.
+
+    Returns:
+        `policy`, `suite` and `twin` (digests), `action_space`, `visuals`, `trials`, `successes`, `success_rate`,
+        `interval_95` (Wilson's), `failures` by reason, `redrawn`, `nearest_mm` and `nearest_deg` (of a trial and a
+        training episode), and all `rollouts`.
+
+    Raises:
+        ConfigError: The policy is unknown, or a trial is inside the training.
+        AomgenError: Whatever the policy refuses.
+    """
+    nearest = require_apart(suite, results)
+    identity = {"suite": suite.digest, **asdict(request)}
+    suite = replace(suite, action_space=request.action_space or suite.action_space)
+    # A copy without what has been read.
+    opener = partial(_open_rollouts, suite, replace(results), request)
+    # What cannot be opened is told before processes are started.
+    open_policy(request.policy, World(suite, results, request.visuals))
+    parts = SavedUnits(out / ROLLOUTS_FOLDER, identity, RolloutRecord)
+    rows = parts.make(range(len(suite.trials)), opener, workers, progress)
+    failed = [row.trial for row in rows if row.fail_reason][:FILMED]
+    SavedUnits(out / VIDEOS_FOLDER, identity, RolloutRecord).make(
+        failed, partial(opener, film=out / VIDEOS_FOLDER), workers, progress
+    )
+    successes = len(rows) - sum(bool(row.fail_reason) for row in rows)
+    return {
+        "policy": request.policy,
+        "suite": suite.digest,
+        "twin": suite.twin,
+        "action_space": suite.action_space,
+        "visuals": request.visuals,
+        "trials": len(rows),
+        "successes": successes,
+        "success_rate": successes / len(rows),
+        "interval_95": interval_95(successes, len(rows)),
+        "failures": dict(Counter(row.fail_reason for row in rows if row.fail_reason).most_common()),
+        "redrawn": dict(suite.redrawn),
+        "nearest_mm": nearest and nearest.mm,
+        "nearest_deg": nearest and nearest.deg,
+        "rollouts": [asdict(row) for row in rows],
+    }
+
+
+def interval_95(successes: int, trials: int) -> list[float]:
+    """Wilson's interval of a share."""
+    interval = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    return [float(interval.low), float(interval.high)]
+
+
+def _open_rollouts(
+    suite: Suite, results: Results, request: EvaluationRequest, film: Path | None = None
+) -> Callable[[int], RolloutRecord]:
+    world = World(suite, results, request.visuals)
+    return partial(roll_out, world, open_policy(request.policy, world), film=film)
+
+
+def roll_out(world: World, policy: Policy, number: int, film: Path | None = None) -> RolloutRecord:
+    """Let a policy try a trial to its end; a folder `film` gets its video."""
+    rollout, frames = world.rollout(number), list[NDArray[np.uint8]]()
+    policy.reset(rollout)
+    while rollout.fail_reason is None:
+        observation = rollout.observation(pixels=film is not None or policy.looks(rollout.frame))
+        if film is not None:
+            frames.append(np.concatenate(list(observation["pixels"].values()), 1))
+        rollout.step(np.asarray(policy.act(observation), np.float64))
+    if film is not None:
+        write_bytes(film / f"{number:04d}.mp4", encode_video(np.stack(frames), world.suite.fps))
+    return RolloutRecord(
+        trial=number,
+        fail_reason=rollout.fail_reason,
+        opening_share=rollout.opening_share,
+        frames=rollout.frame,
+    )

@@ -1,0 +1,125 @@
+"""Policies that are judged in the twin, and those without learning that they are held against."""
+
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from aomgen.core.plan import EpisodePlan
+from aomgen.core.values import Array
+from aomgen.datasets.features import feature_columns
+from aomgen.errors import ConfigError, MissingFileError
+from aomgen.evaluation.actions import planned_action
+from aomgen.evaluation.rollout import Rollout, World
+from aomgen.evaluation.suite import nearest_pose, open_results, training_poses
+from aomgen.io.episode_folder import read_episode
+from aomgen.io.schema import suggest
+
+ORACLE, NEAREST = "oracle_replay", "nearest_replay"
+POLICIES: Final = (ORACLE, f"{NEAREST}[=RUN or DATASET]")
+
+
+class Policy(Protocol):
+    """Chooses actions; the same for all trials of a suite."""
+
+    def reset(self, rollout: Rollout) -> None:
+        """Begin a trial. Only what knows the truth on purpose looks into it."""
+        ...
+
+    def looks(self, frame: int) -> bool:
+        """Whether it wants pictures at a frame; drawing takes most of the time."""
+        ...
+
+    def act(self, observation: dict[str, Any]) -> Array:
+        """The action (D,) for an observation, whose "pixels" are there where it looks."""
+        ...
+
+
+class OracleReplay:
+    """The plan of the trial's own pose: what the demonstrations of a perfect memory would do."""
+
+    def __init__(self, world: World) -> None:
+        self._world, self._robot = world, world.factory.results.robot
+        self._plan: EpisodePlan | None = None
+        self._frame = 0
+
+    def reset(self, rollout: Rollout) -> None:
+        """Plan for the trial."""
+        self._plan, self._frame = self._world.plan(rollout.number), 0
+
+    def looks(self, frame: int) -> bool:
+        """Never."""
+        return False
+
+    def act(self, observation: dict[str, Any]) -> Array:
+        """The plan's next action."""
+        if self._plan is None:
+            raise ValueError("act was called before reset")
+        measured = np.asarray(observation["agent_pos"], np.float64)
+        T_world_ee = self._robot.ee_poses(measured[None, :-1])[0]
+        action = planned_action(self._plan, self._frame, self._world.suite.action_space, T_world_ee)
+        self._frame += 1
+        return action
+
+
+class NearestReplay:
+    """The recorded actions of the training episode whose object stands nearest to the trial's.
+
+    Args:
+        world: Of the trials.
+        training: A run, all of whose episodes are looked at, or a dataset of the suite's run.
+
+    Raises:
+        MissingFileError: There is no episode.
+    """
+
+    def __init__(self, world: World, training: Path | None) -> None:
+        self._world = world
+        results, self._numbers = world.factory.results, None
+        if training is not None and (training / "meta" / "info.json").is_file():
+            rows = pq.read_table(training / "meta" / "episodes", columns=["aomgen/source_index"])
+            self._numbers = {f"{index:06d}" for index in rows["aomgen/source_index"].to_pylist()}
+        elif training is not None:
+            results = open_results(training)
+        self._folder = results.folders["episodes"]
+        poses = training_poses(results)
+        self._poses = {name: T for name, T in poses.items() if self._numbers is None or name in self._numbers}
+        if not self._poses:
+            raise MissingFileError(training or self._folder, "holds no episode", "finish the run first")
+        self._actions, self._frame = np.zeros((0, 0)), 0
+
+    def reset(self, rollout: Rollout) -> None:
+        """Find the nearest episode."""
+        found = nearest_pose(rollout.T_world_object, self._poses)
+        name = "" if found is None else found[1]
+        columns, space = (
+            feature_columns(read_episode(self._folder / name).episode),
+            self._world.suite.action_space,
+        )
+        self._actions = columns["action" if space == "joint" else f"annotation.action.{space}"]
+        self._frame = 0
+
+    def looks(self, frame: int) -> bool:
+        """Never."""
+        return False
+
+    def act(self, observation: dict[str, Any]) -> Array:
+        """The episode's next action, at last its last one."""
+        self._frame += 1
+        return self._actions[min(self._frame, len(self._actions)) - 1]
+
+
+def open_policy(name: str, world: World) -> Policy:
+    """A policy by its name on the command line; policies of other libraries are opened here too.
+
+    Raises:
+        ConfigError: There is no such policy.
+        AomgenError: What belongs to it is missing or damaged.
+    """
+    kind, _, argument = name.partition("=")
+    if kind == ORACLE and not argument:
+        return OracleReplay(world)
+    if kind == NEAREST:
+        return NearestReplay(world, Path(argument) if argument else None)
+    raise ConfigError("--policy", f"'{name}' is unknown", suggest(name, POLICIES))

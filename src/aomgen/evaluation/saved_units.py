@@ -1,0 +1,71 @@
+"""Work of many small units over processes, one file each: what a killed command has made is kept."""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Generic, TypeVar
+
+from aomgen.core.progress import Progress
+from aomgen.errors import ConfigError, WorkerError
+from aomgen.executors import Processes, Work
+from aomgen.io.artifact import load_artifact, read_json, save_artifact
+from aomgen.io.atomic import write_json
+
+# No trial is drawn or rolled out for longer, [s].
+TIMEOUT_S: Final = 1200.0
+REQUEST_FILE: Final = "request.json"
+T = TypeVar("T")
+
+
+class SavedUnits(Generic[T]):
+    """A folder with a value of each unit.
+
+    Args:
+        folder: Of the values; it belongs to one request.
+        request: Plain JSON values that say what the units are made from.
+        kind: Class of the values.
+
+    Raises:
+        ConfigError: The folder belongs to another request.
+    """
+
+    def __init__(self, folder: Path, request: Mapping[str, Any], kind: type[T]) -> None:
+        self.folder, self._kind = folder, kind
+        place, want = folder / REQUEST_FILE, dict(request)
+        if place.is_file() and read_json(place) != want:
+            raise ConfigError(folder, "was begun for something else", "delete it, or choose another name")
+        write_json(place, want)
+
+    def make(
+        self, units: Iterable[int], opener: Callable[[], Callable[[int], T]], workers: int, progress: Progress
+    ) -> list[T]:
+        """Values of the units in their order; those that are not there are made by processes, `opener` is pickled.
+
+        Raises:
+            WorkerError: A unit kills its process, or takes too long.
+            AomgenError: Whatever the work raises.
+        """
+        wanted = list(units)
+        waiting = [unit for unit in wanted if not (self.folder / f"{_name(unit)}.json").is_file()]
+        left = len(waiting)
+        with Processes(partial(_open_saving, opener, self.folder), workers, TIMEOUT_S) as executor:
+            running = 0
+            while waiting or running:
+                while waiting and running < workers:
+                    executor.submit(waiting.pop(0))
+                    running += 1
+                done = executor.next_done()
+                running, left = running - 1, left - 1
+                if done.lost:
+                    raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
+                progress(1 - left / len(wanted), f"{len(wanted) - left} of {len(wanted)}")
+        return [load_artifact(self.folder, _name(unit), self._kind) for unit in wanted]
+
+
+def _open_saving(opener: Callable[[], Callable[[int], Any]], folder: Path) -> Work:
+    work = opener()
+    return lambda unit: save_artifact(folder, _name(unit), work(unit))
+
+
+def _name(unit: int) -> str:
+    return f"{unit:04d}"

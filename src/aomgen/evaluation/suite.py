@@ -1,0 +1,240 @@
+"""The trials that policies are judged by, as one JSON file: every policy meets the same ones."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.plan import Variation
+from aomgen.core.transforms import rotvec_from_matrix
+from aomgen.core.values import Array, freeze_arrays
+from aomgen.core.verdict import Setting
+from aomgen.datasets.features import ActionSpace
+from aomgen.episodes.variations import scaled_fit
+from aomgen.errors import ConfigError, MalformedFileError
+from aomgen.io.artifact import load_artifact, read_json, save_artifact
+from aomgen.io.episode_folder import EPISODE_FILE, list_committed
+from aomgen.pipeline.manifest import files_digest
+from aomgen.pipeline.project_file import read_project
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import PROJECT_FILE, STAGES
+from aomgen.results import Results
+
+# Poses nearer to each other than both of these are one, [mm] and [deg].
+APART_MM, APART_DEG = 5.0, 1.0
+REMEDY: Final = "make it with `aomgen evaluate suite`"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One trial.
+
+    Attributes:
+        asset: Number of the object in the suite's assets.
+        variation: Where it stands, how large it is, and what else differs from the recording.
+        setting: How its joint resists.
+        joints: Of the arm at the start (J,), [rad] or [m].
+        gripper: At the start, 0 open .. 1 closed.
+    """
+
+    asset: int
+    variation: Variation
+    setting: Setting
+    joints: Annotated[Array, "_"]
+    gripper: float
+
+    __post_init__ = freeze_arrays
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseDistance:
+    """Between two poses of an object."""
+
+    mm: float
+    deg: float
+
+    @property
+    def apart(self) -> float:
+        """In units in which poses below 1 count as the same."""
+        return max(self.mm / APART_MM, self.deg / APART_DEG)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suite:
+    """Trials in the twin of a run.
+
+    Attributes:
+        run: Folder of the run, seen from the suite's own folder.
+        twin: Digest of what `twin_digest` names.
+        task: Instruction in words.
+        assets: Names of the objects.
+        joint_names: Of the arm.
+        fps: Actions a second.
+        action_space: What actions mean, see `actions`.
+        cameras: By name; their size is that of the images.
+        max_frames: A trial ends after so many actions.
+        seed: Of the draws.
+        redrawn: Draws that were passed over, by reason.
+        nearest: Distance of the trial and the committed episode that are nearest to each other; None without episodes.
+        digest: SHA-256 of all the rest.
+    """
+
+    run: str
+    twin: str
+    task: str
+    assets: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    fps: int
+    action_space: ActionSpace
+    cameras: Mapping[str, Camera]
+    max_frames: int
+    seed: int
+    trials: tuple[Trial, ...]
+    redrawn: Mapping[str, int]
+    nearest: PoseDistance | None
+    digest: str = ""
+
+    def sealed(self) -> "Suite":
+        """The suite with its digest."""
+        content = asdict(replace(self, digest=""))
+        text = json.dumps(content, sort_keys=True, allow_nan=False, default=_plain)
+        return replace(self, digest=hashlib.sha256(text.encode()).hexdigest())
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist()
+
+
+def write_suite(path: Path, suite: Suite) -> None:
+    """Write a suite, whose `run` is taken as seen from here.
+
+    Raises:
+        ConfigError: The file's name does not end in .json.
+        StorageError: The disk refuses.
+    """
+    require_json(path)
+    save_artifact(path.parent, path.stem, suite)
+
+
+def require_json(path: Path) -> None:
+    """Refuse a name that a suite cannot have.
+
+    Raises:
+        ConfigError: It does not end in .json.
+    """
+    if path.suffix != ".json":
+        raise ConfigError(path, "is no name of a suite", "want one that ends in .json")
+
+
+def read_suite(path: Path) -> Suite:
+    """Read a suite.
+
+    Raises:
+        MissingFileError, LimitExceededError: As their names say.
+        ConfigError, MalformedFileError: It is no suite, holds nothing, or has been changed.
+    """
+    require_json(path)
+    suite = load_artifact(path.parent, path.stem, Suite)
+    if suite.sealed().digest != suite.digest:
+        raise MalformedFileError(path, "does not match its digest", REMEDY)
+    if not suite.trials:
+        raise MalformedFileError(path, "holds no trial", REMEDY)
+    return suite
+
+
+def open_suite(path: Path) -> tuple[Suite, Results]:
+    """A suite, and the run that it belongs to.
+
+    Raises:
+        MissingFileError: The run is not there.
+        ConfigError: The run has another twin.
+        AomgenError: As `read_suite`.
+    """
+    suite = read_suite(path)
+    results = open_results((path.parent / suite.run).resolve())
+    require_twin(path, suite, results)
+    return suite, results
+
+
+def open_results(run: Path) -> Results:
+    """The results in the folder of a run, wherever that has been moved.
+
+    Raises:
+        MissingFileError: There is no run.
+        ConfigError: Its project file is not valid.
+    """
+    project = read_project(run / PROJECT_FILE)
+    return results_of(project.model_copy(update={"out": run.resolve()}), STAGES)
+
+
+def require_twin(path: Path, suite: Suite, results: Results) -> None:
+    """Refuse a suite whose trials were drawn for something else.
+
+    Raises:
+        ConfigError: The run has another twin.
+    """
+    have = twin_digest(results)
+    if have != suite.twin:
+        raise ConfigError(
+            path, f"belongs to the twin {suite.twin[:12]}, {results.out} has {have[:12]}", f"{REMEDY} again"
+        )
+
+
+def twin_digest(results: Results) -> str:
+    """Digest of scene, objects and their twins.
+
+    Raises:
+        MissingFileError: The run has not come that far.
+    """
+    folder = results.folders["replacement"]
+    names = ("twin.json", "twin.npz", "fitted.json", "fitted.npz")
+    homes = [results.asset_folder(number) for number in range(len(results.project.assets))]
+    return files_digest(
+        [folder / "scene.json", *(home / name for home in homes for name in names if (home / name).is_file())]
+    )
+
+
+def training_poses(results: Results) -> dict[str, Array]:
+    """Pose of the object (4, 4) of every committed episode of a run, by the name of its folder."""
+    folders = list_committed(results.folders["episodes"])
+    return {path.name: np.array(read_json(path / EPISODE_FILE)["T_world_object"]) for path in folders}
+
+
+def nearest_pose(T_world_object: Array, poses: Mapping[str, Array]) -> tuple[PoseDistance, str] | None:
+    """Distance to the nearest of some poses (4, 4), and its name; None when there are none."""
+    if not poses:
+        return None
+    Ts = np.stack(list(poses.values()))
+    mm = 1000 * np.linalg.norm(Ts[:, :3, 3] - T_world_object[:3, 3], axis=1)
+    deg = np.rad2deg(np.linalg.norm(rotvec_from_matrix(Ts[:, :3, :3] @ T_world_object[:3, :3].T), axis=1))
+    found = int(np.argmin(np.maximum(mm / APART_MM, deg / APART_DEG)))
+    return PoseDistance(mm=float(mm[found]), deg=float(deg[found])), list(poses)[found]
+
+
+def require_apart(suite: Suite, results: Results) -> PoseDistance | None:
+    """The smallest distance of a trial to a committed episode; refuses a suite that has a trial inside the training.
+
+    Raises:
+        ConfigError: A trial's pose is that of an episode.
+    """
+    poses, smallest = training_poses(results), None
+    for number, trial in enumerate(suite.trials):
+        fitted = results.fitted_assets[trial.asset]
+        found = nearest_pose(trial.variation.placed(scaled_fit(fitted, trial.variation.scale)), poses)
+        if found is None:
+            return None
+        distance, name = found
+        if not distance.apart >= 1:
+            raise ConfigError(
+                f"trial {number} of the suite",
+                f"is {distance.mm:.1f} mm and {distance.deg:.2f} deg from episode {name} of the training, "
+                f"want at least {APART_MM:g} mm or {APART_DEG:g} deg",
+                f"{REMEDY} and another --seed",
+            )
+        smallest = distance if smallest is None or distance.apart < smallest.apart else smallest
+    return smallest
