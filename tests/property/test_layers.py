@@ -33,7 +33,7 @@ LAYERS = [
     STAGES - {"capture"},
     {"paper"},
     {"pipeline"},
-    {"report"},
+    {"report", "evaluation"},
     {"cli"},
 ]
 LEVEL = {name: level for level, layer in enumerate(LAYERS) for name in layer}
