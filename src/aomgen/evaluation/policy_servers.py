@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aomgen.errors import BackendError, PolicyServerError
+from aomgen.executors import CONNECT_S
 
-# A machine that is there answers within this, [s].
-CONNECT_S: Final = 10.0
 # A server compiles its model while it makes the first answer, [s].
 ANSWER_S: Final = 300.0
 # A chunk of actions is some kilobytes; more is no answer, [bytes].

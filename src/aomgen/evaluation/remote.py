@@ -155,7 +155,7 @@ def _chunk(where: str, answer: Any, size: int) -> Array:
         actions = np.zeros(0, object)
     if actions.dtype.kind not in NUMBERS:
         raise PolicyServerError(where, "answers without actions", "is it another server?")
-    if actions.ndim != 2 or not len(actions) or actions.shape[1] != size:
+    if not len(actions) or actions.shape[1:] != (size,):
         raise PolicyServerError(
             where,
             f"answers actions of shape {actions.shape}",
