@@ -81,6 +81,10 @@ class BackendError(AomgenError):
     exit_code = 4
 
 
+class PolicyServerError(BackendError):
+    """The server of a policy is away, failed, or answers something else."""
+
+
 class EstimationError(AomgenError):
     """An estimator refuses to answer, because its evidence is too weak."""
 

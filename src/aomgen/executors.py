@@ -28,7 +28,7 @@ Work = Callable[[Any], Any]
 Opener = Callable[[], Work]
 # A unit whose worker died is tried again this often.
 RETRIES: Final = 2
-# A cluster's head answers at once, [s].
+# A cluster's head, or another server, answers at once, [s].
 CONNECT_S: Final = 5.0
 RAY_PROBE: Final = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, configure_logging=False)"
 # Ray is imported and has joined the cluster in a few seconds, also on a busy machine, [s].

@@ -1,6 +1,7 @@
 """`aomgen evaluate`: the twin as a judge of policies."""
 
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -61,7 +62,12 @@ def evaluate_suite(
 @evaluate_app.command(DEFAULT_COMMAND)
 def evaluate_policy(
     suite: Annotated[Path, typer.Argument(help="JSON of `aomgen evaluate suite`.")],
-    policy: Annotated[str, typer.Option(help="oracle_replay, or nearest_replay[=RUN or DATASET].")],
+    policy: Annotated[
+        str,
+        typer.Option(
+            help="oracle_replay, nearest_replay[=RUN or DATASET], lerobot:DIR, openpi://HOST:PORT or openvla://HOST:PORT."
+        ),
+    ],
     actions: Annotated[
         str, typer.Option(help="joint, ee_absolute or ee_delta; as the suite has it if empty.")
     ] = "",
@@ -85,7 +91,7 @@ def evaluate_policy(
     request = EvaluationRequest(
         policy=policy, action_space=_chosen_actions(actions) if actions else None, visuals=visuals
     )
-    words = [suite.stem, policy.partition("=")[0], *filter(None, [actions]), visuals]
+    words = [suite.stem, re.sub(r"\W+", "-", policy), *filter(None, [actions]), visuals]
     folder = out or suite.with_name("-".join(words))
     figures = evaluate(*open_suite(suite), folder, request, workers or _processors(), _tell)
     print(_table(figures))

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from aomgen.core.progress import Progress
 from aomgen.datasets.features import ActionSpace
-from aomgen.evaluation.policies import Policy, open_policy
+from aomgen.evaluation.policies import Policy, open_policy, policy_digest
 from aomgen.evaluation.rollout import World
 from aomgen.evaluation.saved_units import SavedUnits
 from aomgen.evaluation.suite import Suite, require_apart
@@ -81,7 +81,7 @@ def evaluate(
         AomgenError: Whatever the policy refuses.
     """
     nearest = require_apart(suite, results)
-    identity = {"suite": suite.digest, **asdict(request)}
+    identity = {"suite": suite.digest, **asdict(request), "weights": policy_digest(request.policy)}
     suite = replace(suite, action_space=request.action_space or suite.action_space)
     # A copy without what has been read.
     opener = partial(_open_rollouts, suite, replace(results), request)

@@ -11,13 +11,22 @@ from aomgen.core.values import Array
 from aomgen.datasets.features import feature_columns
 from aomgen.errors import ConfigError, MissingFileError
 from aomgen.evaluation.actions import planned_action
+from aomgen.evaluation.lerobot_policy import WEIGHTS, LerobotPolicy, checkpoint_folder
+from aomgen.evaluation.remote import SCHEMES, RemoteTask, open_remote
 from aomgen.evaluation.rollout import Rollout, World
 from aomgen.evaluation.suite import nearest_pose, open_results, training_poses
 from aomgen.io.episode_folder import read_episode
 from aomgen.io.schema import suggest
+from aomgen.pipeline.manifest import file_digest
 
 ORACLE, NEAREST = "oracle_replay", "nearest_replay"
-POLICIES: Final = (ORACLE, f"{NEAREST}[=RUN or DATASET]")
+LEROBOT: Final = "lerobot:"
+POLICIES: Final = (
+    ORACLE,
+    f"{NEAREST}[=RUN or DATASET]",
+    f"{LEROBOT}DIR",
+    *(f"{name}://HOST:PORT" for name in SCHEMES),
+)
 
 
 class Policy(Protocol):
@@ -111,15 +120,34 @@ class NearestReplay:
 
 
 def open_policy(name: str, world: World) -> Policy:
-    """A policy by its name on the command line; policies of other libraries are opened here too.
+    """A policy by its name on the command line.
 
     Raises:
-        ConfigError: There is no such policy.
+        ConfigError: There is no such policy, or it does not fit the suite.
         AomgenError: What belongs to it is missing or damaged.
     """
+    suite = world.suite
+    if name.startswith(LEROBOT):
+        return LerobotPolicy(Path(name.removeprefix(LEROBOT)), suite)
+    if "://" in name:
+        task = RemoteTask(
+            instruction=suite.task,
+            action_space=suite.action_space,
+            cameras=tuple(suite.cameras),
+            joints=len(suite.joint_names),
+            ee_poses=world.factory.results.robot.ee_poses,
+        )
+        return open_remote(name, task)
     kind, _, argument = name.partition("=")
     if kind == ORACLE and not argument:
         return OracleReplay(world)
     if kind == NEAREST:
         return NearestReplay(world, Path(argument) if argument else None)
     raise ConfigError("--policy", f"'{name}' is unknown", suggest(name, POLICIES))
+
+
+def policy_digest(name: str) -> str:
+    """Of a policy's weights; empty where it has none here."""
+    if not name.startswith(LEROBOT):
+        return ""
+    return file_digest(checkpoint_folder(Path(name.removeprefix(LEROBOT))) / WEIGHTS)

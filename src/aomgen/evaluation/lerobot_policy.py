@@ -1,0 +1,145 @@
+"""Policies that LeRobot has trained, `lerobot:DIR`; LeRobot itself is installed by `make policy-env`, not with us."""
+
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.values import Array
+from aomgen.datasets.selection import MARK
+from aomgen.errors import BackendError, ConfigError, MalformedFileError, MissingFileError
+from aomgen.evaluation.suite import Suite
+from aomgen.io.artifact import read_json
+
+# What `lerobot-train` leaves behind: below its output folder, the newest weights and what they were trained on.
+LAST: Final = "checkpoints/last/pretrained_model"
+WEIGHTS, SETTINGS, TRAINING = "model.safetensors", "config.json", "train_config.json"
+STATE, IMAGES = "observation.state", "observation.images."
+
+
+def checkpoint_folder(folder: Path) -> Path:
+    """Where the weights lie: a folder of weights, or of a training.
+
+    Raises:
+        MissingFileError: There are none.
+    """
+    for place in (folder, folder / LAST):
+        if (place / WEIGHTS).is_file() and (place / SETTINGS).is_file():
+            return place
+    raise MissingFileError(
+        folder, f"holds no {WEIGHTS} with {SETTINGS}", "name a folder that lerobot-train wrote"
+    )
+
+
+class LerobotPolicy:
+    """A trained policy, which looks when the actions of its last chunk are done.
+
+    Args:
+        folder: Of weights, or of a training.
+        suite: Which it has to fit.
+
+    Raises:
+        BackendError: LeRobot is not installed here.
+        MissingFileError, MalformedFileError: There are no weights, or they are damaged, or of an unknown type.
+        ConfigError: It was trained on other cameras, sizes, joints, actions or another rate.
+    """
+
+    def __init__(self, folder: Path, suite: Suite) -> None:
+        try:
+            import torch
+            from lerobot.configs.policies import PreTrainedConfig
+            from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+            from lerobot.utils.import_utils import register_third_party_plugins
+        except ImportError as error:
+            raise BackendError(
+                "lerobot",
+                f"cannot be imported ({error})",
+                "make policy-env; .venv-policy/bin/aomgen evaluate ...",
+            ) from error
+        self._torch, self._task, place = torch, suite.task, checkpoint_folder(folder)
+        register_third_party_plugins()
+        try:
+            config: Any = PreTrainedConfig.from_pretrained(place)
+            policy: Any = get_policy_class(config.type).from_pretrained(place)
+            self._before, self._after = make_pre_post_processors(config, str(place))
+        # LeRobot lets through whatever its readers of JSON, weights and settings raise.
+        except Exception as error:
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            raise MalformedFileError(
+                place, f"cannot be read by LeRobot ({reason})", "train it again"
+            ) from error
+        _require_fit(config, suite, place)
+        self._policy = policy.eval()
+        self._images = list(config.image_features)
+        # A policy that sees one frame and answers a chunk need not look before the chunk is done.
+        self._chunk = config.n_action_steps if config.n_obs_steps == 1 else 0
+        self._left: deque[Array] = deque()
+
+    def reset(self, rollout: object) -> None:
+        """Forget what is left of the last chunk."""
+        self._left.clear()
+        self._policy.reset()
+
+    def looks(self, frame: int) -> bool:
+        """When a chunk is used up."""
+        return not self._left
+
+    def act(self, observation: Mapping[str, Any]) -> Array:
+        """The next action."""
+        if not self._left:
+            self._left.extend(self._ask(observation))
+        return self._left.popleft()
+
+    def _ask(self, observation: Mapping[str, Any]) -> Array:
+        """Actions (N, D) from now on."""
+        torch = self._torch
+        seen: dict[str, Any] = {STATE: torch.from_numpy(observation["agent_pos"]), "task": self._task}
+        for name in self._images:
+            picture = torch.from_numpy(observation["pixels"][name.removeprefix(IMAGES)])
+            seen[name] = picture.permute(2, 0, 1).float() / 255
+        with torch.no_grad():
+            batch = self._before(seen)
+            if self._chunk:
+                actions = self._policy.predict_action_chunk(batch)[0, : self._chunk]
+            else:
+                actions = self._policy.select_action(batch)
+            return np.asarray(self._after(actions).cpu(), np.float64).reshape(-1, actions.shape[-1])
+
+
+def _require_fit(config: Any, suite: Suite, place: Path) -> None:
+    """Refuse a policy that was trained for something else than a suite offers; every difference is named."""
+    wanted = {name.removeprefix(IMAGES): tuple(item.shape) for name, item in config.image_features.items()}
+    offered = {name: (3, camera.height, camera.width) for name, camera in suite.cameras.items()}
+    problems = [
+        f"camera {name} is {shape}, the suite has {offered.get(name, sorted(offered))}"
+        for name, shape in wanted.items()
+        if offered.get(name) != shape
+    ]
+    joints = len(suite.joint_names) + 1
+    if config.robot_state_feature is not None and tuple(config.robot_state_feature.shape) != (joints,):
+        problems.append(f"state is {tuple(config.robot_state_feature.shape)}, the suite has ({joints},)")
+    learned = _dataset_of(place)
+    for name, mine, theirs in (
+        ("rate", suite.fps, learned.get("fps")),
+        ("action space", suite.action_space, learned.get("actions")),
+    ):
+        if theirs not in (None, mine):
+            problems.append(f"{name} is {theirs}, the suite has {mine}")
+    if problems:
+        raise ConfigError(
+            place, "; ".join(problems), "make a suite with the dataset's cameras, size and actions"
+        )
+
+
+def _dataset_of(place: Path) -> dict[str, Any]:
+    """`fps` and `actions` of the dataset that a policy learned from, as far as it is still there."""
+    training = read_json(place / TRAINING) if (place / TRAINING).is_file() else {}
+    root = Path(training.get("dataset", {}).get("root") or place / "no dataset")
+    found = {}
+    if (root / "meta" / "info.json").is_file():
+        found["fps"] = read_json(root / "meta" / "info.json")["fps"]
+    if (root / MARK).is_file():
+        found["actions"] = read_json(root / MARK)["choices"]["actions"]
+    return found

@@ -1,0 +1,215 @@
+"""The policy servers of openpi and OpenVLA: how they are spoken to, and what may come back.
+
+openpi's `scripts/serve_policy.py` is a websocket: it sends what it knows about its policy, then answers every
+observation. Messages are msgpack; an array is a map of its bytes, dtype and shape. OpenVLA's `vla-scripts/deploy.py` (and
+OpenVLA-OFT's) answers POST /act; messages are JSON, an array is an object with its bytes in base64 (json-numpy).
+
+Source: the files named, of openpi 15a9616, openvla c8f03f4 and openvla-oft 213c5ff.
+"""
+
+import base64
+import http.client
+import json
+import math
+import weakref
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aomgen.errors import BackendError, PolicyServerError
+from aomgen.executors import CONNECT_S
+
+# A server compiles its model while it makes the first answer, [s].
+ANSWER_S: Final = 300.0
+# A chunk of actions is some kilobytes; more is no answer, [bytes].
+MAX_ANSWER: Final = 1 << 20
+# Kinds of dtypes that are numbers.
+NUMBERS: Final = "fiub"
+
+
+def read_array(data: Any, dtype: Any, shape: Any) -> NDArray[Any]:
+    """An array of numbers from its bytes.
+
+    Raises:
+        ValueError: They are none, or fewer or more than the shape says.
+        TypeError: Something is not of the kind that belongs there.
+    """
+    kind = np.dtype(dtype)
+    if kind.kind not in NUMBERS:
+        raise ValueError(f"an array of {kind} is none of numbers")
+    if math.prod(shape) * kind.itemsize != len(data):
+        raise ValueError(f"an array of shape {tuple(shape)} and {kind} has {len(data)} bytes")
+    return np.frombuffer(data, kind).reshape(shape)
+
+
+class OpenpiServer:
+    """A connection to openpi's server.
+
+    Args:
+        address: HOST:PORT.
+
+    Attributes:
+        metadata: What it says about its policy: `policy_metadata` of the training's config.
+
+    Raises:
+        BackendError: The libraries are not installed.
+        PolicyServerError: It is away, or no such server.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            import msgpack
+            from websockets.exceptions import WebSocketException
+            from websockets.sync.client import connect
+        except ImportError as error:
+            raise BackendError(
+                f"openpi://{address}", f"{error.name} is not installed", "pip install 'aomgen[remote]'"
+            ) from error
+        self._where, self._msgpack, self._failures = (
+            f"openpi://{address}",
+            msgpack,
+            (WebSocketException, OSError),
+        )
+        stack = ExitStack()
+        # The connection's thread would hold it open.
+        weakref.finalize(self, stack.close)
+        try:
+            # While it thinks, the server answers no ping.
+            self._connection = stack.enter_context(
+                connect(
+                    f"ws://{address}",
+                    compression=None,
+                    open_timeout=CONNECT_S,
+                    ping_interval=None,
+                    max_size=MAX_ANSWER,
+                    proxy=None,
+                )
+            )
+        except self._failures as error:
+            raise _away(self._where, error) from error
+        self.metadata = self._receive()
+
+    def infer(self, observation: Mapping[str, Any]) -> dict[Any, Any]:
+        """The answer to an observation, whose arrays may be nested.
+
+        Raises:
+            PolicyServerError: It went away, failed, or answers something else.
+        """
+        try:
+            self._connection.send(self._msgpack.packb(observation, default=_packed))
+        except self._failures as error:
+            raise _away(self._where, error) from error
+        return self._receive()
+
+    def _receive(self) -> dict[Any, Any]:
+        try:
+            message = self._connection.recv(timeout=ANSWER_S)
+        except self._failures as error:
+            raise _away(self._where, error) from error
+        if isinstance(message, str):
+            raise PolicyServerError(self._where, f"failed: {_last_line(message)}", "see its log")
+        try:
+            content = self._msgpack.unpackb(message, object_hook=_unpacked)
+        except (ValueError, TypeError, KeyError, self._msgpack.UnpackException) as error:
+            raise _no_answer(self._where, "msgpack", error) from error
+        if not isinstance(content, dict):
+            raise _no_answer(self._where, "a map", TypeError(type(content).__name__))
+        return content
+
+
+def _packed(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return {
+            b"__ndarray__": True,
+            b"data": value.tobytes(),
+            b"dtype": value.dtype.str,
+            b"shape": value.shape,
+        }
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+def _unpacked(content: dict[Any, Any]) -> Any:
+    if b"__ndarray__" in content:
+        return read_array(content[b"data"], content[b"dtype"], content[b"shape"])
+    return content[b"data"] if b"__npgeneric__" in content else content
+
+
+class OpenvlaServer:
+    """OpenVLA's server.
+
+    Args:
+        address: HOST:PORT.
+
+    Raises:
+        PolicyServerError: Nobody listens there.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._where, self._address = f"openvla://{address}", address
+        connection = http.client.HTTPConnection(address, timeout=CONNECT_S)
+        try:
+            connection.connect()
+        except OSError as error:
+            raise _away(self._where, error) from error
+        finally:
+            connection.close()
+
+    def act(self, payload: Mapping[str, Any]) -> Any:
+        """The answer to a payload: arrays, numbers and lists of them.
+
+        Raises:
+            PolicyServerError: It went away, failed, or answers something else.
+        """
+        connection = http.client.HTTPConnection(self._address, timeout=ANSWER_S)
+        try:
+            body = json.dumps(payload, default=_encoded)
+            connection.request("POST", "/act", body, {"Content-Type": "application/json"})
+            answer = connection.getresponse()
+            status, text = answer.status, answer.read(MAX_ANSWER)
+        except (OSError, http.client.HTTPException) as error:
+            raise _away(self._where, error) from error
+        finally:
+            connection.close()
+        if status != http.client.OK:
+            raise PolicyServerError(
+                self._where, f"answers HTTP {status} to POST /act", "start deploy.py there"
+            )
+        try:
+            content = json.loads(text, object_hook=_decoded)
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise _no_answer(self._where, "JSON", error) from error
+        if isinstance(content, str):
+            raise PolicyServerError(self._where, f"failed: it says '{_last_line(content)}'", "see its log")
+        return content
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        data = base64.b64encode(value.tobytes()).decode()
+        return {"__numpy__": data, "dtype": value.dtype.str, "shape": value.shape}
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+def _decoded(content: dict[str, Any]) -> Any:
+    if "__numpy__" in content:
+        data = base64.b64decode(content["__numpy__"], validate=True)
+        return read_array(data, content["dtype"], content["shape"])
+    return content
+
+
+def _away(where: str, error: Exception) -> PolicyServerError:
+    reason = _last_line(str(error)) or type(error).__name__
+    return PolicyServerError(where, f"does not answer ({reason})", "start the server, see docs/vla.md")
+
+
+def _no_answer(where: str, want: str, error: Exception) -> PolicyServerError:
+    reason = _last_line(str(error)) or type(error).__name__
+    return PolicyServerError(where, f"answers what is not {want} ({reason})", "is it another server?")
+
+
+def _last_line(text: str) -> str:
+    """Of a traceback, what went wrong."""
+    return (text.strip().splitlines() or [""])[-1][:200]

@@ -1,0 +1,176 @@
+"""Policies that run on another machine: `openpi://HOST:PORT` and `openvla://HOST:PORT`, trained as `recipes/` says.
+
+A server answers one action or a chunk of them; it is asked again when they are used up.
+"""
+
+import re
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.transforms import matrix_from_rotvec, transform
+from aomgen.core.values import Array
+from aomgen.datasets.features import ee_deltas
+from aomgen.errors import ConfigError, PolicyServerError
+from aomgen.evaluation.policy_servers import NUMBERS, OpenpiServer, OpenvlaServer
+from aomgen.io.schema import suggest
+
+SCHEMES: Final = ("openpi", "openvla")
+_NAME: Final = re.compile(r"([a-z]+)://([\w.-]+|\[[0-9a-fA-F:.]+\]):([0-9]{1,5})")
+# Numbers of OpenVLA's action: a motion and the gripper; joints of its state.
+OPENVLA_ACTION, OPENVLA_JOINTS = 7, 7
+# Names of what the recipes' policies are told, see recipes/pi05_openpi.py.
+ACTION_SPACE, CAMERAS = "action_space", "cameras"
+Ask = Callable[[Mapping[str, Any]], Array]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RemoteTask:
+    """What a server has to fit.
+
+    Attributes:
+        instruction: In words.
+        action_space: Of the actions, see `datasets.features`.
+        cameras: In the suite's order.
+        joints: Of the arm.
+        ee_poses: Poses of the end effector (T, 4, 4), world frame, from joints (T, J).
+    """
+
+    instruction: str
+    action_space: str
+    cameras: tuple[str, ...]
+    joints: int
+    ee_poses: Callable[[Array], Array]
+
+
+class RemotePolicy:
+    """Acts out a server's chunks of actions.
+
+    Args:
+        ask: A chunk (T, D) for an observation.
+        convert: The environment's action from one of the chunk and what the robot measures now.
+    """
+
+    def __init__(self, ask: Ask, convert: Callable[[Array, Array], Array]) -> None:
+        self._ask, self._convert = ask, convert
+        self._left: deque[Array] = deque()
+
+    def reset(self, rollout: object) -> None:
+        """Forget what is left of the last chunk."""
+        self._left.clear()
+
+    def looks(self, frame: int) -> bool:
+        """When a chunk is used up."""
+        return not self._left
+
+    def act(self, observation: Mapping[str, Any]) -> Array:
+        """The next action.
+
+        Raises:
+            PolicyServerError: The server went away, failed, or answers no actions.
+        """
+        if not self._left:
+            self._left.extend(self._ask(observation))
+        return self._convert(self._left.popleft(), np.asarray(observation["agent_pos"], np.float64))
+
+
+def open_remote(name: str, task: RemoteTask) -> RemotePolicy:
+    """A policy by its address.
+
+    Raises:
+        ConfigError: It is no address, or the policy is of another action space or other cameras.
+        BackendError: A library is missing.
+        PolicyServerError: The server is away, or another one.
+    """
+    found = _NAME.fullmatch(name)
+    if not found or not 0 < int(found[3]) < 1 << 16:
+        raise ConfigError("--policy", f"'{name}' is no address of a server", "want openpi://HOST:PORT")
+    if found[1] not in SCHEMES:
+        raise ConfigError("--policy", f"'{found[1]}' is unknown", suggest(found[1], SCHEMES))
+    opener = {"openpi": _open_openpi, "openvla": _open_openvla}[found[1]]
+    return opener(f"{found[2]}:{found[3]}", task)
+
+
+def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
+    server, where = OpenpiServer(address), f"openpi://{address}"
+    space, cameras = (server.metadata.get(name) for name in (ACTION_SPACE, CAMERAS))
+    if space is None or not isinstance(cameras, list):
+        raise PolicyServerError(
+            where, "does not say what its policy was trained on", "serve a config of recipes/pi05_openpi.py"
+        )
+    _require_space(where, str(space), task)
+    if missing := [str(name) for name in cameras if name not in task.cameras]:
+        raise ConfigError(where, f"wants the camera {missing[0]}", f"the suite has {', '.join(task.cameras)}")
+
+    def ask(observation: Mapping[str, Any]) -> Array:
+        images = {name: observation["pixels"][name] for name in cameras}
+        answer = server.infer(
+            {"images": images, "state": observation["agent_pos"], "prompt": task.instruction}
+        )
+        return _chunk(where, answer.get("actions"), len(observation["agent_pos"]))
+
+    return RemotePolicy(ask, lambda action, _: action)
+
+
+def _open_openvla(address: str, task: RemoteTask) -> RemotePolicy:
+    where = f"openvla://{address}"
+    _require_space(where, "ee_delta", task)
+    if not task.joints <= OPENVLA_JOINTS:
+        raise ConfigError(where, f"knows {OPENVLA_JOINTS} joints, the arm has {task.joints}", "use openpi")
+    server = OpenvlaServer(address)
+
+    def ask(observation: Mapping[str, Any]) -> Array:
+        image, measured = observation["pixels"][task.cameras[0]], observation["agent_pos"]
+        state = np.zeros(OPENVLA_JOINTS + 1, np.float32)
+        state[: task.joints], state[-1] = measured[:-1], 1 - measured[-1]
+        # OpenVLA reads the image, OpenVLA-OFT the full image and the state.
+        payload = {"image": image, "full_image": image, "state": state, "instruction": task.instruction}
+        return _chunk(where, server.act(payload), OPENVLA_ACTION)
+
+    def convert(action: Array, measured: Array) -> Array:
+        return delta_of_openvla(action, task.ee_poses(measured[None, :-1])[0])
+
+    return RemotePolicy(ask, convert)
+
+
+def _require_space(where: str, space: str, task: RemoteTask) -> None:
+    if space != task.action_space:
+        raise ConfigError(
+            where, f"acts in {space}, the suite's actions are {task.action_space}", f"pass --actions {space}"
+        )
+
+
+def _chunk(where: str, answer: Any, size: int) -> Array:
+    """The actions of an answer (T, size), which may be a single one; not finite ones are for the environment to judge.
+
+    Raises:
+        PolicyServerError: There are none, or they have another shape.
+    """
+    try:
+        actions = np.atleast_2d(np.asarray(answer))
+    except ValueError:
+        actions = np.zeros(0, object)
+    if actions.dtype.kind not in NUMBERS:
+        raise PolicyServerError(where, "answers without actions", "is it another server?")
+    if not len(actions) or actions.shape[1:] != (size,):
+        raise PolicyServerError(
+            where,
+            f"answers actions of shape {actions.shape}",
+            f"want (N, {size}): is it another robot's policy?",
+        )
+    return actions.astype(np.float64)
+
+
+def delta_of_openvla(action: Array, T_world_ee: Array) -> Array:
+    """The environment's `ee_delta` (7,) from OpenVLA's action (7,), observed at the pose T_world_ee (4, 4).
+
+    OpenVLA's has the world's axes, roll, pitch and yaw, and a gripper that is 1 open; see `datasets.rlds`.
+    """
+    roll, pitch, yaw = (
+        matrix_from_rotvec(angle * axis) for angle, axis in zip(action[3:6], np.eye(3), strict=True)
+    )
+    T_world_target = transform(yaw @ pitch @ roll @ T_world_ee[:3, :3], T_world_ee[:3, 3] + action[:3])
+    return np.append(ee_deltas(T_world_ee[None], T_world_target[None])[0], 1 - action[6])
