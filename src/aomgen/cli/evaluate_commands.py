@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 
 from aomgen.errors import ConfigError
@@ -16,7 +15,7 @@ DEFAULT_COMMAND = "policy"
 class _PolicyByDefault(typer.core.TyperGroup):
     """`aomgen evaluate SUITE` means `aomgen evaluate policy SUITE`."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
         if args and args[0] not in self.commands and not args[0].startswith("-"):
             args = [DEFAULT_COMMAND, *args]
         return super().parse_args(ctx, args)

@@ -68,7 +68,7 @@ class OpenEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self.observation_space = gymnasium.spaces.Dict(
             {"pixels": gymnasium.spaces.Dict(images), "agent_pos": state}
         )
-        self.action_space = box(-np.inf, np.inf, (self._world.action_size,), np.float32)
+        self.action_space = box(-np.inf, np.inf, (chosen.action_size,), np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

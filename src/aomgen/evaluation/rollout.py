@@ -9,7 +9,7 @@ import numpy as np
 from aomgen.core.plan import EpisodePlan, Rejection
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
-from aomgen.evaluation.actions import action_size, joint_target, require_shape
+from aomgen.evaluation.actions import joint_target, require_shape
 from aomgen.evaluation.suite import Suite
 from aomgen.evaluation.views import KINDS, TrialViews, Visuals
 from aomgen.results import Results
@@ -34,7 +34,6 @@ class World:
     def __init__(self, suite: Suite, results: Results, visuals: Visuals = "splat") -> None:
         self.suite, self.visuals = suite, visuals
         self.factory = EpisodeFactory(results, results.folders["episodes"], suite.cameras)
-        self.action_size = action_size(suite.action_space, len(suite.joint_names))
         # From the first to the last of them it takes that long.
         self.held_frames = 1 + math.ceil(HELD_S * suite.fps)
 
@@ -100,7 +99,7 @@ class Rollout:
             ConfigError: The action has another shape.
         """
         suite = self.world.suite
-        require_shape(action, self.world.action_size)
+        require_shape(action, suite.action_size)
         solver = self.world.factory.solver
         target = joint_target(action, suite.action_space, solver, self.reached, self._target)
         self.frame += 1

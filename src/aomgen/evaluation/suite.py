@@ -17,6 +17,7 @@ from aomgen.core.verdict import Setting
 from aomgen.datasets.features import ActionSpace
 from aomgen.episodes.variations import scaled_fit
 from aomgen.errors import ConfigError, MalformedFileError
+from aomgen.evaluation.actions import action_size
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.pipeline.manifest import files_digest
@@ -98,6 +99,11 @@ class Suite:
     redrawn: Mapping[str, int]
     nearest: PoseDistance | None
     digest: str = ""
+
+    @property
+    def action_size(self) -> int:
+        """How many numbers an action has."""
+        return action_size(self.action_space, len(self.joint_names))
 
     def sealed(self) -> "Suite":
         """The suite with its digest."""

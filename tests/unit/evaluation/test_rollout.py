@@ -104,7 +104,7 @@ def test_the_plan_of_another_pose_fails(world: World) -> None:
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_what_is_no_number_ends_the_trial(world: World, space, value: float) -> None:
     own = in_space(world, space)
-    action = np.zeros(own.action_size)
+    action = np.zeros(own.suite.action_size)
     action[2] = value
     rollout = played(own, 0, action[None])
     assert rollout.fail_reason == "bad_action"
