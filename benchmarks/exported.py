@@ -146,10 +146,10 @@ class Replay:
         data.qpos[self._scene.theta] = episode.planned[0]
         self._stand(last, BEFORE_S)
         thetas, carried = [], []
-        for frame, action in enumerate(episode.actions[self._space]):
+        for action in episode.actions[self._space]:
             thetas.append(float(data.qpos[self._scene.theta]))
             carried.append(self._carries())
-            target = self._joint_target(frame, action, last)
+            target = self._joint_target(action, last)
             for step in range(self._steps):
                 share = step / self._steps
                 self._command(last + share * (target - last), (target - last) * episode.fps)
@@ -171,14 +171,14 @@ class Replay:
                 total += wrench[0]
         return total >= CARRIED_N
 
-    def _joint_target(self, frame: int, action: Array, last: Array) -> Array:
-        """Arm joints and gripper (J + 1,) that an action asks for; a delta counts from the recorded pose."""
+    def _joint_target(self, action: Array, last: Array) -> Array:
+        """Arm joints and gripper (J + 1,) that an action asks for; a delta counts from the last target."""
         if self._space == "joint":
             return action
         if self._space == "ee_absolute":
             T = poses_of(action[None])
         else:
-            T = ee_targets(poses_of(self._episode.ee_poses[frame][None]), action[None, :6])
+            T = ee_targets(self._robot.ee_poses(last[None, :-1]), action[None, :6])
         return np.append(self._solved(T[0], last[:-1]), action[-1])
 
     def _solved(self, T_world_target: Array, near: Array) -> Array:

@@ -80,14 +80,12 @@ def exported_episodes(out: Path) -> Iterator[Exported]:
 
 
 def summed_error_m(episode: Exported) -> float:
-    """How far from the planned path all deltas end when they are added up from the first pose, [m].
-
-    Each delta counts from an observed pose, so every frame's tracking error is added as well.
-    """
-    T = poses_of(episode.ee_poses[:1])
-    for delta in episode.actions["ee_delta"]:
+    """How far from the planned path the deltas lead that are added up from the first pose, [m]."""
+    T, worst = poses_of(episode.ee_poses[:1]), 0.0
+    for delta, target in zip(episode.actions["ee_delta"], episode.actions["ee_absolute"], strict=True):
         T = ee_targets(T, delta[None, :6])
-    return float(np.linalg.norm(T[0, :3, 3] - episode.actions["ee_absolute"][-1, :3]))
+        worst = max(worst, float(np.linalg.norm(T[0, :3, 3] - target[:3])))
+    return worst
 
 
 def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]]:

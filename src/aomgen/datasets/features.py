@@ -50,12 +50,13 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
 
     The three action spaces describe one target, what is to be reached at the next frame (at the
     last frame: where to stay): `joint` by joint values, `ee_absolute` by the end effector's pose in
-    the world frame, `ee_delta` by the motion to it from the observed pose (`ee_deltas`). The chosen
+    the world frame, `ee_delta` by the motion to it from the target before (`ee_deltas`, `last_targets`), so that
+    deltas add up to the path whatever the arm lags behind. The chosen
     one is `action`, the others are `annotation.action.<space>`. The last element of each is the
     gripper's target, 0 open .. 1 closed.
     """
     target = episode.action_gripper[:, None]
-    deltas = ee_deltas(episode.Ts_world_ee, episode.Ts_world_ee_action)
+    deltas = ee_deltas(last_targets(episode), episode.Ts_world_ee_action)
     spaces = {
         "joint": np.column_stack([episode.action_joints, target]),
         "ee_absolute": np.column_stack([_pose_vectors(episode.Ts_world_ee_action), target]),
@@ -70,19 +71,24 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
     }
 
 
-def ee_deltas(Ts_world_ee: Array, Ts_world_target: Array) -> Array:
-    """Motion from observed poses (T, 4, 4) to targets (T, 4, 4) as vectors (T, 6).
+def last_targets(episode: Episode) -> Array:
+    """Where the end effector was to be before each action (T, 4, 4): first where it stood, then at the target before."""
+    return np.concatenate([episode.Ts_world_ee[:1], episode.Ts_world_ee_action[:-1]])
 
-    Both parts are in the axes of the observed end effector: translation x, y, z, [m], then rotation
-    vector, [rad]. The inverse is `ee_targets`.
+
+def ee_deltas(Ts_world_last: Array, Ts_world_target: Array) -> Array:
+    """Motion from poses (T, 4, 4) to targets (T, 4, 4) as vectors (T, 6).
+
+    Both parts are in the axes of the first pose: translation x, y, z, [m], then rotation vector, [rad]. The inverse is
+    `ee_targets`.
     """
-    Ts_ee_target = invert(Ts_world_ee) @ Ts_world_target
-    return np.column_stack([Ts_ee_target[:, :3, 3], rotvec_from_matrix(Ts_ee_target[:, :3, :3])])
+    Ts_last_target = invert(Ts_world_last) @ Ts_world_target
+    return np.column_stack([Ts_last_target[:, :3, 3], rotvec_from_matrix(Ts_last_target[:, :3, :3])])
 
 
-def ee_targets(Ts_world_ee: Array, deltas: Array) -> Array:
-    """Targets (T, 4, 4) that deltas (T, 6) mean at observed poses (T, 4, 4); the inverse of `ee_deltas`."""
-    return Ts_world_ee @ transform(matrix_from_rotvec(deltas[:, 3:6]), deltas[:, :3])
+def ee_targets(Ts_world_last: Array, deltas: Array) -> Array:
+    """Targets (T, 4, 4) that deltas (T, 6) mean from poses (T, 4, 4); the inverse of `ee_deltas`."""
+    return Ts_world_last @ transform(matrix_from_rotvec(deltas[:, 3:6]), deltas[:, :3])
 
 
 def _pose_vectors(Ts: Array) -> Array:

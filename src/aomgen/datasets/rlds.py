@@ -20,7 +20,7 @@ from aomgen.core.episode import Episode
 from aomgen.core.progress import Progress, silent
 from aomgen.core.transforms import invert
 from aomgen.core.values import Array
-from aomgen.datasets.features import ActionSpace, feature_columns
+from aomgen.datasets.features import ActionSpace, feature_columns, last_targets
 from aomgen.datasets.pictures import read_pictures
 from aomgen.datasets.selection import Choices, Selection, select_episodes, staged_dataset
 from aomgen.datasets.tfrecord import Feature, encode_example, records_bytes
@@ -48,8 +48,8 @@ def openvla_columns(episode: Episode, actions: ActionSpace = "ee_delta") -> dict
 
     The gripper of `action` and `observation.state` is 1 open .. 0 closed. `observation.state` is seven joints
     (zeros for those an arm does not have) and gripper. `action` of the space "ee_delta" is the motion from the
-    observed pose to the target in the world's axes: translation, then roll, pitch and yaw (`rpy_from_matrix`) of
-    R_world_target @ inverse(R_world_ee). Annotations are as in the other formats.
+    target before to the target in the world's axes: translation, then roll, pitch and yaw (`rpy_from_matrix`) of
+    R_world_target @ inverse(R_world_last). Annotations are as in the other formats.
 
     Raises:
         ConfigError: The arm has more than seven joints.
@@ -64,15 +64,15 @@ def openvla_columns(episode: Episode, actions: ActionSpace = "ee_delta") -> dict
     columns["observation.state"] = np.column_stack([episode.joints, padding, 1 - episode.gripper])
     target = columns["action"][:, :-1]
     if actions == "ee_delta":
-        target = world_deltas(episode.Ts_world_ee, episode.Ts_world_ee_action)
+        target = world_deltas(last_targets(episode), episode.Ts_world_ee_action)
     columns["action"] = np.column_stack([target, 1 - episode.action_gripper])
     return columns
 
 
-def world_deltas(Ts_world_ee: Array, Ts_world_target: Array) -> Array:
-    """Motion from observed poses (T, 4, 4) to targets (T, 4, 4) in the world's axes (T, 6): [m], then [rad]."""
-    turns = Ts_world_target[:, :3, :3] @ invert(Ts_world_ee)[:, :3, :3]
-    return np.column_stack([Ts_world_target[:, :3, 3] - Ts_world_ee[:, :3, 3], rpy_from_matrix(turns)])
+def world_deltas(Ts_world_last: Array, Ts_world_target: Array) -> Array:
+    """Motion from poses (T, 4, 4) to targets (T, 4, 4) in the world's axes (T, 6): [m], then [rad]."""
+    turns = Ts_world_target[:, :3, :3] @ invert(Ts_world_last)[:, :3, :3]
+    return np.column_stack([Ts_world_target[:, :3, 3] - Ts_world_last[:, :3, 3], rpy_from_matrix(turns)])
 
 
 def rpy_from_matrix(R: Array) -> Array:

@@ -14,7 +14,6 @@ from aomgen.datasets.features import ActionSpace, ee_deltas, ee_targets
 from aomgen.episodes.ik import IkSolver, converge
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.errors import ConfigError
-from aomgen.simulation.replay import Reached
 
 ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
 
@@ -34,42 +33,53 @@ def require_shape(action: Array, size: int) -> None:
         raise ConfigError("action", f"has shape {action.shape}", f"want ({size},), the gripper last")
 
 
-def joint_target(
-    action: Array, space: ActionSpace, solver: IkSolver, reached: Reached, last: Array
-) -> Array | None:
-    """Arm joints and gripper (J + 1,) that an action asks for, within the joints' limits; None where it says nothing.
+class Targets:
+    """What the robot is to reach in a trial, one target after the other.
 
     Args:
-        action: Of the space's size.
-        reached: What the robot measures now; a delta counts from its end effector.
-        last: The last target (J + 1,), whose branch of the arm is kept. Beyond the arm's reach it comes as near as it can.
+        space: What actions mean.
+        solver: Of the arm.
+        start: Joints and gripper (J + 1,) at rest.
+
+    Attributes:
+        last: The last target (J + 1,); its branch of the arm is kept.
     """
-    if not np.isfinite(action).all():
-        return None
-    low, high = solver.robot.joint_limits.T
-    gripper = np.clip(action[-1:], 0.0, 1.0)
-    if space == "joint":
-        return np.append(np.clip(action[:-1], low, high), gripper)
-    if space == "ee_delta":
-        Ts = ee_targets(reached.T_world_ee[None], action[None, :6])
-    elif action[3:7].any():
-        quat = action[3:7] / np.linalg.norm(action[3:7])
-        Ts = transform(matrix_from_quat(quat[None]), action[None, :3])
-    else:
-        return None
-    return np.append(converge(solver, Ts, last[None, :-1], IkLimits().iterations)[0], gripper)
+
+    def __init__(self, space: ActionSpace, solver: IkSolver, start: Array) -> None:
+        self._space, self._solver, self.last = space, solver, start
+        # As it was asked for: deltas add up to the path, not to what the solver leaves of it.
+        self._T_world_last = solver.robot.ee_poses(start[None, :-1])[0]
+
+    def take(self, action: Array) -> Array | None:
+        """Arm joints and gripper (J + 1,) that an action asks for, within the joints' limits; None where it says nothing.
+
+        Beyond the arm's reach it comes as near as it can.
+        """
+        if not np.isfinite(action).all():
+            return None
+        low, high = self._solver.robot.joint_limits.T
+        gripper = np.clip(action[-1:], 0.0, 1.0)
+        if self._space == "joint":
+            self.last = np.append(np.clip(action[:-1], low, high), gripper)
+            return self.last
+        if self._space == "ee_delta":
+            T = ee_targets(self._T_world_last[None], action[None, :6])
+        elif action[3:7].any():
+            quat = action[3:7] / np.linalg.norm(action[3:7])
+            T = transform(matrix_from_quat(quat[None]), action[None, :3])
+        else:
+            return None
+        joints = converge(self._solver, T, self.last[None, :-1], IkLimits().iterations)[0]
+        self.last, self._T_world_last = np.append(joints, gripper), T[0]
+        return self.last
 
 
-def planned_action(plan: EpisodePlan, frame: int, space: ActionSpace, T_world_ee: Array) -> Array:
-    """The action of a plan at a frame, which names what is to be reached at the next; after the end, where to stay.
-
-    Args:
-        T_world_ee: Where the end effector is (4, 4); a delta counts from there.
-    """
-    ahead = min(frame + 1, len(plan) - 1)
+def planned_action(plan: EpisodePlan, frame: int, space: ActionSpace) -> Array:
+    """The action of a plan at a frame, which names what is to be reached at the next; after the end, where to stay."""
+    now, ahead = (min(row, len(plan) - 1) for row in (frame, frame + 1))
     target, gripper = plan.Ts_world_ee[ahead], plan.gripper[ahead]
     if space == "joint":
         return np.append(plan.joints[ahead], gripper)
     if space == "ee_delta":
-        return np.append(ee_deltas(T_world_ee[None], target[None])[0], gripper)
+        return np.append(ee_deltas(plan.Ts_world_ee[now][None], target[None])[0], gripper)
     return np.concatenate([target[:3, 3], quat_from_matrix(target[:3, :3]), [gripper]])

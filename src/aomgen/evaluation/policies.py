@@ -49,7 +49,7 @@ class OracleReplay:
     """The plan of the trial's own pose: what the demonstrations of a perfect memory would do."""
 
     def __init__(self, world: World) -> None:
-        self._world, self._robot = world, world.factory.results.robot
+        self._world = world
         self._plan: EpisodePlan | None = None
         self._frame = 0
 
@@ -65,9 +65,7 @@ class OracleReplay:
         """The plan's next action."""
         if self._plan is None:
             raise ValueError("act was called before reset")
-        measured = np.asarray(observation["agent_pos"], np.float64)
-        T_world_ee = self._robot.ee_poses(measured[None, :-1])[0]
-        action = planned_action(self._plan, self._frame, self._world.suite.action_space, T_world_ee)
+        action = planned_action(self._plan, self._frame, self._world.suite.action_space)
         self._frame += 1
         return action
 

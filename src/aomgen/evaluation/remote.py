@@ -13,7 +13,7 @@ import numpy as np
 
 from aomgen.core.transforms import matrix_from_rotvec, transform
 from aomgen.core.values import Array
-from aomgen.datasets.features import ee_deltas
+from aomgen.datasets.features import ee_deltas, ee_targets
 from aomgen.errors import ConfigError, PolicyServerError
 from aomgen.evaluation.policy_servers import NUMBERS, OpenpiServer, OpenvlaServer
 from aomgen.io.schema import suggest
@@ -25,6 +25,7 @@ OPENVLA_ACTION, OPENVLA_JOINTS = 7, 7
 # Names of what the recipes' policies are told, see recipes/pi05_openpi.py.
 ACTION_SPACE, CAMERAS = "action_space", "cameras"
 Ask = Callable[[Mapping[str, Any]], Array]
+Convert = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,15 +52,17 @@ class RemotePolicy:
 
     Args:
         ask: A chunk (T, D) for an observation.
-        convert: The environment's action from one of the chunk and what the robot measures now.
+        conversion: Makes, for each trial, what turns an action of a chunk and what the robot measures into the
+            environment's action.
     """
 
-    def __init__(self, ask: Ask, convert: Callable[[Array, Array], Array]) -> None:
-        self._ask, self._convert = ask, convert
-        self._left: deque[Array] = deque()
+    def __init__(self, ask: Ask, conversion: Callable[[], Convert]) -> None:
+        self._ask, self._conversion = ask, conversion
+        self._convert, self._left = conversion(), deque[Array]()
 
     def reset(self, rollout: object) -> None:
-        """Forget what is left of the last chunk."""
+        """Forget the last trial."""
+        self._convert = self._conversion()
         self._left.clear()
 
     def looks(self, frame: int) -> bool:
@@ -112,7 +115,7 @@ def _open_openpi(address: str, task: RemoteTask) -> RemotePolicy:
         )
         return _chunk(where, answer.get("actions"), len(observation["agent_pos"]))
 
-    return RemotePolicy(ask, lambda action, _: action)
+    return RemotePolicy(ask, lambda: lambda action, _: action)
 
 
 def _open_openvla(address: str, task: RemoteTask) -> RemotePolicy:
@@ -130,10 +133,7 @@ def _open_openvla(address: str, task: RemoteTask) -> RemotePolicy:
         payload = {"image": image, "full_image": image, "state": state, "instruction": task.instruction}
         return _chunk(where, server.act(payload), OPENVLA_ACTION)
 
-    def convert(action: Array, measured: Array) -> Array:
-        return delta_of_openvla(action, task.ee_poses(measured[None, :-1])[0])
-
-    return RemotePolicy(ask, convert)
+    return RemotePolicy(ask, lambda: OpenvlaActions(task.ee_poses))
 
 
 def _require_space(where: str, space: str, task: RemoteTask) -> None:
@@ -164,13 +164,33 @@ def _chunk(where: str, answer: Any, size: int) -> Array:
     return actions.astype(np.float64)
 
 
-def delta_of_openvla(action: Array, T_world_ee: Array) -> Array:
-    """The environment's `ee_delta` (7,) from OpenVLA's action (7,), observed at the pose T_world_ee (4, 4).
+class OpenvlaActions:
+    """The environment's `ee_delta` from OpenVLA's actions of one trial, which count from the target before.
+
+    Args:
+        ee_poses: Poses of the end effector (T, 4, 4), world frame, from joints (T, J).
+    """
+
+    def __init__(self, ee_poses: Callable[[Array], Array]) -> None:
+        self._ee_poses = ee_poses
+        self._T_world_last: Array | None = None
+
+    def __call__(self, action: Array, measured: Array) -> Array:
+        """The action (7,) where joints and gripper (J + 1,) are measured; at first that is the last target."""
+        if self._T_world_last is None:
+            self._T_world_last = self._ee_poses(measured[None, :-1])[0]
+        delta = delta_of_openvla(action, self._T_world_last)
+        self._T_world_last = ee_targets(self._T_world_last[None], delta[None, :6])[0]
+        return delta
+
+
+def delta_of_openvla(action: Array, T_world_last: Array) -> Array:
+    """The environment's `ee_delta` (7,) from OpenVLA's action (7,), both from the target T_world_last (4, 4).
 
     OpenVLA's has the world's axes, roll, pitch and yaw, and a gripper that is 1 open; see `datasets.rlds`.
     """
     roll, pitch, yaw = (
         matrix_from_rotvec(angle * axis) for angle, axis in zip(action[3:6], np.eye(3), strict=True)
     )
-    T_world_target = transform(yaw @ pitch @ roll @ T_world_ee[:3, :3], T_world_ee[:3, 3] + action[:3])
-    return np.append(ee_deltas(T_world_ee[None], T_world_target[None])[0], 1 - action[6])
+    T_world_target = transform(yaw @ pitch @ roll @ T_world_last[:3, :3], T_world_last[:3, 3] + action[:3])
+    return np.append(ee_deltas(T_world_last[None], T_world_target[None])[0], 1 - action[6])

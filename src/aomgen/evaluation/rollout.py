@@ -9,7 +9,7 @@ import numpy as np
 from aomgen.core.plan import EpisodePlan, Rejection
 from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
-from aomgen.evaluation.actions import joint_target, require_shape
+from aomgen.evaluation.actions import Targets, require_shape
 from aomgen.evaluation.suite import Suite
 from aomgen.evaluation.views import KINDS, TrialViews, Visuals
 from aomgen.results import Results
@@ -68,9 +68,10 @@ class Rollout:
         self.fitted, scene = self._opened.sized(self.trial.variation.scale)
         self.T_world_object = self.trial.variation.placed(self.fitted)
         self._scene = scene.placed(self.T_world_object)
-        self._target = np.append(self.trial.joints, self.trial.gripper)
+        start = np.append(self.trial.joints, self.trial.gripper)
+        self._targets = Targets(world.suite.action_space, world.factory.solver, start)
         self._simulation = Simulation(
-            self._scene, world.suite.fps, self._target, self.trial.setting, self.fitted.start_theta
+            self._scene, world.suite.fps, start, self.trial.setting, self.fitted.start_theta
         )
         self.reached: Reached = self._simulation.reached()
         self.frame, self._held = 0, 0
@@ -100,14 +101,13 @@ class Rollout:
         """
         suite = self.world.suite
         require_shape(action, suite.action_size)
-        solver = self.world.factory.solver
-        target = joint_target(action, suite.action_space, solver, self.reached, self._target)
+        target = self._targets.take(action)
         self.frame += 1
         if target is None:
             self.fail_reason = BAD_ACTION
             return
         self._simulation.follow(target)
-        self._target, lost = target, self._simulation.diverged()
+        lost = self._simulation.diverged()
         if lost:
             self.fail_reason = lost.reason
             return

@@ -160,7 +160,7 @@ STAGES: tuple[Stage, ...] = (
         folder="dataset",
         title="LeRobot dataset",
         needs=("episodes",),
-        version=3,
+        version=4,
         weight=2,
         function=_lazily("datasets.stage"),
     ),

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from itertools import accumulate
 from pathlib import Path
 
 import h5py
@@ -82,7 +83,7 @@ def test_same_episodes_give_the_same_bytes(folders, exported, tmp_path, kind):
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-def test_each_delta_leads_from_the_observed_pose_to_the_path(exported, folders, kind):
+def test_deltas_add_up_to_the_path(exported, folders, kind):
     """In the precision of the dataset, to less than a millimetre and a thousandth of a radian."""
     dataset = exported[kind]
     for found, length in zip(FORMATS[kind].read(dataset).episodes, LENGTHS, strict=False):
@@ -90,12 +91,17 @@ def test_each_delta_leads_from_the_observed_pose_to_the_path(exported, folders, 
         if kind == "rlds":
             delta = found.columns["action"]
             roll, pitch, yaw = (matrix_from_rotvec(delta[:, 3 + i : 4 + i] * np.eye(3)[i]) for i in range(3))
-            reached = episode.Ts_world_ee.copy()
-            reached[:, :3, 3] += delta[:, :3]
-            reached[:, :3, :3] = yaw @ pitch @ roll @ episode.Ts_world_ee[:, :3, :3]
+            turns = list(
+                accumulate(
+                    yaw @ pitch @ roll, lambda R, turn: turn @ R, initial=episode.Ts_world_ee[0, :3, :3]
+                )
+            )
+            places = episode.Ts_world_ee[0, :3, 3] + np.cumsum(delta[:, :3], 0)
+            reached = transform(np.array(turns[1:]), places)
         else:
             delta = found.columns["annotation.action.ee_delta"]
-            reached = episode.Ts_world_ee @ transform(matrix_from_rotvec(delta[:, 3:6]), delta[:, :3])
+            steps = transform(matrix_from_rotvec(delta[:, 3:6]), delta[:, :3])
+            reached = np.array(list(accumulate(steps, np.matmul, initial=episode.Ts_world_ee[0]))[1:])
         off = np.abs(reached - episode.Ts_world_ee_action)
         assert off[:, :3, 3].max() < 1e-3
         assert off[:, :3, :3].max() < 1e-3

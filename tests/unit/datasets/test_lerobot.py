@@ -106,22 +106,19 @@ def test_only_state_and_pictures_go_in_and_only_actions_come_out():
     assert all(name.startswith("annotation.") for name in list(names)[2:])
 
 
-def test_deltas_lead_from_the_observed_pose_to_the_target_and_back():
+def test_deltas_add_up_to_the_path_of_the_targets_wherever_the_arm_is():
     episode = make_episode(0, 60)
-    columns = feature_columns(episode)
-    deltas = columns["annotation.action.ee_delta"]
-    np.testing.assert_allclose(deltas[:, :6], [[0.01, 0, 0, 0, 0, 0]] * 60, atol=1e-9)
-    targets = ee_targets(episode.Ts_world_ee, deltas)
-    np.testing.assert_allclose(targets, episode.Ts_world_ee_action, atol=1e-9)
-
-
-def test_deltas_of_an_arm_that_tracks_well_add_up_to_the_path():
-    episode = make_episode(0, 60)
-    path = episode.Ts_world_ee
-    T = path[:1]
-    for delta in ee_deltas(path[:-1], path[1:]):
+    T = episode.Ts_world_ee[:1]
+    for delta, target in zip(
+        feature_columns(episode)["annotation.action.ee_delta"], episode.Ts_world_ee_action, strict=True
+    ):
         T = ee_targets(T, delta[None])
-    np.testing.assert_allclose(T[0], path[-1], atol=1e-9)
+        np.testing.assert_allclose(T[0], target, atol=1e-9)
+
+
+def test_a_delta_is_undone_by_the_pose_that_it_counts_from():
+    path = make_episode(0, 60).Ts_world_ee
+    np.testing.assert_allclose(ee_targets(path[:-1], ee_deltas(path[:-1], path[1:])), path[1:], atol=1e-9)
 
 
 def test_quaternions_do_not_jump_and_forces_stand_at_their_frame():

@@ -112,6 +112,9 @@ def test_openvla_answers_one_action_and_oft_a_list(answer):
         asked = served.asked
     rows = np.atleast_2d(answer)
     np.testing.assert_allclose(actions[0], delta_of_openvla(rows[0], T_WORLD_EE))
+    # The next one counts from where the first one led, not from where the arm is.
+    T_world_target = ee_targets(T_WORLD_EE[None], actions[0][None, :6])[0]
+    np.testing.assert_allclose(actions[1], delta_of_openvla(rows[min(1, len(rows) - 1)], T_world_target))
     assert len(asked) == (1 if isinstance(answer, list) else 2)
     assert set(asked[0]) == {"image", "full_image", "state", "instruction"}
     np.testing.assert_array_equal(asked[0]["image"], IMAGE)

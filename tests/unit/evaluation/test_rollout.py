@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aomgen.errors import ConfigError
-from aomgen.evaluation.actions import ACTION_SPACES, action_size, joint_target, planned_action
+from aomgen.evaluation.actions import ACTION_SPACES, Targets, action_size, planned_action
 from aomgen.evaluation.evaluate import roll_out
 from aomgen.evaluation.policies import OracleReplay
 from aomgen.evaluation.rollout import Rollout, World
@@ -44,7 +44,7 @@ def test_a_plan_in_closed_loop_is_the_simulation_of_its_certificate(world: World
         np.testing.assert_array_equal(rollout.reached.joints, run.joints[tick])
         assert rollout.reached.theta == run.thetas[tick]
         np.testing.assert_array_equal(rollout.reached.T_world_ee, run.Ts_world_ee[tick])
-        rollout.step(planned_action(plan, frame, "joint", rollout.reached.T_world_ee))
+        rollout.step(planned_action(plan, frame, "joint"))
 
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
@@ -58,18 +58,16 @@ def test_the_plan_of_a_trial_opens_it_in_every_space(world: World, space) -> Non
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
 def test_planned_actions_mean_the_planned_joints(world: World, space) -> None:
-    plan, reached = world.plan(0), world.rollout(0).reached
-    solver = world.factory.solver
-    last = np.append(plan.joints[0], plan.gripper[0])
+    plan, solver = world.plan(0), world.factory.solver
+    targets = Targets(space, solver, np.append(plan.joints[0], plan.gripper[0]))
     for frame in range(0, 30):
-        action = planned_action(plan, frame, space, reached.T_world_ee)
+        action = planned_action(plan, frame, space)
         assert len(action) == action_size(space, 6)
-        target = joint_target(action, space, solver, reached, last)
+        target = targets.take(action)
         assert target is not None
         T = solver.robot.ee_poses(target[None, :-1])[0]
         np.testing.assert_allclose(T, plan.Ts_world_ee[frame + 1], atol=3e-3)
         assert target[-1] == plan.gripper[frame + 1]
-        last = target
 
 
 def test_who_does_nothing_opens_nothing(world: World) -> None:
@@ -83,7 +81,7 @@ def test_who_does_nothing_opens_nothing(world: World) -> None:
 def test_success_has_to_last_half_a_second(world: World) -> None:
     rollout, plan, shares = world.rollout(0), world.plan(0), []
     while rollout.fail_reason is None:
-        rollout.step(planned_action(plan, rollout.frame, "joint", rollout.reached.T_world_ee))
+        rollout.step(planned_action(plan, rollout.frame, "joint"))
         shares.append(rollout.opening_share)
     opened = np.flatnonzero(np.array(shares) >= 0.9)
     assert rollout.fail_reason == ""
@@ -123,9 +121,9 @@ def test_actions_of_another_shape_are_refused(world: World) -> None:
 
 def test_wild_actions_stay_within_the_joints_limits(world: World) -> None:
     low, high = world.factory.results.robot.joint_limits.T
-    solver, reached = world.factory.solver, world.rollout(0).reached
+    solver = world.factory.solver
     wild = np.append(np.full(6, 100.0), 7.0)
-    target = joint_target(wild, "joint", solver, reached, np.zeros(7))
+    target = Targets("joint", solver, np.zeros(7)).take(wild)
     assert target is not None
     np.testing.assert_array_equal(target, np.append(high, 1.0))
     assert played(world, 0, np.tile(wild, (3, 1))).frame >= 1
@@ -137,7 +135,7 @@ def test_pushing_the_part_with_the_arm_does_not_count(world: World) -> None:
     rollout = world.rollout(0)
     plan = world.plan(0)
     for frame in range(5):
-        rollout.step(planned_action(plan, frame, "joint", rollout.reached.T_world_ee))
+        rollout.step(planned_action(plan, frame, "joint"))
     # Somebody moves the part by hand.
     address = rollout._scene.object_qpos
     still = np.append(plan.joints[5], plan.gripper[5])

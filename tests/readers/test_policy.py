@@ -1,0 +1,68 @@
+"""The unchanged LeRobot trains our small policy on a run's dataset and evaluates it in the run's twin.
+
+It lives in .venv-policy; `make datasets-test` creates it, and names the EPISODES of a finished run.
+"""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BIN = Path(__file__).parents[2] / ".venv-policy" / "bin"
+STEPS, TRIALS = 3, 2
+pytestmark = pytest.mark.slow
+
+
+def call(tmp_path: Path, program: str, *words: str) -> None:
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [BIN / program, *words], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=900
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+
+
+def test_lerobot_trains_and_evaluates(tmp_path: Path) -> None:
+    if "EPISODES" not in os.environ or not (BIN / "lerobot-train").is_file():
+        pytest.skip("needs a finished run and .venv-policy: make datasets-test")
+    run, size = str(Path(os.environ["EPISODES"]).parent), ("--size", "96x96")
+    call(tmp_path, "aomgen", "evaluate", "suite", run, "suite.json", "--trials", str(TRIALS), *size)
+    call(tmp_path, "aomgen", "export", run, "dataset", "--format", "lerobot-v3", "--media", "image", *size)
+    call(
+        tmp_path,
+        "lerobot-train",
+        "--policy.type=small_act",
+        "--policy.device=cpu",
+        "--policy.push_to_hub=false",
+        "--dataset.repo_id=local/opening",
+        "--dataset.root=dataset",
+        "--output_dir=trained",
+        f"--steps={STEPS}",
+        f"--save_freq={STEPS}",
+        "--batch_size=4",
+        "--num_workers=0",
+        "--wandb.enable=false",
+        "--eval_freq=0",
+    )
+    call(
+        tmp_path,
+        "lerobot-eval",
+        "--policy.path=trained/checkpoints/last/pretrained_model",
+        "--policy.device=cpu",
+        "--env.type=aomgen",
+        "--env.suite=suite.json",
+        f"--eval.n_episodes={TRIALS}",
+        "--eval.batch_size=1",
+        "--output_dir=evaluated",
+    )
+    theirs = json.loads((tmp_path / "evaluated" / "eval_info.json").read_text())["overall"]
+    assert theirs["n_episodes"] == TRIALS
+    words = ("evaluate", "suite.json", "--policy", "lerobot:trained", "--workers", "1", "--json", "ours.json")
+    call(tmp_path, "aomgen", *words)
+    ours = json.loads((tmp_path / "ours.json").read_text())
+    # Three steps teach nothing, and both judges say so.
+    assert np.isclose(theirs["pc_success"], 0.0)
+    assert ours["successes"] == 0
+    assert ours["trials"] == TRIALS
