@@ -128,7 +128,7 @@ def time_steps(world: World) -> tuple[float, float]:
         while not over:
             action = policy.act(observation)
             begin = time.process_time()
-            observation, _, ended, late, _ = env.step(action)
+            observation, _, ended, late, _ = env.step(action.astype(np.float32))
             steps.append(1000 * (time.process_time() - begin))
             over = ended or late
     return float(np.median(steps)), float(np.median(resets[1:]))

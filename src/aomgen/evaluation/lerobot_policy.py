@@ -49,9 +49,9 @@ class LerobotPolicy:
     def __init__(self, folder: Path, suite: Suite) -> None:
         try:
             import torch
-            from lerobot.configs.policies import PreTrainedConfig
-            from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-            from lerobot.utils.import_utils import register_third_party_plugins
+            from lerobot.configs.policies import PreTrainedConfig  # pyright: ignore[reportMissingImports]
+            from lerobot.policies.factory import get_policy_class, make_pre_post_processors  # pyright: ignore[reportMissingImports]
+            from lerobot.utils.import_utils import register_third_party_plugins  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise BackendError(
                 "lerobot",

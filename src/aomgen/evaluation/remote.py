@@ -177,10 +177,11 @@ class OpenvlaActions:
 
     def __call__(self, action: Array, measured: Array) -> Array:
         """The action (7,) where joints and gripper (J + 1,) are measured; at first that is the last target."""
-        if self._T_world_last is None:
-            self._T_world_last = self._ee_poses(measured[None, :-1])[0]
-        delta = delta_of_openvla(action, self._T_world_last)
-        self._T_world_last = ee_targets(self._T_world_last[None], delta[None, :6])[0]
+        last = self._T_world_last
+        if last is None:
+            last = self._ee_poses(measured[None, :-1])[0]
+        delta = delta_of_openvla(action, last)
+        self._T_world_last = ee_targets(last[None], delta[None, :6])[0]
         return delta
 
 

@@ -29,6 +29,10 @@ FOOT_JOINTS = 3
 
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+# A drive may do so many times its largest torque for a moment, while the pass rule judges its mean. Where a force is cut
+# off, its dependence on the speed is lost to the implicit integrator: a nearly straight arm, whose joints move against
+# each other with little inertia, would chatter at every step of the commanded speed.
+PEAK = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -278,7 +282,7 @@ def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:
             )
         actuators.append(int(driving[0]))
     ids, numbers = np.array(actuators, np.int64), [joint.id for joint in joints]
-    return ArmDrive(
+    drive = ArmDrive(
         qpos=np.array([joint.qposadr[0] for joint in joints], np.int64),
         dofs=np.array([joint.dofadr[0] for joint in joints], np.int64),
         actuators=ids,
@@ -289,6 +293,9 @@ def _arm_drive(model: mujoco.MjModel, robot: RobotModel) -> ArmDrive:
             np.where(model.jnt_actfrclimited[numbers], model.jnt_actfrcrange[numbers, 1], np.inf),
         ),
     )
+    model.actuator_forcerange[ids] *= PEAK
+    model.jnt_actfrcrange[numbers] *= PEAK
+    return drive
 
 
 def _gripper_drive(model: mujoco.MjModel, robot: RobotModel) -> GripperDrive:
