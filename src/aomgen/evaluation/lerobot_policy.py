@@ -70,7 +70,7 @@ class LerobotPolicy:
             raise MalformedFileError(
                 place, f"cannot be read by LeRobot ({reason})", "train it again"
             ) from error
-        _require_fit(config, suite, place)
+        require_fit(config, suite, place)
         self._policy = policy.eval()
         self._images = list(config.image_features)
         # A policy that sees one frame and answers a chunk need not look before the chunk is done.
@@ -108,7 +108,7 @@ class LerobotPolicy:
             return np.asarray(self._after(actions).cpu(), np.float64).reshape(-1, actions.shape[-1])
 
 
-def _require_fit(config: Any, suite: Suite, place: Path) -> None:
+def require_fit(config: Any, suite: Suite, place: Path) -> None:
     """Refuse a policy that was trained for something else than a suite offers; every difference is named."""
     wanted = {name.removeprefix(IMAGES): tuple(item.shape) for name, item in config.image_features.items()}
     offered = {name: (3, camera.height, camera.width) for name, camera in suite.cameras.items()}
