@@ -26,8 +26,8 @@ def flatten(tree: dict, prefix: str = "") -> dict:
 def statistics(values: np.ndarray) -> dict:
     """As OpenVLA's loader computes it."""
     return {
-        "mean": values.mean(0).tolist(),
-        "std": values.std(0).tolist(),
+        "mean": values.mean(0, dtype=np.float64).tolist(),
+        "std": values.std(0, dtype=np.float64).tolist(),
         "max": values.max(0).tolist(),
         "min": values.min(0).tolist(),
         "q01": np.quantile(values, 0.01, axis=0).tolist(),

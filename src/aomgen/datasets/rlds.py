@@ -129,10 +129,10 @@ def write_rlds(
 
 
 def openvla_statistics(columns: Sequence[Mapping[str, NDArray]]) -> dict[str, Any]:
-    """What OpenVLA normalizes with, of the columns of all episodes, in single precision as its loader computes it."""
+    """What OpenVLA normalizes with, of the columns of all episodes; summed in double precision, so that order is nothing."""
     result: dict[str, Any] = {}
     for key, name in {"action": "action", "proprio": "observation.state"}.items():
-        values = np.concatenate([table[name].astype(np.float32) for table in columns])
+        values = np.concatenate([table[name].astype(np.float32) for table in columns]).astype(np.float64)
         numbers = {"mean": values.mean(0), "std": values.std(0), "max": values.max(0), "min": values.min(0)}
         numbers |= {"q01": np.quantile(values, 0.01, axis=0), "q99": np.quantile(values, 0.99, axis=0)}
         result[key] = {kind: array.tolist() for kind, array in numbers.items()}
