@@ -10,11 +10,11 @@ from typing import Any, Final
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 
+from aomgen.datasets.features import ACTION_SPACES
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.episodes.ledger import unit_of
 from aomgen.episodes.record import trajectory_of
 from aomgen.episodes.render import render_episode
-from aomgen.evaluation.actions import ACTION_SPACES
 from aomgen.evaluation.draws import SuiteRequest, make_suite
 from aomgen.evaluation.environment import OpenEnv
 from aomgen.evaluation.evaluate import EvaluationRequest, evaluate

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from aomgen.core.episode import Episode
 from aomgen.core.transforms import matrix_from_quat, rotvec_from_matrix, transform
 from aomgen.core.values import Array
-from aomgen.datasets.features import ActionSpace, ee_targets, feature_columns
+from aomgen.datasets.features import ACTION_SPACES, ee_targets, feature_columns
 from aomgen.robots.robot import RobotModel
 from benchmarks.foreign_scene import ForeignScene
 
@@ -89,8 +89,7 @@ def exported_from(
         T_world_object=T_world_object,
         states=columns[STATE],
         actions={
-            space: columns.get(f"annotation.action.{space}", columns["action"])
-            for space in get_args(ActionSpace)
+            space: columns.get(f"annotation.action.{space}", columns["action"]) for space in ACTION_SPACES
         },
         ee_poses=columns[EE_POSE],
         forces=columns[FORCE].sum(1),

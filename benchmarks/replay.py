@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import binomtest
 
 from aomgen.assets.usd_write import write_usd
 from aomgen.core.episode import PHASES
@@ -17,6 +16,7 @@ from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.planning import PlanParams, plan_episode
 from aomgen.episodes.record import episode_of
 from aomgen.episodes.variations import Ranges, scaled_fit
+from aomgen.evaluation.evaluate import interval_95
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import write_json
 from aomgen.results import ASSET_USD
@@ -218,12 +218,6 @@ def worst_ik(planned: list[dict[str, Any]]) -> dict[str, float]:
     """Number of plans, and the largest of each figure of `recheck`."""
     worst = {name: max(row["ik"][name] for row in planned) for name in ("mm", "deg", "step")}
     return {"plans": float(len(planned)), **worst}
-
-
-def interval_95(successes: int, trials: int) -> list[float]:
-    """Wilson's interval of a share."""
-    interval = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
-    return [float(interval.low), float(interval.high)]
 
 
 def _counts(rows: list[dict[str, Any]], name: str) -> dict[str, int]:

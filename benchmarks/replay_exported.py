@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 
-from aomgen.datasets.features import ActionSpace, ee_targets
+from aomgen.datasets.features import ACTION_SPACES, ee_targets
 from aomgen.errors import MissingFileError
 from aomgen.io.artifact import read_json
 from aomgen.robots.loading import load_stored_robot
@@ -95,7 +95,7 @@ def _replayed(robot: RobotModel, episode: Exported) -> tuple[str, dict[str, Any]
         "unit": "deg" if scene.revolute else "mm",
         "summed_mm": 1000 * summed_error_m(episode),
     }
-    for space in get_args(ActionSpace):
+    for space in ACTION_SPACES:
         thetas = Replay(scene, robot, episode, space).run().thetas
         row[space] = {
             "opened": bool(episode.shares(thetas)[-1] >= OPENED_SHARE),

@@ -55,6 +55,18 @@ def read_map(content: dict[Any, Any]) -> Any:
 
 
 @contextmanager
+def _serving(server: Any) -> Iterator[None]:
+    """Serve on a thread while the block runs."""
+    thread = Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield
+    finally:
+        server.shutdown()
+        thread.join()
+
+
+@contextmanager
 def openpi_server(answer: Callable[[dict[str, Any]], Any], metadata: Any = None) -> Iterator[Served]:
     """Answers are packed, except for bytes (sent as they are), words (a traceback: it closes) and None (it closes)."""
     served = Served()
@@ -78,13 +90,8 @@ def openpi_server(answer: Callable[[dict[str, Any]], Any], metadata: Any = None)
 
     with serve(handle, "127.0.0.1", 0, compression=None, max_size=None) as server:
         served.address = f"127.0.0.1:{server.socket.getsockname()[1]}"
-        thread = Thread(target=server.serve_forever)
-        thread.start()
-        try:
+        with _serving(server):
             yield served
-        finally:
-            server.shutdown()
-            thread.join()
 
 
 @contextmanager
@@ -108,10 +115,5 @@ def openvla_server(answer: Callable[[dict[str, Any]], Any]) -> Iterator[Served]:
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         served.address = f"127.0.0.1:{server.server_address[1]}"
-        thread = Thread(target=server.serve_forever)
-        thread.start()
-        try:
+        with _serving(server):
             yield served
-        finally:
-            server.shutdown()
-            thread.join()

@@ -41,6 +41,7 @@ def evaluate_suite(
     workers: Workers = 0,
 ) -> None:
     """Draw trials that every policy shall meet: poses of the run's ranges whose plan passes the certificate."""
+    from aomgen.datasets.selection import parse_size
     from aomgen.evaluation.draws import SuiteRequest, make_suite
     from aomgen.evaluation.suite import open_results
 
@@ -48,10 +49,11 @@ def evaluate_suite(
         trials=trials,
         seed=seed,
         action_space=_chosen_actions(actions),
-        size=_parse_size(size),
+        size=parse_size(size) if size else None,
         cameras=tuple(cameras or ()),
     )
-    suite = make_suite(open_results(run), file, request, workers or _processors(), _tell)
+    results = open_results(run)
+    suite = make_suite(results, file, request, workers or results.workers, _tell)
     nearest = suite.nearest
     apart = f"{nearest.mm:.1f} mm and {nearest.deg:.2f} deg" if nearest else "no episodes yet"
     print(f"{file}: {len(suite.trials)} trials, {sum(suite.redrawn.values())} redrawn {suite.redrawn}")
@@ -92,7 +94,8 @@ def evaluate_policy(
     )
     words = [suite.stem, re.sub(r"\W+", "-", policy), *filter(None, [actions]), visuals]
     folder = out or suite.with_name("-".join(words))
-    figures = evaluate(*open_suite(suite), folder, request, workers or _processors(), _tell)
+    opened, results = open_suite(suite)
+    figures = evaluate(opened, results, folder, request, workers or results.workers, _tell)
     print(_table(figures))
     if json_file:
         write_json(json_file, figures)
@@ -111,27 +114,12 @@ def _table(figures: dict[str, Any]) -> str:
 
 
 def _chosen_actions(name: str):
-    from aomgen.evaluation.actions import ACTION_SPACES
+    from aomgen.datasets.features import ACTION_SPACES
     from aomgen.io.schema import suggest
 
     if name not in ACTION_SPACES:
         raise ConfigError("--actions", f"'{name}' is unknown", suggest(name, ACTION_SPACES))
     return name
-
-
-def _parse_size(text: str) -> tuple[int, int] | None:
-    if not text:
-        return None
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
-        raise ConfigError("--size", f"is '{text}'", "want WxH, for example 128x128")
-    return int(width), int(height)
-
-
-def _processors() -> int:
-    import os
-
-    return len(os.sched_getaffinity(0))
 
 
 def _tell(share: float, text: str) -> None:

@@ -4,7 +4,7 @@ LeRobot takes every `observation.*` for an input of a policy and every `action*`
 what a robot measures is an observation, only one action space is `action`, and all the rest is `annotation.*`.
 """
 
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ from aomgen.core.values import Array
 
 # Spaces of actions; all describe the same targets.
 ActionSpace = Literal["joint", "ee_absolute", "ee_delta"]
+ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
 # Those that LeRobot v3.0 stores for each feature.

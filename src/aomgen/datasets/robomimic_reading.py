@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.datasets.features import ActionSpace
+from aomgen.datasets.features import ACTION_SPACES
 from aomgen.datasets.robomimic import FILE, MASKS, unscale_actions
 from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode
 from aomgen.errors import MalformedFileError, MissingFileError
@@ -36,10 +36,8 @@ def read_robomimic(folder: Path) -> StoredDataset:
         shapes = {name: first[name + IMAGE].shape for name in cameras}
     except (KeyError, OSError, RuntimeError) as error:
         raise _damaged(where, error) from error
-    if actions not in get_args(ActionSpace):
-        raise MalformedFileError(
-            where, f"says action_space '{actions}'", suggest(actions, get_args(ActionSpace))
-        )
+    if actions not in ACTION_SPACES:
+        raise MalformedFileError(where, f"says action_space '{actions}'", suggest(actions, ACTION_SPACES))
     return StoredDataset(
         actions=actions,  # type: ignore[arg-type]
         sizes={name: (int(shape[2]), int(shape[1])) for name, shape in shapes.items()},

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from aomgen.core.progress import Progress
-from aomgen.datasets.features import ActionSpace
+from aomgen.datasets.features import ACTION_SPACES, ActionSpace
 from aomgen.datasets.lerobot_v3 import write_lerobot_v3
 from aomgen.datasets.selection import Choices
 from aomgen.errors import ConfigError
@@ -25,10 +25,9 @@ class DatasetParams:
     actions: ActionSpace = "joint"
 
     def __post_init__(self) -> None:
-        spaces = get_args(ActionSpace)
-        if self.actions not in spaces:
+        if self.actions not in ACTION_SPACES:
             raise ConfigError(
-                "parameter 'dataset.actions'", f"is '{self.actions}'", suggest(self.actions, spaces)
+                "parameter 'dataset.actions'", f"is '{self.actions}'", suggest(self.actions, ACTION_SPACES)
             )
 
 

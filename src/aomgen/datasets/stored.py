@@ -3,12 +3,12 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aomgen.datasets.features import ActionSpace
+from aomgen.datasets.features import ACTION_SPACES, ActionSpace
 from aomgen.errors import MalformedFileError
 
 REMEDY: Final = "export it again"
@@ -56,7 +56,7 @@ def chosen_space(features: Mapping[str, Any], where: Path) -> ActionSpace:
     Raises:
         MalformedFileError: There is no such space, or more than one.
     """
-    absent = [space for space in get_args(ActionSpace) if f"annotation.action.{space}" not in features]
+    absent = [space for space in ACTION_SPACES if f"annotation.action.{space}" not in features]
     if len(absent) != 1:
         known = (
             ", ".join(f"annotation.action.{space}" for space in absent) or "no action space but annotations"

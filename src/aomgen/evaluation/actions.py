@@ -3,8 +3,6 @@
 The three spaces are those of a dataset, see `datasets.features`.
 """
 
-from typing import Final, get_args
-
 import numpy as np
 
 from aomgen.core.plan import EpisodePlan
@@ -14,8 +12,6 @@ from aomgen.datasets.features import ActionSpace, ee_deltas, ee_targets
 from aomgen.episodes.ik import IkSolver, converge
 from aomgen.episodes.joint_limits import IkLimits
 from aomgen.errors import ConfigError
-
-ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
 
 
 def action_size(space: ActionSpace, arm_joints: int) -> int:

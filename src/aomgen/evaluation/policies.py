@@ -100,11 +100,8 @@ class NearestReplay:
         """Find the nearest episode."""
         found = nearest_pose(rollout.T_world_object, self._poses)
         name = "" if found is None else found[1]
-        columns, space = (
-            feature_columns(read_episode(self._folder / name).episode),
-            self._world.suite.action_space,
-        )
-        self._actions = columns["action" if space == "joint" else f"annotation.action.{space}"]
+        episode = read_episode(self._folder / name).episode
+        self._actions = feature_columns(episode, self._world.suite.action_space)["action"]
         self._frame = 0
 
     def looks(self, frame: int) -> bool:

@@ -26,13 +26,13 @@ TABLE_THICKNESS_M = 0.04
 TABLE_REACH_M = 0.7
 # The arm's foot may stand beside or in the plane of the table; bodies that fewer joints move ignore it.
 FOOT_JOINTS = 3
-
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 # A drive may do so many times its largest torque for a moment, while the pass rule judges its mean. Where a force is cut
 # off, its dependence on the speed is lost to the implicit integrator: a nearly straight arm, whose joints move against
 # each other with little inertia, would chatter at every step of the commanded speed.
 PEAK = 1.5
+
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -239,6 +239,14 @@ WORDS = {**msgpack_array(CHUNK), b"dtype": "|S4"}
 OBJECTS = {**msgpack_array(CHUNK), b"dtype": "|O"}
 
 
+def refuses_in_one_sentence(policy, where: str, said: str) -> None:
+    with pytest.raises(PolicyServerError) as caught:
+        policy.act(observation())
+    assert str(caught.value).startswith(where)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
@@ -263,11 +271,7 @@ OBJECTS = {**msgpack_array(CHUNK), b"dtype": "|O"}
 def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
     with openpi_server(lambda _: answer) as served:
         policy = open_remote(f"openpi://{served.address}", task_in("joint"))
-        with pytest.raises(PolicyServerError) as caught:
-            policy.act(observation())
-    assert str(caught.value).startswith(f"openpi://{served.address}: ")
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
+        refuses_in_one_sentence(policy, f"openpi://{served.address}: ", said)
 
 
 @pytest.mark.parametrize(
@@ -293,11 +297,7 @@ def test_wrong_answers_of_openpi_are_one_sentence(answer, said):
 def test_wrong_answers_of_openvla_are_one_sentence(answer, said):
     with openvla_server(lambda _: answer) as served:
         policy = open_remote(f"openvla://{served.address}", task_in("ee_delta"))
-        with pytest.raises(PolicyServerError) as caught:
-            policy.act(observation())
-    assert str(caught.value).startswith(f"openvla://{served.address}: ")
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
+        refuses_in_one_sentence(policy, f"openvla://{served.address}: ", said)
 
 
 def test_a_server_that_thinks_for_ever_is_left(monkeypatch):

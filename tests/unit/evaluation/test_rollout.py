@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aomgen.datasets.features import ACTION_SPACES
 from aomgen.errors import ConfigError
-from aomgen.evaluation.actions import ACTION_SPACES, Targets, action_size, planned_action
+from aomgen.evaluation.actions import Targets, action_size, planned_action
 from aomgen.evaluation.evaluate import roll_out
 from aomgen.evaluation.policies import OracleReplay
 from aomgen.evaluation.rollout import Rollout, World
