@@ -79,9 +79,9 @@ def run_environment(
 
 
 def resized(world: World, size: tuple[int, int]) -> World:
-    """The same trials in images of another size."""
+    """The same trials, drawn in another size."""
     cameras = {name: camera.resized(*size) for name, camera in world.suite.cameras.items()}
-    return World(replace(world.suite, cameras=cameras), world.factory.results)
+    return World(replace(world.suite, cameras=cameras, drawn_size=size), world.factory.results)
 
 
 def worst_psnr(results: Results) -> float:

@@ -151,14 +151,23 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def require_smaller(size: tuple[int, int], drawn: tuple[int, int], what: str) -> None:
+    """Refuse pictures larger than what is drawn, both width and height, [px].
+
+    Raises:
+        ConfigError: They are.
+    """
+    if not (size[0] <= drawn[0] and size[1] <= drawn[1]):
+        raise ConfigError(
+            "--size",
+            f"{size[0]}x{size[1]} is larger than {what}, {drawn[0]}x{drawn[1]}",
+            "choose a smaller one",
+        )
+
+
 def _resize_cameras(item: CommittedEpisode, size: tuple[int, int]) -> CommittedEpisode:
     for name, camera in item.episode.cameras.items():
-        if not (size[0] <= camera.width and size[1] <= camera.height):
-            raise ConfigError(
-                "--size",
-                f"{size[0]}x{size[1]} is larger than what camera '{name}' rendered, {camera.width}x{camera.height}",
-                "choose a smaller one",
-            )
+        require_smaller(size, (camera.width, camera.height), f"what camera '{name}' rendered")
     cameras = {name: camera.resized(*size) for name, camera in item.episode.cameras.items()}
     return replace(item, episode=replace(item.episode, cameras=cameras))
 

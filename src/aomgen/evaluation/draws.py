@@ -15,6 +15,7 @@ from aomgen.core.camera import Camera
 from aomgen.core.plan import Rejection, Variation, VerifiedEpisode
 from aomgen.core.progress import Progress
 from aomgen.datasets.features import ActionSpace
+from aomgen.datasets.selection import require_smaller
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams
 from aomgen.episodes.variations import draw_independently
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
@@ -48,7 +49,7 @@ class SuiteRequest:
         trials: How many; the assets share them evenly, one after the other.
         seed: Of the draws.
         action_space: What actions mean.
-        size: Of the images, [px]; None as the run has them.
+        size: Of the images, averaged down from what the run draws, [px]; None as the run has them.
         cameras: Names; empty for all of the run's.
     """
 
@@ -74,12 +75,16 @@ def make_suite(
     """Draw a suite and write it; what a killed call has drawn is kept.
 
     Raises:
-        ConfigError: The seed is that of the training, or a camera is unknown.
+        ConfigError: The seed is that of the training, a camera is unknown, or images are drawn smaller.
         NotEnoughEpisodesError: Hardly any draw passes.
         AomgenError: The run has not come that far.
     """
     require_json(path)
-    cameras = _chosen_cameras(results, request)
+    cameras = _chosen_cameras(results, request.cameras)
+    first = next(iter(cameras.values()))
+    drawn_size = (first.width, first.height)
+    size = request.size or drawn_size
+    require_smaller(size, drawn_size, "what the run draws")
     if request.seed == results.project.seed:
         raise ConfigError("--seed", f"{request.seed} is that of the training", "choose another one")
     twin = twin_digest(results)
@@ -95,7 +100,8 @@ def make_suite(
         joint_names=results.robot.joint_names,
         fps=round(results.fps),
         action_space=request.action_space,
-        cameras=cameras,
+        cameras={name: camera.resized(*size) for name, camera in cameras.items()},
+        drawn_size=drawn_size,
         max_frames=math.ceil(PATIENCE * max(item.frames for item in drawn)),
         seed=request.seed,
         trials=tuple(item.trial for item in drawn),
@@ -114,17 +120,17 @@ def _plain(request: SuiteRequest) -> dict:
     return content | {"size": request.size and list(request.size), "cameras": list(request.cameras)}
 
 
-def _chosen_cameras(results: Results, request: SuiteRequest) -> dict[str, Camera]:
+def _chosen_cameras(results: Results, wanted: tuple[str, ...]) -> dict[str, Camera]:
     known = results.episode_scene.cameras
-    names = request.cameras or results.params("episodes", GenerationParams()).cameras or tuple(known)
+    names = wanted or results.params("episodes", GenerationParams()).cameras or tuple(known)
     for name in names:
         if name not in known:
             raise ConfigError("--camera", f"'{name}' is no camera of this run", suggest(name, known))
-    return {name: known[name].resized(*request.size) if request.size else known[name] for name in names}
+    return {name: known[name] for name in names}
 
 
 def _open_drawing(results: Results, request: SuiteRequest) -> Callable[[int], DrawnTrial]:
-    factory = EpisodeFactory(results, results.folders["episodes"], _chosen_cameras(results, request))
+    factory = EpisodeFactory(results, results.folders["episodes"], _chosen_cameras(results, request.cameras))
     return partial(draw_trial, factory, request)
 
 

@@ -11,7 +11,8 @@ from aomgen.core.values import Array
 from aomgen.episodes.factory import EpisodeFactory
 from aomgen.evaluation.actions import Targets, require_shape
 from aomgen.evaluation.suite import Suite
-from aomgen.evaluation.views import KINDS, TrialViews, Visuals
+from aomgen.evaluation.views import KINDS, Images, TrialViews, Visuals
+from aomgen.io.images import resize
 from aomgen.results import Results
 from aomgen.simulation.judge import PassRule, judge
 from aomgen.simulation.replay import Reached, Simulation
@@ -33,7 +34,8 @@ class World:
 
     def __init__(self, suite: Suite, results: Results, visuals: Visuals = "splat") -> None:
         self.suite, self.visuals = suite, visuals
-        self.factory = EpisodeFactory(results, results.folders["episodes"], suite.cameras)
+        drawn = {name: camera.resized(*suite.drawn_size) for name, camera in suite.cameras.items()}
+        self.factory = EpisodeFactory(results, results.folders["episodes"], drawn)
         # From the first to the last of them it takes that long.
         self.held_frames = 1 + math.ceil(HELD_S * suite.fps)
 
@@ -90,8 +92,16 @@ class Rollout:
     def observation(self, *, pixels: bool = True) -> dict[str, Any]:
         """What the policy sees: "agent_pos" (J + 1,), float32, and "pixels" by camera where they are wanted."""
         state = np.append(self.reached.joints, self.reached.gripper).astype(np.float32)
-        drawn = {"pixels": self._views.draw(self.reached)} if pixels else {}
-        return {**drawn, "agent_pos": state}
+        return {"agent_pos": state, **({"pixels": self._pictures()} if pixels else {})}
+
+    def _pictures(self) -> Images:
+        """Image (H, W, 3) of every camera, made smaller as a dataset's are."""
+        suite, drawn = self.world.suite, self._views.draw(self.reached)
+        sizes = {name: (camera.width, camera.height) for name, camera in suite.cameras.items()}
+        return {
+            name: image if sizes[name] == suite.drawn_size else resize(image, *sizes[name])
+            for name, image in drawn.items()
+        }
 
     def step(self, action: Array) -> None:
         """Take an action, and end the trial where it succeeds, fails or has lasted too long.

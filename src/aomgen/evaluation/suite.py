@@ -78,6 +78,7 @@ class Suite:
         fps: Actions a second.
         action_space: What actions mean, see `actions`.
         cameras: By name; their size is that of the images.
+        drawn_size: Width and height that images are drawn in, and averaged down from, as datasets are, [px].
         max_frames: A trial ends after so many actions.
         seed: Of the draws.
         redrawn: Draws that were passed over, by reason.
@@ -93,6 +94,7 @@ class Suite:
     fps: int
     action_space: ActionSpace
     cameras: Mapping[str, Camera]
+    drawn_size: tuple[int, int]
     max_frames: int
     seed: int
     trials: tuple[Trial, ...]

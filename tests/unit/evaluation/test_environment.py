@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -74,6 +75,15 @@ def test_observations_are_named_and_ordered_as_in_the_dataset(world: World, toy)
     }
     np.testing.assert_array_equal(env.render(), observation["pixels"]["front"])
     assert env.metadata["render_fps"] == episode.fps
+
+
+def test_smaller_pictures_are_averaged_from_those_of_the_run(world: World) -> None:
+    width, height = world.suite.drawn_size
+    small = {name: camera.resized(width // 2, height // 2) for name, camera in world.suite.cameras.items()}
+    halved = World(replace(world.suite, cameras=small), world.factory.results).rollout(1).observation()
+    for name, picture in world.rollout(1).observation()["pixels"].items():
+        blocks = picture.reshape(height // 2, 2, width // 2, 2, 3).mean((1, 3))
+        np.testing.assert_allclose(halved["pixels"][name], blocks, atol=1)  # rounded after each direction
 
 
 def test_the_same_seed_draws_the_same_trial(world: World) -> None:

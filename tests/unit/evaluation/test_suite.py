@@ -85,6 +85,12 @@ def test_unknown_cameras_are_refused(toy: ToyResults, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_pictures_larger_than_the_run_draws_are_refused(toy: ToyResults, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="9999x16 is larger than what the run draws"):
+        make_suite(toy, tmp_path / "s.json", SuiteRequest(size=(9999, 16)), 1, silent)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_suite_of_another_twin_is_refused(suite: Suite, toy: ToyResults) -> None:
     require_twin(Path("suite.json"), suite, toy)
     assert suite.twin == twin_digest(toy)
