@@ -11,28 +11,39 @@ from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 @PreTrainedConfig.register_subclass("small_act")
 @dataclass
 class SmallACTConfig(PreTrainedConfig):
-    """Action chunking with a small convolutional encoder: about 1.5 million parameters for two cameras.
+    """Action chunking with a small convolutional encoder: about 2 million parameters for two cameras of 96x96.
+
+    Pictures, state and actions are normalized; noise and color changes are in units of their standard deviations.
 
     Attributes:
         chunk_size: Actions that are predicted at once.
         n_action_steps: Of these, how many are done before the policy looks again.
         channels: Of the encoder's convolutions; each halves the picture.
+        joint_offsets: Actions are joints, and predicted as offsets from the state; False for those of another kind.
+        picture_tokens: What the encoder makes of a picture. So few are cheap, and each may look at all of it.
         dim_model, n_heads, dim_feedforward, n_encoder_layers, n_decoder_layers, dropout: Of the transformer.
+        state_noise: Added to the state in training, so that the policy comes back to the path from beside it.
         shift_px: Pictures are shifted by up to so many pixels in training.
+        contrast, tint: Largest change of a picture's contrast, as a share, and of each of its color channels.
         optimizer_lr, optimizer_weight_decay, warmup_steps, decay_steps: Of AdamW, with a cosine decay to zero; fewer
             steps of training shorten both.
     """
 
-    chunk_size: int = 20
-    n_action_steps: int = 10
+    chunk_size: int = 50
+    n_action_steps: int = 5
+    joint_offsets: bool = True
     channels: tuple[int, ...] = (32, 64, 96, 128)
+    picture_tokens: int = 4
     dim_model: int = 128
     n_heads: int = 4
     dim_feedforward: int = 512
-    n_encoder_layers: int = 3
-    n_decoder_layers: int = 2
-    dropout: float = 0.05
-    shift_px: int = 0
+    n_encoder_layers: int = 1
+    n_decoder_layers: int = 1
+    dropout: float = 0.0
+    state_noise: float = 0.06
+    shift_px: int = 1
+    contrast: float = 0.15
+    tint: float = 0.2
     optimizer_lr: float = 1e-3
     optimizer_weight_decay: float = 1e-4
     warmup_steps: int = 300
@@ -53,9 +64,11 @@ class SmallACTConfig(PreTrainedConfig):
             )
 
     def validate_features(self) -> None:
-        """Raises ValueError without an action, a state, or anything that tells where the object is."""
+        """Raises ValueError without an action, a state, or anything that tells where the object is, and for offsets of poses."""
         if self.action_feature is None or self.robot_state_feature is None:
             raise ValueError("the dataset needs the features action and observation.state")
+        if self.joint_offsets and self.action_feature.shape != self.robot_state_feature.shape:
+            raise ValueError("actions are no joints: add --policy.joint_offsets=false")
         if not (self.image_features or self.env_state_feature):
             raise ValueError("the dataset needs pictures, or observation.environment_state")
 

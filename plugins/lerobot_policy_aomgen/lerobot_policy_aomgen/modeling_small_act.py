@@ -1,11 +1,10 @@
-"""The small policy: pictures and joints to a chunk of actions.
+"""The small policy: pictures and joints to a chunk of actions, as offsets from where the joints are.
 
 Source: Zhao et al., Learning Fine-Grained Bimanual Manipulation with Low-Cost Hardware (ACT), without its variational
 part: demonstrations of one planner differ in what is seen, not in style.
 """
 
 from collections import deque
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -15,6 +14,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lerobot_policy_aomgen.configuration_small_act import SmallACTConfig
+
+# What is kept of each cell before all cells of a picture are joined.
+CELL_CHANNELS = 32
 
 
 class SmallACTPolicy(PreTrainedPolicy):
@@ -59,21 +61,28 @@ class SmallACTPolicy(PreTrainedPolicy):
 
 
 class SmallACT(nn.Module):
-    """A transformer from tokens of what is observed to actions, one query each."""
+    """A transformer from tokens of what is observed to actions, one query each.
+
+    Actions that are joints are what it says added to the state: two looks shortly after each other then agree to far
+    less than either knows about the way ahead, and the arm is not jerked.
+    """
 
     def __init__(self, config: SmallACTConfig) -> None:
         super().__init__()
         width = config.dim_model
         self.config = config
         self.cameras = sorted(config.image_features)
-        self.encoders = nn.ModuleList(_encoder(config.channels, width) for _ in self.cameras)
-        self.places = nn.ParameterList(
-            0.02 * torch.randn(_cells(config.image_features[name].shape, len(config.channels)), width)
-            for name in self.cameras
-        )
+        self.encoders = nn.ModuleList(_encoder(config, name) for name in self.cameras)
+        self.places = nn.Parameter(0.02 * torch.randn(len(self.cameras), config.picture_tokens, width))
         assert config.robot_state_feature is not None
         assert config.action_feature is not None
-        self.state = nn.Linear(config.robot_state_feature.shape[0], width)
+        state, action = config.robot_state_feature.shape[0], config.action_feature.shape[0]
+        self.state = nn.Linear(state, width)
+        self.held = nn.Linear(state, action) if config.joint_offsets else None
+        if self.held is not None:
+            # Nearly so it stays: joints and their targets are normalized by statistics that hardly differ.
+            nn.init.eye_(self.held.weight)
+            nn.init.zeros_(self.held.bias)
         told = config.env_state_feature
         self.environment = None if told is None else nn.Linear(told.shape[0], width)
         layer = {
@@ -94,36 +103,43 @@ class SmallACT(nn.Module):
             nn.TransformerDecoderLayer(**layer), config.n_decoder_layers, nn.LayerNorm(width)
         )
         self.queries = nn.Parameter(0.02 * torch.randn(config.chunk_size, width))
-        self.action = nn.Linear(width, config.action_feature.shape[0])
+        self.action = nn.Linear(width, action)
 
     def forward(self, batch: dict[str, Tensor]) -> Tensor:
         """Actions (B, chunk_size, A) for a batch of normalized observations."""
-        tokens = [self.state(batch[OBS_STATE])[:, None]]
+        state = batch[OBS_STATE]
+        if self.training:
+            state = state + self.config.state_noise * torch.randn_like(state)
+        tokens = [self.state(state)[:, None]]
         if self.environment is not None:
             tokens.append(self.environment(batch[OBS_ENV_STATE])[:, None])
         for name, encoder, places in zip(self.cameras, self.encoders, self.places, strict=True):
-            picture = batch[name]
-            if self.training and self.config.shift_px:
-                picture = _shifted(picture, self.config.shift_px)
-            tokens.append(encoder(picture).flatten(2).transpose(1, 2) + places)
+            picture = _changed(batch[name], self.config) if self.training else batch[name]
+            tokens.append(encoder(picture) + places)
         seen = self.encoder(torch.cat(tokens, 1))
-        return self.action(self.decoder(self.queries.expand(len(seen), -1, -1), seen))
+        actions = self.action(self.decoder(self.queries.expand(len(seen), -1, -1), seen))
+        return actions if self.held is None else actions + self.held(state)[:, None]
 
 
-def _encoder(channels: Sequence[int], width: int) -> nn.Sequential:
-    """Convolutions that halve a picture (B, 3, H, W) each, and end with the transformer's width."""
+def _encoder(config: SmallACTConfig, camera: str) -> nn.Sequential:
+    """From pictures (B, 3, H, W) of a camera to tokens (B, N, width): convolutions that halve it, then all of its cells."""
     layers: list[nn.Module] = []
-    for before, after in zip((3, *channels), channels, strict=False):
+    _, height, width = config.image_features[camera].shape
+    for before, after in zip((3, *config.channels), config.channels, strict=False):
         layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.GroupNorm(8, after), nn.ReLU()]
-    return nn.Sequential(*layers, nn.Conv2d(channels[-1], width, 1))
-
-
-def _cells(shape: Sequence[int], halvings: int) -> int:
-    """How many cells are left of a picture of a shape (3, H, W)."""
-    height, width = shape[1:]
-    for _ in range(halvings):
         height, width = (height + 1) // 2, (width + 1) // 2
-    return height * width
+    tokens, dim = config.picture_tokens, config.dim_model
+    layers += [nn.Conv2d(config.channels[-1], CELL_CHANNELS, 1), nn.ReLU(), nn.Flatten()]
+    layers += [nn.Linear(CELL_CHANNELS * height * width, tokens * dim), nn.Unflatten(1, (tokens, dim))]
+    return nn.Sequential(*layers)
+
+
+def _changed(pictures: Tensor, config: SmallACTConfig) -> Tensor:
+    """Pictures (B, 3, H, W), each with another contrast, tint and place."""
+    count = len(pictures)
+    contrast = 1 + config.contrast * (2 * torch.rand(count, 1, 1, 1, device=pictures.device) - 1)
+    tint = config.tint * (2 * torch.rand(count, 3, 1, 1, device=pictures.device) - 1)
+    return _shifted(contrast * pictures + tint, config.shift_px)
 
 
 def _shifted(pictures: Tensor, most: int) -> Tensor:

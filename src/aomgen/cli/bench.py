@@ -229,6 +229,42 @@ def bench_environment(
         _show(run_environment(run, folder, trials, workers, partial(print, file=sys.stderr)), json_file)
 
 
+@bench_app.command("policy")
+def bench_policy(
+    out: Annotated[
+        Path, typer.Argument(help="Keeps runs, datasets, trainings and rollouts; continued when it exists.")
+    ],
+    cells: Annotated[
+        list[str] | None,
+        typer.Option(help="Only tables whose name begins so, for example curve.microwave; repeatable."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A few demonstrations, steps and trials: whether all of it works.")
+    ] = False,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Trainings, episodes and rollouts at the same time.")
+    ] = 2,
+    json_file: JsonFile = None,
+) -> None:
+    """Train policies on generated demonstrations with LeRobot and count how often they open what they have not seen.
+
+    Run it from .venv-policy (`make policy-env`). Hours for all tables; figures are told by `docs/policies.md`.
+    """
+    from benchmarks.policy import QUICK_CELLS, QUICK_STEPS, STEPS, PolicyBench, chosen_tables
+    from benchmarks.policy_data import PolicyData
+
+    data = PolicyData(
+        folder=out.resolve(),
+        capture=sample_capture(),
+        run_project=run_project,
+        workers=workers,
+        tell=partial(print, file=sys.stderr, flush=True),
+        **({"trials": 2, "demonstrations": 2} if quick else {}),
+    )
+    tables = chosen_tables(cells or (QUICK_CELLS if quick else []))
+    _show(PolicyBench(data=data, steps=QUICK_STEPS if quick else STEPS).figures(tables), json_file)
+
+
 @bench_app.command("replay")
 def bench_replay(
     attempts: Annotated[int, typer.Option(help="Plans of each category; a tenth of it beyond.")] = 200,

@@ -15,9 +15,11 @@ import numpy as np
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
+from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choose_grasps
+from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
-from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.planning import plan_episode, working_grasps
 from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
@@ -29,6 +31,7 @@ from aomgen.io.atomic import staged_folder
 from aomgen.io.episode_folder import episode_folder
 from aomgen.results import ASSET_USD, Results
 from aomgen.robots.reach import longest_reach
+from aomgen.saved_units import unit_name
 from aomgen.simulation.collision_check import episode_scene
 from aomgen.simulation.scene import Scene
 from aomgen.simulation.verify import verify_plan
@@ -38,6 +41,8 @@ from aomgen.twin.variation import changed, light_gains, scaled
 
 # Assets that a worker keeps open: the one it works on, and the next.
 OPEN_ASSETS: Final = 2
+# Draws of an asset that are screened to learn which grasps work.
+SCREENED_DRAWS: Final = 500
 # Sizes of an asset whose scenes a worker keeps: the recorded one, and that of the episode.
 OPEN_SIZES: Final = 2
 
@@ -160,7 +165,25 @@ class EpisodeFactory:
         fitted, scene = opened.sized(variation.scale)
         demo = self.results.demonstration
         with self._timed("plan"):
-            return plan_episode(fitted, demo, variation, scene, self.solver, self.plan_params)
+            return plan_episode(
+                fitted, demo, variation, scene, self.solver, self.plan_params, opened.preferred.names
+            )
+
+    def choose_grasps(self, number: int) -> GraspChoice:
+        """The grasps that an asset's plans prefer, from its first draws; those of its stage where that has chosen."""
+        chosen = self.folder / GRASPS_FOLDER
+        if (chosen / f"{unit_name(number)}.json").is_file():
+            return load_artifact(chosen, unit_name(number), GraspChoice)
+        opened, working = self.asset(number), list[list[str]]()
+        for index in range(SCREENED_DRAWS):
+            variation, rejection = self.screen(Unit(asset=number, index=index))
+            if len(working) == DRAWS or self.plan_params.method == "paper":
+                break
+            if rejection is None:
+                fitted, scene = opened.sized(variation.scale)
+                demo = self.results.demonstration
+                working.append(working_grasps(fitted, demo, variation, scene, self.solver, self.plan_params))
+        return choose_grasps(working)
 
     def certify(self, opened: "OpenAsset", variation: Variation) -> VerifiedEpisode | Rejection:
         """Plan for a variation of an asset and verify the plan."""
@@ -220,6 +243,7 @@ class EpisodeFactory:
         home = self.results.asset_folder(number)
         return OpenAsset(
             factory=self,
+            number=number,
             fitted=self.results.fitted_assets[number],
             twin=load_artifact(home, "twin", Twin),
             usd=home / ASSET_USD,
@@ -239,10 +263,16 @@ class OpenAsset:
     """An asset that a worker works on."""
 
     factory: EpisodeFactory
+    number: int
     fitted: FittedAsset
     twin: Twin
     usd: Path
     digests: Mapping[str, str]
+
+    @cached_property
+    def preferred(self) -> GraspChoice:
+        """The grasps that plans try first."""
+        return self.factory.choose_grasps(self.number)
 
     @cached_property
     def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:
@@ -284,6 +314,11 @@ class OpenAsset:
     @cached_property
     def _soft_shadow(self) -> SoftShadow | None:
         return cast_soft_shadow(self.twin, self.factory.results.episode_scene.T_world_plane, 1)
+
+
+def open_choosing(results: Results, folder: Path) -> Callable[[int], GraspChoice]:
+    """What a worker calls that chooses the grasps of assets."""
+    return EpisodeFactory(results, folder).choose_grasps
 
 
 def open_factory(results: Results, folder: Path) -> Work:

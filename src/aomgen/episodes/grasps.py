@@ -104,25 +104,36 @@ def grasp_depths(asset: ArticulatedAsset, demonstrated_depth: float, robot: Robo
 
 
 def grasps(
-    fitted: FittedAsset, R_front_ee: Array, depths: Sequence[float], turn_ratio: float
+    fitted: FittedAsset,
+    R_front_ee: Array,
+    depths: Sequence[float],
+    turn_ratio: float,
+    preferred: Sequence[str] = (),
 ) -> Iterator[Grasp]:
-    """Grasps to try: with the first depth in order of likeness to the demonstrated one, then with the next.
+    """Grasps to try: with the first depth the preferred ones, then in order of likeness to the demonstrated one.
+
+    Then with the next depth.
 
     Args:
         R_front_ee: As for `orientations`.
         depths: See `grasp_depths`, [m].
         turn_ratio: Demonstrated turn of the hand over turn of the part; a revolute part may be followed with less.
+        preferred: Names.
     """
+    places = {name: place for place, name in enumerate(preferred)}
     asset, revolute = fitted.asset, fitted.asset.joint.type == "revolute"
     ratio = float(np.clip(turn_ratio, 0.0, 1.0)) if revolute else 1.0
     ratios = (ratio, LOOSE_RATIO) if revolute and ratio > LOOSE_RATIO + 0.1 else (ratio,)
     plate = np.cross(asset.handle_axis, outward_normal(asset)) if held_at_rim(asset) else None
-    for depth, (name, R) in product(depths, orientations(R_front_ee, asset.handle_axis, TILTS_DEG)):
-        if plate is not None and not abs(plate @ R[:, 1]) >= MIN_ACROSS_RIM:
-            continue
-        for share in ratios:
-            held, turn = np.array([0.0, 0.0, depth]), f"turn {share:.2f}"
-            yield Grasp(name=f"{name}, {turn}", R_object_ee=R, held_ee=held, turn_ratio=share)
+    ways = [
+        (f"{name}, turn {share:.2f}", R, share)
+        for name, R in orientations(R_front_ee, asset.handle_axis, TILTS_DEG)
+        for share in ratios
+        if plate is None or abs(plate @ R[:, 1]) >= MIN_ACROSS_RIM
+    ]
+    ways.sort(key=lambda way: places.get(way[0], len(places)))
+    for depth, (name, R, share) in product(depths, ways):
+        yield Grasp(name=name, R_object_ee=R, held_ee=np.array([0.0, 0.0, depth]), turn_ratio=share)
 
 
 def _across(R: Array, bar: Array) -> Array:

@@ -10,8 +10,9 @@ from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import FittedAsset, Variation
 from aomgen.core.transforms import apply
 from aomgen.core.values import Array, freeze_arrays
+from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver, follow, walk
-from aomgen.episodes.planning import PlanParams, retarget
+from aomgen.episodes.planning import retarget
 from aomgen.episodes.retarget import DemonstratedMotion
 from aomgen.episodes.variations import Range, Ranges, scaled_fit
 from aomgen.robots.reach import longest_reach

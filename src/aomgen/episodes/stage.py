@@ -12,8 +12,9 @@ from typing import Any
 
 from aomgen.core.progress import Progress
 from aomgen.episodes.distributions import distributions
-from aomgen.episodes.factory import EpisodeFactory, open_factory
+from aomgen.episodes.factory import EpisodeFactory, open_choosing, open_factory
 from aomgen.episodes.generate import generate
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER, GraspChoice
 from aomgen.episodes.ledger import Account, Request, read_accounts, read_draws
 from aomgen.episodes.range_check import check_ranges
 from aomgen.episodes.reach_map import REACH_MAP
@@ -23,6 +24,7 @@ from aomgen.io.artifact import read_json, save_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
 from aomgen.results import Results
+from aomgen.saved_units import SavedUnits
 
 # How the episodes are spread over what was asked for.
 DISTRIBUTIONS_FILE = "distributions.json"
@@ -41,6 +43,13 @@ def run(
     check_ranges(factory, folder)
     for number, found in enumerate(factory.reach_maps):
         save_artifact(folder, REACH_MAP.format(number), found)
+    SavedUnits(folder / GRASPS_FOLDER, {}, GraspChoice).make(
+        range(len(request.assets)),
+        # A copy without what has been read.
+        partial(open_choosing, replace(results), folder),
+        results.workers,
+        lambda share, text: progress(0.0, f"grasps of {text} assets chosen"),
+    )
     with open_executor(results, folder, factory.params.timeout_s) as executor:
         generate(folder, request, executor, factory.screen, progress, on_done)
     accounts = read_accounts(folder)

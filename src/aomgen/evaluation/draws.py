@@ -19,7 +19,6 @@ from aomgen.datasets.selection import require_smaller
 from aomgen.episodes.factory import EpisodeFactory, GenerationParams
 from aomgen.episodes.variations import draw_independently
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
-from aomgen.evaluation.saved_units import SavedUnits
 from aomgen.evaluation.suite import (
     Suite,
     Trial,
@@ -33,6 +32,7 @@ from aomgen.evaluation.suite import (
 from aomgen.io.atomic import remove_folder
 from aomgen.io.schema import suggest
 from aomgen.results import Results
+from aomgen.saved_units import SavedUnits
 from aomgen.simulation.settings import draw_settings
 
 # Draws for a trial before the suite is given up: where one in a hundred fits, one is found.

@@ -15,12 +15,12 @@ from aomgen.core.progress import Progress
 from aomgen.datasets.features import ActionSpace
 from aomgen.evaluation.policies import Policy, open_policy, policy_digest
 from aomgen.evaluation.rollout import World
-from aomgen.evaluation.saved_units import SavedUnits
 from aomgen.evaluation.suite import Suite, require_apart
 from aomgen.evaluation.views import Visuals
 from aomgen.io.atomic import write_bytes
 from aomgen.io.video import encode_video
 from aomgen.results import Results
+from aomgen.saved_units import SavedUnits
 
 # So many failures are kept as videos.
 FILMED: Final = 10

@@ -9,9 +9,10 @@ from scipy.optimize import least_squares
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import Rejection, Variation
 from aomgen.core.transforms import apply, invert, rotvec_from_matrix
+from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver, follow, ik_solver, solve_path, solve_smoothly
 from aomgen.episodes.joint_limits import IkLimits, IkPath, check_speed
-from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.planning import plan_episode
 from aomgen.robots.loading import load_robot
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene

@@ -11,10 +11,11 @@ from aomgen.core.boxes import OrientedBox
 from aomgen.core.demonstration import Demonstration, gripper_command, timing
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
 from aomgen.core.transforms import apply, interpolate, invert, matrix_from_rotvec, transform
+from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.grasps import Grasp, grasps, orientations
 from aomgen.episodes.ik import IkSolver
 from aomgen.episodes.joint_limits import IkLimits
-from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.planning import plan_episode
 from aomgen.episodes.retarget import CONTACT, ROOM, DemonstratedMotion, RetargetedMotion
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.collision_check import KinematicLimits, check_kinematics

@@ -7,8 +7,9 @@ import pytest
 
 from aomgen.core.demonstration import Demonstration
 from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
+from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.planning import PlanParams, plan_episode
+from aomgen.episodes.planning import plan_episode
 from aomgen.episodes.start import choose_start
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene

@@ -46,7 +46,7 @@ class SavedUnits(Generic[T]):
             AomgenError: Whatever the work raises.
         """
         wanted = list(units)
-        waiting = [unit for unit in wanted if not (self.folder / f"{_name(unit)}.json").is_file()]
+        waiting = [unit for unit in wanted if not (self.folder / f"{unit_name(unit)}.json").is_file()]
         left = len(waiting)
         with Processes(partial(_open_saving, opener, self.folder), workers, TIMEOUT_S) as executor:
             running = 0
@@ -59,13 +59,14 @@ class SavedUnits(Generic[T]):
                 if done.lost:
                     raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
                 progress(1 - left / len(wanted), f"{len(wanted) - left} of {len(wanted)}")
-        return [load_artifact(self.folder, _name(unit), self._kind) for unit in wanted]
+        return [load_artifact(self.folder, unit_name(unit), self._kind) for unit in wanted]
 
 
 def _open_saving(opener: Callable[[], Callable[[int], Any]], folder: Path) -> Work:
     work = opener()
-    return lambda unit: save_artifact(folder, _name(unit), work(unit))
+    return lambda unit: save_artifact(folder, unit_name(unit), work(unit))
 
 
-def _name(unit: int) -> str:
+def unit_name(unit: int) -> str:
+    """Name of a unit's file, without its ending."""
     return f"{unit:04d}"

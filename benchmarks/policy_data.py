@@ -1,0 +1,185 @@
+"""What policies learn from and where they are tried: runs of the pipeline, datasets, and suites, each made once."""
+
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from aomgen.core.camera import Camera
+from aomgen.core.project import Project
+from aomgen.datasets.formats import export_dataset
+from aomgen.datasets.selection import MARK
+from aomgen.evaluation.draws import SuiteRequest, make_suite
+from aomgen.evaluation.suite import Suite, open_results, open_suite, write_suite
+from aomgen.io.episode_folder import list_committed
+from aomgen.pipeline.runner import results_of
+from aomgen.pipeline.stages import PROJECT_FILE, STAGES
+from aomgen.synthetic.world import make_capture
+
+Tell = Callable[[str], None]
+# Pictures are drawn at twice the size that policies see, [px].
+DRAWN_SIZE: Final = (192, 192)
+SEEN_SIZE: Final = (96, 96)
+# Of the synthetic capture; it was not looked at while the policy was chosen.
+DRAWER_SEED: Final = 9100
+SUITE_SEED: Final = 1
+# Stages from here on differ between worlds that share their objects.
+OWN_STAGES: Final = ("episodes", "dataset")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """A run of the pipeline: a recording, objects, and how their demonstrations differ.
+
+    Attributes:
+        recording: "microwave": the bundled one; "drawer": a synthetic one.
+        assets: As in a project.
+        demonstrations: Over all objects; 0 where policies are only tried.
+        ranges: `episodes.ranges` that are not at their defaults.
+        like: Name of a world with the same recording and objects, whose results up to the fitted objects are taken.
+    """
+
+    recording: str
+    assets: tuple[str, ...]
+    demonstrations: int = 150
+    ranges: Mapping[str, Any] = field(default_factory=dict)
+    like: str = ""
+
+
+SIZES: Final = {"scale": (0.6, 1.0)}
+VIEWS: Final = {"around": {"turn_deg": (-8.0, 8.0), "tilt_deg": (-8.0, 8.0), "distance": (0.9, 1.1)}}
+WORLDS: Final = {
+    "microwave": World(recording="microwave", assets=("microwave:1",)),
+    "microwave_sizes": World(recording="microwave", assets=("microwave:1",), ranges=SIZES, like="microwave"),
+    "microwave_views": World(recording="microwave", assets=("microwave:1",), ranges=VIEWS, like="microwave"),
+    "microwaves": World(recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(1, 11))),
+    "unseen_microwaves": World(
+        recording="microwave", assets=tuple(f"microwave:{seed}" for seed in range(21, 26)), demonstrations=0
+    ),
+    "drawer": World(recording="drawer", assets=("drawer:1",)),
+    "drawer_sizes": World(recording="drawer", assets=("drawer:1",), ranges=SIZES, like="drawer"),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Test:
+    """Trials.
+
+    Attributes:
+        world: Whose objects are opened.
+        scale: Their size.
+        moved_m: How far every camera stands from its place.
+    """
+
+    world: str
+    scale: float = 1.0
+    moved_m: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """For files."""
+        return f"{self.world}-{self.scale:g}-{1000 * self.moved_m:g}mm"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PolicyData:
+    """Runs, datasets and suites in one folder; what is there is kept.
+
+    Attributes:
+        folder: Of all of them.
+        capture: The bundled recording.
+        run_project: Runs a project until a stage.
+        trials: Of a suite.
+        demonstrations: At most so many, over all objects of a world.
+        workers: Processes.
+        tell: Hears what is made.
+    """
+
+    folder: Path
+    capture: Path
+    run_project: Callable[..., None]
+    workers: int
+    tell: Tell
+    trials: int = 200
+    demonstrations: int = 150
+
+    def run(self, name: str) -> Path:
+        """Folder of a world's run, up to its episodes, or to its fitted objects where it has none."""
+        world, home = WORLDS[name], self.folder / "runs" / name
+        wanted = min(world.demonstrations, self.demonstrations)
+        if world.like and not home.exists():
+            self._copy(self.run(world.like), home)
+        project = Project(
+            capture=self._capture(world.recording),
+            out=home,
+            assets=world.assets,
+            poses=max(1, -(-wanted // len(world.assets))),
+            image_size=DRAWN_SIZE,
+            params={"episodes": {"ranges": dict(world.ranges)}} if world.ranges else {},
+        )
+        self.tell(f"run {name}")
+        self.run_project(project, until="episodes" if wanted else "replacement", workers=self.workers)
+        return home
+
+    def dataset(self, name: str) -> Path:
+        """Folder of a world's demonstrations for LeRobot."""
+        home = self.folder / "datasets" / name
+        if not (home / MARK).is_file():
+            results = open_results(self.run(name))
+            size = "x".join(map(str, SEEN_SIZE))
+            self.tell(f"dataset {name}")
+            episodes = list_committed(results.folders["episodes"])
+            export_dataset(episodes, home, "lerobot-v3", media="image", size=size)
+        return home
+
+    def suite(self, test: Test) -> Path:
+        """File of a test's trials."""
+        path = self.folder / "suites" / f"{test.name}.json"
+        if path.is_file():
+            return path
+        if test.moved_m:
+            suite, _ = open_suite(self.suite(replace(test, moved_m=0.0)))
+            write_suite(path, with_moved_cameras(suite, test.moved_m))
+            return path
+        project = open_results(self.run(test.world)).project
+        ranges = {"scale": (test.scale, test.scale)}
+        # Uniform over the paper's places, whatever else the training varies.
+        changed = project.model_copy(update={"params": {"episodes": {"ranges": ranges}}})
+        request = SuiteRequest(trials=self.trials, seed=SUITE_SEED, size=SEEN_SIZE)
+        self.tell(f"suite {test.name}")
+        results = results_of(changed, STAGES)
+        make_suite(results, path, request, self.workers, lambda share, text: self.tell(text))
+        return path
+
+    def _capture(self, recording: str) -> Path:
+        if recording == "microwave":
+            return self.capture
+        home = self.folder / "captures" / recording
+        if not home.is_dir():
+            self.tell(f"capture {recording}")
+            make_capture(home, category=recording, seed=DRAWER_SEED)
+        return home
+
+    @staticmethod
+    def _copy(source: Path, home: Path) -> None:
+        """The results of a run up to its fitted objects, without taking space."""
+        own = [stage.folder for stage in STAGES if stage.name in OWN_STAGES]
+        ignored = shutil.ignore_patterns(PROJECT_FILE, "run.json", *own)
+        shutil.copytree(source, home, copy_function=os.link, ignore=ignored)
+
+
+def with_moved_cameras(suite: Suite, way_m: float) -> Suite:
+    """The suite with every camera moved by so much in a direction of its own, the same for all lengths."""
+    rng = np.random.default_rng(suite.seed)
+
+    def moved(camera: Camera) -> Camera:
+        direction = rng.normal(size=3)
+        T = camera.T_world_cam.copy()
+        T[:3, 3] += way_m * direction / np.linalg.norm(direction)
+        return replace(camera, T_world_cam=T)
+
+    return replace(suite, cameras={name: moved(camera) for name, camera in suite.cameras.items()}).sealed()
