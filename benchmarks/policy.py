@@ -25,7 +25,7 @@ from aomgen.evaluation.views import Visuals
 from aomgen.io.artifact import read_json
 from aomgen.io.atomic import remove_folder, write_json
 from aomgen.io.schema import suggest
-from benchmarks.policy_data import PolicyData, Test
+from benchmarks.policy_data import PolicyData, Trials
 
 # Of every training: AdamW's steps, demonstrations a step, and steps between checkpoints, from which a killed one goes on.
 STEPS, BATCH, SAVE_EVERY = 4000, 32, 1000
@@ -67,12 +67,12 @@ class Row:
 
     label: Mapping[str, Any]
     policies: tuple[Training | str, ...]
-    test: Test
+    test: Trials
     visuals: Visuals = "splat"
 
 
 def _curve(world: str) -> list[Row]:
-    test = Test(world=world)
+    test = Trials(world=world)
     floors = {name: Row(label={"policy": name}, policies=(name,), test=test) for name in (NEAREST, ORACLE)}
     counts = {0: SEEDS[:1], 1: SEEDS[:1], 50: SEEDS[:1], 100: SEEDS[:1], FULL: SEEDS}
     learned = [
@@ -91,7 +91,7 @@ def _scales(world: str) -> list[Row]:
         Row(
             label={"scale": scale, "sizes_in_training": learned != world},
             policies=(Training(world=learned),),
-            test=Test(world=world, scale=scale),
+            test=Trials(world=world, scale=scale),
         )
         for learned in (f"{world}_sizes", world)
         for scale in SCALES
@@ -107,12 +107,14 @@ TABLES: Final = {
         Row(
             label={"demonstrations": 2},
             policies=(Training(world="microwave", demonstrations=2),),
-            test=Test(world="microwave"),
+            test=Trials(world="microwave"),
         )
     ],
     "unseen_table": [
         Row(
-            label={"training": label}, policies=(Training(world=world),), test=Test(world="unseen_microwaves")
+            label={"training": label},
+            policies=(Training(world=world),),
+            test=Trials(world="unseen_microwaves"),
         )
         for label, world in (("single", "microwave"), ("mixed", "microwaves"))
     ],
@@ -120,7 +122,7 @@ TABLES: Final = {
         Row(
             label={"moved_m": moved, "views_in_training": world != "microwave"},
             policies=(Training(world=world),),
-            test=Test(world="microwave", moved_m=moved),
+            test=Trials(world="microwave", moved_m=moved),
         )
         for world in ("microwave", "microwave_views")
         for moved in MOVED_M

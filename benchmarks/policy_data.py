@@ -14,7 +14,7 @@ from aomgen.core.project import Project
 from aomgen.datasets.formats import export_dataset
 from aomgen.datasets.selection import MARK
 from aomgen.evaluation.draws import SuiteRequest, make_suite
-from aomgen.evaluation.suite import Suite, open_results, open_suite, write_suite
+from aomgen.evaluation.suite import open_results, open_suite, write_suite
 from aomgen.io.episode_folder import list_committed
 from aomgen.pipeline.runner import results_of
 from aomgen.pipeline.stages import PROJECT_FILE, STAGES
@@ -66,7 +66,7 @@ WORLDS: Final = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Test:
+class Trials:
     """Trials.
 
     Attributes:
@@ -136,14 +136,15 @@ class PolicyData:
             export_dataset(episodes, home, "lerobot-v3", media="image", size=size)
         return home
 
-    def suite(self, test: Test) -> Path:
+    def suite(self, test: Trials) -> Path:
         """File of a test's trials."""
         path = self.folder / "suites" / f"{test.name}.json"
         if path.is_file():
             return path
         if test.moved_m:
             suite, _ = open_suite(self.suite(replace(test, moved_m=0.0)))
-            write_suite(path, with_moved_cameras(suite, test.moved_m))
+            cameras = moved_cameras(suite.cameras, test.moved_m)
+            write_suite(path, replace(suite, cameras=cameras).sealed())
             return path
         project = open_results(self.run(test.world)).project
         ranges = {"scale": (test.scale, test.scale)}
@@ -172,9 +173,9 @@ class PolicyData:
         shutil.copytree(source, home, copy_function=os.link, ignore=ignored)
 
 
-def with_moved_cameras(suite: Suite, way_m: float) -> Suite:
-    """The suite with every camera moved by so much in a direction of its own, the same for all lengths."""
-    rng = np.random.default_rng(suite.seed)
+def moved_cameras(cameras: Mapping[str, Camera], way_m: float) -> dict[str, Camera]:
+    """Every camera moved by so much in a direction of its own, the same for all lengths."""
+    rng = np.random.default_rng(SUITE_SEED)
 
     def moved(camera: Camera) -> Camera:
         direction = rng.normal(size=3)
@@ -182,4 +183,4 @@ def with_moved_cameras(suite: Suite, way_m: float) -> Suite:
         T[:3, 3] += way_m * direction / np.linalg.norm(direction)
         return replace(camera, T_world_cam=T)
 
-    return replace(suite, cameras={name: moved(camera) for name, camera in suite.cameras.items()}).sealed()
+    return {name: moved(camera) for name, camera in cameras.items()}

@@ -30,7 +30,7 @@ class SmallACTConfig(PreTrainedConfig):
     """
 
     chunk_size: int = 50
-    n_action_steps: int = 5
+    n_action_steps: int = 10
     joint_offsets: bool = True
     channels: tuple[int, ...] = (32, 64, 96, 128)
     picture_tokens: int = 4

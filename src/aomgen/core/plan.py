@@ -141,6 +141,7 @@ class Variation:
         start_offset: Added to the arm joints at the start (J,), [rad] or [m]; empty for none.
         light, material: What is seen otherwise.
         orbits: Of every camera that is moved.
+        push_m: Largest way by which the hand is pushed off its plan on the way to the object, [m].
     """
 
     seed: int
@@ -155,6 +156,7 @@ class Variation:
     light: LightChange = LightChange()
     material: MaterialChange = MaterialChange()
     orbits: tuple[OrbitChange, ...] = ()
+    push_m: float = 0.0
 
     def placed(self, fitted: FittedAsset) -> Array:
         """Pose T_world_object (4, 4) of the asset in this variation."""

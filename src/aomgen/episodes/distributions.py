@@ -72,6 +72,7 @@ def _quantities(
     yield "hue", "deg", ranges.hue_deg, [degrees * item["hue"] for item in material]
     yield "saturation", "", ranges.saturation, [item["saturation"] for item in material]
     yield "brightness", "", ranges.brightness, [item["brightness"] for item in material]
+    yield "push", "m", ranges.push_m, [v["push_m"] for v in variations]
     if variations and any(ranges.start_deg):
         first = [v["start_offset"][0] for v in variations]
         yield "start of joint 1", "deg", ranges.start_deg, [degrees * value for value in first]

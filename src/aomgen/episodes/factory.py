@@ -20,6 +20,7 @@ from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
 from aomgen.episodes.planning import plan_episode, working_grasps
+from aomgen.episodes.pushes import pushed_joints
 from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
 from aomgen.episodes.render import ImageParams, render_episode, static_layers
@@ -192,7 +193,13 @@ class EpisodeFactory:
             return plan
         _, scene = opened.sized(variation.scale)
         with self._timed("verify"):
-            return verify_plan(plan, scene, limits=self._tier_a_limits(), digests=opened.digests)
+            return verify_plan(
+                plan,
+                scene,
+                commanded=pushed_joints(plan, self.solver),
+                limits=self._tier_a_limits(),
+                digests=opened.digests,
+            )
 
     def _tier_a_limits(self) -> dict[str, float]:
         """Largest values of a plan's figures, by name, for the certificate."""

@@ -25,6 +25,8 @@ from aomgen.errors import ConfigError
 Range = tuple[float, float]
 # An area has at least three corners.
 CORNERS: Final = 3
+# Farther off its plan the arm would meet what planning has kept it clear of, [m].
+MAX_PUSH_M: Final = 0.02
 # Light of a black body has a known color between these, [K].
 COLDEST_K, HOTTEST_K = 1667, 25_000
 
@@ -59,6 +61,7 @@ class Ranges:
         start_deg: Offset of every arm joint at the start, [deg].
         light_turn_deg, light_intensity, light_temperature_k: See `LightChange`.
         hue_deg, saturation, brightness: See `MaterialChange`.
+        push_m: Largest way by which the hand is pushed off its plan before it holds, [m]; actions stay the plan's.
         around: Of every camera that the scene has.
         free: Of the cameras that are added, about the object where it stands.
     """
@@ -77,6 +80,7 @@ class Ranges:
     hue_deg: Range = (0.0, 0.0)
     saturation: Range = (1.0, 1.0)
     brightness: Range = (1.0, 1.0)
+    push_m: Range = (0.0, 0.0)
     around: OrbitRanges = field(default_factory=OrbitRanges)
     free: OrbitRanges = field(
         default_factory=lambda: OrbitRanges(
@@ -95,6 +99,12 @@ class Ranges:
                 value, place = getattr(ranges, item.name), f"episodes.ranges.{prefix}{item.name}"
                 if isinstance(value, tuple) and item.name != "polygon":
                     _require_range(value, place)
+        if not 0 <= self.push_m[0] <= self.push_m[1] <= MAX_PUSH_M:
+            raise ConfigError(
+                "episodes.ranges.push_m",
+                f"is {self.push_m}",
+                f"want 0 to {MAX_PUSH_M:g}, the lower one first",
+            )
         for name in ("scale", "speed", "light_intensity", "light_temperature_k"):
             if not getattr(self, name)[0] > 0:
                 raise ConfigError(f"episodes.ranges.{name}", f"is {getattr(self, name)}", "want more than 0")
@@ -164,7 +174,7 @@ def _bounds(ranges: Ranges, arm_joints: int, orbits: Sequence[OrbitRanges]) -> A
     return np.array([
         *ranges.place_bounds, ranges.yaw_deg, ranges.scale, ranges.speed,
         ranges.light_turn_deg, ranges.light_intensity, ranges.light_temperature_k,
-        ranges.hue_deg, ranges.saturation, ranges.brightness,
+        ranges.hue_deg, ranges.saturation, ranges.brightness, ranges.push_m,
         *[ranges.start_deg] * arm_joints,
         *[bound for orbit in orbits for bound in (orbit.turn_deg, orbit.tilt_deg, orbit.distance)],
     ])  # fmt: skip
@@ -176,8 +186,8 @@ def _variation(
     """The variation at shares (D,) of the bounds (D, 2)."""
     lows, highs = bounds.T
     values = (lows + shares * (highs - lows)).tolist()
-    x, y, yaw, scale, speed, turn, intensity, temperature_k, hue, saturation, brightness = values[:11]
-    starts, views = values[11 : 11 + arm_joints], values[11 + arm_joints :]
+    x, y, yaw, scale, speed, turn, intensity, temperature_k, hue, saturation, brightness, push = values[:12]
+    starts, views = values[12 : 12 + arm_joints], values[12 + arm_joints :]
     return Variation(
         seed=seed,
         index=index,
@@ -196,6 +206,7 @@ def _variation(
             )
             for k in range(0, len(views), 3)
         ),
+        push_m=push,
     )
 
 

@@ -32,6 +32,7 @@ def verify_plan(
     plan: EpisodePlan,
     scene: Scene,
     *,
+    commanded: Array | None = None,
     limits: Mapping[str, float] | None = None,
     digests: Mapping[str, str] | None = None,
 ) -> VerifiedEpisode | Rejection:
@@ -42,6 +43,7 @@ def verify_plan(
     its hinge's friction holds, rests within 1e-4 rad of where it would in the others.)
 
     Args:
+        commanded: Joints (T, J) that the arm is told instead of the plan's.
         limits: Tier A's largest values by name of the plan's metrics; those of `KinematicLimits` if None.
         digests: SHA-256 of what the plan was made from, by name, for the certificate.
 
@@ -72,7 +74,7 @@ def verify_plan(
         approach = runs[0] if runs and scene.bolted else None
         run = simulate(
             placed,
-            plan.joints,
+            plan.joints if commanded is None else commanded,
             plan.gripper,
             plan.fps,
             setting=setting,

@@ -1,0 +1,39 @@
+"""Pushes that carry the arm off its plan on the way to the object: demonstrations then show how to come back.
+
+Only what the simulated arm is told differs; the actions of the episode stay the plan's next targets. A policy that learns
+from plans alone never sees where its own errors lead. Source: Laskey et al., DART (2017), for the idea.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from aomgen.core.plan import EpisodePlan
+from aomgen.core.values import Array
+from aomgen.episodes.ik import IkSolver
+from aomgen.episodes.retarget import CONTACT
+
+# A push comes and goes within so long; the arm is back on its plan so long before the contact begins, [s].
+PUSH_S, CALM_S = 1.0, 0.5
+# Of the pseudo-inverse that turns a way of the hand into joints, [m]: near singular poses the hand moves less.
+DAMPING: Final = 0.05
+
+
+def pushed_joints(plan: EpisodePlan, solver: IkSolver) -> Array:
+    """The plan's joints (T, J) with smooth offsets before the contact, which move the hand by up to `variation.push_m`."""
+    variation, joints = plan.variation, plan.joints.copy()
+    frames, each = int(np.argmax(plan.phases == CONTACT)) - round(CALM_S * plan.fps), round(PUSH_S * plan.fps)
+    count = max(frames, 0) // each
+    if variation.push_m == 0 or not count:
+        return joints
+    rng = np.random.default_rng([variation.seed, variation.index, count])
+    ways = rng.normal(size=(count, 3))
+    ways *= variation.push_m * rng.random((count, 1)) / np.linalg.norm(ways, axis=1, keepdims=True)
+    shape = np.sin(np.pi * np.arange(each) / each) ** 2
+    offsets = (ways[:, None] * shape[:, None]).reshape(-1, 3)
+    _, jacobians = solver.kinematics(joints[: len(offsets)])
+    steps = np.concatenate([offsets, np.zeros_like(offsets)], 1)
+    J = jacobians
+    square = J @ J.transpose(0, 2, 1) + DAMPING**2 * np.eye(6)
+    joints[: len(offsets)] += (J.transpose(0, 2, 1) @ np.linalg.solve(square, steps[..., None]))[..., 0]
+    return joints
