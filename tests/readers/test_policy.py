@@ -24,6 +24,14 @@ def call(tmp_path: Path, program: str, *words: str) -> None:
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
 
+def test_the_small_policy_keeps_its_laws() -> None:
+    if not (BIN / "python").is_file():
+        pytest.skip("needs .venv-policy: make policy-env")
+    script = Path(__file__).with_name("small_act_laws.py")
+    done = subprocess.run([BIN / "python", script], capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stdout) == (0, ""), done.stdout + done.stderr[-4000:]
+
+
 def test_lerobot_trains_and_evaluates(tmp_path: Path) -> None:
     if "EPISODES" not in os.environ or not (BIN / "lerobot-train").is_file():
         pytest.skip("needs a finished run and .venv-policy: make datasets-test")

@@ -17,7 +17,9 @@ class SmallACTConfig(PreTrainedConfig):
 
     Attributes:
         chunk_size: Actions that are predicted at once.
-        n_action_steps: Of these, how many are done before the policy looks again.
+        n_action_steps: Of these, how many are done before the policy looks again. Over as many steps it goes over from
+            what it said last to what it says now: two looks differ by millimetres, and an arm that holds a handle
+            answers steps of millimetres with all its torque.
         channels: Of the encoder's convolutions; each halves the picture.
         joint_offsets: Actions are joints, and predicted as offsets from the state; False for those of another kind.
         picture_tokens: What the encoder makes of a picture. So few are cheap, and each may look at all of it.
@@ -30,7 +32,7 @@ class SmallACTConfig(PreTrainedConfig):
     """
 
     chunk_size: int = 50
-    n_action_steps: int = 10
+    n_action_steps: int = 5
     joint_offsets: bool = True
     channels: tuple[int, ...] = (32, 64, 96, 128)
     picture_tokens: int = 4

@@ -36,8 +36,10 @@ class SmallACTPolicy(PreTrainedPolicy):
         return [parameter for parameter in self.parameters() if parameter.requires_grad]
 
     def reset(self) -> None:
-        """Forget the actions that are left of the last chunk."""
+        """Forget the last chunk."""
         self._left: deque[Tensor] = deque(maxlen=self.config.n_action_steps)
+        # What the last chunk says of the steps after those.
+        self._ahead: Tensor | None = None
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
         """Mean absolute error of the chunk, what lies beyond an episode's end left out."""
@@ -54,9 +56,15 @@ class SmallACTPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **_: Any) -> Tensor:
-        """The action (B, A) of this step; the policy looks when those of its last chunk are done."""
+        """The action (B, A) of this step; the policy looks when as many as it does at once are done."""
         if not self._left:
-            self._left.extend(self.predict_action_chunk(batch)[:, : self.config.n_action_steps].unbind(1))
+            chunk, count = self.predict_action_chunk(batch), self.config.n_action_steps
+            actions, ahead = chunk[:, :count], chunk[:, count:]
+            if self._ahead is not None and self._ahead.shape[1] >= count:
+                share = torch.arange(1, count + 1, device=chunk.device)[:, None] / (count + 1)
+                actions = share * actions + (1 - share) * self._ahead[:, :count]
+            self._left.extend(actions.unbind(1))
+            self._ahead = ahead
         return self._left.popleft()
 
 

@@ -73,8 +73,8 @@ class LerobotPolicy:
         require_fit(config, suite, place)
         self._policy = policy.eval()
         self._images = list(config.image_features)
-        # A policy that sees one frame and answers a chunk need not look before the chunk is done.
-        self._chunk = config.n_action_steps if config.n_obs_steps == 1 else 0
+        # A policy that looks at one frame does not look at another before these are done.
+        self._steps = config.n_action_steps if config.n_obs_steps == 1 else 1
         self._left: deque[Array] = deque()
 
     def reset(self, rollout: object) -> None:
@@ -101,11 +101,8 @@ class LerobotPolicy:
             seen[name] = picture.permute(2, 0, 1).float() / 255
         with torch.no_grad():
             batch = self._before(seen)
-            if self._chunk:
-                actions = self._policy.predict_action_chunk(batch)[0, : self._chunk]
-            else:
-                actions = self._policy.select_action(batch)
-            return np.asarray(self._after(actions).cpu(), np.float64).reshape(-1, actions.shape[-1])
+            actions = torch.cat([self._policy.select_action(batch) for _ in range(self._steps)])
+            return np.asarray(self._after(actions).cpu(), np.float64)
 
 
 def require_fit(config: Any, suite: Suite, place: Path) -> None:

@@ -92,7 +92,7 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
 
 def resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
     """Area-averaged copy at another size."""
-    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
+    return np.array(Image.fromarray(image).resize((width, height), Image.Resampling.BOX))
 
 
 def open_image(path: Path) -> Image.Image:
