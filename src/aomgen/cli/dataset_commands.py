@@ -21,7 +21,9 @@ def export(
         str,
         typer.Option(help="Space of the actions: joint, ee_absolute or ee_delta; rlds has ee_delta without."),
     ] = "",
-    media: Annotated[str, typer.Option(help="LeRobot's pictures: video, or image (PNG).")] = "",
+    media: Annotated[
+        str, typer.Option(help="LeRobot's pictures: video, image (PNG), or none: the object's pose instead.")
+    ] = "",
     size: Annotated[str, typer.Option(help="WxH of the pictures, [px]; as rendered without.")] = "",
     val: Annotated[
         int | None,

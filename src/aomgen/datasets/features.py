@@ -24,6 +24,8 @@ ActionSpace = Literal["joint", "ee_absolute", "ee_delta"]
 ACTION_SPACES: Final[tuple[ActionSpace, ...]] = get_args(ActionSpace)
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _DELTA = ("dx", "dy", "dz", "drx", "dry", "drz")
+# Where the object stands; what policies without pictures are told instead, by the name that LeRobot has for it.
+OBJECT_POSE, TOLD = "annotation.object_pose", "observation.environment_state"
 # Those that LeRobot v3.0 stores for each feature.
 QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
@@ -41,6 +43,7 @@ def feature_names(episode: Episode, actions: ActionSpace = "joint") -> dict[str,
         "observation.state": state,
         **{action_feature(space, actions): names for space, names in spaces.items()},
         "annotation.ee_pose": _POSE,
+        OBJECT_POSE: _POSE,
         "annotation.object_joint": ("theta",),
         "annotation.finger_force": ("left", "right"),
     }
@@ -60,13 +63,14 @@ def feature_columns(episode: Episode, actions: ActionSpace = "joint") -> dict[st
     deltas = ee_deltas(last_targets(episode), episode.Ts_world_ee_action)
     spaces = {
         "joint": np.column_stack([episode.action_joints, target]),
-        "ee_absolute": np.column_stack([_pose_vectors(episode.Ts_world_ee_action), target]),
+        "ee_absolute": np.column_stack([pose_vectors(episode.Ts_world_ee_action), target]),
         "ee_delta": np.column_stack([deltas, target]),
     }
     return {
         "observation.state": np.column_stack([episode.joints, episode.gripper]),
         **{action_feature(space, actions): values for space, values in spaces.items()},
-        "annotation.ee_pose": _pose_vectors(episode.Ts_world_ee),
+        "annotation.ee_pose": pose_vectors(episode.Ts_world_ee),
+        OBJECT_POSE: np.tile(pose_vectors(episode.T_world_object[None]), (len(episode), 1)),
         "annotation.object_joint": episode.thetas[:, None],
         "annotation.finger_force": _finger_forces(episode),
     }
@@ -92,7 +96,7 @@ def ee_targets(Ts_world_last: Array, deltas: Array) -> Array:
     return Ts_world_last @ transform(matrix_from_rotvec(deltas[:, 3:6]), deltas[:, :3])
 
 
-def _pose_vectors(Ts: Array) -> Array:
+def pose_vectors(Ts: Array) -> Array:
     """Positions and quaternions wxyz (T, 7), signs chosen so that they never jump."""
     quats = quat_from_matrix(Ts[:, :3, :3])
     if len(quats) and quats[0, 0] < 0:

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from aomgen.datasets import lerobot_v3, lerobot_v21
+from aomgen.datasets.features import OBJECT_POSE, TOLD
 from aomgen.datasets.lerobot_tables import CHUNK_FILES, picture_key
 from aomgen.datasets.stored import REMEDY, StoredDataset, StoredEpisode, chosen_space
 from aomgen.errors import MalformedFileError, MissingFileError
@@ -74,6 +75,7 @@ def read_lerobot(folder: Path) -> StoredDataset:
         sizes=sizes,
         episodes=_episodes(places, tasks, sizes, train),
         video=bool(videos),
+        pictures=TOLD not in features,
     )
 
 
@@ -195,7 +197,8 @@ def _episodes(
 def _columns(table: pa.Table) -> dict[str, NDArray[Any]]:
     """Numbers (T, D) or (T,) of a table by feature."""
     numeric = [name for name in table.column_names if not pa.types.is_struct(table.schema.field(name).type)]
-    return {name: np.array(table[name].to_pylist()) for name in numeric}
+    told = {TOLD: OBJECT_POSE}
+    return {told.get(name, name): np.array(table[name].to_pylist()) for name in numeric}
 
 
 def _pictures(table: pa.Table, feature: str, where: Path) -> Iterator[NDArray[np.uint8]]:

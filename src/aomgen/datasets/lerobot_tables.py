@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from aomgen.core.episode import Episode
 from aomgen.datasets.features import (
+    OBJECT_POSE,
+    TOLD,
     ActionSpace,
     column_statistics,
     feature_columns,
@@ -19,7 +21,7 @@ from aomgen.datasets.features import (
     image_statistics,
 )
 from aomgen.datasets.pictures import count_colors, read_pictures
-from aomgen.datasets.selection import Selection
+from aomgen.datasets.selection import Media, Selection
 from aomgen.io.atomic import write_bytes, write_text
 from aomgen.io.episode_folder import CommittedEpisode
 from aomgen.io.images import encode_png
@@ -54,7 +56,8 @@ def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
     tasks, start, result = tasks_of(selection), 0, []
     for number, item in enumerate(selection.episodes):
         episode, count = item.episode, len(item.episode)
-        table = single_precision_columns(episode, selection.choices.actions)
+        columns = single_precision_columns(episode, selection.choices.actions)
+        table = {_stored_name(name, selection.choices.media): values for name, values in columns.items()}
         table["frame_index"] = np.arange(count)
         table["episode_index"] = np.full(count, number)
         table["index"] = np.arange(start, start + count)
@@ -62,6 +65,11 @@ def episode_columns(selection: Selection) -> list[dict[str, NDArray]]:
         result.append(table)
         start += count
     return result
+
+
+def _stored_name(feature: str, media: Media) -> str:
+    """Without pictures the object's pose is something that policies observe."""
+    return TOLD if feature == OBJECT_POSE and media == "none" else feature
 
 
 def single_precision_columns(episode: Episode, actions: ActionSpace) -> dict[str, NDArray]:
@@ -149,10 +157,10 @@ def describe(selection: Selection, version: str) -> dict[str, Any]:
 def _features(selection: Selection) -> dict[str, Any]:
     item, choices = selection.episodes[0], selection.choices
     features: dict[str, Any] = {
-        name: {"dtype": "float32", "shape": [len(names)], "names": list(names)}
+        _stored_name(name, choices.media): {"dtype": "float32", "shape": [len(names)], "names": list(names)}
         for name, names in feature_names(item.episode, choices.actions).items()
     }
-    for name, camera in sorted(item.episode.cameras.items()):
+    for name, camera in sorted(item.episode.cameras.items()) if choices.media != "none" else ():
         feature = {
             "dtype": choices.media,
             "shape": [camera.height, camera.width, 3],

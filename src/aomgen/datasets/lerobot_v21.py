@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from aomgen.core.progress import Progress, silent
 from aomgen.datasets.lerobot_tables import (
     CHUNK_FILES,
-    Pictures,
     describe,
     encode_pictures,
     episode_columns,
@@ -51,12 +50,12 @@ def write_lerobot_v21(
         for item, columns in zip(selection.episodes, episode_columns(selection), strict=True):
             number = len(episodes)
             where: dict[str, Any] = {"episode_chunk": number // CHUNK_FILES, "episode_index": number}
-            pictures: Pictures = {}
+            pictures, counts = dict[str, list[bytes]](), dict[str, NDArray[np.int64]]()
             if choices.media == "video":
                 shown = resize_videos(item, scratch) if choices.size is not None else item
                 _write_videos(staging, shown, where)
                 counts = shown.color_counts
-            else:
+            elif choices.media == "image":
                 pictures, counts = encode_pictures(item)
             write_parquet(staging / DATA_PATH.format(**where), parquet_table(columns, pictures))
             statistics.append({"episode_index": number, "stats": _known(columns, counts)})

@@ -75,6 +75,9 @@ def write_lerobot_v3(
         if choices.media == "video":
             counts = _write_videos(staging, selection, rows, progress)
             _write_data(staging, columns, rows)
+        elif choices.media == "none":
+            counts = [Counts() for _ in rows]
+            _write_data(staging, columns, rows)
         else:
             counts = _write_data_with_pictures(staging, selection, columns, rows, progress)
         _complete_rows(rows, columns, counts)

@@ -65,7 +65,7 @@ def _episode(group: Any, split: str, limits: tuple[Any, Any], cameras: list[str]
         "observation.state": group["obs/state"][:],
         "action": unscale_actions(group["actions"][:], *limits),
     }
-    for name in ("ee_pose", "object_joint", "finger_force"):
+    for name in ("ee_pose", "object_pose", "object_joint", "finger_force"):
         columns[f"annotation.{name}"] = group[f"annotation/{name}"][:]
     for space in group["annotation/action"]:
         columns[f"annotation.action.{space}"] = group[f"annotation/action/{space}"][:]

@@ -13,8 +13,9 @@ from aomgen.errors import ConfigError, MissingFileError
 from aomgen.io.atomic import staged_folder, write_json
 from aomgen.io.episode_folder import CommittedEpisode, read_episode
 
-# How a LeRobot dataset stores pictures: compressed videos, or PNG in its tables, which need no video decoder.
-Media = Literal["video", "image"]
+# How a LeRobot dataset stores pictures: compressed videos, or PNG in its tables, which need no video decoder; or none, and
+# policies are told the object's pose instead: how well they could do if they saw perfectly.
+Media = Literal["video", "image", "none"]
 # Share of the episodes that validates where a format needs such a split and nobody says how many.
 VAL_SHARE: Final = 0.1
 # Beside a dataset's data: what it was made of. A folder without it is not ours to replace.

@@ -41,6 +41,7 @@ class StoredDataset:
         actions: Space of the feature `action`.
         sizes: Width and height of the pictures by camera, [px].
         video: Whether pictures were compressed as videos are.
+        pictures: Whether there are any.
         episodes: One after the other; what is wrong with a file is raised when it is reached.
     """
 
@@ -48,6 +49,7 @@ class StoredDataset:
     sizes: Mapping[str, tuple[int, int]]
     episodes: Iterator[StoredEpisode]
     video: bool = False
+    pictures: bool = True
 
 
 def chosen_space(features: Mapping[str, Any], where: Path) -> ActionSpace:

@@ -3,15 +3,19 @@
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from aomgen.core.values import Array
+from aomgen.datasets.features import TOLD, pose_vectors
 from aomgen.datasets.selection import MARK
 from aomgen.errors import BackendError, ConfigError, MalformedFileError, MissingFileError
 from aomgen.evaluation.suite import Suite
 from aomgen.io.artifact import read_json
+
+if TYPE_CHECKING:
+    from aomgen.evaluation.rollout import Rollout
 
 # What `lerobot-train` leaves behind: below its output folder, the newest weights and what they were trained on.
 LAST: Final = "checkpoints/last/pretrained_model"
@@ -75,16 +79,19 @@ class LerobotPolicy:
         self._images = list(config.image_features)
         # A policy that looks at one frame does not look at another before these are done.
         self._steps = config.n_action_steps if config.n_obs_steps == 1 else 1
+        self._told: Array | None = None if config.env_state_feature is None else np.zeros(0)
         self._left: deque[Array] = deque()
 
-    def reset(self, rollout: object) -> None:
-        """Forget what is left of the last chunk."""
+    def reset(self, rollout: "Rollout") -> None:
+        """Forget what is left of the last chunk; learn where the object stands, if it was trained on that."""
+        if self._told is not None:
+            self._told = pose_vectors(rollout.T_world_object[None])[0].astype(np.float32)
         self._left.clear()
         self._policy.reset()
 
     def looks(self, frame: int) -> bool:
-        """When a chunk is used up."""
-        return not self._left
+        """When a chunk is used up, and pictures are among what it sees."""
+        return bool(self._images) and not self._left
 
     def act(self, observation: Mapping[str, Any]) -> Array:
         """The next action."""
@@ -96,6 +103,8 @@ class LerobotPolicy:
         """Actions (N, D) from now on."""
         torch = self._torch
         seen: dict[str, Any] = {STATE: torch.from_numpy(observation["agent_pos"]), "task": self._task}
+        if self._told is not None:
+            seen[TOLD] = torch.from_numpy(self._told)
         for name in self._images:
             picture = torch.from_numpy(observation["pixels"][name.removeprefix(IMAGES)])
             seen[name] = picture.permute(2, 0, 1).float() / 255

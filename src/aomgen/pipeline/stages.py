@@ -160,7 +160,7 @@ STAGES: tuple[Stage, ...] = (
         folder="dataset",
         title="LeRobot dataset",
         needs=("episodes",),
-        version=4,
+        version=5,
         weight=2,
         function=_lazily("datasets.stage"),
     ),

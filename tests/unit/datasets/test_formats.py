@@ -53,7 +53,9 @@ CHOICES = [
     ("lerobot-v3", {"actions": "ee_delta", "media": "image", "val": 1}),
     ("lerobot-v3", {"media": "image", "size": "40x30"}),
     ("lerobot-v3", {"size": "40x30", "val": 2}),
+    ("lerobot-v3", {"media": "none", "val": 1}),
     ("lerobot-v2.1", {}),
+    ("lerobot-v2.1", {"media": "none"}),
     ("lerobot-v2.1", {"actions": "ee_absolute", "media": "image", "size": "40x30", "val": 1}),
     ("lerobot-v2.1", {"size": "40x30"}),
     ("rlds", {}),
@@ -73,6 +75,19 @@ def test_what_is_written_is_read_back(folders, tmp_path, kind, options):
     assert (len(selection.train), len(selection.val)) == (4 - val, val)
     assert found.splits == {"train": 4 - val} | ({"val": val} if val else {})
     assert found.frames == sum(LENGTHS)
+
+
+@pytest.mark.parametrize("kind", LEROBOT)
+def test_without_pictures_policies_are_told_where_the_object_stands(folders, tmp_path, kind):
+    export_dataset(folders, tmp_path / "told", kind, media="none")
+    features = json.loads((tmp_path / "told" / "meta" / "info.json").read_text())["features"]
+    assert features["observation.environment_state"]["shape"] == [7]
+    assert not [name for name in features if "images" in name or name == "annotation.object_pose"]
+    for found in FORMATS[kind].read(tmp_path / "told").episodes:
+        episode = make_episode(found.source_index, LENGTHS[found.source_index])
+        poses = found.columns["annotation.object_pose"]
+        assert np.abs(poses[:, :3] - episode.T_world_object[:3, 3]).max() < 1e-6
+        assert (poses == poses[0]).all()
 
 
 @pytest.mark.parametrize("kind", FORMATS)
