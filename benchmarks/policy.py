@@ -42,16 +42,20 @@ SIGNIFICANT: Final = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Training:
-    """A policy: the demonstrations of a world that it learns from, none for an untrained one, and its seed."""
+    """A policy: the demonstrations of a world that it learns from, none for an untrained one, and its seed.
+
+    It sees pictures, or is told the object's pose.
+    """
 
     world: str
     demonstrations: int = FULL
     seed: int = 0
+    told: bool = False
 
     @property
     def name(self) -> str:
         """For files."""
-        return f"{self.world}-{self.demonstrations}-{self.seed}"
+        return f"{self.world}-{self.demonstrations}-{self.seed}{'-told' if self.told else ''}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +87,8 @@ def _curve(world: str) -> list[Row]:
         )
         for count, seeds in counts.items()
     ]
-    return [*learned, *floors.values()]
+    told = Row(label={"policy": "state_policy"}, policies=(Training(world=world, told=True),), test=test)
+    return [*learned, *floors.values(), told]
 
 
 def _scales(world: str) -> list[Row]:
@@ -173,7 +178,7 @@ class PolicyBench:
         rows = [row for table in tables.values() for row in table]
         trainings = dict.fromkeys(p for row in rows for p in row.policies if isinstance(p, Training))
         for training in trainings:
-            self.data.dataset(training.world)
+            self.data.dataset(training.world, told=training.told)
         with ThreadPoolExecutor(self.data.workers) as pool:
             list(pool.map(self.train, trainings))
         return {name: table_figures(self.counted(rows)) for name, rows in tables.items()}
@@ -187,7 +192,7 @@ class PolicyBench:
         last = home / LAST
         if (last / WEIGHTS).is_file() and (home / "checkpoints" / "last").resolve().name == f"{steps:06d}":
             return home
-        dataset = self.data.dataset(training.world)
+        dataset = self.data.dataset(training.world, told=training.told)
         if (last / TRAINING).is_file():
             words = [f"--config_path={last / TRAINING}", "--resume=true", f"--steps={steps}"]
         else:

@@ -125,15 +125,15 @@ class PolicyData:
         self.run_project(project, until="episodes" if wanted else "replacement", workers=self.workers)
         return home
 
-    def dataset(self, name: str) -> Path:
-        """Folder of a world's demonstrations for LeRobot."""
-        home = self.folder / "datasets" / name
+    def dataset(self, name: str, *, told: bool = False) -> Path:
+        """Folder of a world's demonstrations for LeRobot, with pictures or with the object's pose instead."""
+        home = self.folder / "datasets" / (f"{name}-told" if told else name)
         if not (home / MARK).is_file():
             results = open_results(self.run(name))
             size = "x".join(map(str, SEEN_SIZE))
-            self.tell(f"dataset {name}")
+            self.tell(f"dataset {home.name}")
             episodes = list_committed(results.folders["episodes"])
-            export_dataset(episodes, home, "lerobot-v3", media="image", size=size)
+            export_dataset(episodes, home, "lerobot-v3", media="none" if told else "image", size=size)
         return home
 
     def suite(self, test: Trials) -> Path:

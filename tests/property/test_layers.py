@@ -30,6 +30,7 @@ LAYERS = [
     {"synthetic"},
     {"capture"},
     {"results", "executors"},
+    {"saved_units"},
     STAGES - {"capture"},
     {"paper"},
     {"pipeline"},

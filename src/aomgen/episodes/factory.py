@@ -15,6 +15,7 @@ import numpy as np
 from aomgen.assets.usd_write import write_for_replay
 from aomgen.core.camera import Camera
 from aomgen.core.plan import EpisodePlan, FittedAsset, Rejection, Variation, VerifiedEpisode
+from aomgen.episodes.generate import MAX_SKIPPED
 from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choose_grasps
 from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver, ik_solver
@@ -42,8 +43,6 @@ from aomgen.twin.variation import changed, light_gains, scaled
 
 # Assets that a worker keeps open: the one it works on, and the next.
 OPEN_ASSETS: Final = 2
-# Draws of an asset that are screened to learn which grasps work.
-SCREENED_DRAWS: Final = 500
 # Sizes of an asset whose scenes a worker keeps: the recorded one, and that of the episode.
 OPEN_SIZES: Final = 2
 
@@ -176,7 +175,7 @@ class EpisodeFactory:
         if (chosen / f"{unit_name(number)}.json").is_file():
             return load_artifact(chosen, unit_name(number), GraspChoice)
         opened, working = self.asset(number), list[list[str]]()
-        for index in range(SCREENED_DRAWS):
+        for index in range(MAX_SKIPPED):
             variation, rejection = self.screen(Unit(asset=number, index=index))
             if len(working) == DRAWS or self.plan_params.method == "paper":
                 break
