@@ -117,9 +117,10 @@ def _chosen_actions(name: str):
     from aomgen.datasets.features import ACTION_SPACES
     from aomgen.io.schema import suggest
 
-    if name not in ACTION_SPACES:
-        raise ConfigError("--actions", f"'{name}' is unknown", suggest(name, ACTION_SPACES))
-    return name
+    for space in ACTION_SPACES:
+        if space == name:
+            return space
+    raise ConfigError("--actions", f"'{name}' is unknown", suggest(name, ACTION_SPACES))
 
 
 def _tell(share: float, text: str) -> None:

@@ -197,7 +197,7 @@ def _episodes(
 def _columns(table: pa.Table) -> dict[str, NDArray[Any]]:
     """Numbers (T, D) or (T,) of a table by feature."""
     numeric = [name for name in table.column_names if not pa.types.is_struct(table.schema.field(name).type)]
-    told = {TOLD: OBJECT_POSE}
+    told: dict[str, str] = {TOLD: OBJECT_POSE}
     return {told.get(name, name): np.array(table[name].to_pylist()) for name in numeric}
 
 

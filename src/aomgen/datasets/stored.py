@@ -58,7 +58,9 @@ def chosen_space(features: Mapping[str, Any], where: Path) -> ActionSpace:
     Raises:
         MalformedFileError: There is no such space, or more than one.
     """
-    absent = [space for space in ACTION_SPACES if f"annotation.action.{space}" not in features]
+    absent: list[ActionSpace] = [
+        space for space in ACTION_SPACES if f"annotation.action.{space}" not in features
+    ]
     if len(absent) != 1:
         known = (
             ", ".join(f"annotation.action.{space}" for space in absent) or "no action space but annotations"
