@@ -42,7 +42,7 @@ class SmallACTConfig(PreTrainedConfig):
     n_encoder_layers: int = 1
     n_decoder_layers: int = 1
     dropout: float = 0.0
-    state_noise: float = 0.06
+    state_noise: float = 0.015
     shift_px: int = 1
     contrast: float = 0.15
     tint: float = 0.2
