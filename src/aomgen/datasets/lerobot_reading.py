@@ -197,8 +197,8 @@ def _episodes(
 def _columns(table: pa.Table) -> dict[str, NDArray[Any]]:
     """Numbers (T, D) or (T,) of a table by feature."""
     numeric = [name for name in table.column_names if not pa.types.is_struct(table.schema.field(name).type)]
-    told: dict[str, str] = {TOLD: OBJECT_POSE}
-    return {told.get(name, name): np.array(table[name].to_pylist()) for name in numeric}
+    columns = {str(name): np.array(table[name].to_pylist()) for name in numeric}
+    return {OBJECT_POSE if name == TOLD else name: values for name, values in columns.items()}
 
 
 def _pictures(table: pa.Table, feature: str, where: Path) -> Iterator[NDArray[np.uint8]]:
