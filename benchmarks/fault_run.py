@@ -58,9 +58,9 @@ class InThisProcess:
     slots = 1
 
     def __init__(self, work: Work) -> None:
-        self._work, self._units = work, list[Unit]()
+        self._work, self._units = work, list[Any]()
 
-    def submit(self, unit: Unit) -> None:
+    def submit(self, unit: Any) -> None:
         self._units.append(unit)
 
     def next_done(self) -> Done:
@@ -103,7 +103,11 @@ def make_here(out: Path, digest: str, workers: int) -> None:
             return
         factory = open_here(out.parent)
         factory.folder = results.folders["episodes"]
-        with patch.object(episodes_stage, "open_executor", lambda *_: InThisProcess(factory.make)):
+        with (
+            patch.object(episodes_stage, "open_factory", lambda *_: factory.make),
+            patch.object(episodes_stage, "open_choosing", lambda *_: factory.grasp_choice),
+            patch.object(episodes_stage, "open_executor", lambda _, opener, __: InThisProcess(opener())),
+        ):
             make(results, digest, heard)
 
 

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
+from aomgen.episodes.grasp_choice import GRASPS_FOLDER
 from aomgen.episodes.ledger import OBJECTS_FOLDER, REJECTED_FOLDER
 from aomgen.io.atomic import STAGING_PREFIX
 from aomgen.pipeline.runner import TIMINGS
@@ -99,7 +100,7 @@ def _item_of(name: str) -> str:
     parts = name.split("/")
     if parts[0] == FOLDERS["dataset"]:
         return parts[0]
-    return "/".join(parts[: 3 if parts[1] in (OBJECTS_FOLDER, REJECTED_FOLDER) else 2])
+    return "/".join(parts[: 3 if parts[1] in (OBJECTS_FOLDER, REJECTED_FOLDER, GRASPS_FOLDER) else 2])
 
 
 def _names_of(number: int) -> set[str]:

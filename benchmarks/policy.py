@@ -183,12 +183,12 @@ class PolicyBench:
             list(pool.map(self.train, trainings))
         return {name: table_figures(self.counted(rows)) for name, rows in tables.items()}
 
+    def _home(self, training: Training) -> Path:
+        return self.data.folder / "trainings" / training.name
+
     def train(self, training: Training) -> Path:
         """Folder of a policy; LeRobot goes on where it was killed."""
-        home, steps = (
-            self.data.folder / "trainings" / training.name,
-            self.steps if training.demonstrations else 1,
-        )
+        home, steps = self._home(training), self.steps if training.demonstrations else 1
         last = home / LAST
         if (last / WEIGHTS).is_file() and (home / "checkpoints" / "last").resolve().name == f"{steps:06d}":
             return home
@@ -209,13 +209,14 @@ class PolicyBench:
             ]  # fmt: skip
         self.data.tell(f"training {training.name}")
         environment = {**os.environ, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
-        done = subprocess.run(
-            [self.lerobot_train, *words], env=environment, capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise BackendError(
-                "lerobot-train", (done.stderr.strip().splitlines() or ["failed"])[-1], "see above"
+        log = home.with_suffix(".log")
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as sink:
+            done = subprocess.run(
+                [self.lerobot_train, *words], env=environment, stdout=sink, stderr=sink, check=False
             )
+        if done.returncode:
+            raise BackendError("lerobot-train", f"ended with exit code {done.returncode}", f"see {log}")
         return home
 
     def counted(self, rows: list[Row]) -> Iterator[tuple[Row, list[dict[str, Any]]]]:
@@ -230,9 +231,7 @@ class PolicyBench:
         kept = place.with_suffix(".json")
         if not kept.is_file():
             suite, results = open_suite(self.data.suite(row.test))
-            address = (
-                policy if isinstance(policy, str) else f"{LEROBOT}{self.data.folder / 'trainings' / name}"
-            )
+            address = policy if isinstance(policy, str) else f"{LEROBOT}{self._home(policy)}"
             self.data.tell(f"rollouts {place.name}")
             request = EvaluationRequest(policy=address, visuals=row.visuals)
             write_json(kept, evaluate(suite, results, place, request, self.data.workers, silent))

@@ -1,18 +1,15 @@
-"""Work of many small units over processes, one file each: what a killed command has made is kept."""
+"""Work of many small units, one file each: what a killed command has made is kept."""
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 from aomgen.core.progress import Progress
 from aomgen.errors import ConfigError, WorkerError
-from aomgen.executors import Processes, Work
+from aomgen.executors import Executor
 from aomgen.io.artifact import load_artifact, read_json, save_artifact
-from aomgen.io.atomic import write_json
+from aomgen.io.atomic import remove_staging, write_json
 
-# No trial is drawn or rolled out for longer, [s].
-TIMEOUT_S: Final = 1200.0
 REQUEST_FILE: Final = "request.json"
 T = TypeVar("T")
 
@@ -34,12 +31,11 @@ class SavedUnits(Generic[T]):
         place, want = folder / REQUEST_FILE, dict(request)
         if place.is_file() and read_json(place) != want:
             raise ConfigError(folder, "was begun for something else", "delete it, or choose another name")
+        remove_staging(folder)
         write_json(place, want)
 
-    def make(
-        self, units: Iterable[int], opener: Callable[[], Callable[[int], T]], workers: int, progress: Progress
-    ) -> list[T]:
-        """Values of the units in their order; those that are not there are made by processes, `opener` is pickled.
+    def make(self, units: Iterable[int], executor: Executor, progress: Progress) -> list[T]:
+        """Values of the units in their order; those that are not there are made by the executor, which is closed then.
 
         Raises:
             WorkerError: A unit kills its process, or takes too long.
@@ -47,24 +43,19 @@ class SavedUnits(Generic[T]):
         """
         wanted = list(units)
         waiting = [unit for unit in wanted if not (self.folder / f"{unit_name(unit)}.json").is_file()]
-        left = len(waiting)
-        with Processes(partial(_open_saving, opener, self.folder), workers, TIMEOUT_S) as executor:
-            running = 0
+        left, running = len(waiting), 0
+        with executor:
             while waiting or running:
-                while waiting and running < workers:
+                while waiting and running < executor.slots:
                     executor.submit(waiting.pop(0))
                     running += 1
                 done = executor.next_done()
                 running, left = running - 1, left - 1
                 if done.lost:
                     raise WorkerError(f"unit {done.unit}", f"was lost ({done.lost})", "try fewer --workers")
+                save_artifact(self.folder, unit_name(done.unit), done.value)
                 progress(1 - left / len(wanted), f"{len(wanted) - left} of {len(wanted)}")
         return [load_artifact(self.folder, unit_name(unit), self._kind) for unit in wanted]
-
-
-def _open_saving(opener: Callable[[], Callable[[int], Any]], folder: Path) -> Work:
-    work = opener()
-    return lambda unit: save_artifact(folder, unit_name(unit), work(unit))
 
 
 def unit_name(unit: int) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +21,7 @@ from aomgen.episodes.grasp_choice import DRAWS, GRASPS_FOLDER, GraspChoice, choo
 from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver, ik_solver
 from aomgen.episodes.ledger import Unit, object_folder, write_rejection
-from aomgen.episodes.planning import plan_episode, working_grasps
+from aomgen.episodes.planning import open_task, plan_episode, working_grasps
 from aomgen.episodes.pushes import pushed_joints
 from aomgen.episodes.reach_map import ReachMap, map_reach
 from aomgen.episodes.record import episode_of, store_episode, trajectory_of
@@ -169,21 +170,23 @@ class EpisodeFactory:
                 fitted, demo, variation, scene, self.solver, self.plan_params, opened.preferred.names
             )
 
-    def choose_grasps(self, number: int) -> GraspChoice:
+    def grasp_choice(self, number: int) -> GraspChoice:
         """The grasps that an asset's plans prefer, from its first draws; those of its stage where that has chosen."""
         chosen = self.folder / GRASPS_FOLDER
         if (chosen / f"{unit_name(number)}.json").is_file():
             return load_artifact(chosen, unit_name(number), GraspChoice)
-        opened, working = self.asset(number), list[list[str]]()
-        for index in range(MAX_SKIPPED):
-            variation, rejection = self.screen(Unit(asset=number, index=index))
-            if len(working) == DRAWS or self.plan_params.method == "paper":
-                break
-            if rejection is None:
-                fitted, scene = opened.sized(variation.scale)
-                demo = self.results.demonstration
-                working.append(working_grasps(fitted, demo, variation, scene, self.solver, self.plan_params))
-        return choose_grasps(working)
+        draws = (self.screen(Unit(asset=number, index=index)) for index in range(MAX_SKIPPED))
+        passing = (variation for variation, rejection in draws if rejection is None)
+        # The paper's method knows one grasp.
+        wanted = 0 if self.plan_params.method == "paper" else DRAWS
+        return choose_grasps(
+            [self._working_grasps(number, variation) for variation in islice(passing, wanted)]
+        )
+
+    def _working_grasps(self, number: int, variation: Variation) -> list[str]:
+        fitted, scene = self.asset(number).sized(variation.scale)
+        demo = self.results.demonstration
+        return working_grasps(open_task(fitted, demo, variation, scene, self.solver, self.plan_params))
 
     def certify(self, opened: "OpenAsset", variation: Variation) -> VerifiedEpisode | Rejection:
         """Plan for a variation of an asset and verify the plan."""
@@ -278,7 +281,7 @@ class OpenAsset:
     @cached_property
     def preferred(self) -> GraspChoice:
         """The grasps that plans try first."""
-        return self.factory.choose_grasps(self.number)
+        return self.factory.grasp_choice(self.number)
 
     @cached_property
     def sized(self) -> Callable[[float], tuple[FittedAsset, Scene]]:
@@ -324,7 +327,7 @@ class OpenAsset:
 
 def open_choosing(results: Results, folder: Path) -> Callable[[int], GraspChoice]:
     """What a worker calls that chooses the grasps of assets."""
-    return EpisodeFactory(results, folder).choose_grasps
+    return EpisodeFactory(results, folder).grasp_choice
 
 
 def open_factory(results: Results, folder: Path) -> Work:

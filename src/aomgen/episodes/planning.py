@@ -21,17 +21,10 @@ from aomgen.episodes.grasp_plan import (
 )
 from aomgen.episodes.grasps import grasp_depths, grasps
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.retarget import (
-    DETOURS,
-    WAYS,
-    DemonstratedMotion,
-    RetargetedMotion,
-)
+from aomgen.episodes.retarget import DETOURS, WAYS, DemonstratedMotion, RetargetedMotion
 from aomgen.episodes.start import choose_start
 from aomgen.robots.robot import RobotModel
-from aomgen.simulation.collision_check import (
-    self_overlap_mm,
-)
+from aomgen.simulation.collision_check import self_overlap_mm
 from aomgen.simulation.scene import Scene
 
 # Kept free between the object and the arm before its hand, [m]: a lid that resists lags behind its plan.
@@ -71,7 +64,8 @@ def plan_episode(
         The plan; or the Rejection of the grasp that came farthest, its metrics with the number of
         `grasps_tried`.
     """
-    task, motions = _open_task(fitted, demo, variation, scene, solver, params, preferred)
+    task = open_task(fitted, demo, variation, scene, solver, params)
+    motions = _motions(task, preferred)
     held, best = _hold(task, motions)
     # Grasps that hold, and among them those that something blocks beside the handle.
     checked, blocked = set[int](), set[int]()
@@ -98,16 +92,9 @@ def plan_episode(
     return replace(best, metrics={**best.metrics, "grasps_tried": float(len(motions))})
 
 
-def working_grasps(
-    fitted: FittedAsset,
-    demo: Demonstration,
-    variation: Variation,
-    scene: Scene,
-    solver: IkSolver,
-    params: PlanParams,
-) -> list[str]:
+def working_grasps(task: PlanTask) -> list[str]:
     """Names of all grasps with which an episode can be planned the first way, that nearest to the demonstrated first."""
-    task, motions = _open_task(fitted, demo, variation, scene, solver, params, ())
+    motions = _motions(task)
     held, _ = _hold(task, motions)
     style, group = WAYS[0]
     styled = {k: replace(motions[k], **style._asdict()) for k in held}
@@ -120,22 +107,21 @@ def working_grasps(
     return list(working)
 
 
-def _open_task(
+def open_task(
     fitted: FittedAsset,
     demo: Demonstration,
     variation: Variation,
     scene: Scene,
     solver: IkSolver,
     params: PlanParams,
-    preferred: Sequence[str],
-) -> tuple[PlanTask, list[RetargetedMotion]]:
-    """What all grasps share, and their motions."""
+) -> PlanTask:
+    """What all grasps of one variation share; arguments as for `plan_episode`."""
     T_world_object = variation.placed(fitted)
     placed = scene.placed(T_world_object, CLEARANCE_M)
     allowed = params.kinematic.max_self_penetration_mm
     allowed += self_overlap_mm(placed, demo.joints[0], float(demo.gripper[0]))
     params = replace(params, kinematic=replace(params.kinematic, max_self_penetration_mm=allowed))
-    task = PlanTask(
+    return PlanTask(
         shown=DemonstratedMotion(demo),
         variation=variation,
         fitted=fitted,
@@ -145,12 +131,15 @@ def _open_task(
         start=choose_start(demo, fitted, placed, T_world_object, solver, params.ik, params.kinematic)
         + (np.array(variation.start_offset) if variation.start_offset else 0.0),
     )
-    moved = not np.array_equal(task.start, demo.joints[0])
-    T_world_start = placed.robot.ee_poses(task.start[None])[0] if moved else None
-    motions = retarget(
-        fitted, task.shown, T_world_object, placed.robot, params.method, T_world_start, preferred
-    )
-    return task, motions
+
+
+def _motions(task: PlanTask, preferred: Sequence[str] = ()) -> list[RetargetedMotion]:
+    """Of all grasps, from the arm's first joints."""
+    robot, fitted = task.placed.robot, task.fitted
+    moved = not np.array_equal(task.start, task.shown.demo.joints[0])
+    T_world_start = robot.ee_poses(task.start[None])[0] if moved else None
+    T_world_object = task.variation.placed(fitted)
+    return retarget(fitted, task.shown, T_world_object, robot, task.params.method, T_world_start, preferred)
 
 
 def _hold(task: PlanTask, motions: list[RetargetedMotion]) -> tuple[dict[int, Array], Rejection]:

@@ -19,7 +19,7 @@ from aomgen.episodes.ledger import Account, Request, read_accounts, read_draws
 from aomgen.episodes.range_check import check_ranges
 from aomgen.episodes.reach_map import REACH_MAP
 from aomgen.errors import NotEnoughEpisodesError
-from aomgen.executors import Done, Executor, Processes, RayCluster
+from aomgen.executors import Done, Executor, Opener, Processes, RayCluster
 from aomgen.io.artifact import read_json, save_artifact
 from aomgen.io.atomic import write_json
 from aomgen.io.episode_folder import EPISODE_FILE, list_committed
@@ -43,14 +43,14 @@ def run(
     check_ranges(factory, folder)
     for number, found in enumerate(factory.reach_maps):
         save_artifact(folder, REACH_MAP.format(number), found)
+    # A copy without what has been read.
+    opened = (replace(results), folder)
     SavedUnits(folder / GRASPS_FOLDER, {}, GraspChoice).make(
         range(len(request.assets)),
-        # A copy without what has been read.
-        partial(open_choosing, replace(results), folder),
-        results.workers,
+        open_executor(results, partial(open_choosing, *opened), factory.params.timeout_s),
         lambda share, text: progress(0.0, f"grasps of {text} assets chosen"),
     )
-    with open_executor(results, folder, factory.params.timeout_s) as executor:
+    with open_executor(results, partial(open_factory, *opened), factory.params.timeout_s) as executor:
         generate(folder, request, executor, factory.screen, progress, on_done)
     accounts = read_accounts(folder)
     if accounts and not any(account.committed for account in accounts):
@@ -76,14 +76,12 @@ def run(
     }
 
 
-def open_executor(results: Results, folder: Path, timeout_s: float) -> Executor:
+def open_executor(results: Results, opener: Opener, timeout_s: float) -> Executor:
     """Workers as the run was asked for.
 
     Raises:
         BackendError: There is no Ray.
     """
-    # A copy without what has been read.
-    opener = partial(open_factory, replace(results), folder)
     if results.ray:
         return RayCluster(opener, results.ray, timeout_s)
     return Processes(opener, results.workers, timeout_s)

@@ -20,6 +20,7 @@ from aomgen.episodes.factory import EpisodeFactory, GenerationParams
 from aomgen.episodes.variations import draw_independently
 from aomgen.errors import ConfigError, NotEnoughEpisodesError
 from aomgen.evaluation.suite import (
+    TRIAL_S,
     Suite,
     Trial,
     nearest_pose,
@@ -29,6 +30,7 @@ from aomgen.evaluation.suite import (
     twin_digest,
     write_suite,
 )
+from aomgen.executors import Processes
 from aomgen.io.atomic import remove_folder
 from aomgen.io.schema import suggest
 from aomgen.results import Results
@@ -91,7 +93,7 @@ def make_suite(
     parts = SavedUnits(path.with_name(f"{path.stem}.parts"), {"twin": twin, **_plain(request)}, DrawnTrial)
     # A copy without what has been read.
     opener = partial(_open_drawing, replace(results), request)
-    drawn = parts.make(range(request.trials), opener, workers, progress)
+    drawn = parts.make(range(request.trials), Processes(opener, workers, TRIAL_S), progress)
     suite = Suite(
         run=os.path.relpath(results.out.resolve(), path.resolve().parent),
         twin=twin,

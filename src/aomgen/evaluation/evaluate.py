@@ -15,8 +15,9 @@ from aomgen.core.progress import Progress
 from aomgen.datasets.features import ActionSpace
 from aomgen.evaluation.policies import Policy, open_policy, policy_digest
 from aomgen.evaluation.rollout import World
-from aomgen.evaluation.suite import Suite, require_apart
+from aomgen.evaluation.suite import TRIAL_S, Suite, require_apart
 from aomgen.evaluation.views import Visuals
+from aomgen.executors import Processes
 from aomgen.io.atomic import write_bytes
 from aomgen.io.video import encode_video
 from aomgen.results import Results
@@ -88,11 +89,10 @@ def evaluate(
     # What cannot be opened is told before processes are started.
     open_policy(request.policy, World(suite, results, request.visuals))
     parts = SavedUnits(out / ROLLOUTS_FOLDER, identity, RolloutRecord)
-    rows = parts.make(range(len(suite.trials)), opener, workers, progress)
+    rows = parts.make(range(len(suite.trials)), Processes(opener, workers, TRIAL_S), progress)
     failed = [row.trial for row in rows if row.fail_reason][:FILMED]
-    SavedUnits(out / VIDEOS_FOLDER, identity, RolloutRecord).make(
-        failed, partial(opener, film=out / VIDEOS_FOLDER), workers, progress
-    )
+    filming = Processes(partial(opener, film=out / VIDEOS_FOLDER), workers, TRIAL_S)
+    SavedUnits(out / VIDEOS_FOLDER, identity, RolloutRecord).make(failed, filming, progress)
     successes = len(rows) - sum(bool(row.fail_reason) for row in rows)
     return {
         "policy": request.policy,

@@ -28,6 +28,8 @@ from aomgen.results import Results
 
 # Poses nearer to each other than both of these are one, [mm] and [deg].
 APART_MM, APART_DEG = 5.0, 1.0
+# No trial is drawn or rolled out for longer, [s].
+TRIAL_S: Final = 1200.0
 REMEDY: Final = "make it with `aomgen evaluate suite`"
 
 

@@ -8,7 +8,7 @@ from aomgen.core.plan import EpisodePlan, FittedAsset, Variation
 from aomgen.episodes.grasp_choice import choose_grasps
 from aomgen.episodes.grasp_plan import PlanParams
 from aomgen.episodes.ik import IkSolver
-from aomgen.episodes.planning import plan_episode, working_grasps
+from aomgen.episodes.planning import open_task, plan_episode, working_grasps
 from aomgen.robots.robot import RobotModel
 from aomgen.simulation.scene import build_scene
 from benchmarks.toy_drawer import SUPPORT
@@ -41,7 +41,7 @@ def test_plans_use_the_preferred_grasp_where_it_works(
 ) -> None:
     scene = build_scene(robot, fitted.asset, fitted.T_world_asset, SUPPORT)
     task = (fitted, demo, HERE, scene, solver, PlanParams())
-    working = working_grasps(*task)
+    working = working_grasps(open_task(*task))
     assert len(working) > 1
     plain, preferring = plan_episode(*task), plan_episode(*task, working[-1:])
     assert isinstance(plain, EpisodePlan)
